@@ -148,17 +148,19 @@ def _short(value: Any) -> str:
 
 
 def _stability(receipt: dict[str, Any]) -> list[str]:
+    worlds = [f"  {text}" for text in receipt.get("world", ())]
     found = receipt.get("stability")
     if not found:
-        return []
+        return worlds
     if found["why"]:
-        return [f"  stability not judged: {found['why']}"]
+        return [f"  stability not judged: {found['why']}", *worlds]
     before = "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
     now = "stable below 1" if found["stable"] else "UNSTABLE: applied because of --force"
     of_law = "" if found.get("law") in (None, receipt.get("to")) else f" of {found['law']}"
     return [
         f"  pole radius{of_law} {before}{found['pole_radius']:.4g} ({now}) at a delay of"
-        f" {found['delay_ticks']:.3g} ticks"
+        f" {found['delay_ticks']:.3g} ticks",
+        *worlds,
     ]
 
 

@@ -97,6 +97,8 @@ class Coupling(Node):
         self._realtime = self.setup.pace == "realtime"
         self.counters.delay = _least_delay(self.setup)
         self._failed_text = ""
+        # what was last reported of the law and a world that moves
+        self._told_of_world: list[str] = []
         self._book = LawBook(self.setup.name, self.setup.period)
         self._judgement = Judgement(
             self.setup.name, self.setup.period, self._book, self.setup.plant
@@ -112,7 +114,8 @@ class Coupling(Node):
             anyway = StartAnyway.ACCEPTED_BEFORE
         for text in self._judgement.at_start(parameters, self._felt_delay, anyway):
             self.events.emit_each("stability", text)
-        for text in self._judgement.of_moving_world(parameters, self._felt_delay):
+        self._told_of_world = self._judgement.of_moving_world(parameters, self._felt_delay)
+        for text in self._told_of_world:
             self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
@@ -122,6 +125,10 @@ class Coupling(Node):
         ]
         # changes already made before a restart are in the saved parameters
         due = [(tick, swap) for tick, swap in swaps if tick > self.resumed_at]
+        for name in dict.fromkeys(swap.law for _, swap in due if swap.law != parameters.law):
+            # Said now: a scheduled swap comes between two ticks, where nothing is computed.
+            for text in self._judgement.of_moving_world(parameters, self._felt_delay, name=name):
+                self.events.emit_each("world", f"from the swap that is scheduled: {text}")
         self._take_schedule(
             [(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due]
         )
@@ -201,6 +208,15 @@ class Coupling(Node):
             self.events.emit_each("stability", warning)
         before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
         return self._judged(law.name, wanted, verdict, before)
+
+    def _judge_moving(self, wanted: CouplingParameters, law: ActiveLaw) -> dict[str, Any]:
+        """Return what a receipt says of a law and a world that moves, and report it where it has changed."""
+        told = self._judgement.of_moving_world(wanted, self._felt_delay, law.compiled, law.name)
+        if told and told != self._told_of_world:
+            for text in told:
+                self.events.emit_each("world", text)
+        self._told_of_world = told
+        return {"world": told} if told else {}
 
     def _judged(
         self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None
@@ -291,6 +307,7 @@ class Coupling(Node):
         stability: dict[str, Any] = {"stability": set_aside} if set_aside else {}
         if judged != (self._renderer.law.compiled, now.plant, now.stability):
             stability = {"stability": self._judge(now, parameters, law, force)}
+            stability |= self._judge_moving(parameters, law)
         if action == "set" and law.text == self._failed_text:
             # A failed law does not return because another parameter is set; switching to it by name
             # does it.

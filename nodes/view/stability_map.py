@@ -23,7 +23,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, SteppedTool, WorldKind, world_k_max
+from nodes.stability.worlds import AnyWorld, EulerTool, SteppedTool, WorldKind, world_k_max
 
 NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then geometrically
 FARTHEST = 4096.0  # search limit of the far end, relative to the near part
@@ -75,14 +75,31 @@ def _moving(plant: PlantParameters) -> WorldKind | None:
     return SteppedTool(plant.tool_damping) if stepped else AnyWorld()
 
 
-def _certified(law: Law, devices: Sequence[Plant], world: WorldKind) -> float | None:
+def _heavy(plant: PlantParameters, device: Plant) -> EulerTool | None:
+    """Return the tool of known mass, or None if its steps are not known."""
+    if plant.tool_mass is None or plant.tool_step is None:
+        return None
+    steps = max(1, math.ceil(device.period / plant.tool_step - 1e-9))
+    late = max(device.delay - plant.device_delay, 0.0)
+    return EulerTool(plant.tool_mass, steps, plant.tool_damping, late)
+
+
+def _certified(
+    law: Law, devices: Sequence[Plant], world: WorldKind, plant: PlantParameters
+) -> float | None:
     """Return the largest K certified on all devices for moving worlds (THEORY.md §18)."""
     least = math.inf
     for device in devices:
-        found = world_k_max(without_spring(law, device.period), device, world)
-        if found.k_max_n_per_m is None:
+        heavy = _heavy(plant, device) if isinstance(world, SteppedTool) else None
+        edges = [
+            world_k_max(without_spring(law, device.period), device, kind).k_max_n_per_m
+            for kind in (world, heavy)
+            if kind is not None
+        ]
+        certified = [edge for edge in edges if edge is not None]
+        if not certified:
             return None
-        least = min(least, found.k_max_n_per_m)
+        least = min(least, max(certified))
     return least if math.isfinite(least) else None
 
 
@@ -208,12 +225,17 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     gains = np.linspace(0.0, near, ANY_NEAR).tolist()
     # The limit falls fastest at small delays.
     delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()
+    heavy = _heavy(plant, some[0]) if isinstance(world, SteppedTool) else None
+    about = world.about if heavy is None else f"{world.about}, or {heavy.about}"
     return drawn | {
-        "world": world.about,
-        "k_max_any_world_n_per_m": _certified(law, some, world),
-        "any_world": [[gain, _certified(_at(law, gain), some, world)] for gain in gains],
+        "world": about,
+        "k_max_any_world_n_per_m": _certified(law, some, world, plant),
+        "any_world": [[gain, _certified(_at(law, gain), some, world, plant)] for gain in gains],
         "any_world_over_delay": [
-            [delay, _certified(law, [replace(device, delay=delay) for device in some], world)]
+            [
+                delay,
+                _certified(law, [replace(device, delay=delay) for device in some], world, plant),
+            ]
             for delay in delays
         ],
     }

@@ -29,11 +29,15 @@ FAMILIES = {
     "paper_optimum": "the paper's optimum",
     "taps": "free taps",
     "one_pole": "two taps over a pole",
+    "taps_over_pole": "free taps over a pole",
+    "two_poles": "taps over two poles",
 }
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Design at one delay, or compare the families over several."""
+    if arguments.sections and arguments.world != "any_hand":
+        raise UsageError("--sections: with --for any_hand, where a linear programme bounds them")
     if arguments.compare:
         found = [(delay, _members(arguments, (delay, delay))) for delay in arguments.delays]
         rows = [
@@ -71,7 +75,7 @@ def _members(arguments: argparse.Namespace, delay: tuple[float, float]) -> list[
     except ValueError as error:
         raise UsageError(f"--{error}") from error
     members = []
-    for member in stiffest_members(surroundings, arguments.taps):
+    for member in stiffest_members(surroundings, arguments.taps, arguments.sections):
         print(f"{FAMILIES[member.family]}, delay {delay[1]:g} ...", file=sys.stderr, flush=True)
         members.append(member)
     return members
@@ -134,6 +138,13 @@ def _lines(arguments: argparse.Namespace, row: Mapping[str, Any]) -> list[str]:
         lines.append(
             "  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that"
             " limit these"
+        )
+    found = {law["family"]: law["h1_n_per_m"] or 0.0 for law in row["laws"]}
+    if "two_poles" in found:
+        best = max(found["one_pole"], found["taps_over_pole"], found["two_poles"])
+        lines.append(
+            f"  sections buy {100.0 * (best / found['taps'] - 1.0):+.1f} % over free taps, and no"
+            f" law more than {100.0 * (row['closed_limit_n_per_m'] / found['taps'] - 1.0):+.1f} %"
         )
     gain = row["fractional_gain"]
     if gain is not None:

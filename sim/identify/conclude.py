@@ -150,6 +150,7 @@ def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identifi
         unbelieved=unbelieved,
         remainder=choice.remainder.cause,
         remainder_k_max=choice.remainder.k_max_change,
+        altered=choice.remainder.devices,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from nodes.stability.flexible import FlexiblePlant
+from sim.identify.altered import AlteredDevice
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ class Identified:
     # Empty and 0 where the residual is noise.
     remainder: str = ""
     remainder_k_max: float = 0.0
+    # The device with each term that may be what is left: what a designed law is judged on as well.
+    altered: tuple[AlteredDevice, ...] = ()
     # What a refuted model says of its parameters, which have no value then.
     unbelieved: Mapping[str, Estimate] = field(default_factory=dict)
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from sim.identify.altered import as_record, from_record
 from sim.identify.identified import Estimate, Identified
 
 # Key, attribute, name and unit of each parameter.
@@ -45,6 +46,7 @@ def figures(found: Identified) -> dict[str, Any]:
         "remainder": {
             "cause": found.remainder,
             "k_max_change": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+            "devices": [as_record(device) for device in found.altered],
         },
         "unbelieved": {
             key: _estimate(found.unbelieved[name])
@@ -92,7 +94,11 @@ def _remainder(record: Mapping[str, Any] | None) -> dict[str, Any]:
     if record is None:
         return {}
     change = record["k_max_change"]
-    return {"remainder": record["cause"], "remainder_k_max": math.inf if change is None else change}
+    return {
+        "remainder": record["cause"],
+        "remainder_k_max": math.inf if change is None else change,
+        "altered": tuple(from_record(device) for device in record.get("devices", ())),
+    }
 
 
 def verdict(found: Identified) -> str:

@@ -20,6 +20,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.arrays import Array
 from sim.identify import identified_motion as motion
+from sim.identify.altered import AlteredDevice
 from sim.identify.experiment import Experiment
 from sim.identify.judge_fit import SURE, Evidence
 from sim.identify.output_error import Fit
@@ -55,6 +56,8 @@ class Remainder:
     k_max_change: float = 0.0
     # largest change of each unknown of the fit, in the order of `Fit.free`
     moved: tuple[float, ...] = ()
+    # the device with each of these terms, for the poles of a law that is designed later
+    devices: tuple[AlteredDevice, ...] = ()
 
 
 NOTHING = Remainder()
@@ -153,18 +156,20 @@ def remainder(
     here = stiffest(_averaging(plant, average), experiment.period, gain, average)
     least = ALTERNATIVE * seen[0].share if seen and seen[0].share >= CLEAR else 0.0
     changes, moved = [0.0], np.zeros(len(found.free))
+    devices: list[AlteredDevice] = []
     if not seen or seen[0].share < NAMED:
         # No term tells what it is: how much the parts of the run differ does.
-        change, moved = _by_parts(experiment, found, here, gain)
+        change, moved, devices = _by_parts(experiment, found, here, gain)
         changes.append(change)
     for one in _alternatives([one for one in seen if one.share >= least]):
-        changes.append(_change(experiment, found, one, here, gain, step or 0.0))
+        devices.append(altered(experiment, found, one, step or 0.0))
+        changes.append(_change(experiment, devices[-1], here, gain))
         moved = np.maximum(moved, np.abs(_told(found, one)) * (1.0 + one.margin))
     cause, explained = "a residual that no term that was tried explains", 0.0
     first = likeliest(seen)
     if first is not None and first.share >= NAMED:
         cause, explained = describe(first.suspect.term, first.suspect.size), first.share
-    return Remainder(cause, explained, max(changes), tuple(moved.tolist()))
+    return Remainder(cause, explained, max(changes), tuple(moved.tolist()), tuple(devices))
 
 
 def _possible(one: Evidence) -> bool:
@@ -192,8 +197,9 @@ def _alternatives(seen: Sequence[Evidence]) -> list[Evidence]:
 
 def _by_parts(
     experiment: Experiment, found: Fit, here: float | None, gain: float
-) -> tuple[float, Array]:
+) -> tuple[float, Array, list[AlteredDevice]]:
     """Return how K_max, as a part of it, and the unknowns differ between the quarters of a run, and of its range."""
+    devices = []
     place = experiment.position[found.starts + found.length // 2]
     change, moved = 0.0, np.zeros(len(found.free))
     for order in (np.arange(len(place)), np.argsort(place)):
@@ -205,8 +211,9 @@ def _by_parts(
             theta[found.free] += step
             theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
             average = float(np.clip(theta[motion.AVERAGE], 0.0, 0.5))
+            devices.append(AlteredDevice("a part of the run", _plant(experiment, theta), average))
             there = stiffest(
-                _averaging(_plant(experiment, theta), average), experiment.period, gain, average
+                _averaging(devices[-1].plant, average), experiment.period, gain, average
             )
             if here is None or there is None:
                 change = change if here is there else math.inf
@@ -214,7 +221,7 @@ def _by_parts(
                 change = max(change, abs(there / here - 1.0))
             # The mean of the parts is the fit: half of what one of them is off by.
             moved = np.maximum(moved, 0.5 * np.abs(step))
-    return change, moved
+    return change, moved, devices
 
 
 def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
@@ -222,16 +229,21 @@ def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
     return replace(plant, delay=max(plant.delay - average, 0.0))
 
 
-def _change(
-    experiment: Experiment,
-    found: Fit,
-    one: Evidence,
-    here: float | None,
-    gain: float,
-    step: float = 0.0,
-) -> float:
-    """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
-    period, size = experiment.period, 1.0 + one.margin
+def altered(experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0) -> AlteredDevice:
+    """Return the device of a fit with one term at the largest size that the windows leave open.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The run.
+    found : Fit
+        The fit without the term.
+    one : Evidence
+        The term.
+    step : float
+        Step of the encoder [m].
+    """
+    size = 1.0 + one.margin
     theta = found.theta.copy()
     theta[found.free] += one.moves * size
     theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
@@ -239,11 +251,20 @@ def _change(
     plant, average, softer, stronger = _with(
         experiment, _plant(experiment, theta), one, size, own, step
     )
-    there = stiffest(_averaging(plant, average), period, gain, average)
+    cause = describe(one.suspect.term, one.suspect.size)
+    return AlteredDevice(cause, plant, average, softer, stronger)
+
+
+def _change(
+    experiment: Experiment, device: AlteredDevice, here: float | None, gain: float
+) -> float:
+    """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
+    average = device.average
+    there = stiffest(_averaging(device.plant, average), experiment.period, gain, average)
     if here is None or there is None:
         return 0.0 if here is there else math.inf
     # Springs beside the law's own and a gain before it act at once, at any K.
-    lowest = (there - softer) / stronger
+    lowest = (there - device.spring) / device.gain
     return max(abs(there / here - 1.0), 1.0 - lowest / here)
 
 

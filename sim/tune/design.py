@@ -20,6 +20,7 @@ from sim.design.families import Tuned, best_pd, certificate, designed, latest_de
 from sim.design.hands import STYLUS, judge_grasps
 from sim.design.landing import drops
 from sim.device.model import DeviceModel, Hand
+from sim.identify.altered import worst_altered
 from sim.identify.identified import Identified
 from sim.play.nonideal import NonidealDevice
 from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
@@ -173,7 +174,28 @@ def predict(
     figures |= {"stable_up_to_delay_ticks": latest_delay(law, asked)}
     figures |= {"drops_settled": sum(dropped.values()), "drops": len(dropped)}
     figures["grasp"] = asdict(judge_grasps(law, asked, STYLUS, 20_000))
+    figures |= remainder_figures(law, found)
     return figures | _every_delay(law, asked) | _at_rest(law, found, plant), edge, plan
+
+
+def remainder_figures(law: CompiledLaw, found: Identified) -> dict[str, Any]:
+    """Return the worst pole radius of a law on what the recording's residual leaves open, and the term that does it.
+
+    Both are None for a device whose residual is noise.
+    """
+    radius, cause = worst_altered(law, found.period, found.altered) or (None, None)
+    return {"remainder_pole_radius": radius, "remainder_worst": cause}
+
+
+def remainder_refusal(law: CompiledLaw, found: Identified) -> str | None:
+    """Return why a law is not tried where the residual of the recording may make it unstable; None where it may not."""
+    worst = worst_altered(law, found.period, found.altered)
+    if worst is None or worst[0] < 1.0:
+        return None
+    return (
+        f"the law has a pole radius of {worst[0]:.4f} (limit: < 1) on a device with {worst[1]},"
+        " which the recording leaves open"
+    )
 
 
 def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:

@@ -160,7 +160,7 @@ class Tuning:
         from sim.design.landing import drops, prove_over
         from sim.identify.identified import refusal
         from sim.identify.identified_text import from_figures
-        from sim.tune.design import Wanted, design
+        from sim.tune.design import Wanted, design, remainder_refusal
 
         chosen, identified = self._options, self._need("identified")
         found = from_figures(identified)
@@ -187,6 +187,11 @@ class Tuning:
         if law.found is None or law.law is None:
             raise RefusedError(
                 "no law keeps the demand: allow a larger --radius, less --spread or more --taps"
+            )
+        if (risk := remainder_refusal(law.found.law, found)) and not chosen.refuted:
+            raise RefusedError(
+                f"{risk}. Ask for a smaller --radius, or push longer (--duration);"
+                " --refuted designs it all the same"
             )
         lands = all(drops(law.found.law, asked).values())
         # A ratio between a law that lands and one that does not would compare two different things.

@@ -96,6 +96,19 @@ def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
     ]
 
 
+def _left_open(record: Mapping[str, Any]) -> list[TextRow]:
+    """Return how the law does on what the recording left open; a residual that is noise leaves nothing."""
+    if (radius := record.get("remainder_pole_radius")) is None:
+        return []
+    told = "NOT stable" if radius >= 1.0 else "stable"
+    return [
+        (
+            "on what the recording leaves open",
+            f"{told}; pole radius {radius:.4f} with {record['remainder_worst']}",
+        )
+    ]
+
+
 def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     """Tell what the law does on the identified device."""
     knocked = record["edge_h1_n_per_m"]
@@ -118,6 +131,7 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ),
         ("stable for every sequence of delays", decided),
         *_grasped(record),
+        *_left_open(record),
         ("comes to rest without a buzz", quiet),
     ]
 

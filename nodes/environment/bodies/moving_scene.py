@@ -18,6 +18,7 @@ from typing import Any
 
 from messages.types import Vector
 from nodes.environment.bodies.contacts import PairStiffness, measure_contacts
+from nodes.environment.bodies.implicit import euler_step
 from nodes.environment.bodies.tool import (
     AXES,
     ToolParameters,
@@ -123,6 +124,8 @@ class MovingScene:
                 f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected"
                 f" at most {WIDEST:g} m; MJCF is in metres"
             )
+        # Its own step, if all behind the tool is solved within it [s]; else None.
+        self.euler_step = euler_step(mujoco, self.model)
         # Sub-steps per tick: the scene's step is shortened so that a whole number fits.
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:

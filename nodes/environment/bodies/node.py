@@ -73,7 +73,7 @@ class MujocoEnvironment(Node):
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return the tool's mass [kg] and damping [N s/m], for the coupling's stability checks."""
+        """Return the tool's mass [kg], damping [N s/m] and step [s], for the coupling's checks."""
         del axes
         wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
         version = 0, 0
@@ -81,8 +81,9 @@ class MujocoEnvironment(Node):
         with contextlib.suppress(OSError):
             seen = Path(wanted.scene).expanduser().stat()
             version = seen.st_mtime_ns, seen.st_size
-        mass, damping = _tool_facts(wanted, name, *version)
-        return {"tool_mass": mass, "tool_damping": damping}
+        mass, damping, step = _tool_facts(wanted, name, *version)
+        facts = {"tool_mass": mass, "tool_damping": damping}
+        return facts if step is None else facts | {"tool_step": step}
 
     def make_counters(self) -> SpentCounters:
         """Return the tick counters."""
@@ -97,7 +98,7 @@ class MujocoEnvironment(Node):
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass);"
-            f" {self._world.steps} steps a tick; {response_text(self._world.response())}; its"
+            f" {self._world.steps} steps a tick; {response_text(self._world.response(), self._world.euler_step)}; its"
             f" contacts, measured: {contacts_text(self._world.stiffness())}",
             {"tool_mass_kg": self._world.mass, "steps": self._world.steps},
         )
@@ -162,14 +163,16 @@ class MujocoEnvironment(Node):
 _SHORT = 1e-6
 
 
-@functools.lru_cache(maxsize=64)  # called when a launch is read, and when it is wired
-def _tool_facts(parameters: MujocoParameters, name: str, *_version: int) -> tuple[float, float]:
-    """Return mass [kg] and damping [N s/m] of a scene's tool.
+@functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
+def _tool_facts(
+    parameters: MujocoParameters, name: str, *_version: int
+) -> tuple[float, float, float | None]:
+    """Return mass [kg], damping [N s/m] and step [s] of the tool of a scene.
 
-    `_version` changes with the file, so that the cache notices.
+    `_version` identifies a file that has been saved again; the step is None as of `euler_step`.
     """
     world = load_world(parameters, _SHORT, name)
-    return world.mass, world.damping
+    return world.mass, world.damping, world.euler_step
 
 
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:

@@ -76,6 +76,11 @@ def add(parser: argparse.ArgumentParser) -> None:
             " device given; any hand and any passive world (default: %(default)s)"
         ),
     )
+    parser.add_argument(
+        "--sections",
+        action="store_true",
+        help="with --for any_hand: more taps over a pole and two poles too, half a minute each",
+    )
     shared.add_grasp(parser, "judge the law in every grasp of a box too")
     parser.add_argument(
         "--radius", type=positive, default=0.99, help="pole radius allowed (default: %(default)s)"
@@ -169,6 +174,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.compare:
             idle(arguments, "--compare takes --delays", "delay")
         return any_world.run(arguments)
+    idle(arguments, "it is of --for any_hand", "sections")
     if not arguments.mass[0] > 0.0:
         raise UsageError(f"--mass {arguments.mass[0]:g}..{arguments.mass[1]:g}: must be positive")
     if arguments.compare:

@@ -186,3 +186,32 @@ def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     typed(press, "param", "set", "driver", "device.delay", "0")
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.0
+
+
+def test_what_is_certain_of_a_scene_that_moves_is_said_anew_when_the_law_changes(
+    tmp_path: Path,
+) -> None:
+    """At the start, after a parameter and after a switch: for this hand and for any hand."""
+    pytest.importorskip("mujoco")
+    with running(tmp_path, "puck_push", "duration:=0") as launch:
+        launch.wait_ticks(20)
+
+        def said(*words: str) -> list[str]:
+            text = typed(launch, *words).stdout
+            return [line for line in text.splitlines() if "certified with" in line]
+
+        # The delay is measured, and a busy machine's is long: which of the two it is is not asked.
+        for line in said("param", "set", "coupling", "laws.pd.stiffness", "200"):
+            assert line.startswith("  coupling.laws.pd: ")
+            assert "it has 200 N/m" in line
+        # What does not change the law has nothing new to say.
+        assert said("param", "set", "coupling", "ramp", "3") == []
+        told = said("law", "switch", "pd_alpha", "--force")
+        assert len(told) == 2
+        assert all("coupling.laws.pd_alpha: " in line for line in told)
+        figures = launch.finish(signal.SIGINT, code=0)
+    events = Recording(tmp_path / figures["recording"]).messages("/coupling/event")
+    reported = [event.reason for event in events if event.kind == "world"]
+    assert reported[0].startswith("coupling.laws.pd: certified with a tool of at least 0.05 kg")
+    assert len(reported) == 6
+    assert all("coupling.laws.pd_alpha: " in reason for reason in reported[-2:])

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
+from nodes.stability.dips import Reals
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.loop_region import known_answer
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
-from nodes.stability.plant import Plant
+from nodes.stability.plant import Plant, held_step
 from nodes.stability.spring_world import spring_window
 from nodes.stability.two_hands import TwoHands, damping_share
 from nodes.stability.world_loop import Body, world_radius
@@ -30,6 +31,7 @@ from nodes.stability.worlds import (
     WorldKind,
     WorldKMax,
     certified,
+    euler_disc,
     region_of,
     world_k_max,
 )
@@ -505,6 +507,99 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
             unstable[factor] += polynomial_radius(law, plant, [(z, below)]) > 1.0 + 1e-7
     assert unstable[1.02] == 0
     assert unstable[0.5] > 5
+
+
+def implicit_rest(
+    rng: np.random.Generator, mass: float, damping: float, steps: int, late: int = 0
+) -> tuple[Reals, Reals, Reals]:
+    """One tick of a tool, position first: n steps of Euler, two random bodies hung on it, solved implicitly.
+
+    Its own matrix, and what the new force adds, which comes some steps late, and the one before.
+    """
+    h = T / steps
+    masses = np.diag([mass, *(10.0 ** rng.uniform(-4, 0, 2))])
+    stiff, loss = np.zeros((3, 3)), np.diag([damping, 0.0, 0.0])
+    for one, other in ((0, 1), (1, 2), (0, None), (2, None)):
+        link = np.zeros(3)
+        link[one] = 1.0
+        if other is not None:
+            link[other] = -1.0
+        kept = rng.random(2) < 0.6
+        stiff += kept[0] * 10.0 ** rng.uniform(0, 5) * np.outer(link, link)
+        loss += kept[1] * 10.0 ** rng.uniform(-2, 1) * np.outer(link, link)
+    left = np.linalg.inv(masses / h**2 + loss / h + stiff)
+    own = np.zeros((6, 6))
+    own[:3, :3], own[:3, 3:] = left @ (2.0 * masses / h**2 + loss / h), -left @ masses / h**2
+    own[3:, :3] = np.eye(3)
+    push, held = np.concatenate([left[:, 0], np.zeros(3)]), np.zeros((2, 6))
+    for step in range(steps):
+        held = held @ own.T
+        held[0 if step >= late else 1] += push
+    return np.linalg.matrix_power(own, steps), held[0], held[1]
+
+
+def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Reals]) -> float:
+    """Largest pole of taps, a device and a world that is pushed when the device is, column by column."""
+    late, count = int(plant.delay), len(law.taps) - 1
+    _, (a11, a12, a21, a22), new, old = held_step(plant)
+    whole, held, before_it = world
+    states = 6 + 2 + count + late + 1
+
+    def tick(state: Reals) -> Reals:
+        rest, (x, v), before = state[:6], state[6:8], state[8 : 8 + count]
+        deflection = rest[0] - x
+        seen = np.concatenate([[deflection], before])
+        queue = np.concatenate([[float(np.dot(law.taps, seen))], state[8 + count :]])
+        force, past = queue[-2], queue[-1]
+        moved = [
+            a11 * x + a12 * v + new[0] * force + old[0] * past,
+            a21 * x + a22 * v + new[1] * force + old[1] * past,
+        ]
+        pushed = whole @ rest - held * force - before_it * past
+        return np.concatenate([pushed, moved, seen[:count], queue[:-1]])
+
+    matrix = np.column_stack([tick(column) for column in np.eye(states)])
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def broken_by_euler_tools(count: int, seed: int, factors: tuple[float, ...]) -> list[int]:
+    """How many random rests swing behind a tool of a factor of the mass that is needed, some steps late."""
+    rng, unstable = np.random.default_rng(seed), [0] * len(factors)
+    for _ in range(count):
+        steps = int(rng.choice([1, 2, 4, 7]))
+        count_late = int(rng.integers(0, 2 * steps))
+        late = count_late / steps
+        law = with_spring(pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 250.0)))
+        needed = needed_tool_mass(law, device(late), steps=steps, delay=late)
+        if needed is None:
+            continue
+        for i, factor in enumerate(factors):
+            rest = implicit_rest(rng, factor * needed, 0.0, steps, count_late % steps)
+            # Free bodies have poles at z = 1, twice: eigenvalues there are right to √ε.
+            unstable[i] += closed_radius(law, device(late), rest) > 1.0 + 1e-6
+    return unstable
+
+
+def test_no_implicit_rest_behind_a_tool_of_several_steps_breaks_it() -> None:
+    below, far = broken_by_euler_tools(40, 4, (1.02, 0.1))
+    assert below == 0
+    assert far > 2
+
+
+@pytest.mark.slow
+def test_none_of_three_thousand_rests_behind_a_tool_breaks_it() -> None:
+    assert broken_by_euler_tools(3000, 5, (1.02,)) == [0]
+
+
+def test_the_disc_of_an_euler_tool_has_a_closed_form_and_is_within_both_others() -> None:
+    """T n/4m (1/sin² − 2/3 (1 − 1/n²)), from Σ 1/sin⁴; with a damper it is within the damper's disc."""
+    theta = np.linspace(1e-3, np.pi, 500)
+    for steps in (1, 2, 4, 9):
+        closed = 1.0 / np.sin(0.5 * theta) ** 2 - 2.0 / 3.0 * (1.0 - 1.0 / steps**2)
+        found = euler_disc(device(0.0), 0.7, steps).radii(theta)
+        assert found == pytest.approx(0.25 * T**2 * steps / 0.7 * closed, rel=1e-9)
+        both = euler_disc(device(0.0), 0.7, steps, 2.0).radii(theta)
+        assert np.all(both <= np.minimum(found, 0.5 * T / 2.0) * (1.0 + 1e-12))
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 0.4])

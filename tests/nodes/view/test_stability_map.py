@@ -12,7 +12,7 @@ from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import SteppedTool, world_k_max
+from nodes.stability.worlds import EulerTool, SteppedTool, world_k_max
 from nodes.view.stability_map import drawn_map, plant_of, stability_map, with_inertia
 
 T = 0.002
@@ -80,6 +80,13 @@ def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
     assert found["k_max_any_world_n_per_m"] == edge
     loose = stability_map(spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0)
     assert loose["k_max_any_world_n_per_m"] is None
+    # Where all behind it is solved within the step, its weight counts as well.
+    heavy = msgspec.structs.replace(held, tool_damping=0.0, tool_step=T / 2)
+    found = stability_map(spring, T, heavy, 0.0)
+    edge = world_k_max(derivative, Plant(T, 0.1, 1.0), EulerTool(0.02, 2)).k_max_n_per_m
+    assert edge is not None
+    assert found["k_max_any_world_n_per_m"] == edge
+    assert "2 steps of semi-implicit Euler" in found["world"]
     assert "any_world" not in stability_map(
         spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0
     )
