@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
-from nodes.cli.quantities import QUANTITIES
+from nodes.parameters.quantities import QUANTITIES
 from tests.support import ROOT
 
 FLOORS = ("messages", "nodes", "sim")
@@ -175,10 +175,12 @@ PARTS = {"__init__", "node", "driver", "state", "parameters", "kernel", "compile
 
 
 def test_one_word_is_one_module() -> None:
-    """No two modules have the same name, except parts of rooms, and verbs."""
+    """No two modules have one name, but for parts that several rooms have, and verbs and studies, called as they are typed."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
-        if path.stem not in PARTS and room(module) not in ("nodes.cli", "sim.cli"):
+        if room(module) in ("nodes.cli", "sim.cli") or module.rpartition(".")[0] in FUNCTIONS:
+            continue
+        if path.stem not in PARTS:
             found.setdefault(path.stem, []).append(module)
     assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
@@ -263,15 +265,23 @@ WITH_ARGUMENTS = {
 """Modules outside the command line that parse a command line."""
 
 
+FUNCTIONS = ("sim.studies", "sim.lab.studies")
+"""Where functions of options stand that are sub-verbs: one a file, called as it is."""
+
+
 def test_verbs_are_in_one_place() -> None:
-    """A verb's module has its name, in cli/; no other room parses arguments or imports a verb."""
+    """A verb's module has its name, in cli/, or a function has it; no other room reads arguments or imports a verb."""
     points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "entry-points"
     ]
     verbs = points["haptic.verbs"]
-    assert {name: module.split(".cli.")[1] for name, module in verbs.items()} == {
-        name: name for name in verbs
-    }
+    functions = {name: place for name, place in verbs.items() if ":" in place}
+    assert {
+        name: module.split(".cli.")[1] for name, module in verbs.items() if ":" not in module
+    } == {name: name for name in verbs.keys() - functions.keys()}
+    for name, place in functions.items():
+        own = name.partition(".")[2]
+        assert place in {f"{folder}.{own}:{own}" for folder in FUNCTIONS}, name
     for module, path in MODULES.items():
         tree = tree_of(path)
         if room(module) in ("nodes.cli", "sim.cli"):
@@ -294,22 +304,34 @@ OTHER_QUANTITIES = {
     ("nodes.cli.bag", "--rate"),  # of `bag play`, a speed as in ROS 2
     ("nodes.cli.publish", "--rate"),  # of `topic pub`, messages a second as in ROS 2
     ("sim.cli.bench.taps", "--taps"),  # several
-    ("sim.cli.study.design", "--hand"),  # a range, or a published hand by its name
+    # a range, or a published hand by its name
+    ("sim.studies.design_options", "hand"),
 }
+
+
+def declared(calls: str) -> Iterator[tuple[str, str, ast.Call]]:
+    """Find arguments of verbs and options of functions: module, name and the call that declares it."""
+    for module, path in MODULES.items():
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                if node.func.attr == "add_argument" and calls == "argument":
+                    for one in node.args:
+                        if isinstance(one, ast.Constant):
+                            yield module, str(one.value), node
+            elif (
+                calls == "option"
+                and isinstance(node, ast.AnnAssign)
+                and isinstance(node.value, ast.Call)
+                and ast.unparse(node.value.func) in ("option", "argument")
+            ):
+                yield module, ast.unparse(node.target), node.value
 
 
 def test_a_quantity_is_declared_once() -> None:
     found = {
-        (module, option)
-        for module, path in MODULES.items()
-        if room(module) in ("nodes.cli", "sim.cli")
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Attribute)
-        and node.func.attr == "add_argument"
-        for argument in node.args
-        if isinstance(argument, ast.Constant)
-        and (option := str(argument.value)).removeprefix("--") in QUANTITIES
+        (module, name)
+        for module, name, _ in (*declared("argument"), *declared("option"))
+        if name.removeprefix("--") in QUANTITIES
     }
     assert found == OTHER_QUANTITIES
 
@@ -317,14 +339,10 @@ def test_a_quantity_is_declared_once() -> None:
 def test_each_number_of_a_command_line_has_its_limits() -> None:
     """A bare int or float would accept zero, huge values and infinity."""
     found = [
-        f"{module}: {ast.unparse(node.args[0])}"
-        for module, path in MODULES.items()
+        f"{module}: {name}"
+        for module, name, call in (*declared("argument"), *declared("option"))
         if module not in WITH_ARGUMENTS
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Attribute)
-        and node.func.attr == "add_argument"
-        for word in node.keywords
+        for word in call.keywords
         if word.arg == "type" and ast.unparse(word.value) in ("int", "float")
     ]
     assert found == []

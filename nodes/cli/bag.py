@@ -14,7 +14,7 @@ from pathlib import Path
 
 from messages.errors import UsageError
 from nodes.cli.main import add_json, add_run_name, answer, complain, heeding
-from nodes.cli.quantities import above_zero, not_negative
+from nodes.parameters.quantities import above_zero, not_negative
 from nodes.recording.accounts import ClockRecord, Completeness, clocks, completeness
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError

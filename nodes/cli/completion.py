@@ -127,8 +127,9 @@ def _descend(
         if sub is not None and word in sub.choices:
             parser = sub.choices[word]
         elif below and word in below:
+            declare = parser.get_default("declare")
             parser = Parser(prog=word)
-            VERBS.load(below[word]).add(parser)
+            declare(VERBS.load(below[word]), parser)
         else:
             return parser, rest
         rest = rest[place + 1 :]

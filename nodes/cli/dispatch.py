@@ -1,7 +1,7 @@
 """Verbs made of sub-verbs: import only the requested one, so that scipy slows no other.
 
 The sub-verb NAME is registered beside the verbs as ``"VERB.NAME"``, and is a module of the same
-shape.
+shape, or a function of options where the verb declares such (`sim.cli.functions`).
 """
 
 import argparse
@@ -9,9 +9,10 @@ import errno
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from messages.errors import UsageError
 from nodes.base.kept_line import erased
@@ -19,7 +20,11 @@ from nodes.cli.main import VERBS, Parser, complain, first_line, sub_verbs
 
 
 def dispatch(
-    parser: argparse.ArgumentParser, verb: str, noun: str, moved: Mapping[str, str] | None = None
+    parser: argparse.ArgumentParser,
+    verb: str,
+    noun: str,
+    moved: Mapping[str, str] | None = None,
+    declare: Callable[[Any, argparse.ArgumentParser], None] = lambda found, own: found.add(own),
 ) -> None:
     """Pass the arguments of a verb on to one of its sub-verbs.
 
@@ -31,6 +36,8 @@ def dispatch(
         Name of the verb, and the noun for its sub-verbs.
     moved : mapping of str to str, optional
         Former sub-verbs to their present commands: ``{"fig2": "lab fig2"}``.
+    declare : callable, optional
+        Declares the arguments of what is registered as a sub-verb.
     """
     known = sub_verbs(verb)
     width = max(map(len, known))
@@ -49,7 +56,7 @@ def dispatch(
     def run(arguments: argparse.Namespace) -> int:
         full = known[arguments.chosen]
         own = Parser(prog=f"{parser.prog} {arguments.chosen}", description=first_line(full))
-        VERBS.load(full).add(own)
+        declare(VERBS.load(full), own)
         chosen, left_over = own.parse_known_args(arguments.rest)
         if left_over:
             chosen.parser.refuse(left_over)
@@ -65,7 +72,7 @@ def dispatch(
             )
             raise
 
-    parser.set_defaults(run=run, sub_verbs=known)
+    parser.set_defaults(run=run, sub_verbs=known, declare=declare)
 
 
 def _current(verb: str, moved: Mapping[str, str], name: str) -> str:

@@ -11,9 +11,9 @@ from nodes.cli.ask import chosen_node, sub_verb
 from nodes.cli.law_worlds import world_figures, world_lines
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, receipt_text
-from nodes.cli.quantities import declare as declare_quantities
-from nodes.cli.quantities import declare_law, positive, whole
 from nodes.client.launches import ask
+from nodes.parameters.quantities import declare as declare_quantities
+from nodes.parameters.quantities import declare_law, positive, whole
 
 if TYPE_CHECKING:
     from nodes.laws import CompiledLaw

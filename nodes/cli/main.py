@@ -2,7 +2,7 @@
 
 A verb is a module whose docstring's first line is its help and which has ``add(parser)``: it
 declares its arguments and sets ``run``, a function of the parsed arguments that returns the exit
-code. A name with a dot is a sub-verb: ``study.kmax``.
+code. A name with a dot is a sub-verb, ``study.kmax``; it may be a function of options instead.
 """
 
 import argparse
@@ -26,14 +26,17 @@ from nodes.base.kept_line import is_smart
 from nodes.base.printable import COLOURS, printable
 from nodes.base.stderr_queue import drain_stderr
 from nodes.parameters.installed import OURS, version
+from nodes.parameters.options import takes_options
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
 VERBS = Registry(
     "haptic.verbs",
     "verb",
-    lambda _, found: (
-        "" if callable(getattr(found, "add", None)) else f"{found!r} has no add(parser)"
+    lambda name, found: (
+        ""
+        if callable(getattr(found, "add", None)) or ("." in name and takes_options(found))
+        else f"{found!r} has no add(parser)"
     ),
 )
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end

@@ -10,10 +10,10 @@ from messages.topics import LOOP
 from messages.types import Vector
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import answer
-from nodes.cli.quantities import between, whole
 from nodes.client.launches import ask, roles
 from nodes.driver.pointer import PointerWriter, pointer_file
 from nodes.launcher.runs import RunInfo
+from nodes.parameters.quantities import between, whole
 from nodes.parameters.store import convert
 from nodes.parameters.yaml_io import parse_yaml
 

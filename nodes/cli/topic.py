@@ -22,8 +22,8 @@ from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer, heeding
 from nodes.cli.publish import add as add_publish
 from nodes.cli.publish import publish
-from nodes.cli.quantities import above_zero
 from nodes.client.launches import known_topic
+from nodes.parameters.quantities import above_zero
 
 if TYPE_CHECKING:
     from nodes.client.listen import Heard

@@ -11,9 +11,9 @@ from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import add_run_name, answer, heeding
 from nodes.cli.page import announce
-from nodes.cli.quantities import PORT
 from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo, alive
+from nodes.parameters.quantities import PORT
 
 PROGRESS_PERIOD = 2.0  # time between progress messages while reading a recording [s]
 

@@ -14,8 +14,8 @@ from nodes.stability.worlds import hand_text, world_k_max
 from sim.api.laws import LawLike, compiled, plain
 from sim.api.laws import law as made
 from sim.api.named_worlds import read_world
-from sim.api.notebook_results import Result, new_figure
 from sim.arrays import Array
+from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from sim.api.notebook_results import Result, bars, new_figure
+from sim.studies.notebook_results import Result, bars, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

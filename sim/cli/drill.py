@@ -9,7 +9,7 @@ import msgspec
 
 from messages.errors import UsageError
 from nodes.cli.main import coloured
-from nodes.cli.quantities import not_negative, positive, whole
+from nodes.parameters.quantities import not_negative, positive, whole
 from sim.cli.answers import add_answer, report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults

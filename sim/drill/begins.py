@@ -26,7 +26,7 @@ from sim.drill.drill import (
 from sim.drill.faulty_device import FAILS
 from sim.drill.random_launches import pushed
 from sim.drill.writes import Promise, broken
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 
 APART: Final = 0.03  # initial distance of the two devices of a pair [m]

@@ -24,7 +24,7 @@ from sim.drill.drill import (
 )
 from sim.emulators import inverse_service
 from sim.emulators.world import World, library
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 
 DEEP: Final = 0.002  # penetration at which the arm is held [m]

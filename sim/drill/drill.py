@@ -16,7 +16,7 @@ import msgspec
 
 from messages.transport.requests import ControlError
 from messages.types import ZERO, DeviceState
-from sim.measure.measured_launch import MeasurementError, wait_for, within
+from sim.measure.haptic_commands import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 
 RATE = 500.0

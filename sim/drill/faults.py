@@ -18,7 +18,7 @@ from typing import Any
 from nodes.base.processor_wait import state_of
 from sim.drill import begins, devices, held_up, intruders, last_line, overload, people
 from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from sim.measure.rig import Rig
 
 STOPPED = 0.3  # duration of a node's stop, a link's fault, a processor's loss [s]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from sim.drill.drill import Fault
 from sim.drill.people import BACK, borrowed_now, held_at_a_point, leave_a_design
 from sim.identify.borrowed import SOFT_LAW
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 

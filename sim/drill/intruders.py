@@ -26,7 +26,7 @@ from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
 from sim.drill.drill import Fault, await_strike, fault_of, with_link
 from sim.measure.free_ports import free_ports
-from sim.measure.measured_launch import MeasurementError, wait_for, within
+from sim.measure.haptic_commands import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 
 HELD = 1.0  # duration of an intrusion [s]

@@ -11,7 +11,8 @@ from typing import Any
 from nodes.base.processor_wait import state_of
 from sim.drill.drill import RATE, Fault, await_another, await_strike, fault_of, kill
 from sim.drill.faulty_device import EXIT, HANG
-from sim.measure.measured_launch import processes_of, within
+from sim.measure.haptic_commands import within
+from sim.measure.measured_launch import processes_of
 from sim.measure.rig import Rig
 
 ORDER = "order"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from messages.types import DeviceState
 from sim.drill.drill import Fault, fault_of
-from sim.measure.measured_launch import COMPILE_TIMEOUT, start_command
+from sim.measure.haptic_commands import COMPILE_TIMEOUT, start_command
 from sim.measure.rig import Rig
 
 CHAINS = 12  # interpreted chains; two processors carry about eight at 500 Hz

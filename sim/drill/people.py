@@ -12,7 +12,7 @@ from messages.types import DeviceState
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from sim.drill.drill import RATE, Fault, kill
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 

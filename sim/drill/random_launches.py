@@ -25,7 +25,7 @@ from sim.drill.device_log import Sample, read_log
 from sim.drill.drill import HOLD, PEAK, RATE, SLEW, await_another, in_order, scene
 from sim.drill.faulty_device import BLOCKS, FAILS, MOVED
 from sim.drill.writes import EPSILON, Promise, judge
-from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.haptic_commands import MeasurementError, within
 from sim.measure.rig import Rig
 
 RAMP: Final = 0.15  # ramp of driver and coupling for forces not caused by motion [s]

@@ -30,7 +30,7 @@ from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from sim.drill.drill import RATE, in_order, scene
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from sim.measure.rig import Rig
 
 # Limit of a node's memory growth after the first tenth; allocators round to megabytes [bytes].

@@ -24,7 +24,7 @@ from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.experiments.drop import Criterion, settled, settles
 from sim.measure import measured_launch
-from sim.measure.measured_launch import MeasurementError
+from sim.measure.haptic_commands import MeasurementError
 from sim.play.launched import LaunchedScene, from_launch
 from sim.play.one_axis import Scene
 

@@ -33,7 +33,7 @@ BUZZ = 1e-6
 _FORCE = 0.01
 _TAIL = 5
 
-# How variants are played: one after another here, or side by side (`sim.cli.sweeps.spread`).
+# How variants are played: one after another here, or side by side (`sim.studies.sweeps.spread`).
 Players = Callable[[Sequence[Callable[[], ChainTrace]]], list[ChainTrace]]
 
 

@@ -14,8 +14,8 @@ from typing import Any
 from messages import topics
 from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
-from sim.identify.signals_once import undisturbed
-from sim.measure.measured_launch import start_command, within
+from sim.measure.haptic_commands import start_command, within
+from sim.measure.interrupts import undisturbed
 
 # name that the excitation gets in the coupling; it stays defined afterwards, inactive
 LAW = "identify"

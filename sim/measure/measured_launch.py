@@ -9,57 +9,25 @@ import contextlib
 import functools
 import json
 import os
-import signal
 import subprocess
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import msgspec
 
 from messages import topics
-from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from messages.types import DeviceState
-from nodes.base.realtime import die_with_parent
-from nodes.client.launches import ask, roles
 from nodes.launcher.chain_load import OVERLOADED
 from nodes.launcher.child import PYTHON
-from nodes.launcher.runs import RunInfo, alive, runs
+from nodes.launcher.runs import RunInfo, alive
 from nodes.recording.summary import quantile
 from sim.measure import stopwatch
-
-HAPTIC = (*PYTHON, "-m", "nodes.cli.command")  # the command ``haptic`` with this interpreter
-# Time limit of every wait: detects hangs, measures nothing [s].
-DEADLINE = 180.0
-# Time limit of a command that first compiles its loop, on a busy machine [s].
-COMPILE_TIMEOUT = 3.0 * DEADLINE
-
-
-class MeasurementError(HapticError):
-    """A launch or a yardstick to be measured failed; the text contains its output."""
-
-
-def within(condition: Callable[[], Any], timeout: float) -> Any:
-    """Poll a condition until it is true or `timeout` has passed [s]; return its last result."""
-    until = time.monotonic() + timeout
-    while not (found := condition()) and time.monotonic() < until:
-        time.sleep(0.02)
-    return found
-
-
-def wait_for(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> Any:
-    """Poll a condition until it is true; return its first true result."""
-    found = within(condition, deadline)
-    if not found:
-        raise MeasurementError(f"{what}: not within {deadline:g} s")
-    return found
+from sim.measure.haptic_commands import DEADLINE, MeasurementError, haptic, wait_for, within
+from sim.measure.started_launch import StartedLaunch
 
 
 def processes_of(runtime_dir: Path) -> dict[int, str]:
@@ -83,33 +51,6 @@ def left_behind(runtime_dir: Path, timeout: float = 10.0) -> list[str]:
     return processes + [f"file {path}" for path in (runtime_dir / "runs").rglob("*")]
 
 
-def haptic(
-    folder: Path,
-    *words: str,
-    code: int | None = 0,
-    environment: Mapping[str, str] | None = None,
-    timeout: float = COMPILE_TIMEOUT,
-) -> subprocess.CompletedProcess[str]:
-    """Run a ``haptic`` command in a folder; raise if its exit code is not `code`.
-
-    With `code` None any exit code is accepted.
-    """
-    done = subprocess.run(
-        [*HAPTIC, *words],
-        cwd=folder,
-        env=None if environment is None else dict(environment),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
-    if code is not None and done.returncode != code:
-        output = f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
-        raise MeasurementError(f"{output}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}")
-    return done
-
-
 def launch(
     scenario: str, *words: str, folder: Path | None = None, timeout: float = 300.0
 ) -> dict[str, Any]:
@@ -129,76 +70,22 @@ def launch(
         return figures
 
 
-_STARTER = ThreadPoolExecutor(1, "starter")  # starts processes for threads that may end before them
-
-
-def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:
-    """Start a ``haptic`` command in its own process group.
-
-    It is killed when this process dies, even by SIGKILL.
-    """
-    options.setdefault("stdin", subprocess.DEVNULL)
-    start = functools.partial(subprocess.Popen, [*HAPTIC, *words], process_group=0, **options)
-    start.keywords["preexec_fn"] = functools.partial(die_with_parent, os.getpid())
-    # The kernel treats the end of the starting thread as the parent's death.
-    return (
-        start()
-        if threading.current_thread() is threading.main_thread()
-        else _STARTER.submit(start).result()
-    )
-
-
 @contextlib.contextmanager
 def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
-    """Start a launch visible to the user's other commands; end it after the block."""
-    words = [scenario, *assignments]
-    with tempfile.TemporaryFile() as output:
-        process = start_command(
-            "launch", *words, "--json", "--no-plot", stdout=subprocess.DEVNULL, stderr=output
-        )
-
-        def ticking() -> RunInfo | None:
-            run = next((run for run in runs().values() if run.launcher == process.pid), None)
-            driver = None if run is None else roles(run).get("driver")
-            if run is not None and driver is not None:
-                with contextlib.suppress(ControlError):
-                    return run if ask(run, driver, "status", timeout=1.0)["ticks"] > 10 else None
-            return None
-
-        try:
-            found = within(lambda: process.poll() is not None or ticking(), DEADLINE)
-            if not isinstance(found, RunInfo):
-                output.seek(0)
-                errors = output.read().decode(errors="replace")[-1000:].strip()
-                raise MeasurementError(f"haptic launch {' '.join(words)} did not start: {errors}")
-            yield found
-        finally:
-            end(process)
+    """Start a launch where the user's other verbs find it, wait for its first ticks, and end it afterwards."""
+    with StartedLaunch(scenario, *assignments) as launch:
+        launch.await_tick(11)
+        found = launch.info()
+        if found is None:
+            raise MeasurementError(f"haptic launch {scenario}: ended at once: {launch.errors}")
+        yield found
 
 
-def end(process: subprocess.Popen[Any], timeout: float = DEADLINE) -> None:
-    """Interrupt a command that leads its process group; kill the group after `timeout` [s]."""
-    if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(timeout)
-        except BaseException as error:
-            # Clean up even if a notebook cell is interrupted twice.
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            if not isinstance(error, subprocess.TimeoutExpired):
-                raise
-
-
-class Running:
+class Running(StartedLaunch):
     """A launch in the background with its own directories.
 
     If `ready`, the ``with`` block begins at its first tick.
     """
-
-    # The launcher, in its own process group, so that it can be sent SIGINT.
-    process: subprocess.Popen[bytes]
 
     def __init__(
         self,
@@ -208,7 +95,7 @@ class Running:
         ready: bool = True,
         stderr: int | None = None,
     ) -> None:
-        # A short path, because socket paths are limited.
+        # Short, because the paths of sockets are.
         self._place = tempfile.TemporaryDirectory(
             prefix="hapt-", dir="/tmp", ignore_cleanup_errors=True
         )
@@ -217,83 +104,41 @@ class Running:
         self.folder = folder or place
         self.runtime_dir = place / "run"
         self.runtime_dir.mkdir(mode=0o700)
-        # Environment in which other ``haptic`` commands find this launch.
+        # Variables that lead another ``haptic`` command to this launch.
         self.environment = {
             **os.environ,
             "HAPTIC_RUNTIME_DIR": str(self.runtime_dir),
             **(environment or {}),
         }
-        self.context = new_context()  # for sockets to the launch; closed with it
-        self._words = words
+        self.context = new_context()  # for sockets beside the launch; ended with it
+        self._begin = functools.partial(
+            super().__init__,
+            *words,
+            folder=self.folder,
+            environment=self.environment,
+            stderr=stderr,
+        )
         self._run_dir: Path | None = None
         self._ready = ready
-        self._stderr = stderr
 
     def __enter__(self) -> Self:
-        """Start the launch and wait for its first tick."""
-        with (
-            open(self.folder / "stdout.txt", "wb") as out,
-            open(self.folder / "stderr.txt", "wb") as errors,
-        ):
-            told = {"stdout": out, "stderr": errors if self._stderr is None else self._stderr}
-            self.process = start_command(
-                "launch",
-                *self._words,
-                "--json",
-                "--no-plot",
-                cwd=self.folder,
-                env=self.environment,
-                **told,
-            )
+        """Start it, and wait for its first tick."""
+        self._begin()
         try:
             if self._ready:
-                if not within(
-                    lambda: self.process.poll() is not None or self.ticks() > 0, DEADLINE
-                ):
-                    raise MeasurementError(
-                        f"the first tick: not within {DEADLINE:g} s: {self.errors}"
-                    )
-                if self.process.poll():
-                    raise MeasurementError(
-                        f"the launch ended with exit code {self.process.returncode}: {self.errors}"
-                    )
+                self.await_tick()
         except BaseException:
             self.close()
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the launch and remove its directories."""
-        self.close()
-
-    def interrupt(self, timeout: float = DEADLINE) -> None:
-        """End the launch as Ctrl-C does, if it still runs; kill it after `timeout` [s]."""
-        end(self.process, timeout)
-
     def close(self) -> None:
         """End the launch and remove its directories."""
         try:
-            self.interrupt()
+            super().close()
         finally:
             self.context.destroy(linger=0)
             self._place.cleanup()
-
-    @property
-    def errors(self) -> str:
-        """Return what launcher and nodes wrote to standard error so far."""
-        return (self.folder / "stderr.txt").read_text(encoding="utf-8", errors="replace")
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """Return the object of ``--json``; empty before the end."""
-        lines = (self.folder / "stdout.txt").read_text(encoding="utf-8").splitlines()
-        found: dict[str, Any] = json.loads(lines[-1]) if lines else {}
-        return found
 
     @property
     def run_dir(self) -> Path:

@@ -21,7 +21,8 @@ from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
 from nodes.base.processor_wait import ProcessorWait, state_of
-from sim.measure.measured_launch import HAPTIC, Running, left_behind, processes_of, wait_for, within
+from sim.measure.haptic_commands import HAPTIC, wait_for, within
+from sim.measure.measured_launch import Running, left_behind, processes_of
 
 START = 30.0  # time limit from the first tick to the first messages [s]
 # Time limit from the interrupt to the end, without time spent waiting for a processor [s].

@@ -83,6 +83,14 @@ class DaskCluster:
         return ["--cluster", self.address, *self.tls]
 
 
+def keywords(words: Sequence[str]) -> dict[str, str]:
+    """Write options as keywords: ``--tls-key FILE`` is ``tls_key=FILE``."""
+    return {
+        flag.lstrip("-").replace("-", "_"): value
+        for flag, value in zip(words[::2], words[1::2], strict=True)
+    }
+
+
 @contextlib.contextmanager
 def dask_cluster(
     folder: Path, host: str = "127.0.0.1", tls: Sequence[str] = (), workers: int = 2

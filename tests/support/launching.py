@@ -21,15 +21,8 @@ import pytest
 
 from nodes.base.stderr_queue import STDERR, drain_stderr
 from nodes.cli.main import main
-from sim.measure.measured_launch import (
-    DEADLINE,
-    HAPTIC,
-    Running,
-    haptic,
-    left_behind,
-    processes_of,
-    wait_for,
-)
+from sim.measure.haptic_commands import DEADLINE, HAPTIC, haptic, wait_for
+from sim.measure.measured_launch import Running, left_behind, processes_of
 
 __all__ = [
     "DEADLINE",

@@ -25,7 +25,7 @@ import zmq
 
 from messages.transport.requests import ControlError, call
 from nodes.launcher.runs import RunInfo
-from sim.measure.measured_launch import COMPILE_TIMEOUT
+from sim.measure.haptic_commands import COMPILE_TIMEOUT
 from tests.support.launching import DEADLINE, assert_nothing_left, wait_for
 
 _BLOCK = re.compile(r"^```sh\n(.*?)^```$(?:\n+^```text\n(.*?)^```$)?", re.MULTILINE | re.DOTALL)

@@ -12,7 +12,7 @@ import pytest
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
-from sim.measure.measured_launch import start_command
+from sim.measure.haptic_commands import start_command
 from tests.support.launching import Running, launch_json, running, typed, wait_for
 
 

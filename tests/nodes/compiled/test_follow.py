@@ -19,7 +19,7 @@ from messages.types import Force, Proxy
 from nodes.compiled.choose_tick import choose
 from nodes.compiled.load import load_kernel
 from nodes.coupling.node import Coupling
-from sim.measure.measured_launch import wait_for
+from sim.measure.haptic_commands import wait_for
 from tests.support.setups import setup_of
 
 # One of taps alone, one with a recursive section, which sees what is bridged too.

@@ -23,7 +23,7 @@ from nodes.driver.node import Driver
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import Meeting, Plane
-from sim.measure.measured_launch import wait_for
+from sim.measure.haptic_commands import wait_for
 from tests.support import ROOT
 from tests.support.scripted import HandInC, Script, ScriptedSimulation, assert_alike
 from tests.support.scripted import played as scripted

@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from sim.measure.measured_launch import end, start_command
+from sim.measure.haptic_commands import end, start_command
 from tests.support.launching import running, wait_for
 
 pytest.importorskip(

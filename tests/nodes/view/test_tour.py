@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from tests.support.browser import OpenPage, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from jupyter_client.manager import KernelManager
 
-from sim.api.python_runs import whole
+from sim.measure.interrupts import deferred
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 
 pytestmark = pytest.mark.filterwarnings("default")  # of the kernel client's own libraries
@@ -113,7 +113,7 @@ def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
     done = []
 
     def request() -> None:
-        with whole():
+        with deferred():
             Finalised()
             done.append("the rest of the block")
 

@@ -20,7 +20,7 @@ from nodes.laws.fir import FIR
 from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
 from sim.device.model import DeviceModel
-from sim.measure.measured_launch import DEADLINE
+from sim.measure.haptic_commands import DEADLINE
 from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 

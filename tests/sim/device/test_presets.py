@@ -11,10 +11,10 @@ import pytest
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
-from sim.cli.arguments import hand
 from sim.device.driver import SimDriverParameters
 from sim.device.model import DeviceModel, Hand
 from sim.device.real_devices import HANDS, MEMORY, PRESETS, preset
+from sim.studies.device_options import hand
 from tests.support.launching import haptic
 
 SCENE = {"mass": 0.1, "damping": 0.7, "friction": 0.03, "delay": 0.4, "resolution": 1e-6}

@@ -24,7 +24,7 @@ from sim.device.driver import SimDevice, SimDriverParameters
 from sim.drill import devices, drill, intruders, people
 from sim.drill.faults import faults
 from sim.drill.soak import UNEXPLAINED, largest
-from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.haptic_commands import MeasurementError, within
 from sim.measure.rig import Rig
 from tests.support import slowly
 from tests.support.devices import real_devices

@@ -17,10 +17,10 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Model
 from nodes.launcher.wiring import chains_of
 from nodes.parameters.store import ParameterError
-from sim.cli.study.needs import _text
 from sim.experiments.needs import Needs, Outcome, measured_outcome, movement, needs
 from sim.experiments.term_scene import term_scene, with_parameters
 from sim.experiments.terms import TERMS, NeedTerm
+from sim.studies.needs import _text
 from tests.support import slowly
 
 

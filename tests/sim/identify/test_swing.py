@@ -15,7 +15,6 @@ from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.cli.study.edge import LAWS
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import drop_scene, free_scene
 from sim.identify.swing import (
@@ -30,6 +29,7 @@ from sim.identify.swing import (
     windows,
 )
 from sim.play.one_axis import run
+from sim.studies.edge import LAWS
 from tests.support.launching import exit_code, launch_json
 from tests.support.recorded import rewritten
 

@@ -15,7 +15,8 @@ from messages.errors import RefusedError
 from sim.tune.knocking import LOWEST, KnockedEdge, KnockVerdict, Plan, climb, factor_of
 from sim.tune.live_trial import STOPPED, Cut, Trials
 from sim.tune.outcome import headline, verified
-from sim.tune.session import Options, Tuning
+from sim.tune.session import Tuning
+from sim.tune.tune_options import TuneOptions
 
 DESIGNED = {
     "taps_n_per_m": [900.0, -800.0],
@@ -31,7 +32,7 @@ def refuse() -> Any:
 
 
 def tuning(folder: Path, running: Callable[[], Any] = refuse, fresh: bool = False) -> Tuning:
-    return Tuning(Options(out=folder), running, refuse, lambda _: None, fresh)
+    return Tuning(TuneOptions(out=folder), running, refuse, lambda _: None, fresh)
 
 
 def resting(step: int) -> KnockVerdict:
