@@ -36,7 +36,7 @@ class DesignOptions(SpreadOptions, FileOptions):
         ),
     )
     sections: bool = option(
-        default=False,
+        action="store_true",
         help="with --for any_hand: more taps over a pole and two poles too, half a minute each",
     )
     grasp: HandBox | None = grasp_option("judge the law in every grasp of a box too")
