@@ -1,4 +1,4 @@
-"""An identified device told: as figures with units in the keys, as a table, and as parameters of a launch."""
+"""An identified device as figures, as a table and as launch parameters."""
 
 import math
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 
 
 def figures(found: Identified) -> dict[str, Any]:
-    """Give an identified device as figures."""
+    """Return an identified device as figures."""
     return {
         "axis": found.axis,
         "rate_hz": 1.0 / found.period,
@@ -62,7 +62,7 @@ def figures(found: Identified) -> dict[str, Any]:
 
 
 def from_figures(record: Mapping[str, Any]) -> Identified:
-    """Read back what `figures` gave: the inverse, for a step that is run alone."""
+    """Return the device of given figures, the inverse of `figures`."""
     estimates: dict[str, Any] = {
         name: Estimate(**record[key]) for key, name, _, _ in ROWS if key in record
     }
@@ -88,7 +88,7 @@ def from_figures(record: Mapping[str, Any]) -> Identified:
 
 
 def _remainder(record: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Read back what is left; a recording of an earlier version told none."""
+    """Return the fields of the remainder; none for a record of an earlier version."""
     if record is None:
         return {}
     change = record["k_max_change"]
@@ -96,7 +96,7 @@ def _remainder(record: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def verdict(found: Identified) -> str:
-    """Say in one line whether the model holds."""
+    """Return one line on whether the model holds."""
     if found.refuted:
         return f"REFUTED, nothing to design on: {found.why}"
     if found.mass.value is None:
@@ -112,7 +112,7 @@ def verdict(found: Identified) -> str:
 
 
 def text(found: Identified) -> str:
-    """Give an identified device as a table, the verdict first."""
+    """Return an identified device as a table, the verdict first."""
     lines = [
         verdict(found),
         f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals",
@@ -155,7 +155,7 @@ def text(found: Identified) -> str:
 
 
 def device_parameters(found: Identified) -> dict[str, Any]:
-    """Describe an identified device as the sim driver's parameter ``device``."""
+    """Return the parameter ``device`` of a sim driver for an identified device."""
     mass, _, _ = found.mass.known()
     optional = {
         "damping": found.damping,

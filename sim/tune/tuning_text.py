@@ -1,4 +1,4 @@
-"""A tuning told to people: the same rows on the terminal and on the page, in words and units, with three digits."""
+"""Text of a tuning, with the same rows on the terminal and on the page."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,7 +9,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: Any, unit: str = "") -> str:
-    """Write a figure with three digits."""
+    """Format a number with three digits."""
     if value is None:
         return "cannot tell"
     if isinstance(value, bool):
@@ -24,7 +24,7 @@ def number(value: Any, unit: str = "") -> str:
 
 
 def _poses(record: Mapping[str, Any]) -> str:
-    """Tell what of a range of masses is that of other poses."""
+    """Describe the share of other poses in a mass range."""
     lighter, heavier = record.get("poses_kg") or (0.0, 0.0)
     return (
         f", with {number(lighter)} less and {number(heavier)} more in other poses"
@@ -34,7 +34,7 @@ def _poses(record: Mapping[str, Any]) -> str:
 
 
 def _proven(record: Mapping[str, Any]) -> list[TextRow]:
-    """Return what is proven of its landings (THEORY.md §19); tunings of earlier versions have nothing of it."""
+    """Return the rows on the landing proof (THEORY.md §19); none in older records."""
     proof = record.get("landing_proof")
     if proof is None:
         return []
@@ -47,7 +47,7 @@ def _proven(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
-    """Tell the designed law."""
+    """Return the rows on the designed law."""
     asked = record["demand"]
     gain = record["gain_over_pd"]
     compared = (
@@ -81,7 +81,7 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
-    """Return how the law does in the grasp of a stylus; tunings of earlier versions have nothing of it."""
+    """Return the rows on the grasp of a stylus; none in older records."""
     if (judged := record.get("grasp")) is None:
         return []
     worst = judged["worst"]
@@ -97,7 +97,7 @@ def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
-    """Tell what the law does on the identified device."""
+    """Return the rows on the law's behaviour on the identified device."""
     knocked = record["edge_h1_n_per_m"]
     rest = record["limit_cycle_free"]
     later = record["stable_up_to_delay_ticks"]
@@ -123,7 +123,7 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
-    """Tell what was measured."""
+    """Return the rows on the measurement."""
     edge, rested = record["edge_h1_n_per_m"], record["stiffest_at_rest_n_per_m"]
     ends, poles = record["edge_by_poles_between_n_per_m"], record["edge_by_poles_h1_n_per_m"]
     between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
@@ -141,7 +141,7 @@ def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
     ]
 
 
-# Title, key and rows of each part.
+# Title, key and rows of each section.
 SECTIONS = (
     ("The law", "designed", law_rows),
     ("Predicted for the device as identified", "predicted", predicted_rows),
@@ -150,7 +150,7 @@ SECTIONS = (
 
 
 def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
-    """Tell the outcome on a terminal."""
+    """Return the report of a tuning for the terminal."""
     lines = [record["headline"]]
     if "identified" in record:
         from sim.identify.identified_text import from_figures
