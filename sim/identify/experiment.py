@@ -92,7 +92,7 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
         state.mean_force[column] for state in states
     ):
         raise ValueError(
-            f"{path}: its driver tells no mean_force, so what acted within a tick is not known;"
+            f"{path}: its driver reports no mean_force, so the forces within a tick are unknown;"
             " record it again"
         )
     handed = handed_over(states, column)
@@ -108,8 +108,8 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     )
     if sum(last - first for first, last in segments) < SHORTEST:
         raise ValueError(
-            f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a"
-            " shorter run"
+            f"{path}: no {SHORTEST} ticks without gaps between them; record to a faster disk, "
+            "or for a shorter time"
         )
     missing = ~np.isin(ticks, seq - seq[0])
     answers = np.array([state.force_seq for state in states], dtype=np.int64)
@@ -152,8 +152,8 @@ def encoder(position: Array) -> Estimate:
         return Estimate(
             None,
             why=(
-                "the positions lie on no even grid: the encoder is fine, or its axes are not those"
-                " of the message"
+                "the positions are on no regular grid: the encoder is very fine, or its axes "
+                "differ from the message's"
             ),
         )
     # Rounding moves each reading by at most `stray`, which bounds the error of the spacing.

@@ -100,7 +100,7 @@ def verdict(found: Identified) -> str:
     if found.refuted:
         return f"REFUTED, nothing to design on: {found.why}"
     if found.mass.value is None:
-        return f"cannot tell: {found.mass.why}"
+        return f"unknown: {found.mass.why}"
     model = " with ".join(["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])])
     if found.remainder:
         return (
@@ -108,7 +108,7 @@ def verdict(found: Identified) -> str:
             " model does not have and which may change K_max by"
             f" {100.0 * found.remainder_k_max:.2g} %"
         )
-    return f"holds: {model} leaves no more than noise in windows that it was not fitted to"
+    return f"holds: {model} leaves only noise in held-out windows"
 
 
 def text(found: Identified) -> str:
@@ -129,7 +129,7 @@ def text(found: Identified) -> str:
             by = "" if fitted is None else f" ({fitted:.5g} by the refuted model)"
             lines.append(f"  {label:30} not believed{by}")
         elif estimate.value is None:
-            lines.append(f"  {label:30} cannot tell: {estimate.why}")
+            lines.append(f"  {label:30} unknown: {estimate.why}")
         elif name == "average" and estimate.value == 0.0:
             continue
         elif name in ("quadratic", "lag") and estimate.value == 0.0:
@@ -147,7 +147,7 @@ def text(found: Identified) -> str:
     )
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
     left_out = (
-        f", {found.dropped} left out: a stall or a knock spoilt them" if found.dropped else ""
+        f", {found.dropped} left out: disturbed by a stall or a knock" if found.dropped else ""
     )
     windows = f"{found.windows} windows of {found.ticks} ticks{left_out}"
     lines.append(f"  residual {residual}; in held-out windows {held_out}; {windows}")

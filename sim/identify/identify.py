@@ -51,7 +51,8 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
         return nothing(
             experiment,
             length,
-            "the force never changed: nothing tells the device; push it (haptic launch identify)",
+            "the force never changed, so the device cannot be identified; push it (haptic "
+            "launch identify)",
         )
     within = np.zeros(len(experiment.position), dtype=bool)
     for first, end in experiment.segments:

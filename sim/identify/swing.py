@@ -200,7 +200,9 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
     known = [plant for plant in plants if plant is not None]
     edges = [edge for plant in known if (edge := edge_of(derivative, plant)) is not None]
     if len(edges) < len(plants) or not edges:
-        raise CannotTellError("no mass makes this swing a pole of a loop that rings at its edge")
+        raise CannotTellError(
+            "no mass gives a loop that oscillates at its edge a pole at this swing"
+        )
     edges.sort(key=lambda edge: edge.k_exact_n_per_m)
     low, high = edges[0].k_exact_n_per_m, edges[-1].k_exact_n_per_m
     wider = _MARGIN * 0.5 * (low + high) + 0.5 * (high - low)
@@ -319,7 +321,7 @@ def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
 def _law(recording: Recording, path: Path) -> Law:
     node = node_with(recording, "laws")
     if not node:
-        raise ValueError(f"{path}: holds no coupling, so no law")
+        raise ValueError(f"{path}: contains no coupling, so the law is unknown")
     return parse_law(node["laws"][node["law"]], f"laws.{node['law']}")
 
 

@@ -105,7 +105,7 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
                 factor,
                 float(np.max(np.nan_to_num(away, nan=np.inf))),
                 False,
-                f"went {FAR:g} knocks far",
+                f"moved more than {FAR:g} knocks away",
             )
         for ticks in (WINDOW, 2 * WINDOW, LONGEST_WINDOW):
             if position.size < ticks:

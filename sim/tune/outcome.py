@@ -47,12 +47,13 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     ended = edge.ended
     if rests and not agrees:
         ended = (
-            f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that"
-            " was identified"
+            f"{ended}, where the model has {expected or 0.0:.3f}: the device differs from the "
+            "identified one"
         )
     if rests and ends is not None and not holds:
         ended = (
-            f"{ended}; a large motion may not at {ends[0]:.3f} times, and {MARGIN:g} is asked for"
+            f"{ended}; a large motion may be unstable from {ends[0]:.3f} times on, and "
+            f"{MARGIN:g} is required"
         )
     return {
         "holds": holds,
@@ -105,7 +106,7 @@ def headline(record: Mapping[str, Any]) -> str:
     )
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
-    lands = "" if designed["lands"] else "; it does not bear a landing"
+    lands = "" if designed["lands"] else "; it fails the drop test"
     if after is None or not (after["steps"] or after["ended"]):
         why = f" ({stopped})" if stopped else ""
         law = f"a law of {number(designed['h1_n_per_m'], 'N/m')}"

@@ -66,11 +66,11 @@ def page(record: Mapping[str, Any]) -> str:
     )
     if record.get("interrupted"):
         parts.append(
-            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what"
-            " was known.</p>"
+            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: the report covers "
+            "the steps done.</p>"
         )
     if record.get("not_put_back"):
-        parts.append(f"<p><b>Not put back</b>: {_plain(record['not_put_back'])}</p>")
+        parts.append(f"<p><b>Not restored</b>: {_plain(record['not_put_back'])}</p>")
     if "identified" in record:
         parts += ["<h2>The device</h2>", _device(record["identified"])]
     for title, key, rows in SECTIONS:
@@ -117,7 +117,7 @@ def _device(record: Mapping[str, Any]) -> str:
             continue
         if one["value"] is None:
             lines.append(
-                f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>"
+                f"<tr><td>{name}</td><td colspan=3>unknown: {_plain(one['why'])}</td></tr>"
             )
         else:
             shown, factor = READ_IN.get(unit, (unit, 1.0))
@@ -152,8 +152,8 @@ def pictures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Draw the pictures of a record; return title and base64 PNG of each."""
     drawn = {
         "the model against the recording": _fit,
-        "the wall that is felt": _felt,
-        "what is left of each knock": _knocks,
+        "the rendered wall": _felt,
+        "motion left after each knock": _knocks,
     }
     found = [(name, draw(record)) for name, draw in drawn.items()]
     return [(name, _encoded(figure)) for name, figure in found if figure is not None]
@@ -196,7 +196,7 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
         top.plot(time, 1e3 * modelled, color=COLOURS[0], ls="-", lw=1.0, label=named["model"])
         bottom.plot(time, 1e6 * (recorded - modelled), color=COLOURS[1], ls="-", lw=0.8)
     top.set(ylabel="position  [mm]", title="the model against the recording, window by window")
-    bottom.set(ylabel="left  [µm]", xlabel="time  [s]")
+    bottom.set(ylabel="residual  [µm]", xlabel="time  [s]")
     step = identified["encoder_m"]["value"]
     if step:
         low, high = bottom.get_ylim()
@@ -243,7 +243,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     axes.set(
         xlabel="depth  [mm]",
         ylabel="force  [N]",
-        title="the wall that is felt, on the identified device",
+        title="the rendered wall on the identified device",
     )
     axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.85))
     return figure
@@ -266,12 +266,12 @@ def _knocks(record: Mapping[str, Any]) -> Figure | None:
             stiffness = [h1 * step["factor"] for step in steps]
             look: Any = {"color": COLOURS[k], "ls": LINES[k], "marker": MARKERS[k], "label": name}
             axes.plot(stiffness, [max(step["left"], 1e-3) for step in steps], **look)
-    axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="left of a knock  [1]")
-    axes.set_title("what is left of each knock after its window")
+    axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="motion left / knock  [1]")
+    axes.set_title("motion left after each knock's window")
     edge = record["predicted"]["edge_linear_h1_n_per_m"]
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, 0.8 * h1), 1.25 * max(high, edge))
-    threshold(axes, LEFT, f"{LEFT:g}: more is no rest")
+    threshold(axes, LEFT, f"{LEFT:g}: above, not at rest")
     # An edge is never below the law, so the labels do not overlap.
     threshold(axes, h1, "the law", vertical=True, before=True)
     threshold(axes, edge, "pole on the unit circle", vertical=True)

@@ -11,7 +11,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def number(value: Any, unit: str = "") -> str:
     """Format a number with three digits."""
     if value is None:
-        return "cannot tell"
+        return "unknown"
     if isinstance(value, bool):
         return "yes" if value else "NO"
     if isinstance(value, str):
@@ -51,17 +51,17 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
     asked = record["demand"]
     gain = record["gain_over_pd"]
     compared = (
-        "no ratio: only laws that both land are compared"
+        "not compared: one of them fails the drop test"
         if gain is None
         else f"{gain:.3g} times the best PD"
     )
     worst = [record["worst"]] if "worst" in record else []
     return [
-        ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
-        ("beside PD of the same demand", compared),
+        ("felt stiffness, H(1)", number(record["h1_n_per_m"], "N/m")),
+        ("compared with PD for the same demand", compared),
         (
             "settles after every drop on a floor",
-            "yes" if record["lands"] else "NO: it does not survive a landing",
+            "yes" if record["lands"] else "NO: it fails the drop test",
         ),
         *_proven(record),
         ("taps", ", ".join(f"{tap:.4g}" for tap in record["taps_n_per_m"]) + " N/m"),
@@ -86,11 +86,11 @@ def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
         return []
     worst = judged["worst"]
     told = {True: "stable, certified", False: "NOT stable"}.get(
-        worst["certified"], "stable where it was tried, not certified"
+        worst["certified"], "stable at all points tried, not certified"
     )
     return [
         (
-            "held as a stylus is, by 0.2 kg behind 380 to 770 N/m",
+            "held like a stylus, 0.2 kg behind 380 to 770 N/m",
             f"{told}; pole radius {worst['radius']:.4f}",
         )
     ]
@@ -103,7 +103,7 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     later = record["stable_up_to_delay_ticks"]
     every = record["every_delay_stable"]
     decided = record.get("every_delay_why") or ("not decided" if every is None else number(every))
-    quiet = {True: "yes", "estimated": "by estimate", None: "cannot tell"}.get(rest, "not proven")
+    quiet = {True: "yes", "estimated": "by estimate", None: "unknown"}.get(rest, "not proven")
     return [
         (
             "edge, by knocks on the model",
@@ -114,11 +114,11 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ("drops that settle", f"{record['drops_settled']} of {record['drops']}"),
         (
             "stable up to a delay of",
-            "100 ticks and on" if later is None else number(later, "ticks"),
+            "100 ticks or more" if later is None else number(later, "ticks"),
         ),
         ("stable for every sequence of delays", decided),
         *_grasped(record),
-        ("comes to rest without a buzz", quiet),
+        ("limit-cycle-free", quiet),
     ]
 
 
@@ -135,8 +135,8 @@ def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
             "edge, by knocks on the device",
             "none was found" if edge is None else number(edge, "N/m"),
         ),
-        ("edge, by poles: less what friction lends a knock", by_poles),
-        ("beside the prediction", record["edge_compared"]),
+        ("edge by poles, without the effect of friction", by_poles),
+        ("compared with the prediction", record["edge_compared"]),
         ("knocks", f"{len(record['steps'])} stiffnesses; {record['ended']}"),
     ]
 
@@ -166,10 +166,7 @@ def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
     if record.get("refused"):
         lines.append(f"stopped: {record['refused']}")
     if record.get("interrupted"):
-        lines.append(
-            f"interrupted during {record['interrupted']}; the law and the surface that were there"
-            " are back"
-        )
+        lines.append(f"interrupted during {record['interrupted']}; law and surface were restored")
     if record.get("not_put_back"):
-        lines.append(f"NOT put back: {record['not_put_back']}")
+        lines.append(f"NOT restored: {record['not_put_back']}")
     return "\n".join([*lines, *files.values()])

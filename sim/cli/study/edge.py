@@ -172,10 +172,7 @@ def _predict(arguments: argparse.Namespace) -> int:
         )
     except CannotTellError as error:
         return report(
-            arguments,
-            {"k_max_n_per_m": None, "why": str(error)},
-            f"cannot tell: {error}",
-            held=False,
+            arguments, {"k_max_n_per_m": None, "why": str(error)}, f"unknown: {error}", held=False
         )
     except (RecordError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
