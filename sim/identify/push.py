@@ -124,7 +124,7 @@ def _watch(
         if state.safety not in ("fault", "zero", "stopped"):
             alarmed_since = state.seq
         elif (state.seq - alarmed_since) * loop.period >= ALARM:
-            result.reason = f"the driver took the force away ({state.safety}): {loop.why_stopped()}"
+            result.reason = f"the driver removed the force ({state.safety}): {loop.why_stopped()}"
             return
         if max(abs(state.position[i] - still_at[i]) for i in loop.axes) > MOVED:
             still_since, still_at = state.seq, state.position

@@ -145,8 +145,8 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
     judgement = Judgement("coupling", T, book)
     for name, pattern in (
         ("hard", r"largest coupling\.laws\.hard\.stiffness that is accepted is (\S+);"),
-        ("designed_d0", r"all taps of designed_d0 times (\S+) would be taken"),
-        ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be taken"),
+        ("designed_d0", r"all taps of designed_d0 times (\S+) would be accepted"),
+        ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be accepted"),
     ):
         wanted = msgspec.structs.replace(now, law=name)
         with pytest.raises(ParameterError) as raised:

@@ -67,7 +67,7 @@ def test_a_bare_preset_is_a_law() -> None:
         ),
         (
             {"schedule": [{"at": 1.0, "law": "pd"}, {"at": 1.0, "law": "optimum"}]},
-            "is over at tick 501 only",
+            "the swap before it ends at tick 501; schedule it later",
         ),
         ({"stability": "refuse"}, "coupling.stability: refuse needs coupling.plant"),
         (

@@ -121,10 +121,10 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         _node=node,
         _ending=ended,
         _serve=lambda: None,
-        _keep=fails(TypeError("cannot be kept")),
+        _save_parameters=fails(TypeError("cannot be kept")),
         _watch_lease=lambda: done.append("lease"),
-        _put_back=lambda: None,
-        _look_around=fails(OSError("no descriptor")),
+        _revert_expired=lambda: None,
+        _publish_status=fails(OSError("no descriptor")),
         _links=closed,
         _socket=closed,
         _end_softly=lambda error: ControlServer._end_softly(server, error),
@@ -134,7 +134,7 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         patch.setattr("nodes.base.control_thread.remove_ipc", lambda _: None)
         ControlServer.run(server)
     assert done[:4] == ["ValueError", "TypeError", "lease", "OSError"]
-    assert told[0] == "control: driver: ValueError beside the loop: no number; the node ends"
+    assert told[0] == "control: driver: ValueError outside the loop: no number; the node ends"
     assert sum(text.startswith("stop: ") for text in told) == 1
     assert told.count("control: no descriptor") > 3
 

@@ -280,7 +280,7 @@ def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
                 else message
             )
             writer.write(topic, told, message.stamp)
-    with pytest.raises(ValueError, match=r"tells no mean_force.*record it again"):
+    with pytest.raises(ValueError, match=r"reports no mean_force.*record it again"):
         read(tmp_path / "old.mcap", "z")
 
 

@@ -165,7 +165,7 @@ def test_off_the_ringing_pole_it_cannot_tell(
     with pytest.raises(CannotTellError, match=why):
         recorded_swing(path)
     assert main(["study", "edge", str(path)]) == 1
-    assert capsys.readouterr().out.startswith("cannot tell: ")
+    assert capsys.readouterr().out.startswith("unknown: ")
 
 
 @pytest.mark.process
@@ -178,7 +178,7 @@ def test_where_nothing_was_touched_nothing_swings(
         )
         == 1
     )
-    assert capsys.readouterr().out.startswith("cannot tell: nothing was touched")
+    assert capsys.readouterr().out.startswith("unknown: nothing was touched")
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from sim.tune.knocking import (
     DYING,
     FAR,
     LEFT,
-    LONGEST,
+    LONGEST_WINDOW,
     LOWEST,
     NEAR,
     STEP,
@@ -43,7 +43,7 @@ T = 0.002
 KNOCK = 1e-3
 
 
-def swing(radius: float, ticks: int = LONGEST) -> np.ndarray:
+def swing(radius: float, ticks: int = LONGEST_WINDOW) -> np.ndarray:
     """Swing from a knock away about the place that is asked for, by a pole of this radius."""
     k = np.arange(ticks)
     return np.asarray(KNOCK - KNOCK * radius**k * np.cos(0.5 * np.pi * k))
@@ -64,7 +64,7 @@ def test_the_verdict_at_its_edge() -> None:
 )
 def test_what_is_left_must_go_on_dying(radius: float, rests: bool) -> None:
     # A third of the longest window is 533 ticks: a radius of 0.9998 leaves 0.9 of it.
-    assert pytest.approx(0.9998, abs=1e-5) == DYING ** (1.0 / (LONGEST // 3))
+    assert pytest.approx(0.9998, abs=1e-5) == DYING ** (1.0 / (LONGEST_WINDOW // 3))
     verdict = judge(swing(radius), KNOCK, 1.0)
     assert verdict is not None
     assert verdict.rests is rests

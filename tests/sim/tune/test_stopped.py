@@ -242,7 +242,7 @@ NO = "the law holds                                      NO"
         (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
         (f"{LATE}10", NO, [800.0, -700.0], -6),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        (f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0),
+        (f"{SCALE}0.25", "the device differs from the identified one", [800.0, -700.0], 0),
     ],
 )
 def test_a_device_that_lies_while_its_law_is_tried_gets_none(

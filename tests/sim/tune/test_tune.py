@@ -150,8 +150,8 @@ def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(
     if told["designed"]["lands"]:
         pytest.skip("this design lands although nobody asked for it")
     assert told["designed"]["gain_over_pd"] is None
-    assert "does not bear a landing" in told["headline"]
-    assert "does not bear a landing" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
+    assert "fails the drop test" in told["headline"]
+    assert "fails the drop test" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
     assert "does NOT survive a landing" in Path(folder / told["files"]["params"]).read_text(
         encoding="utf-8"
     )
