@@ -445,7 +445,7 @@ def worded_files() -> list[Path]:
 
 
 def test_docstrings_begin_with_words_of_the_field() -> None:
-    """A first line fits in 88 columns, and says with a verb of the field what is returned or done."""
+    """A first line has at most 88 columns, and begins with a verb of the field."""
     wrong = [
         f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
         for path in worded_files()

@@ -180,7 +180,7 @@ def test_the_template_of_a_report_is_a_test_that_passes() -> None:
 
 
 def test_templates_and_citation_are_what_github_reads() -> None:
-    """Of an issue template the head: name and about; of CITATION.cff the fields that 1.2.0 demands."""
+    """Of an issue template: name and about; of CITATION.cff: the required fields of 1.2.0."""
     templates = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.md"))
     assert len(templates) >= 3
     for path in templates:

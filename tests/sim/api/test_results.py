@@ -1,4 +1,4 @@
-"""Whatever ``haptic`` returns shows itself, draws itself and is a table; and the examples of its docstrings run."""
+"""Results of ``haptic``: display, figures and tables; the examples in docstrings run."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def run(place: Path) -> haptic.Run:
 
 @functools.cache
 def studied() -> Answer:
-    """Ask for the study of all tests once: the slowest of the results, and each of them only looks at it."""
+    """Return the study of all tests, run once because it is the slowest."""
     return haptic.study("kmax", law="pd", gain="1..5", points=3)
 
 
