@@ -212,7 +212,8 @@ SOURCES = (
     "tests/**/*.py",
 )
 NAMED = re.compile(
-    r"(?<![\w./-])((?:messages|nodes|sim|tests|launch)/[\w/.-]*?\.(?:py|md|js|c|yaml|png|css|html))\b"
+    r"(?<![\w./-])((?:messages|nodes|sim|tests|launch)/"
+    r"[\w/.-]*?\.(?:py|md|js|c|yaml|png|css|html))\b"
 )
 EXAMPLES = {"nodes/cli/NAME.py", "sim/cli/NAME.py", "nodes/gone.py"}
 
@@ -418,9 +419,18 @@ WORDED = (
     "nodes/driver",
     "nodes/environment",
     "nodes/laws",
+    "nodes/cli",
     "nodes/parameters",
+    "nodes/recording",
     "nodes/ros2",
     "nodes/stability",
+    "nodes/view",
+    "sim/device",
+    "sim/device_check",
+    "sim/drill",
+    "sim/emulators",
+    "sim/measure",
+    "tests",
 )
 """Folders whose docstrings are in the words of the field; each new one is added."""
 

@@ -218,7 +218,7 @@ def test_lines_have_at_most_100_columns(name: str) -> None:
 
 
 def test_changes_are_kept_as_the_page_says() -> None:
-    """Keep a Changelog: dated versions, six kinds of changes, one line each; 0.2.0 fits in 80."""
+    """The format of keepachangelog.com; one line per change; 0.2.0 fits in 80 lines."""
     versions = re.split(r"^## ", CHANGES, flags=re.MULTILINE)[1:]
     heads = [version.partition("\n")[0] for version in versions]
     assert heads[0] == "[Unreleased]"
