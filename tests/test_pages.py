@@ -180,7 +180,7 @@ def test_the_template_of_a_report_is_a_test_that_passes() -> None:
 
 
 def test_templates_and_citation_are_what_github_reads() -> None:
-    """Of an issue template the head: name and about; of CITATION.cff the fields that 1.2.0 demands."""
+    """Of an issue template: name and about; of CITATION.cff: the required fields of 1.2.0."""
     templates = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.md"))
     assert len(templates) >= 3
     for path in templates:
@@ -218,7 +218,7 @@ def test_lines_have_at_most_100_columns(name: str) -> None:
 
 
 def test_changes_are_kept_as_the_page_says() -> None:
-    """Keep a Changelog: dated versions, six kinds of changes, one line each; 0.2.0 fits in 80."""
+    """The format of keepachangelog.com; one line per change; 0.2.0 fits in 80 lines."""
     versions = re.split(r"^## ", CHANGES, flags=re.MULTILINE)[1:]
     heads = [version.partition("\n")[0] for version in versions]
     assert heads[0] == "[Unreleased]"

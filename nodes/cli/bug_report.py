@@ -1,7 +1,7 @@
-"""What a bug report needs of this installation: versions, machine, load, configuration; as Markdown to paste.
+"""Facts of this installation for a bug report: versions, machine, load, configuration.
 
-Paths below the user's home directory begin with ``~``, so that a report names nobody. Of keys it
-names how many there are, and none.
+Markdown to paste. Paths below the user's home directory begin with ``~``, so that a report names
+nobody; of keys only their number is reported.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SETTINGS: Final = (
     "XDG_CACHE_HOME",
     "XDG_RUNTIME_DIR",
 )
-"""Variables of the environment that change what we do, beside those that begin with ``HAPTIC_``."""
+"""Environment variables that affect us, besides those that begin with ``HAPTIC_``."""
 
 
 def without_home(text: str) -> str:

@@ -40,7 +40,8 @@ class FaultyDevice:
 
     def __init__(self, device: Device, order: str, log: str = "") -> None:
         self._device, self._order = device, order
-        self._log = open(log, "ab", buffering=0) if log else None  # noqa: SIM115  # as long as the device
+        # Open as long as the device.
+        self._log = open(log, "ab", buffering=0) if log else None  # noqa: SIM115
         self._positions = deque([ZERO], maxlen=_LATEST)
         self._read = ZERO  # last position returned [m]
         self._offset = 0.0

@@ -48,7 +48,8 @@ class _Elsewhere:
         self._node: subprocess.Popen[bytes] | None = None
 
     def prepare(self) -> Mapping[str, str]:
-        self.folder = Path(tempfile.mkdtemp(prefix="hk-", dir=Path("/tmp")))  # noqa: S108  # short, as sockets' paths must be
+        # Below /tmp, because socket paths are limited.
+        self.folder = Path(tempfile.mkdtemp(prefix="hk-", dir=Path("/tmp")))  # noqa: S108
         # The second port is for its requests.
         self.port = free_ports(2)
         made = {}

@@ -164,9 +164,7 @@ def _predict(options: EdgeOptions, recording: Path) -> Answer:
     try:
         swing = recorded_swing(recording, options.device_damping, options.hand or None)
     except CannotTellError as error:
-        return answered(
-            {"k_max_n_per_m": None, "why": str(error)}, f"unknown: {error}", held=False
-        )
+        return answered({"k_max_n_per_m": None, "why": str(error)}, f"unknown: {error}", held=False)
     except (RecordError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
     low, high = swing.k_max_n_per_m

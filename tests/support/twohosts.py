@@ -1,4 +1,4 @@
-"""Two machines for a test: network namespaces, a cable with delay, jitter and loss, clocks.
+"""Two machines for a test: network namespaces, a cable with delay, jitter, loss, clocks.
 
 The cable is a pair of TUN devices whose packets this process forwards, late or not at all, so it
 needs neither iproute2 nor the kernel's netem. No packet can leave: the namespaces have no other

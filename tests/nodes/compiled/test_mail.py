@@ -73,7 +73,7 @@ def test_all_that_was_told_was_sent_and_counted(
 
 
 def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) -> list[str]:
-    """Let a node send while its scripted compiled ticks run; return what leaves afterwards."""
+    """Send while a node runs its scripted compiled ticks; return what leaves afterwards."""
     context = new_context()
     source = f"ipc://{place}/proxy"
     parameters = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}}

@@ -1,4 +1,4 @@
-"""``import haptic``: what a notebook does, on real launches; laws and plants are refused as YAML's are."""
+"""``import haptic`` in a notebook, on real launches; laws and plants refused as in YAML."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ def test_a_launcher_that_is_killed_leaves_no_summary(place: Path, view: bool) ->
 PROGRAM = """
 import haptic, os, signal, weakref
 from sim.api import python_runs
-signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background of a shell ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
 
 class Thing: pass
 

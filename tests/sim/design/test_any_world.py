@@ -1,4 +1,4 @@
-"""Designs for any hand and any world: the published limits, and random hands and worlds put behind them, by poles."""
+"""Designs for any hand and world: published limits, and random hands and worlds by poles."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def device(delay: float) -> Surroundings:
 
 
 def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[float, float, float]) -> float:
-    """Pole radius of device, law and a world of mass, damper and spring, solved in the same tick (backward Euler).
+    """Return the pole radius of device, law and a mass-damper-spring world in the same tick.
 
     1 + H (P_d + Y) = 0 with Y = 1/(m s² + b s + k), s = (1 − w)/T: multiplied out, independently of
     the code.
@@ -75,7 +75,7 @@ def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[float, float, flo
 
 
 def test_figures_at_one_tick_are_the_known_ones() -> None:
-    """PD, PDα, the paper's optimum, five taps and one pole, derived independently by a programme in 1/H on a grid."""
+    """PD, PDα, the paper's optimum, five taps, one pole: from an independent programme in 1/H."""
     surroundings = any_hand(1.0)
     optimum = {"kind": "paper_optimum"}
     assert stiffness(stiffest_pd(surroundings)) == pytest.approx(384.9, abs=0.05)
@@ -92,7 +92,7 @@ def test_figures_at_one_tick_are_the_known_ones() -> None:
 
 
 def test_one_pole_is_the_stiffest_and_pays_in_noise() -> None:
-    """K/(1 + ρ w): 1/H = g0 + g1 w, Re{D G} is linear; |H(−1)| ≤ 1e4 leaves 487.8 N/m (1/(1/500 + 1/20 000))."""
+    """K/(1 + ρ w): |H(−1)| ≤ 1e4 leaves 487.8 N/m (1/(1/500 + 1/20 000))."""
     poles = np.linspace(-0.91, -0.89, 21).tolist()
     found = [
         design
@@ -117,7 +117,7 @@ def test_what_a_fractional_term_buys(delay: float, any_world: float, any_hand_to
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.0])
 def test_closed_limit_is_reached_at_whole_delays_and_not_exceeded(delay: float) -> None:
-    """H = (2b/T)/(1 + w + … + w^d), its poles moved inside by 1 %: below the limit by about d % / 2, and proven."""
+    """H = (2b/T)/(1 + w + … + w^d) with poles moved inside by 1 %: d %/2 below, and proven."""
     order = int(delay)
     poles = np.exp(2j * np.pi * np.arange(1, order + 1) / (order + 1)) * 0.99
     below = np.atleast_1d(np.real(np.poly(poles)))
@@ -153,7 +153,7 @@ def test_preset_is_proven_as_shipped_and_little_below_the_design(name: str) -> N
 def test_no_hand_and_no_world_make_a_preset_unstable(
     name: str, mass: float, hand: float, world: tuple[float, float, float]
 ) -> None:
-    """Mass, hand and world over many decades; a pole at z = 1 (nothing holds both sides) is no swing."""
+    """Mass, hand and world over decades; a pole at z = 1 (no support) is no swing."""
     law, plant = parse_law(name).compile(T), Plant(T, 10.0**mass, 1.0, DELAYS[name], 10.0**hand)
     m, b, k = (10.0**one for one in world)
     # A double root near z = 1 is found to the square root of the machine's epsilon.
@@ -161,7 +161,7 @@ def test_no_hand_and_no_world_make_a_preset_unstable(
 
 
 def test_beyond_the_edge_a_world_swings() -> None:
-    """A wall is not the worst: PD, B 3, stable at a wall up to 3782 N/m, is not at 3400 before a spring of 5.4 kN/m."""
+    """PD, B 3, stable at a wall to 3782 N/m, is unstable at 3400 with a 5.4 kN/m spring."""
     law = parse_law({"kind": "pd", "stiffness": 3400.0, "damping": 3.0}).compile(T)
     plant = Plant(T, 0.1, 1.0)
     assert closed_radius(law, plant, (0.0, 0.0, 5400.0)) > 1.0
@@ -185,7 +185,7 @@ def test_beyond_the_edge_a_world_swings() -> None:
     ],
 )
 def test_known_device_edges(law: dict[str, object], delay: float, edge: float) -> None:
-    """K_max of a known device and any world, derived independently and checked by first-order worlds at the crossing."""
+    """K_max of a known device and any world, derived independently, with first-order worlds."""
     for factor, kept in ((0.9999, True), (1.0001, False)):
         assert (
             keeps(device(delay), parse_law({**law, "stiffness": factor * edge}).compile(T)) is kept

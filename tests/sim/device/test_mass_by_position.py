@@ -1,4 +1,4 @@
-"""A device that is heavier the further it reaches: its motion against another integrator, and what its laws are judged with."""
+"""A device heavier at longer reach: against another integrator, and its laws' judgement."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from sim.play.player import play
 from tests.support.launching import launch_json
 
 ARM = [(0.0, 0.1), (0.1, 0.3)]
-"""From 100 to 300 g over 10 cm."""
+"""100 to 300 g over 10 cm."""
 
 
 def mass(x: float) -> float:
@@ -50,7 +50,7 @@ def test_a_free_device_keeps_the_energy_of_its_motion() -> None:
 
 
 def test_its_motion_is_that_of_the_equation() -> None:
-    """m(x) x'' + m'(x) x'²/2 + b x' + k x = u, with the mass of the hand in m: against scipy's Runge and Kutta."""
+    """m(x) x'' + m'(x) x'²/2 + b x' + k x = u with the hand's mass, by scipy's Runge–Kutta."""
     hand = Hand(stiffness=20.0, damping=0.5, mass=0.05, path=[(0.0, 0.05)])
     model = DeviceModel(
         mass=0.1, damping=0.3, hand=hand, axes={"z": {"mass_by_position": ARM}}
@@ -89,7 +89,7 @@ def test_corners_must_increase() -> None:
 
 
 def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
-    """Nine of them, the ends included, are as bad as the worst of two hundred."""
+    """Nine masses with both ends are as bad as the worst of two hundred."""
     period, book = 0.002, LawBook("coupling", 0.002)
     plant = {"mass": 0.05, "heaviest": 0.5, "damping": 0.5}
     told = set()

@@ -1,4 +1,4 @@
-"""Presets of real devices: one word, every value with its source, what nobody published left to the scenario."""
+"""Presets of real devices: one word, sourced values, unpublished ones from the scenario."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
 
 
 def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
-    """Assert that the driver has the device, and the coupling of its chain the plant."""
+    """Assert that the driver has the device, and its coupling the plant."""
     device, described = (
         convert(one.nodes[driver].parameters, SimDriverParameters, driver).device
         for one in (launch, before)

@@ -1,4 +1,4 @@
-"""The drill: its judgement on made-up runs at the edge, and some faults on real processes (all of them: haptic drill)."""
+"""The drill: its judgement on constructed runs at the limit, and some real faults."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def test_a_cause_is_what_was_counted_for_long_enough() -> None:
 
 
 def _sunk(first: int, shares: Sequence[float], given: float = 0.0) -> list[DeviceState]:
-    """Make up a hand 20 mm deep: a force, none, then these shares of the largest one, and energy given out with them [J]."""
+    """Return states of a hand 20 mm deep: a force, none, then shares of the peak; energy [J]."""
     told = [(0.2, "active", 0.0), (0.0, "zero", 0.0), *((share, "ramp", given) for share in shares)]
     return [
         DeviceState(
@@ -245,7 +245,7 @@ class Unmoved:
         return dict.fromkeys(("skipped", "refused", "received", "ticks", "pid"), 3)
 
     def let_pass(self, _: float) -> None:
-        """Let no time pass."""
+        """Return at once."""
 
     def pid(self, _: str) -> int:
         """Name a process that nothing happens to."""

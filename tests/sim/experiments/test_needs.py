@@ -1,4 +1,4 @@
-"""Every shipped scenario models enough and no more, and the study notices when one does not."""
+"""Every shipped scenario models exactly enough, and the study notices otherwise."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
 
 
 def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) -> None:
-    """A sphere of 1 km: over 2 cm of way it falls off by 0.2 µm."""
+    """A sphere of 1 km deviates by 0.2 µm over 2 cm."""
 
     def edit(data: dict[str, Any]) -> None:
         surface = {
@@ -296,7 +296,7 @@ def test_model_counts_only_what_the_scene_is_for() -> None:
 
 
 def test_what_is_left_out_although_it_matters_is_said() -> None:
-    """`missing: nothing` stood beside friction that moves settling by 21 %."""
+    """`missing: nothing` was shown although friction changes settling by 21 %."""
     launch = launch_file.read("floor_drop", {})
     found = needs(launch, rounds=0)
     assert found.missing == ()

@@ -1,4 +1,4 @@
-"""Significance is not relevance: what a residual may do to K_max decides whether it refutes a model, not that it is seen."""
+"""Significance is not relevance: a residual's effect on K_max decides on refutation."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_what_may_change_k_max_by_more_than_its_share_is_refused(
 
 @pytest.mark.parametrize("part", slowly([0.5, 0.25], but=[0.5]))
 def test_a_sensor_that_averages_is_no_joint(part: float) -> None:
-    """It was reported as a joint of 135 Hz, 120 to 151, and believed."""
+    """It was reported as a joint of 135 Hz, 120 to 151, and accepted."""
     device, found = pushed(average=part)
     assert found.terms == ("sensor filter",)
     assert found.frequency.value is None
@@ -129,7 +129,7 @@ def test_a_gap_is_not_told_as_a_joint() -> None:
 
 @pytest.mark.slow
 def test_a_joint_does_not_hide_behind_something_small() -> None:
-    """With --refuted always on, for every device cogs a little, a hidden joint passed."""
+    """With --refuted always set, because every device cogs, a joint passed."""
     _, found = pushed(cogging=0.001, share=0.3, frequency=60.0, loss=0.03)
     assert found.terms == ("flexible mode",)
     assert found.frequency.value == pytest.approx(60.0, rel=5e-3)
@@ -172,7 +172,7 @@ def row(**changes: Any) -> dict[str, Any]:
 
 
 def test_both_errors_are_counted() -> None:
-    """False certainty: an interval that misses, or a believed K_max that is far off; needless refusal: of a fit that serves."""
+    """False certainty (missed or wrong K_max), and needless refusal of a useful fit."""
     rows = [
         row(),
         row(remainder="a force that repeats every 8 mm"),

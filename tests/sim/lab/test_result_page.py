@@ -1,4 +1,4 @@
-"""sim/RESULTS.md is what `haptic lab results` writes, from records that name machine, load and commit."""
+"""sim/RESULTS.md is the output of `haptic lab results`, with machine, load and commit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A signal that comes while a request is under way: the request is answered first, then the verb leaves, once."""
+"""A signal during a request: the request is answered first, then the verb ends, once."""
 
 from __future__ import annotations
 

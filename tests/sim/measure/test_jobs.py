@@ -1,4 +1,4 @@
-"""Sweeps go on where they stopped, lose nothing when a worker dies, and refuse a cluster without TLS off this machine."""
+"""Sweeps continue where they stopped, survive dead workers, and require TLS remotely."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def square(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def slow_square(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Begin, say so, and wait for the word to go on: a job that is under way whenever the test looks."""
+    """Signal the start, and wait for permission: a job that is certainly running."""
     folder = Path(job["folder"])
     (folder / f"{job['x']}-{os.getpid()}").touch()
     wait_for((folder / "go").exists, "the word to go on")
@@ -48,12 +48,12 @@ def squares(rows: list[dict[str, Any]]) -> list[int]:
 
 
 class Counting(ThreadPoolExecutor):
-    """Counts what it is given."""
+    """An executor that counts its jobs."""
 
     given = 0
 
     def submit(self, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Count, and do it."""
+        """Count and run a job."""
         self.given += 1
         return super().submit(*args, **kwargs)
 
@@ -190,7 +190,7 @@ def test_tls_files_are_handed_on(tmp_path: Path) -> None:
 
 
 def certificate(folder: Path) -> list[str]:
-    """Make a certificate that is its own authority, and give the options of scheduler and workers."""
+    """Create a self-signed certificate; return options of scheduler and workers."""
     key, signed = folder / "key.pem", folder / "cert.pem"
     words = [
         "openssl",

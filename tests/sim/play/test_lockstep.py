@@ -25,7 +25,7 @@ SHORT = "duration:=1.2"
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_before() -> None:
-    """Compile the ticks before the clock of a launch runs."""
+    """Compile the ticks before the time limit of a launch starts."""
     told: list[str] = []
     assert choose("compiled", KERNELS, told.append) == "compiled", told
 
@@ -63,7 +63,7 @@ def assert_same_bits(
 def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
     tick: str, tmp_path: Path
 ) -> None:
-    """With friction and an encoder, on the outermost count inside; a soft floor lets it down so far."""
+    """With friction and encoder, at the outermost count inside, over a soft floor."""
     narrow = tmp_path / "narrow.yaml"
     narrow.write_text(
         "driver: {safety: {workspace: [[-1, 1], [-1, 1], [-0.0009, 0.1]]}}", encoding="utf-8"
@@ -83,7 +83,7 @@ def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
 def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(
     tick: str, tmp_path: Path
 ) -> None:
-    """Where a driver may stop, one process plays its very rules; here it is the fast loop that limits slew and peak."""
+    """The fast loop limits slew and peak by the driver's own rules."""
     hard = tmp_path / "hard.yaml"
     hard.write_text(
         "{driver: {safety: {slew: 500.0, stop_after: null}}, coupling: {stability: warn}}",
@@ -103,7 +103,7 @@ def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(
 def test_designs_that_were_just_made_are_rendered_bit_for_bit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What ``haptic study design`` writes starts any scenario with a coupling: here both of its files, one over the other."""
+    """Files of ``haptic study design`` start any scenario with a coupling."""
     words = ("--mass", "0.1", "--taps", "3", "--delay", "1", "--out", str(tmp_path), "--json")
     assert main(["study", "design", *words]) == 0
     made = json.loads(capsys.readouterr().out)
@@ -160,7 +160,7 @@ def test_lockstep_twice_gives_the_same_recording(tmp_path: Path) -> None:
 @pytest.mark.smoke("coupling")
 @pytest.mark.parametrize("node", ["environment", "coupling"])
 def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> None:
-    """A machine under load stalls a node for longer than the driver waits; it asks again, and both questions are answered."""
+    """A stalled node gets a repeated question, and answers both."""
     with running(tmp_path, "two_loggers", "duration:=0", "pace:=lockstep") as launch:
         stalled = launch.call(node, "status")["pid"]
         os.kill(stalled, signal.SIGSTOP)

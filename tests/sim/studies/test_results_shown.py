@@ -1,4 +1,4 @@
-"""Whatever ``haptic`` returns shows itself, draws itself and is a table; and the examples of its docstrings run."""
+"""Results of ``haptic``: display, figures and tables; the examples in docstrings run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every study that sweeps gives the same bits on the workers of a cluster; who may be a worker, and what its end costs."""
+"""Sweeping studies give the same bits on a cluster; who may be a worker, and its end."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ TINY: dict[str, list[str]] = {
 """The smallest grid of every study that sweeps."""
 
 ELSEWHERE = {"coverage", "fig4", "tuned"}
-"""Take minutes on any grid; their jobs go through the same pool and ledger as those of ``price``."""
+"""Studies that take minutes on any grid; same pool and ledger as ``price``."""
 
 ALONE = {"analyse", "detail", "fig2", "fig3", "hands", "identify", "response", "two_rate", "world"}
-"""Studies of one law, one scene, one recording or of a few closed forms."""
+"""Studies of one law, scene or recording, or of a few closed forms."""
 
 LEDGER = {"price", "relatives"}
-"""Keep what is done: their jobs go to processes in any case, of which each takes as long to start as a tiny study."""
+"""Studies with a ledger: their jobs always use processes, slow to start."""
 
 TIMES = {
     "call_us",
@@ -101,7 +101,7 @@ def answers(cluster: DaskCluster) -> bool:
 
 
 def without(told: Any) -> Any:
-    """Leave out what is of one machine, or of one folder."""
+    """Remove facts of one machine or folder."""
     if isinstance(told, dict):
         return {key: without(value) for key, value in told.items() if key not in TIMES | PLACES}
     return [without(value) for value in told] if isinstance(told, list) else told
@@ -173,7 +173,7 @@ def test_two_clients_from_python_give_the_same_bits_at_once(
 
 
 def marked(folder: str, number: int) -> int:
-    """Begin, say so, and wait for the word to go on."""
+    """Signal the start, and wait for permission to continue."""
     (Path(folder) / f"{number}-{os.getpid()}").touch()
     wait_for((Path(folder) / "go").exists, "the word to go on", 120.0)
     return number**2

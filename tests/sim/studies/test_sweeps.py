@@ -1,4 +1,4 @@
-"""Studies whose rows come from a sweep, through their verbs on the smallest grids; and who judges the tuned devices."""
+"""Studies with sweeps by their verbs on the smallest grids; the judge of tuned devices."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: 
 
 
 def recorded(folder: Path, delay: float) -> Path:
-    """Write a run whose forces came so late [ticks]."""
+    """Write a run whose forces have a given delay [ticks]."""
     path = folder / "run.mcap"
     with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "realtime"}) as writer:
         for seq in range(200):
@@ -156,7 +156,7 @@ def test_coverage_outside_counts_what_is_said_of_devices(
 
 
 def outside(kind: str, off: float = 0.5, refuted: bool = False) -> dict[str, Any]:
-    """Give what a study keeps of one device."""
+    """Return what a study stores of one device."""
     return {
         "kind": kind,
         "refuted": refuted,
@@ -226,7 +226,7 @@ def test_what_is_refused_is_never_false() -> None:
 def test_a_ledger_of_another_version_is_not_gone_on_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Rows of two programs stood in one table."""
+    """Rows of two versions were mixed in one table."""
     words = ("relatives", "--families", "Maxwell", "--mass", "0.1")
     ledger = Path(study(capsys, tmp_path, *words)["ledger"])
     old = ledger.read_text(encoding="utf-8").replace(program(), "0123456789abcdef")
@@ -259,7 +259,7 @@ def test_the_true_edge_of_a_spring_is_its_k_max(
 
 
 def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards() -> None:
-    """Looked for from below, its edge was 362 N/m, a twelfth of a law that is stable."""
+    """Searched from below, its limit was 362 N/m, a twelfth of a stable law."""
     law = CompiledLaw(
         (14637.851675576338, -10684.824134320634, -7546.077294457547, 7797.369406764558)
     )
@@ -285,7 +285,7 @@ def test_a_delay_that_jitters_counts_at_its_worst() -> None:
 
 
 def test_a_sensor_that_averages_lowers_the_true_edge() -> None:
-    """The judge left the sensor out: 2347 N/m, where the loop on what is read has 1801."""
+    """Without the sensor the judge gave 2347 N/m instead of 1801."""
     rigid, law = DeviceModel(mass=0.1, damping=1.0, delay=1.0), CompiledLaw((1500.0, -1000.0))
     edges = [true_edge(law, NonidealDevice(rigid, average=part), T) for part in (0.0, 0.25, 0.5)]
     assert None not in edges
@@ -307,7 +307,7 @@ def test_nothing_is_told_of_an_edge_far_above_the_law() -> None:
 
 
 def device_row(**told: Any) -> dict[str, Any]:
-    """Give what a study keeps of one tuned device: delivered, its edge within 2 %."""
+    """Return what a study stores of one tuned device: delivered, with a limit within 2 %."""
     return {
         "kind": "inside the model",
         "refuted": None,
@@ -389,7 +389,7 @@ def test_an_edge_is_within_5_percent_or_counted_as_off() -> None:
 
 
 def test_all_three_numbers_of_a_joint_are_varied() -> None:
-    """Nine joints: the declared one, and every combination of a factor either way; or one number alone."""
+    """Nine joints: the declared one and all combinations of factors; or one number alone."""
     job: dict[str, Any] = {
         "share": 0.3,
         "frequency": 40.0,

@@ -1,4 +1,4 @@
-"""``study world``, ``law show``, ``study analyse`` and ``haptic.k_max(world=…)`` answer with the same figures."""
+"""``study world``, ``law show``, ``study analyse`` and ``haptic.k_max(world=…)`` agree."""
 
 from __future__ import annotations
 

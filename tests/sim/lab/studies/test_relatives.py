@@ -1,4 +1,4 @@
-"""The table of relatives: two rates at equal noise, delays rounded up, and what of H(1) leaks."""
+"""The table of relatives: two rates at equal noise, rounded delays, leaks of H(1)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def job(delay: float) -> dict[str, Any]:
 
 @pytest.mark.slow
 def test_a_servo_s_damper_keeps_the_bound_on_noise_that_the_others_keep() -> None:
-    """It stood in the table with 18 048 N/m, and multiplied encoder noise by 4·10⁵; at equal noise it is a quarter of PD's."""
+    """Listed with 18 048 N/m, it amplified noise by 4·10⁵; at equal noise it has PD/4."""
     found = relatives._two_rates(job(1.0) | {"mass": [0.05, 0.2]}, T)
     assert found["h_nyquist_n_per_m"] <= 1e4
     assert found["h_nyquist_n_per_m"] == pytest.approx(
