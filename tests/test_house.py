@@ -175,7 +175,7 @@ PARTS = {"__init__", "node", "driver", "state", "parameters", "kernel", "compile
 
 
 def test_one_word_is_one_module() -> None:
-    """No two modules have one name, but for parts that several rooms have, and verbs and studies, called as they are typed."""
+    """No two modules share a name, except parts of several rooms, verbs and studies."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
         if room(module) in ("nodes.cli", "sim.cli") or module.rpartition(".")[0] in FUNCTIONS:
@@ -271,7 +271,7 @@ FUNCTIONS = ("sim.studies", "sim.lab.studies")
 
 
 def test_verbs_are_in_one_place() -> None:
-    """A verb's module has its name, in cli/, or a function has it; no other room reads arguments or imports a verb."""
+    """A verb is a module in cli/ or a function; no other room reads arguments."""
     points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "entry-points"
     ]
@@ -311,7 +311,7 @@ OTHER_QUANTITIES = {
 
 
 def declared(calls: str) -> Iterator[tuple[str, str, ast.Call]]:
-    """Find arguments of verbs and options of functions: module, name and the call that declares it."""
+    """Return verbs' arguments and functions' options: module, name and declaring call."""
     for module, path in MODULES.items():
         for node in ast.walk(tree_of(path)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
@@ -399,7 +399,7 @@ def test_long_functions_say_why() -> None:
                 above = itertools.dropwhile(
                     lambda text: text.lstrip().startswith("@"), reversed(lines[: number - 1])
                 )
-                if not next(above, "").lstrip().startswith("# Long: "):
+                if not next(above, "").lstrip().startswith("# Long"):
                     silent.append(f"{path.relative_to(ROOT)}:{number}")
     assert silent == []
 

@@ -1,4 +1,4 @@
-"""Tests stand where their subject stands, share what they share in tests/support, and are marked by what they cost."""
+"""Tests stand beside their subject, share tests/support, and are marked by their cost."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.support import ROOT
 
 FILES = sorted((ROOT / "tests").rglob("test_*.py"))
 OF_NO_ROOM = {"tests/benchmarks"}
-"""Folders of tests that mirror no folder of the product: what is measured, of several rooms."""
+"""Folders of tests that mirror no folder of the product."""
 
 
 @cache
@@ -23,10 +23,11 @@ def imports_of_tests(path: Path) -> list[str]:
     """Name what a file imports of tests/ outside tests/support, with its line."""
     found = []
     for node in ast.walk(tree_of(path)):
-        names = []
+        if not isinstance(node, ast.Import | ast.ImportFrom):
+            continue
         if isinstance(node, ast.Import):
             names = [name.name for name in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             names = [f"{node.module}.{name.name}" for name in node.names]
         found += [
             f"{path}:{node.lineno} imports {name}"
@@ -37,7 +38,7 @@ def imports_of_tests(path: Path) -> list[str]:
 
 
 def test_no_test_module_imports_another() -> None:
-    """A change of one would fail the other, and pytest rewrites only the first importer's assertions."""
+    """A change of one would fail the other; pytest rewrites only the first's assertions."""
     assert [line for path in FILES for line in imports_of_tests(path)] == []
 
 
@@ -65,7 +66,7 @@ def test_tests_stand_where_their_subject_stands() -> None:
 
 
 def test_what_is_smoke_starts_a_process() -> None:
-    """README's line runs what is not ``process``, and of that what is ``smoke``: alone, smoke would say nothing."""
+    """README's line runs tests that are not ``process``, and ``smoke`` ones of those that are."""
     alone = []
     for path in FILES:
         for node in ast.walk(tree_of(path)):

@@ -1,4 +1,4 @@
-"""Options of a function that is a command as well: declared once, as the fields of a dataclass.
+"""Options of a function that is also a command: declared once, as dataclass fields.
 
 The command line declares its arguments from them, and `Options.of` reads the keywords of a Python
 call by the same rules; who has the values calls the dataclass itself, which is typed.
@@ -88,7 +88,7 @@ def _written(value: Any) -> str:
 def option(
     *flags: str, default: Any = None, positional: bool = False, off: str = "", **words: Any
 ) -> Any:
-    """Declare an option; `words` are those of argparse, ``action`` is ``store_true`` or ``on_off``."""
+    """Declare an option with argparse's keywords; `action` is ``store_true`` or ``on_off``."""
     off_help = words.pop("off_help", "")
     metadata = {_KEY: Declared(flags, words, positional, off, off_help)}
     if isinstance(default, list):
@@ -151,7 +151,7 @@ class Options:
 
     @classmethod
     def of(cls, *values: Any, **given: Any) -> Self:
-        """Read values given in Python, those by position first; raises UsageError as the command line does."""
+        """Read values given in Python, positional ones first; raises UsageError like the command."""
         declared = cls.declared()
         places = [name for name, one in declared.items() if one.positional]
         rest = places[-1:] if places and declared[places[-1]].words.get("nargs") == "*" else []

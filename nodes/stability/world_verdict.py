@@ -123,7 +123,7 @@ def judge_world(
 def judge_tool(
     law: CompiledLaw, plant: Plant, tool: SteppedTool, mass: float | None, any_hand: bool = False
 ) -> WorldVerdict | None:
-    """Judge a law on a stepped tool by its damping, and where that is not enough by its mass as well.
+    """Judge a law on a stepped tool by its damping, and by its mass if that is too little.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def judge_tool(
 def _masses(
     law: CompiledLaw, plant: Plant, any_hand: bool, steps: int, delay: float
 ) -> tuple[float | None, float | None]:
-    """Return the least mass of a tool at so many steps of Euler a tick, and at one where they are more [kg]."""
+    """Return a tool's least mass at its Euler steps a tick, and at one step [kg]."""
     mass = needed_tool_mass(law, plant, any_hand, steps, delay)
     one = needed_tool_mass(law, plant, any_hand, 1, delay) if steps > 1 else None
     return mass, one

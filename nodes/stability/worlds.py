@@ -79,8 +79,8 @@ class SteppedTool:
     damping: float  # of the tool to ground [N s/m]
     # from the sample to the force that moves the tool; None: as late as on the device [ticks]
     delay: float | None = None
-    # Steps of semi-implicit Euler a tick, with all behind the tool solved implicitly: then a heavier
-    # tool is a remedy as well. None: other steps, or springs that are not.
+    # Semi-implicit Euler steps a tick with all behind the tool implicit: a heavier tool is a remedy
+    # too. None: other steps, or springs that are not implicit.
     steps: int | None = None
 
     def __post_init__(self) -> None:

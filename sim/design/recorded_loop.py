@@ -20,7 +20,8 @@ from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
-from sim.play.one_axis import Given, Scene, SceneSurface, run
+from sim.play.given import Given
+from sim.play.one_axis import Scene, SceneSurface, run
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""``haptic`` commands from outside: run to their end, or beside this program and ended as Ctrl-C ends them."""
+"""``haptic`` commands as processes: run to the end, or interrupted as Ctrl-C does."""
 
 import contextlib
 import functools
@@ -90,7 +90,7 @@ def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:
 
 
 def run_beside(*words: str) -> None:
-    """Run a command beside this program to its end; interrupted, it ends as by Ctrl-C: what it wrote is complete."""
+    """Run a command to its end; an interrupt ends it as Ctrl-C does, output complete."""
     process = start_command(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         printed = process.communicate()[1]

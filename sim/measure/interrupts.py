@@ -1,4 +1,4 @@
-"""Signals that ask a program to leave: deferred for a block, ignored while it puts things back, or taken once.
+"""Signals that end a program: deferred, ignored during a restore, or received once.
 
 Only the main thread is interrupted; elsewhere each of these does nothing.
 """
@@ -29,7 +29,7 @@ def _handled(handler: Callable[..., Any] | signal.Handlers) -> Iterator[None]:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[Sequence[object]]:
-    """Do this block to its end: a signal that comes meanwhile is handled there, and stands in the sequence until then.
+    """Run this block to its end; signals received meanwhile are handled after it.
 
     A request that was sent is answered before anything is put back, or it might come after; and a
     ``KeyboardInterrupt`` that is raised inside a finaliser, as sockets and Python's locks of
@@ -55,13 +55,13 @@ def deferred() -> Iterator[Sequence[object]]:
 
 
 def undisturbed() -> contextlib.AbstractContextManager[None]:
-    """Ignore signals while a launch is put back: an impatient second one must not leave it half-way."""
+    """Ignore signals while a launch is restored, so that a second one cannot cut it short."""
     return _handled(signal.SIG_IGN)
 
 
 @contextlib.contextmanager
 def interrupted_once() -> Iterator[Callable[[], int]]:
-    """Take the first signal as the order to leave, those after it as nothing; yields a question for its number, 0 for none."""
+    """Yield a function that returns the first signal's number, or 0; ignore later ones."""
     first: list[int] = []
 
     def leave(number: int, _: object) -> None:

@@ -72,7 +72,7 @@ def launch(
 
 @contextlib.contextmanager
 def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
-    """Start a launch where the user's other verbs find it, wait for its first ticks, and end it afterwards."""
+    """Start a launch that other verbs find, wait for its first ticks, and end it afterwards."""
     with StartedLaunch(scenario, *assignments) as launch:
         launch.await_tick(11)
         found = launch.info()

@@ -1,4 +1,4 @@
-"""A ``haptic launch`` started by this program: its start, its first tick, its end, and what it answered."""
+"""A ``haptic launch`` started by this program: start, first tick, end and answers."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class StartedLaunch:
         )
 
     def failure(self) -> str:
-        """Describe a launch that ended with a failure: a refusal as it stands, else the exit code and what it wrote."""
+        """Describe a failed launch: its refusal, or its exit code and output."""
         said = self.errors.strip()[-2000:]
         if self.exit_code == 2:
             return said.removeprefix("haptic: ")

@@ -1,4 +1,4 @@
-"""Two independent codecs agree: msgspec's one pass, and msgpack with checks field by field."""
+"""Compare two independent codecs: msgspec, and msgpack with a check per field."""
 
 from __future__ import annotations
 

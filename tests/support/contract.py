@@ -1,4 +1,4 @@
-"""What the contract of devices calls and checks: its table is held against these (nodes/driver/DEVICES.md)."""
+"""Checks of the contract of devices, compared with the table in nodes/driver/DEVICES.md."""
 
 from __future__ import annotations
 

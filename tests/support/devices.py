@@ -144,7 +144,7 @@ needs_cc = pytest.mark.skipif(
 
 
 SOFT = ("stiffness:=150", "damping:=0.5")
-"""So soft that it hardly matters how old each sample of the servo loop is, which differs from tick to tick."""
+"""So soft that the varying age of each servo sample hardly matters."""
 
 
 def through(stand: Bench, folder: Path, **parameters: Any) -> str:

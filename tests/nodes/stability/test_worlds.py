@@ -512,7 +512,7 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
 def implicit_rest(
     rng: np.random.Generator, mass: float, damping: float, steps: int, late: int = 0
 ) -> tuple[Reals, Reals, Reals]:
-    """One tick of a tool, position first: n steps of Euler, two random bodies hung on it, solved implicitly.
+    """One tick of a tool: n Euler steps, two random bodies attached, solved implicitly.
 
     Its own matrix, and what the new force adds, which comes some steps late, and the one before.
     """
@@ -539,7 +539,7 @@ def implicit_rest(
 
 
 def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Reals]) -> float:
-    """Largest pole of taps, a device and a world that is pushed when the device is, column by column."""
+    """Return the largest pole of taps, a device and a world, column by column."""
     late, count = int(plant.delay), len(law.taps) - 1
     _, (a11, a12, a21, a22), new, old = held_step(plant)
     whole, held, before_it = world
@@ -563,7 +563,7 @@ def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Rea
 
 
 def broken_by_euler_tools(count: int, seed: int, factors: tuple[float, ...]) -> list[int]:
-    """How many random rests swing behind a tool of a factor of the mass that is needed, some steps late."""
+    """Count the random rests that swing behind a tool of a factor of the needed mass."""
     rng, unstable = np.random.default_rng(seed), [0] * len(factors)
     for _ in range(count):
         steps = int(rng.choice([1, 2, 4, 7]))
@@ -592,7 +592,7 @@ def test_none_of_three_thousand_rests_behind_a_tool_breaks_it() -> None:
 
 
 def test_the_disc_of_an_euler_tool_has_a_closed_form_and_is_within_both_others() -> None:
-    """T n/4m (1/sin² − 2/3 (1 − 1/n²)), from Σ 1/sin⁴; with a damper it is within the damper's disc."""
+    """T n/4m (1/sin² − 2/3 (1 − 1/n²)), from Σ 1/sin⁴; within the damper's disc with one."""
     theta = np.linspace(1e-3, np.pi, 500)
     for steps in (1, 2, 4, 9):
         closed = 1.0 / np.sin(0.5 * theta) ** 2 - 2.0 / 3.0 * (1.0 - 1.0 / steps**2)

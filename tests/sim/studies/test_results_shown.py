@@ -9,6 +9,7 @@ import io
 import pkgutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import haptic
 import numpy as np
@@ -49,7 +50,7 @@ def run(place: Path) -> haptic.Run:
 
 @functools.cache
 def studied() -> StudyResult:
-    """Ask for the study of all tests once: the slowest of the results, and each of them only looks at it."""
+    """Run the slowest study once for all tests of its results."""
     return haptic.study("kmax", law="pd", gain="1..5", points=3)
 
 
@@ -122,10 +123,10 @@ def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None
 
 def test_options_are_read_as_the_command_line_reads_them() -> None:
     options = options_of(design)
-    found = options.of(
+    found: Any = options.of(
         land=False, every_delay=True, delays=[0, 1], rate=None, mass=(0.05, 0.2), hand="stylus_firm"
     )
-    typed = options.of(delays=["0", "1"], mass="0.05..0.2", every_delay=True, land=False)
+    typed: Any = options.of(delays=["0", "1"], mass="0.05..0.2", every_delay=True, land=False)
     assert found.mass == typed.mass == (0.05, 0.2)
     assert found.delays == typed.delays == [0.0, 1.0]
     assert (found.land, found.every_delay, found.rate) == (False, True, None)

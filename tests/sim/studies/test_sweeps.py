@@ -35,7 +35,7 @@ T = 0.002
 
 @pytest.fixture(autouse=True)
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do the jobs in this process: what a new one costs is not looked at (tests/sim/measure has the pools)."""
+    """Run the jobs in this process: tests/sim/measure tests the pools."""
     monkeypatch.setattr("sim.studies.sweeps.executor", lambda _: ThreadPoolExecutor(1))
 
 
