@@ -70,7 +70,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
 EVERY = [(name, dict[str, Any]()) for name in launch_file.scenarios() if name not in APART]
 CASES = [*EVERY, *VARIANTS]
 # Launched in every run, with the plain tick; the rest is launched on request.
-QUICK = [("floor_drop", {}), ("floor_guarded", {}), ("hands_coupled", {}), ("two_hands", {})]
+QUICK: list[tuple[str, dict[str, Any]]] = [("floor_drop", {}), ("floor_guarded", {}), ("hands_coupled", {}), ("two_hands", {})]
 # Launched in every run, with the compiled one.
 OFTEN = [*EVERY, *VARIANTS[:6]]
 ALIKE = ("two_loggers", "ros2_wall")
@@ -190,6 +190,8 @@ def compiled_before() -> None:
     assert choose("compiled", kernels, told.append) == "compiled", told
 
 
+@pytest.mark.process
+@pytest.mark.smoke("floor_guarded", "floor_swap", "mesh_pebble", "two_hands")
 @pytest.mark.usefixtures("compiled_before")
 @pytest.mark.parametrize(
     "case", slowly([case for case in CASES if case[0] not in ALIKE], but=OFTEN), ids=case_id
@@ -200,6 +202,8 @@ def test_processes_with_the_compiled_tick_give_the_bits_of_one_process(
     assert_launched(in_lockstep(*case), "compiled", tmp_path)
 
 
+@pytest.mark.process
+@pytest.mark.smoke("hands_coupled")
 @pytest.mark.parametrize("case", slowly(CASES, but=QUICK), ids=case_id)
 def test_processes_with_the_plain_tick_and_a_replay_give_the_bits_of_one_process(
     case: tuple[str, dict[str, Any]], tmp_path: Path
