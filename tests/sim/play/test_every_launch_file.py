@@ -70,7 +70,12 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
 EVERY = [(name, dict[str, Any]()) for name in launch_file.scenarios() if name not in APART]
 CASES = [*EVERY, *VARIANTS]
 # Launched in every run, with the plain tick; the rest is launched on request.
-QUICK: list[tuple[str, dict[str, Any]]] = [("floor_drop", {}), ("floor_guarded", {}), ("hands_coupled", {}), ("two_hands", {})]
+QUICK: list[tuple[str, dict[str, Any]]] = [
+    ("floor_drop", {}),
+    ("floor_guarded", {}),
+    ("hands_coupled", {}),
+    ("two_hands", {}),
+]
 # Launched in every run, with the compiled one.
 OFTEN = [*EVERY, *VARIANTS[:6]]
 ALIKE = ("two_loggers", "ros2_wall")
