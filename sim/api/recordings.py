@@ -134,7 +134,7 @@ def plot(what: Result | str | Path) -> Figure:
 
     Examples
     --------
-    >>> from sim.api.loops import play
+    >>> from sim.api.played import play
     >>> plot(play("floor_drop")).savefig("drop.pdf")
     """
     return what.plot() if isinstance(what, Result) else read(what).plot()

@@ -17,7 +17,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import CONVENTION as USUAL
-from sim.experiments.drop import GRAVITY, Convention, Criterion, floor_force, rests, rises
+from sim.experiments.drop import GRAVITY, Convention, Criterion, fall, floor_force, rests, rises
 from sim.play.compiled import compiled
 
 CLOSE = 0.01  # a quick drop settles if it stays this close to its rest [share of the tolerance]
@@ -141,28 +141,18 @@ def fallen(
     """
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
-    length = max(len(law.taps), 2)
-    recursive = [number for section in law.sections for number in section]
-    history, memory, head, forces = (
-        [0.0] * (2 * length),
-        [0.0] * (2 * len(law.sections)),
-        0,
-        [0.0] * (whole + 2),
-    )
-    state = np.zeros(len(new))
+    forces, state = [0.0] * (whole + 2), np.zeros(len(new))
     state[0] = height
     if len(new) >= 4:
         state[2] = height
-    seen = np.empty((2, ticks))
-    for k in range(ticks):
-        x = float(state[0])
-        head, force, _ = floor_force(
-            x, law.taps, recursive, memory, history, head, length, *convention
-        )
+
+    def move(force: float) -> float:
+        nonlocal forces, state
         forces = [force, *forces[:-1]]
-        seen[:, k] = x, forces[0]
         state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
-    return seen[0], seen[1]
+        return float(state[0])
+
+    return fall(move, law, height, ticks, convention)
 
 
 def _settled(

@@ -5,7 +5,7 @@ code of its own that is swapped), `NotOneAxisError` says so and `sim.play.player
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +226,7 @@ def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
         raise NotOneAxisError(f"{hops.coupling}: {launch.nodes[hops.coupling].kind}, not coupling")
 
 
-def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, object]:
+def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     """Return the one node of a kind in a launch: its name and its parameters."""
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:

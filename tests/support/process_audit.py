@@ -22,8 +22,8 @@ import pytest
 STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"})
 ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
 """Programs of some milliseconds whose results are cached: the first caller is random."""
-CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile")
-"""Modules that compile only if necessary: whether they start a process is random."""
+CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile", "glfw.library")
+"""Modules that compile, or ask for a version, on first use: whether they start a process is random."""
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
 

@@ -27,7 +27,7 @@ from nodes.laws import law_names, load_law
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import MAX_ENTRIES, ParameterError, convert
 from nodes.stability.plant import MAX_DELAY, Plant
-from sim.api.loops import drop
+from sim.api.played import drop
 from tests.support import ROOT
 from tests.support.setups import setup_of
 

@@ -16,6 +16,7 @@ import haptic
 import numpy as np
 import pytest
 
+from nodes.launcher.launch_file import read as read_scene
 from nodes.laws.fir import FIR
 from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
@@ -130,6 +131,55 @@ def test_results_show_themselves() -> None:
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0), height=-0.01)
     with pytest.raises(haptic.HapticError, match="Is a directory"):
         haptic.read(".")
+
+
+def test_what_is_played_in_space_has_its_axes_contact_and_bodies_in_one_table() -> None:
+    pytest.importorskip("mujoco", reason="things that move need MuJoCo")
+    found = haptic.play("puck_push", duration=1.6)
+    assert found.axes == "xyz"
+    assert found.position_m.shape == (800, 3)
+    # The hand pushes the puck along x: it ends elsewhere than it began, the right way up.
+    puck = found.bodies["puck"]
+    assert puck.turn is not None
+    assert puck.position[-1, 0] - puck.position[0, 0] > 1e-3
+    assert np.linalg.norm(puck.turn, axis=1) == pytest.approx(1.0)
+    columns = found.columns()
+    assert {"contact", "normal", "proxy_m", "puck_m", "puck_qw", "tool_m"} <= set(columns)
+    # What the tool is held by is the law's: K times the way between, and its damper.
+    assert columns["proxy_m"] == pytest.approx(columns["tool_m"])
+    assert len(found.plot().axes) == 2
+
+
+def test_of_shapes_the_normal_looks_out_where_they_are_touched() -> None:
+    found = haptic.play("sphere_feel", duration=0.8)
+    surface = read_scene("sphere_feel", {}).nodes["environment"].parameters["surface"]
+    touched = found.contact
+    assert 0 < touched.sum() < len(touched)
+    out = found.proxy_m[touched] - np.array(surface["position"])
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    # The sphere is exact: its normal is the direction from its middle, but for the skin of 0.1 nm.
+    assert np.abs(out - found.normal[touched]).max() < 1e-6
+
+
+def test_pairs_and_chains_are_played_by_name_and_a_network_is_not() -> None:
+    pair = haptic.play("hands_coupled", duration=1.0)
+    first, second = (pair.bodies[name].position[:, 0] for name in ("first", "second"))
+    # The law sees how far the hands are apart.
+    assert pair.measured_m == pytest.approx(first - second, abs=1e-15)
+    assert haptic.play("two_hands", chain="left").name == "two_hands/left"
+    with pytest.raises(haptic.HapticError, match=r"2 chains \(left, right\)"):
+        haptic.play("two_hands")
+    with pytest.raises(haptic.HapticError, match="over a network in real time"):
+        haptic.play("hands_apart", chain="left")
+
+
+def test_a_loop_that_its_driver_stopped_says_when() -> None:
+    assert haptic.play("floor_drop").stopped_at_tick is None
+    found = haptic.play("floor_buzz", stiffness=1e5)
+    assert found.stopped_at_tick is not None
+    assert found.settled is False
+    # From then on the brake comes down, by the slew at most: nothing is felt any more.
+    assert np.abs(found.force_n[found.stopped_at_tick + 200 :]).max() < 0.5
 
 
 def test_a_played_drop_tells_whether_it_settles() -> None:

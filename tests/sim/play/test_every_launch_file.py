@@ -195,6 +195,8 @@ def compiled_before() -> None:
     assert choose("compiled", kernels, told.append) == "compiled", told
 
 
+@pytest.mark.process
+@pytest.mark.smoke("floor_guarded", "floor_swap", "mesh_pebble", "two_hands")
 @pytest.mark.usefixtures("compiled_before")
 @pytest.mark.parametrize(
     "case", slowly([case for case in CASES if case[0] not in ALIKE], but=OFTEN), ids=case_id
@@ -205,6 +207,8 @@ def test_processes_with_the_compiled_tick_give_the_bits_of_one_process(
     assert_launched(in_lockstep(*case), "compiled", tmp_path)
 
 
+@pytest.mark.process
+@pytest.mark.smoke("hands_coupled")
 @pytest.mark.parametrize("case", slowly(CASES, but=QUICK), ids=case_id)
 def test_processes_with_the_plain_tick_and_a_replay_give_the_bits_of_one_process(
     case: tuple[str, dict[str, Any]], tmp_path: Path
