@@ -155,7 +155,7 @@ def _number(place: str, info: inspect.IntType | inspect.FloatType, value: Any) -
     whole = isinstance(info, inspect.IntType)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise MessageRefusedError(f"{place}: a finite number is wanted, this is {value!r}")
-    if whole and value != int(value):
+    if whole and not isinstance(value, int):
         raise MessageRefusedError(f"{place}: a whole number is wanted, this is {value!r}")
     number = int(value) if whole else float(value)
     if (info.ge is not None and number < info.ge) or (info.le is not None and number > info.le):
