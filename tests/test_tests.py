@@ -1,4 +1,4 @@
-"""Tests stand where their subject stands, share what they share in tests/support, and are marked by what they cost."""
+"""Tests stand beside their subject, share by tests/support, and are marked by their cost."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.support import ROOT
 
 FILES = sorted((ROOT / "tests").rglob("test_*.py"))
 OF_NO_ROOM = {"tests/benchmarks"}
-"""Folders of tests that mirror no folder of the product: what is measured, of several rooms."""
+"""Test folders without a corresponding folder of the product."""
 
 
 @cache
@@ -37,7 +37,7 @@ def imports_of_tests(path: Path) -> list[str]:
 
 
 def test_no_test_module_imports_another() -> None:
-    """A change of one would fail the other, and pytest rewrites only the first importer's assertions."""
+    """One change would fail both, and pytest rewrites only the first importer's assertions."""
     assert [line for path in FILES for line in imports_of_tests(path)] == []
 
 
@@ -65,7 +65,7 @@ def test_tests_stand_where_their_subject_stands() -> None:
 
 
 def test_what_is_smoke_starts_a_process() -> None:
-    """README's line runs what is not ``process``, and of that what is ``smoke``: alone, smoke would say nothing."""
+    """README's line runs ``not process``, and of ``process`` the ``smoke`` tests."""
     alone = []
     for path in FILES:
         for node in ast.walk(tree_of(path)):

@@ -1,4 +1,4 @@
-"""What the contract of devices calls and checks: its table is held against these (nodes/driver/DEVICES.md)."""
+"""Calls and checks of the device contract, as in the table of nodes/driver/DEVICES.md."""
 
 from __future__ import annotations
 

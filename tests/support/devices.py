@@ -144,7 +144,7 @@ needs_cc = pytest.mark.skipif(
 
 
 SOFT = ("stiffness:=150", "damping:=0.5")
-"""So soft that it hardly matters how old each sample of the servo loop is, which differs from tick to tick."""
+"""A wall so soft that the varying age of the servo loop's samples hardly matters."""
 
 
 def through(stand: Bench, folder: Path, **parameters: Any) -> str:

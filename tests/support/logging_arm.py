@@ -15,7 +15,7 @@ LAW_DAMPING = 3.0
 def scene(
     folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any
 ) -> str:
-    """Write a launch file with the logging arm, held 1 mm inside a floor of 1000 N/m unless told otherwise."""
+    """Write a launch file with the logging arm, by default 1 mm inside a floor of 1000 N/m."""
     more = chain or {}
     safety = {"damping": DAMPING, **arm.pop("safety", {})}
     content = {

@@ -15,7 +15,7 @@ ANSWERED = answers_but()
 
 
 class Rule(NamedTuple):
-    """A script in which a rule acts, and what shows that it did, on arrival; with next_tick it may act elsewhere."""
+    """A script in which a rule acts on arrival, and the evidence; next_tick may differ."""
 
     script: Script
     acted: Callable[[Any], bool]

@@ -43,7 +43,7 @@ def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
 
 
 def numbers(message: Message) -> dict[str, Any]:
-    """Give what the plain tick reads: all but the texts."""
+    """Return what the plain tick reads, without texts."""
     return {
         name: value
         for name, value in msgspec.structs.asdict(message).items()

@@ -52,8 +52,10 @@ from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
 from sim.play.player import play
 
-trace = play(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),))).along()
-forces = {"one process": trace.force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: len(trace.force)]}
+arguments = launch_file.parse_assignments(["duration:=0.6"])
+trace = play(launch_file.read("floor_drop", arguments, (Path("slow.yaml"),))).along()
+replayed = replay(rebuild(Path(sys.argv[1]))).force[: len(trace.force)]
+forces = {"one process": trace.force, "replay": replayed}
 print(json.dumps({name: [float(value) for value in row] for name, row in forces.items()}))
 """
 

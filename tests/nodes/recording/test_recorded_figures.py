@@ -314,7 +314,7 @@ def test_ticks_without_an_answer_have_no_response(tmp_path: Path) -> None:
 
 
 def test_a_driver_that_was_started_again_adds_to_what_was_missed(tmp_path: Path) -> None:
-    """It counts anew, from 0: neither run's counts are lost, and the oldest force is that of any tick."""
+    """It counts from 0 again: neither run's counts are lost."""
     path = tmp_path / "r.mcap"
     # seq, missed so far, left out so far, age
     told = [(0, 0, 0, 0), (1, 1, 0, 3), (2, 2, 0, 4), (5, 2, 2, 0), (0, 0, 0, 0), (1, 1, 0, 1)]

@@ -1,4 +1,4 @@
-"""The verdict on a law: what decays and what grows, at the edge, with a spring and without any."""
+"""The verdict on a law: decay and growth at the limit, with and without a spring."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def damper(damping: float) -> CompiledLaw:
 
 @pytest.mark.parametrize("share", [5e-4, 1e-4, 1e-5])
 def test_without_any_spring_a_motion_may_not_grow(share: float) -> None:
-    """The pole at z = 1 is the place, which no law holds; the velocity's is 1 − B·T/m, to first order.
+    """The pole at z = 1 is the position; the velocity's is 1 − B·T/m to first order.
 
     By 5·10⁻⁴ a tick it grows by e in 4 s.
     """
@@ -34,7 +34,7 @@ def test_without_any_spring_a_motion_may_not_grow(share: float) -> None:
 
 
 def test_a_spring_to_ground_leaves_no_pole_at_one_to_excuse() -> None:
-    """Held by 400 N/m, a motion that grows by 5·10⁻⁷ a tick is unstable, less than rounding excuses of a free one."""
+    """Held by 400 N/m, growth of 5·10⁻⁷ a tick is unstable, below a free motion's rounding."""
     share = 5e-7
     held = Plant(T, MASS, 0.0, 0.0, 400.0)
     grows = judge(damper(-2.0 * share * MASS / T), held)

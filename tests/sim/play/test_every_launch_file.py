@@ -1,8 +1,8 @@
-"""Whoever plays a launch file plays the same: processes, plain or compiled, one process, a replay.
+"""All players agree on every launch file: processes, plain or compiled, one process.
 
-This contract holds the project together: what a study computes in one process is what the loop
-renders. It goes over every launch file that is installed. Equality is exact, not within a
-tolerance, because all call the same functions on the same floats in the same order.
+This contract holds the project together: what a study computes in one process, or a replay, is what
+the loop renders. It covers every installed launch file. Equality is exact, not within a tolerance,
+because all call the same functions on the same floats in the same order.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ APART = {"hands_apart": "hears a partner over a network in real time"}
 """What one process does not play, and why it says so."""
 
 LISTENS = {"ros2"}
-"""Kinds that need what is not installed here, and only listen to a chain unless somebody pushes."""
+"""Kinds that need packages not installed here, and only subscribe unless pushed."""
 
 VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("floor_drop", {"apply": "next_tick", "law": "multi_term"}),
@@ -65,7 +65,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     # The device falls to the end of its workspace.
     ("floor_drop", {"stiffness": 2.0}),
 )
-"""Beyond each file as it stands: every law, quantiser and friction, whole and fractional delay, both rules of apply."""
+"""Beyond the files: every law, quantiser, friction, delays, both rules of apply."""
 
 EVERY = [(name, dict[str, Any]()) for name in launch_file.scenarios() if name not in APART]
 CASES = [*EVERY, *VARIANTS]
@@ -82,7 +82,7 @@ def case_id(case: tuple[str, dict[str, Any]]) -> str:
 
 
 def in_lockstep(name: str, given: Mapping[str, Any]) -> Launch:
-    """Read a launch file in lockstep and for a while, whether it has arguments for that or not."""
+    """Read a launch file in lockstep for a while, even without arguments for that."""
     launch = launch_file.read(
         name,
         {**given, "run.pace": "lockstep"}
@@ -219,7 +219,7 @@ def test_processes_with_the_plain_tick_and_a_replay_give_the_bits_of_one_process
 
 
 def assert_launched(launch: Launch, tick: str, folder: Path) -> list[Path]:
-    """Launch in lockstep; return the recordings, after a comparison of each chain with one process."""
+    """Launch in lockstep, compare each chain with one process, and return the recordings."""
     needs_mujoco(launch)
     figures = launch_json(folder, str(written(launch, folder)), "--tick", tick)
     paths = [folder / path for path in figures.get("recordings") or [figures["recording"]]]

@@ -1,4 +1,4 @@
-"""A launch in lockstep beside the contract of test_every_launch_file: ends, limits, files of parameters, lost answers."""
+"""Launches in lockstep beside test_every_launch_file: ends, limits, files, lost answers."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def test_no_scenario_is_left_out() -> None:
 
 @pytest.mark.parametrize("scenario", SHAPES)
 def test_a_way_that_was_played_is_touched_the_same(scenario: str) -> None:
-    """What plays it holds a launch to the bit (test_every_launch_file); here its shapes stand alone."""
+    """test_every_launch_file compares it with a launch; here its shapes stand alone."""
     launch = launch_file.read(scenario, {"duration": 1.6})
     found = play(launch)
     surface = parse_surface(launch.nodes["environment"].parameters["surface"], "surface")
