@@ -80,7 +80,7 @@ def _write(path: Path, text: str, replace: bool = False) -> None:
             os.link(draft, path)
     except FileExistsError as error:
         raise KeyRefusedError(
-            f"{path}: exists already; remove it first, or give --replace"
+            f"{path}: already exists; remove it first, or use --replace"
         ) from error
     finally:
         draft.unlink(missing_ok=True)

@@ -456,7 +456,7 @@ def _common_run(
 
 
 def _models(included: Sequence[tuple[str, Launch]]) -> dict[str, Model]:
-    """Return what each included chain is for, by its namespace; what has none is what this file is for."""
+    """Return the model of each included chain, by namespace; without one, this file's applies."""
     found = {}
     for namespace, launch in included:
         for inner in dict.fromkeys(name.rpartition("/")[0] for name in launch.nodes):

@@ -318,7 +318,7 @@ def test_the_directory_of_the_sockets_is_private(
         assert new_run_dir("r").stat().st_mode & 0o777 == 0o700
     finally:
         os.umask(before)
-    with pytest.raises(RunError, match="exists already"):
+    with pytest.raises(RunError, match="already exists"):
         new_run_dir("r")
 
 

@@ -1,8 +1,8 @@
 """Every player of a launch file gives the same bits: processes, one process, replay.
 
-This contract holds the project together: what a study computes in one process is what the loop
-renders. It goes over every launch file that is installed. Equality is exact, not within a
-tolerance, because all call the same functions on the same floats in the same order.
+This contract holds the project together: what a study computes in one process, or a replay, is what
+the loop renders. It covers every installed launch file. Equality is exact, not within a tolerance,
+because all call the same functions on the same floats in the same order.
 """
 
 from __future__ import annotations
