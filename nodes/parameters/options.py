@@ -151,7 +151,7 @@ class Options:
 
     @classmethod
     def of(cls, *values: Any, **given: Any) -> Self:
-        """Read values given in Python, positional ones first; raises UsageError like the command."""
+        """Read values given in Python, positional first; raises UsageError like the command."""
         declared = cls.declared()
         places = [name for name, one in declared.items() if one.positional]
         rest = places[-1:] if places and declared[places[-1]].words.get("nargs") == "*" else []

@@ -23,7 +23,7 @@ STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posi
 ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
 """Programs of some milliseconds whose results are cached: the first caller is random."""
 CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile", "glfw.library")
-"""Modules that compile, or ask for a version, on first use: whether they start a process is random."""
+"""Modules that start a process at random: compilers, and version checks on first use."""
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
 

@@ -1,4 +1,4 @@
-"""What is given to a run besides its law acts the same on the nodes and in the loop of one axis, and is refused by shape."""
+"""What a run is given besides its law acts alike on the nodes and in one process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A | B: another law under the hand of a running launch has the bits of the launch file played with that hand."""
+"""A | B: a second law under a running launch's hand, with the bits of a played one."""
 
 from __future__ import annotations
 
