@@ -323,6 +323,15 @@ def test_every_scenario_and_every_verb_is_mentioned() -> None:
             )
 
 
+def test_every_study_is_explained() -> None:
+    """Studies and claims of the laboratory stand on sim/README.md, by their names."""
+    page = PAGES["sim/README.md"]
+    for name, point in VERBS.points().items():
+        group, _, verb = name.partition(".")
+        if point.package == OURS and group in ("study", "lab"):
+            assert re.search(rf"\b{group} {verb}\b|`{verb}`", page), f"haptic {group} {verb}"
+
+
 def test_nothing_is_shortened_that_is_not_there() -> None:
     typed = [
         command(line, {}).words
