@@ -252,8 +252,8 @@ def test_commands_of_tables_run(name: str, line: str, tmp_path: Path) -> None:
     if line.startswith(QUICK) and name == "README.md":
         typed_in(tmp_path, *command(line, SHORTER).words[1:])
     elif words[0] in ("study", "lab", "bench") and len(words) > 2:
-        own = Parser()
-        VERBS.load(".".join(words[:2])).add(own)
+        own, declaring = Parser(), parser_for(words[0]).parse_args(words[:2]).declare
+        declaring(VERBS.load(".".join(words[:2])), own)
         own.parse_args(words[2:])
     elif any(word.startswith("-") for word in words):
         parser_for(words[0]).parse_args(words)
