@@ -19,6 +19,7 @@ import sim.api
 from messages.errors import UsageError
 from nodes.parameters.options import options_of
 from sim.studies.design import design
+from sim.studies.design_options import DesignOptions
 from sim.studies.notebook_results import Result
 from sim.studies.result import Answer, StudyResult
 from tests.support.launching import assert_nothing_left, private_runtime_dir
@@ -122,8 +123,9 @@ def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None
 
 
 def test_options_are_read_as_the_command_line_reads_them() -> None:
-    options = options_of(design)
-    found: Any = options.of(
+    assert options_of(design) is DesignOptions
+    options = DesignOptions
+    found = options.of(
         land=False, every_delay=True, delays=[0, 1], rate=None, mass=(0.05, 0.2), hand="stylus_firm"
     )
     typed: Any = options.of(delays=["0", "1"], mass="0.05..0.2", every_delay=True, land=False)
