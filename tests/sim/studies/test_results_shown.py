@@ -51,7 +51,7 @@ def run(place: Path) -> haptic.Run:
 
 @functools.cache
 def studied() -> StudyResult:
-    """Run the slowest study once for all tests of its results."""
+    """Return one study for all tests, the slowest of the results."""
     return haptic.study("kmax", law="pd", gain="1..5", points=3)
 
 
@@ -64,7 +64,11 @@ MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     "Recorded": lambda run: run.recording,
     "RunSummary": lambda run: run.summary,
     "Answer": lambda _: studied(),
+    "KMaxFound": lambda _: haptic.study("kmax", law="pd", gain=3),
 }
+
+LAUNCHED = {"IdentifiedPlaces", "TuneResult"}
+"""Made of launches, which tests of identification and tuning start."""
 
 
 def kinds() -> set[type[Result]]:
@@ -76,7 +80,7 @@ def kinds() -> set[type[Result]]:
 
 
 def test_every_result_is_looked_at() -> None:
-    assert {kind.__name__ for kind in kinds()} == set(MAKERS)
+    assert {kind.__name__ for kind in kinds()} - LAUNCHED - {StudyResult.__name__} == set(MAKERS)
 
 
 @pytest.mark.process
