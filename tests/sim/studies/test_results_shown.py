@@ -20,6 +20,7 @@ from messages.errors import UsageError
 from nodes.parameters.options import options_of
 from sim.studies.design import design
 from sim.studies.design_options import DesignOptions
+from sim.studies.kmax import KMaxFound
 from sim.studies.notebook_results import Result
 from sim.studies.result import Answer, StudyResult
 from tests.support.launching import assert_nothing_left, private_runtime_dir
@@ -64,7 +65,7 @@ MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     "Recorded": lambda run: run.recording,
     "RunSummary": lambda run: run.summary,
     "Answer": lambda _: studied(),
-    "KMaxFound": lambda _: haptic.study("kmax", law="pd", gain=3),
+    KMaxFound.__name__: lambda _: haptic.study("kmax", law="pd", gain=3),
 }
 
 LAUNCHED = {"IdentifiedPlaces", "TuneResult"}
