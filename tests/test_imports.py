@@ -1,4 +1,4 @@
-"""What a command does not need it does not import; and a function of the Python API starts no command."""
+"""Commands import only what they need, and the Python API starts no command."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_command_imports_nothing_that_it_does_not_need(command: str, tmp_path:
 
 
 def test_the_python_api_starts_no_process_itself() -> None:
-    """Launches are started in sim/measure; studies, identification and tuning run in this process."""
+    """Launches start in sim/measure; studies, identification and tuning run in this process."""
     wrong = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for folder in ("sim/api", "sim/studies", "sim/tune")
