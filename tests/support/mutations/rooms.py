@@ -155,7 +155,7 @@ NAMED_RULES: Final = (
         "sim/identify/judge_fit.py",
         "IMPROBABLE = 1e-4",
         "IMPROBABLE = 0.0",
-        (FITS, "tests/sim/identify/test_refuted.py"),
+        ("tests/sim/identify/test_whiteness.py",),
     ),
     Mutation(
         "the windows' own states cost no degrees of freedom",
