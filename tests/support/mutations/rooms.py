@@ -162,7 +162,7 @@ NAMED_RULES: Final = (
         "sim/identify/judge_fit.py",
         "int((~unread).sum()) - own * len(residual) - unknowns.shape[1]",
         "int((~unread).sum())",
-        (FITS,),
+        ("tests/sim/identify/test_left.py",),
     ),
     Mutation(
         "models that hold are drawn without noise",
