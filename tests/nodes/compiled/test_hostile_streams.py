@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from messages.codec import MAX_PAYLOAD, encode
@@ -193,7 +193,20 @@ coming = st.lists(
 )
 
 
+AS_IT_IS = "as it is"
+
+
 @settings(max_examples=80)
+@example(
+    kind="driver",
+    stream=[
+        (0, 0, 0, AS_IT_IS),
+        (0, 0, 0, AS_IT_IS),
+        (2, 1, 1, AS_IT_IS),
+        (21, 2001, 0, "nothing"),
+        (22, 0, -1, AS_IT_IS),
+    ],
+)
 @given(kind=st.sampled_from(ALL), stream=coming)
 def test_late_repeated_overtaken_and_damaged_messages_in_any_order(
     kind: str, stream: list[tuple[int, int, int, str]], tmp_path: Path
