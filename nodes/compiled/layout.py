@@ -86,6 +86,8 @@ def _laid_out(where: str, kind: Any) -> Any:
 class LoopState:
     """The part of a state that all nodes have."""
 
+    here: int  # address of this state, for what is written straight out of it
+
     # Addresses of C functions
     zmq_recv: int
     zmq_send: int
@@ -149,11 +151,9 @@ class LoopState:
     unlooked: int  # ticks since the kernel looked for mail
     upstream: int  # 1 where a listener has sent something that must be taken in
 
-    # Numbers of the message read, and of the one to be written
+    # Numbers of the message read
     reals: Annotated[list[float], REALS]
     wholes: Annotated[list[int], WHOLES]
-    out_reals: Annotated[list[float], REALS]
-    out_wholes: Annotated[list[int], WHOLES]
 
 
 @cache

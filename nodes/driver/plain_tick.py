@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from messages import topics
-from messages.codec import Decoder, encode
+from messages.codec import Decoder
 from messages.transport.sockets import TimedOut
-from messages.types import DeviceState, Force, Vector
+from messages.types import Force
 from nodes.base import realtime
+from nodes.compiled.published import payload_of
 from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
-from nodes.driver.state import SAFETY, DriverState
+from nodes.driver.state import PUBLISHED, SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
 
-
-def _vector(values: Sequence[float]) -> Vector:
-    x, y, z = values
-    return x, y, z
+_payload = payload_of(PUBLISHED)
 
 
 class PlainTicks:
@@ -62,31 +59,10 @@ class PlainTicks:
         self._device.write_force((x, y, z), seq, offset)
         return True
 
-    def publish(self, s: DriverState, seq: int, stamp: float) -> None:
+    def publish(self, s: DriverState, seq: int, stamp: float) -> None:  # noqa: ARG002  # the port's
         """Send the state of a tick to the next hop."""
-        payload = encode(
-            DeviceState(
-                seq=seq,
-                stamp=stamp,
-                position=_vector(s.position),
-                force=_vector(s.force),
-                mean_force=_vector(s.acting),
-                changed_at=s.changed_at,
-                force_seq=s.force_seq,
-                age=s.age,
-                response=s.response,
-                lateness=s.lateness,
-                missed=s.missed,
-                overruns=s.overruns,
-                safety=SAFETY[s.safety],
-                energy=s.energy,
-                delay=s.delay,
-                guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
-                target=_vector(s.target),
-                surplus=s.guard_surplus,
-                rebased=s.rebased,
-            )
-        )
+        s.stamp = stamp
+        payload = _payload(s, SAFETY[s.safety])
         s.states_sent += 1
         # before sending: under FIFO the whole chain may run before the call returns
         s.sampled = self._clock()
