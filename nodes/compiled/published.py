@@ -8,7 +8,7 @@ state, where the rule that computes it puts it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from ctypes import c_double, c_int64
+from ctypes import Array, c_double, c_int64
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -59,7 +59,7 @@ def published(
             found[field.encode_name] = "text"
             offsets.append(-1)
             continue
-        if kind is not wanted and (first is None or kind is None or kind._type_ is not c_double):
+        if kind is not wanted and not _has_part(kind, first, wanted):
             raise TypeError(
                 f"{message.__name__}.{field.name}: {state.__name__} has no {name!r} of that kind;"
                 " add it, or name its variable in the publish table"
@@ -75,6 +75,15 @@ def _kind_of(annotation: Any) -> Any:
     if annotation == Vector:
         return c_double * 3
     return _NUMBERS.get(plain, plain)
+
+
+def _has_part(kind: Any, first: int | None, wanted: Any) -> bool:
+    """Return whether an array has a number or a vector from an index on."""
+    if first is None or not issubclass(kind or int, Array):
+        return False
+    size = 1 if wanted in _NUMBERS.values() else 3
+    item = wanted if size == 1 else c_double
+    return kind._type_ is item and 0 <= first <= kind._length_ - size
 
 
 def _value_of(name: str, first: int | None, wanted: Any, is_flag: bool) -> str:
