@@ -14,7 +14,7 @@ from nodes.compiled.kernels.scan import make_match, make_scan
 from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import fields_of, slots
-from nodes.environment.meet import meet_flat
+from nodes.environment.flat import meet_flat
 from nodes.environment.spent import note_spent
 from nodes.environment.state import INSIDE, JUMPED, PUBLISHED, EnvironmentState, tell_jump
 

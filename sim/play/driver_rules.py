@@ -14,7 +14,7 @@ from nodes.driver.device import DeviceLimits
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.motion import act, set_motion
 from nodes.driver.passivity import PassivityParameters, set_guard
-from nodes.driver.safety import set_safety
+from nodes.driver.safety_setup import set_safety
 from nodes.driver.state import DriverState
 from nodes.driver.tick import decide, take_sample
 from sim.device.model import DeviceModel

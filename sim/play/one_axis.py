@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from nodes.driver.limits import SafetyParameters, start_ramp
 from nodes.driver.passivity import PassivityParameters, line_of
-from nodes.driver.safety import REACH, pressed_ticks
+from nodes.driver.safety import REACH
+from nodes.driver.safety_setup import pressed_ticks
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
 from sim.arrays import Array

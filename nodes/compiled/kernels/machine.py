@@ -11,9 +11,9 @@ from typing import Any, TypeAlias, TypeVar
 
 import numba
 from llvmlite import ir
-from numba.core.typing import signature
-from numba.extending import intrinsic, lower_builtin, overload, type_callable
-from numba.np.arrayobj import make_array, populate_array
+from numba.core import typing
+from numba.extending import intrinsic, overload
+from numba.np import arrayobj
 
 from nodes.compiled.memory import pairs_at, shared_real, shared_whole
 from nodes.compiled.memory import reals_at as reals_at
@@ -21,6 +21,9 @@ from nodes.compiled.memory import wholes_at as wholes_at
 
 # Of numba a type checker sees only a part.
 types: Any = numba.types
+arrays: Any = arrayobj
+extending: Any = numba.extending
+signature: Any = getattr(typing, "signature")  # noqa: B009
 
 Intrinsic: TypeAlias = Any  # a function that exists in compiled code only
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -136,13 +139,13 @@ def _look_at(function: Callable[..., Any], item: Any, *others: int) -> None:
 
     def lower(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
         address, length = arguments
-        made = make_array(array)(context, builder)
+        made = arrays.make_array(array)(context, builder)
         size = context.get_abi_sizeof(context.get_data_type(item))
         shape = [length, *(context.get_constant(types.intp, n) for n in others)]
         steps = [size]
         for n in others:
             steps.insert(0, steps[0] * n)
-        populate_array(
+        arrays.populate_array(
             made,
             data=builder.inttoptr(address, made.data.type),
             shape=shape,
@@ -152,8 +155,9 @@ def _look_at(function: Callable[..., Any], item: Any, *others: int) -> None:
         )
         return made._getvalue()
 
-    type_callable(function)(lambda _: lambda address, count_: signature(array, *count))  # noqa: ARG005
-    lower_builtin(function, *count)(lower)
+    typed = extending.type_callable(function)
+    typed(lambda _: lambda address, length: signature(array, *count))  # noqa: ARG005
+    extending.lower_builtin(function, *count)(lower)
 
 
 _look_at(reals_at, types.float64)
