@@ -8,7 +8,6 @@ code. A name with a dot is a sub-verb: ``study.kmax``.
 import argparse
 import ast
 import contextlib
-import difflib
 import io
 import json
 import os
@@ -26,6 +25,7 @@ from nodes.base.kept_line import is_smart
 from nodes.base.printable import COLOURS, printable
 from nodes.base.stderr_queue import drain_stderr
 from nodes.parameters.installed import OURS, version
+from nodes.parameters.nearest import did_you_mean
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
@@ -63,7 +63,7 @@ class Parser(argparse.ArgumentParser):
         """Complain and exit with 2."""
         wrong = _CHOICE.search(message)
         if wrong is not None:
-            message += _probably(
+            message += did_you_mean(
                 wrong["given"], (word.strip("'\" ") for word in wrong["known"].split(","))
             )
         super().error(message)
@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
     def refuse(self, words: list[str]) -> NoReturn:
         """Complain about words that nothing takes."""
         options = [word.partition("=")[0] for word in words if word.startswith("-")]
-        hint = _probably(options[0], self._option_string_actions) if options else ""
+        hint = did_you_mean(options[0], self._option_string_actions) if options else ""
         super().error(f"unrecognized arguments: {' '.join(words)}{hint}")
 
 
@@ -83,12 +83,6 @@ def verbs() -> list[str]:
 def sub_verbs(verb: str) -> dict[str, str]:
     """List the sub-verbs that are registered for a verb: name, and the name with the verb's."""
     return {name.partition(".")[2]: name for name in VERBS.names() if name.startswith(f"{verb}.")}
-
-
-def _probably(given: str, known: Iterable[str]) -> str:
-    return "".join(
-        f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1)
-    )
 
 
 def add_run_name(parser: argparse.ArgumentParser) -> None:
