@@ -11,7 +11,7 @@ from typing import Any
 
 def make_lean() -> None:
     """Change numba in this process: no counting of references, and nothing computed twice."""
-    from numba.core import targetconfig, types
+    from numba.core import ir, targetconfig, typed_passes, types
     from numba.core.cpu import CPUContext
     from numba.core.runtime.context import NRTContext
 
@@ -20,6 +20,9 @@ def make_lean() -> None:
     options: Any = targetconfig.TargetConfig
     record: Any = types.Record
     context: Any = CPUContext
+    function: Any = types.functions.BaseFunction
+    passes: Any = typed_passes
+    instruction: Any = ir.Inst
 
     # A kernel's memory belongs to Python, which holds it: there is nothing to count.
     counts.incref = counts.decref = lambda *_: None
@@ -55,3 +58,33 @@ def make_lean() -> None:
 
     options.__eq__ = same
     options.__hash__ = lambda self: hash(type(self))
+
+    # An operator on numbers is tried on lists, sets and texts each time, and why not is written down.
+    resolve = function.get_call_type
+    resolved: dict[Any, Any] = {}
+    plain = types.Number, types.Boolean, types.Literal
+
+    def resolve_once(self: Any, typing: Any, args: Any, kws: Any) -> Any:
+        if kws or not all(isinstance(kind, plain) for kind in args):
+            return resolve(self, typing, args, kws)
+        key = id(self), tuple(args)
+        if key not in resolved:
+            resolved[key] = self, resolve(self, typing, args, kws)
+        return resolved[key][1]
+
+    function.get_call_type = resolve_once
+
+    # Expressions of whole arrays are joined into one loop; a kernel has none.
+    passes.NopythonRewrites.run_pass = lambda *_: False
+
+    # Which variables an expression has is asked for eight times, of names and numbers too.
+    list_vars = instruction._rec_list_vars
+    without = {str, int, float, bool, type(None), ir.Loc}
+
+    def list_vars_of(self: Any, value: Any) -> Any:
+        kind = type(value)
+        if kind is ir.Var:
+            return [value]
+        return [] if kind in without else list_vars(self, value)
+
+    instruction._rec_list_vars = list_vars_of

@@ -9,7 +9,7 @@ import msgspec
 from messages import topics
 from nodes.base import realtime
 from nodes.base.node import Node
-from nodes.base.node_kinds import load, node_kinds
+from nodes.base.node_kinds import drives, is_hop, load, node_kinds
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.chain_load import estimated, spread
@@ -28,17 +28,8 @@ FIFO = 50
 def chains_of(launch: Launch) -> list[str]:
     """List the namespaces of a launch's chains: of the nodes that publish a device's state."""
     factories = node_kinds()
-    drives = [
-        name
-        for name, spec in launch.nodes.items()
-        if topics.DEVICE_STATE in load(factories[spec.kind]).publishes
-    ]
-    return list(dict.fromkeys(name.rpartition("/")[0] for name in drives))
-
-
-def is_hop(kind: type[Node]) -> bool:
-    """Whether a node of this kind is one of the loop, and not a listener."""
-    return any(topic in kind.publishes for topic in topics.LOOP)
+    drivers = [name for name, spec in launch.nodes.items() if drives(load(factories[spec.kind]))]
+    return list(dict.fromkeys(name.rpartition("/")[0] for name in drivers))
 
 
 def _cores(launch: Launch) -> dict[str, int | None]:
@@ -194,7 +185,7 @@ def _setup(
     namespace = name.rpartition("/")[0]
     is_by_hand = bool(spec.by_hand or spec.host)
     any_by_hand = any(other.by_hand or other.host for other in launch.nodes.values())
-    devices = [one for one in graph.classes.values() if topics.DEVICE_STATE in one.publishes]
+    devices = filter(drives, graph.classes.values())
     knows_plant = has_plant(kind)
     return Setup(
         run="",
