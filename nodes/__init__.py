@@ -1,1 +1,1 @@
-"""The processes: node base, driver, environment, coupling and its laws, logger, launcher, command line."""
+"""Processes of a launch: node base, driver, environment, coupling, logger, launcher, CLI."""

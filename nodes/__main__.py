@@ -1,15 +1,13 @@
-"""The entry of a node's process: ``python -m nodes SETUP_FILE LAUNCHER``."""
+"""Entry point of a node's process: ``python -m nodes SETUP_FILE LAUNCHER``."""
 
 import gc
 import signal
 import sys
 
 if __name__ == "__main__":
-    # Before anything starts a thread: a signal that comes while the node is being imported waits
-    # until the node heeds it.
+    # Before any thread starts: signals during the import wait until the node handles them.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
-    # Until all is imported: what imports make stays, and looking through it again and again takes a
-    # tenth of the start.
+    # Imported objects stay, and collecting again and again takes a tenth of the start-up.
     gc.disable()
     from nodes.base.process import start
     from nodes.compiled.load import load_kernel

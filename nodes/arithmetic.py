@@ -1,22 +1,24 @@
-"""The arithmetic of one tick on one axis, as plain functions on floats.
+"""Arithmetic of one tick on one axis, as plain functions on floats.
 
-The nodes call these functions as they stand; the one-process simulator compiles *the same
-functions* with numba (no fastmath), which gives the same bits. So they use nothing but floats,
-comparisons and indexing, and they add in a fixed order. A term that a scene does not have is passed
-as None: numba compiles a separate version without it.
+The nodes call these functions interpreted; the one-process simulator compiles *the same functions*
+with numba (no fastmath), with equal bits. So they use only floats, comparisons and indexing, and
+add in a fixed order. Absent terms are None: numba compiles a separate version without them.
 """
 
 from collections.abc import MutableSequence, Sequence
 
 from nodes.compiled.rules import rule
 
-# part of each tick's delay in the measured one: a mean over some 64 ticks, not thrown by a late one
+# Weight of each tick in the measured delay: a mean over 64 ticks, robust against a late one.
 SMOOTHING = 1.0 / 64.0
 
 
 @rule
 def plane_distance(position: float, surface: float, normal: float) -> float:
-    """Signed distance to a plane across one axis [m]: along its normal, ±1, negative inside the wall."""
+    """Return the signed distance to a plane across an axis [m], negative inside the wall.
+
+    `normal` is ±1.
+    """
     return (position - surface) * normal
 
 
@@ -24,11 +26,12 @@ def plane_distance(position: float, surface: float, normal: float) -> float:
 def deflection(
     position: float, proxy: float, distance: float, normal: float, contact: bool, raw: bool
 ) -> float:
-    """Deflection of the coupling [m], in the direction in which it pushes the device: from the device to its proxy.
+    """Return the deflection from the device to its proxy [m].
 
-    `raw` says what feeds the derivative's history outside contact: the raw distance (True) or zero
-    (False). The paper does not say; the choice moves the K_max of the drop test by up to 17 %.
-    `distance` is negative inside, `normal` the component of the outward normal on this axis.
+    `raw` selects what enters the derivative's history outside contact: the raw distance (True) or
+    zero (False). The paper does not specify it; the choice changes the K_max of the drop test by up
+    to 17 %. `distance` is negative inside, `normal` the component of the outward normal on this
+    axis.
     """
     if contact or not raw:
         return proxy - position
@@ -37,10 +40,11 @@ def deflection(
 
 @rule
 def push(history: MutableSequence[float], head: int, length: int, value: float) -> int:
-    """Put the newest deflection in front of a history that remembers so many, in place; the new head.
+    """Insert the newest deflection into a history of `length` values; return the new head.
 
-    The history is a ring written twice, ``length`` apart, so that the newest ``length`` values are
-    always contiguous: ``history[head]`` is the newest, ``history[head + m]`` is m ticks old.
+    The history is a ring buffer written twice, ``length`` apart, so that the newest ``length``
+    values are always contiguous: ``history[head]`` is the newest, ``history[head + m]`` is m ticks
+    old.
     """
     head = head - 1 if head > 0 else length - 1
     history[head] = value
@@ -50,7 +54,7 @@ def push(history: MutableSequence[float], head: int, length: int, value: float) 
 
 @rule
 def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
-    """Force [N] of taps h_0 ... h_n [N/m] over the history, added from the newest value to the oldest."""
+    """Return the force of taps h_0 … h_n [N/m] over the history [N], summed newest first."""
     force = 0.0
     for m in range(len(taps)):
         force += taps[m] * history[head + m]
@@ -61,11 +65,12 @@ def fir(taps: Sequence[float], history: Sequence[float], head: int) -> float:
 def one_sided(
     force: float, normal: float, along: float, contact: bool, raw: bool, clamp: bool
 ) -> float:
-    """Contact conventions for a law's force on an axis [N]: none outside a raw-history wall, no pull to the wall when clamped.
+    """Apply the contact conventions to a law's force on an axis [N].
 
-    What pulls is the part of the force along the normal (`along`, summed over all axes), not what
-    its axes do by themselves: on a surface that leans, a force that draws the device along it has
-    components against the normal's, and is none that pulls. A two-sided coupling has the normal 0.
+    Outside a raw-history wall the force is zero; if `clamp`, it never pulls to the wall. What pulls
+    is the part of the force along the normal (`along`, summed over all axes), not single
+    components: on an inclined surface a tangential force has components against the normal's. A
+    two-sided coupling has the normal 0.
     """
     if raw and not contact:
         return 0.0
@@ -76,7 +81,7 @@ def one_sided(
 
 @rule
 def limit(force: float, previous: float, peak: float | None, slew: float | None) -> float:
-    """Limit the magnitude of a force [N], and its change from the one of the tick before; None is no limit."""
+    """Limit a force and its change from the previous tick's [N]; None is no limit."""
     if peak is not None:
         if force > peak:
             force = peak
@@ -94,7 +99,7 @@ def limit(force: float, previous: float, peak: float | None, slew: float | None)
 def limit_within_tick(
     force: float, previous: float, peak: float | None, slew: float | None, slewed: float
 ) -> float:
-    """Limit a force as `limit` does where several in one tick share one slew, of which `slewed` is spent [N]."""
+    """Limit a force like `limit` if several in one tick share a slew, `slewed` of it used [N]."""
     if slew is None:
         return limit(force, previous, peak, None)
     return limit(force, previous, peak, max(slew - slewed, 0.0))
@@ -104,10 +109,10 @@ def limit_within_tick(
 def sections(
     coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float
 ) -> float:
-    """Force of parallel second-order recursive sections, y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂ each, summed in order [N].
+    """Return the force of parallel second-order recursive sections [N], summed in order.
 
-    `coefficients` holds b0, b1 [N/m], a1, a2 of each section, `state` y₋₁, y₋₂ [N] of each, changed
-    in place.
+    Each is y = b0·x + b1·x₋₁ − a1·y₋₁ − a2·y₋₂. `coefficients` holds b0, b1 [N/m], a1, a2 of each
+    section, `state` y₋₁, y₋₂ [N] of each, updated in place.
     """
     force = 0.0
     for i in range(len(state) // 2):
@@ -136,7 +141,7 @@ def newest_gain(taps: Sequence[float], coefficients: Sequence[float]) -> float:
 def revise_sections(
     coefficients: Sequence[float], state: MutableSequence[float], by: float
 ) -> None:
-    """Correct sections in place that have seen a newest deflection which is too large by `by` [m]."""
+    """Correct sections in place after a newest deflection that was too large by `by` [m]."""
     for i in range(len(state) // 2):
         state[2 * i] -= coefficients[4 * i] * by
 
@@ -148,10 +153,10 @@ def warm_up(
     head: int,
     length: int,
 ) -> None:
-    """Bring recursive sections up to date by replaying the history, so that they swap as smoothly as taps do.
+    """Initialise recursive sections by replaying the history, so that they swap smoothly.
 
-    Called between two ticks, with a fresh state (zeros): after it, `sections` may be called with
-    the next deflection. A history remembers at least two values.
+    Called between two ticks with a zero state; afterwards `sections` may be called with the next
+    deflection. A history has at least two values.
     """
     for m in range(length - 2, -1, -1):
         sections(coefficients, state, history[head + m], history[head + m + 1])
@@ -159,20 +164,18 @@ def warm_up(
 
 @rule
 def cross_fade(old: float, new: float, done: int, ramp: int) -> float:
-    """Force during a cross-fade from one law to another, both evaluated over the same history [N].
+    """Return the force during a cross-fade between laws over the same history [N].
 
-    `done` are the ticks since the swap, 0 for the first one; tick ``ramp`` − 1 has all of the new
-    law.
+    `done` counts the ticks since the swap from 0; tick ``ramp`` − 1 has the new law only.
     """
     weight = (done + 1) / ramp
     return (1.0 - weight) * old + weight * new
 
 
 def settle(coefficients: Sequence[float], state: MutableSequence[float], value: float) -> None:
-    """Put recursive sections where they come to rest under a deflection that has always been `value`, in place.
+    """Set recursive sections to their equilibrium under a constant deflection, in place.
 
-    A section whose recursion does not forget (its poles add up to 1) has no such place: it begins
-    at zero.
+    A section that does not forget (its poles sum to 1) has none and starts at zero.
     """
     for i in range(len(state) // 2):
         left = 1.0 + coefficients[4 * i + 2] + coefficients[4 * i + 3]
@@ -184,16 +187,16 @@ def settle(coefficients: Sequence[float], state: MutableSequence[float], value: 
 
 @rule
 def eased(asked: float, felt: float, offset: float, done: int, ramp: int) -> float:
-    """Force on its way from what was felt at a jump to what is asked now [N].
+    """Return the force between what was felt at a jump and what is requested now [N].
 
-    `offset` is felt − asked at the jump; it fades out over `ramp` ticks, of which `done` are over.
-    The loop keeps the whole stiffness and damping of its law meanwhile. The force stays between
-    both, so that an offset never pulls where neither does.
+    `offset` is felt − asked at the jump; it fades over `ramp` ticks, of which `done` have passed.
+    The loop has the law's full stiffness and damping meanwhile. The force stays between both, so
+    that an offset never pulls where neither does.
     """
     if done + 1 >= ramp:
         return asked
     force = asked + offset * (1.0 - (done + 1) / ramp)
-    least, most = (asked, felt) if asked < felt else (felt, asked)
-    if force < least:
-        return least
-    return most if force > most else force
+    low, high = (asked, felt) if asked < felt else (felt, asked)
+    if force < low:
+        return low
+    return high if force > high else force

@@ -1,9 +1,8 @@
-"""The forwarder: one process of a launch at which every user of this machine may listen to the nodes that allow it.
+"""The forwarder: lets every user of this machine subscribe to the nodes that allow it.
 
-A launch with ``open_port:`` at one of its nodes has one; nobody writes it down. It subscribes as
-any listener of the same user does, and publishes the same frames at those ports. Whatever strangers
-do to it, they do it to no process of the loop: it dies alone, and is started again for as long as
-the launch lives.
+A launch adds one if a node has ``open_port:``. It subscribes like any subscriber of the same user,
+and publishes the same frames at those ports. Whatever strangers do, they reach no process of the
+loop: only the forwarder dies, and is restarted while the launch runs.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,28 +17,28 @@ from messages.transport.sockets import Subscription
 from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import Setup
 
-QUEUE = 20_000  # messages that wait while strangers keep this process busy
-LAST_MS = 50  # how long no message may come at the end before all have [ms]
+QUEUE = 20_000  # messages queued while strangers keep this process busy
+LAST_MS = 50  # silence after which all messages are forwarded at the end [ms]
 
 
 class ForwarderParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a forwarder.
 
-    ports: Node to the tcp port on loopback at which everybody may listen to it.
+    ports: Node to the tcp port on loopback at which everybody may subscribe to it.
     """
 
     ports: dict[str, Annotated[int, msgspec.Meta(ge=1, le=65535)]]
 
 
 class Forwarder(Node):
-    """Publishes what some nodes publish to all users of this machine."""
+    """Publishes the messages of some nodes to all users of this machine."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = ForwarderParameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
 
     @classmethod
     def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
-        """Tell whom it listens to."""
+        """Return the nodes that it subscribes to."""
         return frozenset(parameters.ports).intersection(nodes)
 
     def __init__(self, setup: Setup) -> None:
@@ -47,7 +46,7 @@ class Forwarder(Node):
         self._lines: list[tuple[Subscription, OpenPort]] = []
 
     def configure(self) -> None:
-        """Open the ports, so that one that is taken fails the start."""
+        """Open the ports, so that an occupied one fails the start."""
         parameters: ForwarderParameters = self.store.current
         self._strangers = new_context()
         self._ports = {
@@ -58,7 +57,7 @@ class Forwarder(Node):
     def connect(
         self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]
     ) -> None:
-        """Listen to the nodes."""
+        """Subscribe to the nodes."""
         for node, port in self._ports.items():
             self._lines.append((subscribe([self.setup.sources[node]], [""], QUEUE), port))
 
@@ -72,7 +71,7 @@ class Forwarder(Node):
         return True
 
     def loop(self) -> None:
-        """Pass messages on until stopped, then what is still under way."""
+        """Forward messages until stopped, then those in flight."""
         self.state = "running"
         poller = zmq.Poller()
         for subscription, _ in self._lines:
@@ -80,7 +79,7 @@ class Forwarder(Node):
         while not self.stopping:
             poller.poll(IDLE_MS)
             for line in self._lines:
-                # As many as waited; who has much to say must not silence the others.
+                # Bounded, so that a busy node does not block the others.
                 for _ in range(QUEUE):
                     if not self._pass_on(*line):
                         break

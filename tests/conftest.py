@@ -1,4 +1,4 @@
-"""What several rooms of tests start from: a ZeroMQ context, a place for a socket, keys of their own, the machine."""
+"""Shared fixtures: a ZeroMQ context, a socket path, keys, and shares of the machine."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_c
 hypothesis.settings.load_profile("untimed")
 
 
-LONGEST = (
+LONG_FILES = (
     "tests/test_pages.py",
     "tests/test_extending.py",
     "tests/sim/tune",
@@ -68,17 +68,17 @@ LONGEST = (
     "tests/test_house.py",
     "tests/test_fuzz.py",
 )
-"""What takes minutes comes first: a long file that begins last is waited for by one processor alone."""
+"""Files that take minutes run first: started last, one would keep a single processor busy."""
 
 
 def _asks_for_all(config: pytest.Config) -> bool:
-    """Return whether folders, files or tests are named, and no markers: what is named is all run but the slow."""
+    """Whether folders, files or tests are named without markers: then all but slow ones run."""
     named = config.args_source is pytest.Config.ArgsSource.ARGS
     return named and not any(word.startswith("-m") for word in config.invocation_params.args)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse an installation older than pyproject.toml; run what starts processes where it is named."""
+    """Refuse an installation older than pyproject.toml; include process tests if named."""
     if not hasattr(config, "workerinput") and _asks_for_all(config):
         config.option.markexpr = "not slow"
     groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
@@ -94,11 +94,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files first, those with a browser apart, and last those that are judged in real time.
+    """Run the longest files first, browser tests apart, and real-time tests last.
 
-    Each test of the last waits for whatever the other workers are at; at the end that is nothing
-    long. A browser draws with both processors of a small machine: two at once, each beside a launch
-    in real time, would test nothing but the load.
+    A real-time test waits for what the other workers are running, which at the end is nothing long.
+    A browser draws with both processors of a small machine: two at once, each beside a real-time
+    launch, would only test the load.
     """
     alone = {item.path for item in items if item.get_closest_marker("realtime") is not None}
     for item in items:
@@ -110,7 +110,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
     def length(item: pytest.Item) -> int:
         return next(
-            (i for i, start in enumerate(LONGEST) if item.nodeid.startswith(start)), len(LONGEST)
+            (i for i, start in enumerate(LONG_FILES) if item.nodeid.startswith(start)),
+            len(LONG_FILES),
         )
 
     items.sort(key=length)
@@ -127,18 +128,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 WORKERS = len(os.sched_getaffinity(0)) + 2
-"""Two more than there are processors: a good part of the suite waits, for processes and for real time."""
+"""Two more than the processors: many tests wait for processes and for real time."""
 
 
 SLOW = 0.04
-"""Time of a million additions, above which the suite computes more than it waits [s]. Usual are some 0.025 s; where they took
-0.05 to 0.11 s, four workers on two processors were slower than two, and 21 tests ran into deadlines
-that they keep by two.
+"""Time of a million additions above which a machine counts as slow [s].
+
+Usual are 0.025 s. At 0.05 to 0.11 s, four workers on two processors were slower than two, and 21
+tests missed deadlines that they keep by a factor of two.
 """
 
 
 def _million_additions() -> float:
-    """Measure how long a million additions take of a processor [s]."""
+    """Measure the time of a million additions [s]."""
     begun, total = time.process_time(), 0
     for number in range(1_000_000):
         total += number
@@ -146,7 +148,7 @@ def _million_additions() -> float:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Take as many workers as there are, by `-n auto`, and on a slow machine one a processor."""
+    """Return the workers for `-n auto`: WORKERS, or one per processor on a slow machine."""
     return (
         WORKERS if statistics.median(_million_additions() for _ in range(7)) < SLOW else WORKERS - 2
     )
@@ -154,7 +156,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Hold the machine from before a test's fixtures are set up until they are gone."""
+    """Reserve the machine from before a test's fixtures are set up until they are gone."""
     worker = getattr(item.config, "workerinput", None)
     # What will be skipped needs no machine, and must not wait until it has one.
     if worker is None or any(all(mark.args) for mark in item.iter_markers("skipif")):

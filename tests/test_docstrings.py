@@ -1,4 +1,4 @@
-"""The public surface is written down and documented in full; everything else has at least a sentence.
+"""The public surface is listed and documented in full; everything else has a sentence.
 
 A module belongs to the surface when it has ``__all__``; nodes/EXTENDING.md lists those modules.
 """
@@ -49,7 +49,7 @@ def own(module: ModuleType) -> Iterator[tuple[str, Any]]:
 
 
 def functions(module: ModuleType) -> Iterator[tuple[str, FunctionType, bool]]:
-    """Public functions and methods of a module, and whether each one fills in what a base has documented."""
+    """Yield public functions and methods, and whether each overrides a documented one."""
     for name, thing in own(module):
         thing = inspect.unwrap(getattr(thing, "py_func", thing))
         if isinstance(thing, FunctionType):

@@ -1,6 +1,6 @@
-"""nodes/EXTENDING.md is true: its packages are written to disk as they stand, installed beside this project and used.
+"""The packages of nodes/EXTENDING.md work as printed, installed beside this project.
 
-The environment is a fresh one that sees what is installed here; nothing is downloaded.
+They are installed in a fresh environment that sees what is installed here; nothing is downloaded.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OFFLINE = {
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path, Path]]:
-    """Write the files of the page and make an environment; folder, runtime directory, programs."""
+    """Write the page's files and create an environment; return folder, runtime dir, programs."""
     folder = tmp_path_factory.mktemp("extending")
     for name, text in FILES.items():
         path = folder / name
@@ -78,7 +78,7 @@ def test_every_group_has_an_example() -> None:
 
 @pytest.mark.slow  # as is the block that writes the tape
 def test_the_tape_holds_the_forces_of_the_floor(places: tuple[Path, Path, Path]) -> None:
-    """The device of the page got what a floor of 500 N/m gives at 3 mm, and a soft stop to zero at the end."""
+    """The page's device gets a 500 N/m floor's force at 3 mm, and a soft stop to zero."""
     lines = (places[0] / "forces.txt").read_text(encoding="ascii").splitlines()
     forces = [[float(word) for word in line.split()[1:]] for line in lines]
     assert [0.0, 0.0, 1.5] in [[round(value, 9) for value in force] for force in forces]

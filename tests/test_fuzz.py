@@ -1,16 +1,16 @@
-"""Every parser against damaged input: it may only raise the error it documents.
+"""Every parser with damaged input: it may raise only the documented error.
 
-Valid inputs of each parser are cut, spliced, repeated, flipped and sprinkled with the values at
-which formats break. The test set does a few hundred per parser; a long run is asked for with::
+Valid inputs of each parser are cut, spliced, repeated, flipped and mixed with values at which
+formats break. The test set does a few hundred per parser; a long run is requested with::
 
     HAPTIC_FUZZ_SECONDS=600 pytest tests/test_fuzz.py
 
-which shares the seconds among the parsers, or by the number of inputs that each parser gets::
+which shares the seconds among the parsers, or by the number of inputs per parser::
 
     HAPTIC_FUZZ_INPUTS=10000000 pytest tests/test_fuzz.py -k "wire or request"
 
-HAPTIC_FUZZ_SEED=… repeats or varies it. What breaks a parser is shown as a Python literal, to
-become a test of that parser.
+HAPTIC_FUZZ_SEED=… repeats or varies it. An input that breaks a parser is shown as a Python literal,
+to become a test of that parser.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ from nodes.recording.writer import RecordError, RecordWriter
 from nodes.view import server
 from nodes.view.commands import Commander, CommandError
 from nodes.view.shared_hand import SharedHand
-from tests.nodes.compiled.test_messages import assert_read_alike
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.recorded import drop
+from tests.support.scanned import assert_read_alike
 from tests.support.setups import setup_of
 
 SECONDS = float(os.environ.get("HAPTIC_FUZZ_SECONDS", "0"))
@@ -65,14 +65,19 @@ EXAMPLES = 100
 
 TELLING = [
     *(bytes([value]) * count for value in (0x00, 0xFF, 0x7F, 0x80, 0xC1) for count in (1, 2, 4, 8)),
-    *(value.to_bytes(8, order) for value in (1, 2**31, 2**32 - 1, 2**63 - 1, 2**63) for order in ("little", "big")),
-    b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00", b"\x91" * 2000, b"\xdd\xff\xff\xff\xff",
-    b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd9\xff", b"[" * 200, b"{" * 200, b"- " * 50, b"&a *a", b"<<: ",
-    b"!!python/object/apply:os.system", b"!!binary x", b"!!timestamp 1", b"2026-13-45", b"1:99:99", b".nan", b"-.inf",
-    b"1e400", b"0o99", b"0x", b"? ", b"\t", b"\r", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"$(var x)", b"---\n", b"...\n",
+    *(value.to_bytes(8, order) for value in (1, 2**31, 2**32 - 1, 2**63 - 1,
+    2**63) for order in ("little", "big")),
+    b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", b"\xcb\x7f\xf0\x00\x00\x00\x00\x00\x00",
+    b"\x91" * 2000, b"\xdd\xff\xff\xff\xff",
+    b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd9\xff", b"[" * 200, b"{" * 200,
+    b"- " * 50, b"&a *a", b"<<: ",
+    b"!!python/object/apply:os.system", b"!!binary x", b"!!timestamp 1", b"2026-13-45", b"1:99:99",
+    b".nan", b"-.inf",
+    b"1e400", b"0o99", b"0x", b"? ", b"\t", b"\r", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"$(var x)",
+    b"---\n", b"...\n",
     b"%YAML 9.9\n",
 ]  # fmt: skip
-"""What formats break at: limits of integers, longest lengths, deep nests, tags, marks, halves of characters."""
+"""Values at which formats break: integer limits, lengths, deep nests, tags, characters."""
 
 
 def damage(luck: random.Random, corpus: list[bytes]) -> bytes:
@@ -103,7 +108,7 @@ def damage(luck: random.Random, corpus: list[bytes]) -> bytes:
 
 
 class Target(NamedTuple):
-    """A parser, valid inputs of it, and what it may raise."""
+    """A parser, valid inputs, and the exceptions it may raise."""
 
     name: str
     corpus: list[bytes]
@@ -147,7 +152,7 @@ def _recover(content: bytes) -> None:
 
 
 def _parts(recording: bytes) -> list[Target]:
-    """Each kind of record by itself: what a checksum hides from the fuzzing of whole files."""
+    """Return each kind of record alone: checksums hide them from fuzzing of whole files."""
     kinds: dict[str, tuple[int, Callable[[Path, mcap_walk.Record], object]]] = {
         "channel": (4, mcap_walk.parse_channel),
         "schema": (3, mcap_walk.parse_schema),
@@ -195,7 +200,7 @@ def _law(text: str) -> None:
 
 
 def _starter(starter: Starter) -> Callable[[bytes], object]:
-    """Judge what a launcher on another machine hands over."""
+    """Check a setup from a launcher on another machine."""
 
     def accept(content: bytes) -> None:
         try:
@@ -209,7 +214,7 @@ def _starter(starter: Starter) -> Callable[[bytes], object]:
 
 
 def _waiting() -> Starter:
-    """Make a node that waits for its launcher, with keys made for it alone."""
+    """Create a node that waits for its launcher, with its own keys."""
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("HAPTIC_KEYS", folder)
         keys.new_identity()
@@ -255,7 +260,7 @@ def _identity() -> bytes:
 
 
 def _page_request(content: bytes) -> None:
-    """Do what a page asks in a run without nodes: no request can be granted, and none may be answered otherwise."""
+    """Execute a page's request in a run without nodes, where every request must be refused."""
     request = server._decoded(content)
     if request is not None and request.get("op") == "hand":
         server._moved(cast("server.Page", _NoHand()), request.get("target"))
@@ -267,7 +272,7 @@ def _page_request(content: bytes) -> None:
 
 
 class _NoHand:
-    """A page whose hand is a file, as a driver maps it."""
+    """A page whose hand is a file mapped by a driver."""
 
     def hand(self, target: Sequence[float] | None) -> str:
         with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
@@ -280,7 +285,7 @@ class _NoHand:
 
 
 def targets() -> list[Target]:
-    """List every parser of the project that reads what others wrote."""
+    """Return every parser of the project that reads external data."""
     wire = [(topic, encode(message)) for topic, message in drop(12, switch=5)]
     wire += [("/a/event", encode(Event(seq=1, stamp=0.1, node="a", kind="k", reason="r")))]
     wire += [
@@ -389,7 +394,7 @@ TARGETS = targets()
 
 
 def attempt(target: Target, luck: random.Random) -> bool:
-    """Damage an input and parse it; True when it was still valid."""
+    """Damage an input and parse it; return True if it was still valid."""
     content = damage(luck, target.corpus)
     try:
         target.parse(content)

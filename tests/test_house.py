@@ -1,4 +1,4 @@
-"""The house stays a house: imports go one way, between packages, between their rooms, and between files.
+"""Structure of the code: imports go one way, between packages, rooms and files.
 
 A room is a sub-package (``nodes.driver``); a module directly in a package is a room of its own.
 Every import counts, also one inside a function or for types only.
@@ -14,11 +14,11 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
-from nodes.cli.quantities import QUANTITIES
+from nodes.parameters.quantities import QUANTITIES
 from tests.support import ROOT
 
 FLOORS = ("messages", "nodes", "sim")
-"""From the ground up: a package imports from itself and from those before it."""
+"""From the bottom up: a package imports from itself and from those before it."""
 
 
 def name_of(path: Path) -> str:
@@ -37,7 +37,7 @@ def tree_of(path: Path) -> ast.Module:
 
 @cache
 def imported(module: str) -> tuple[tuple[str, str], ...]:
-    """Name each module of ours that this one imports, and the line that does it."""
+    """Return each own module that this one imports, and the importing line."""
     return tuple(_imported(module))
 
 
@@ -65,7 +65,7 @@ def room(module: str) -> str:
 
 
 def cycle(arrows: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Find a cycle; the imports that make it, or none."""
+    """Return the imports of a cycle; empty if there is none."""
     done: set[str] = set()
 
     def search(at: str, way: list[str]) -> list[str]:
@@ -110,7 +110,7 @@ def test_no_circle_between_rooms() -> None:
 
 
 def test_a_circle_is_found_and_named() -> None:
-    """The search itself: without this, an empty list would prove nothing."""
+    """Tests the search itself: otherwise an empty list would prove nothing."""
     arrows = {"a": {"b": "a imports b"}, "b": {"c": "b imports c"}, "c": {"b": "c imports b"}}
     assert cycle(arrows) == ["b imports c", "c imports b"]
 
@@ -130,7 +130,7 @@ APART = (
     ("nodes.base", "nodes.driver"),
     ("nodes.base", "nodes.compiled"),
 )
-"""Rooms of which the first must do without the second, though no circle would come of it."""
+"""Pairs of rooms of which the first must not import the second."""
 
 
 def test_a_device_does_without_the_page_and_the_foundation_without_the_compiled_tick() -> None:
@@ -144,7 +144,7 @@ def test_a_device_does_without_the_page_and_the_foundation_without_the_compiled_
 
 
 def types_of(path: Path) -> Iterator[str]:
-    """Name what a module defines at its top by a capital letter: classes, and names for types; no TypeVars."""
+    """Yield capitalised names defined at a module's top: classes and type aliases."""
     for node in tree_of(path).body:
         if isinstance(node, ast.ClassDef):
             yield node.name
@@ -161,7 +161,7 @@ def types_of(path: Path) -> Iterator[str]:
 
 
 def test_one_word_is_one_class() -> None:
-    """No two public classes or names for types are one: a reader who meets it in a message or a page knows which."""
+    """No two public classes or type aliases have the same name."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
         for name in types_of(path):
@@ -171,14 +171,16 @@ def test_one_word_is_one_class() -> None:
 
 
 PARTS = {"__init__", "node", "driver", "state", "parameters", "kernel", "compiled_tick"}
-"""The same part of several rooms: a node, a device's driver, state and parameters, and what compiles them."""
+"""Parts that several rooms have: node, driver, state, parameters, kernels."""
 
 
 def test_one_word_is_one_module() -> None:
-    """No two modules have one name, but for parts that several rooms have, and verbs, which are called as they are typed."""
+    """No two modules share a name, except parts of several rooms, verbs and studies."""
     found: dict[str, list[str]] = {}
     for module, path in MODULES.items():
-        if path.stem not in PARTS and room(module) not in ("nodes.cli", "sim.cli"):
+        if room(module) in ("nodes.cli", "sim.cli") or module.rpartition(".")[0] in FUNCTIONS:
+            continue
+        if path.stem not in PARTS:
             found.setdefault(path.stem, []).append(module)
     assert {name: places for name, places in found.items() if len(places) > 1} == {}
 
@@ -212,13 +214,14 @@ SOURCES = (
     "tests/**/*.py",
 )
 NAMED = re.compile(
-    r"(?<![\w./-])((?:messages|nodes|sim|tests|launch)/[\w/.-]*?\.(?:py|md|js|c|yaml|png|css|html))\b"
+    r"(?<![\w./-])((?:messages|nodes|sim|tests|launch)/"
+    r"[\w/.-]*?\.(?:py|md|js|c|yaml|png|css|html))\b"
 )
 EXAMPLES = {"nodes/cli/NAME.py", "sim/cli/NAME.py", "nodes/gone.py"}
 
 
 def test_files_that_are_named_exist() -> None:
-    """A page, docstring or comment that sends its reader to a file names one that is there."""
+    """Files named in pages, docstrings and comments exist."""
     for pattern in (*PAGES, *SOURCES):
         for path in ROOT.glob(pattern):
             named = set(NAMED.findall(path.read_text(encoding="utf-8"))) - EXAMPLES
@@ -231,7 +234,7 @@ DIALECT = re.compile(
     r"who sends more|the text tells|left behind are|some (?:ten|twenty|thirty) seconds",
     re.IGNORECASE,
 )
-"""Sentences that had to be read twice. What replaced them: announced, reported, reconnected, disconnected, about."""
+"""Sentences that had to be read twice."""
 
 
 def test_pages_docstrings_and_messages_are_plain_english() -> None:
@@ -260,18 +263,26 @@ def test_the_glossary_explains_the_words_of_the_field() -> None:
 WITH_ARGUMENTS = {
     "sim.emulators.inverse_service": "a process of its own, that stands for a vendor's service"
 }
-"""Modules outside the command line that read a command line all the same."""
+"""Modules outside the command line that parse a command line."""
+
+
+FUNCTIONS = ("sim.studies", "sim.lab.studies")
+"""Where functions of options stand that are sub-verbs: one a file, called as it is."""
 
 
 def test_verbs_are_in_one_place() -> None:
-    """The module of a verb is called as the verb is, in cli/; no other room reads arguments or imports a verb."""
+    """A verb is a module in cli/ or a function; no other room reads arguments."""
     points = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "entry-points"
     ]
     verbs = points["haptic.verbs"]
-    assert {name: module.split(".cli.")[1] for name, module in verbs.items()} == {
-        name: name for name in verbs
-    }
+    functions = {name: place for name, place in verbs.items() if ":" in place}
+    assert {
+        name: module.split(".cli.")[1] for name, module in verbs.items() if ":" not in module
+    } == {name: name for name in verbs.keys() - functions.keys()}
+    for name, place in functions.items():
+        own = name.partition(".")[2]
+        assert place in {f"{folder}.{own}:{own}" for folder in FUNCTIONS}, name
     for module, path in MODULES.items():
         tree = tree_of(path)
         if room(module) in ("nodes.cli", "sim.cli"):
@@ -294,37 +305,45 @@ OTHER_QUANTITIES = {
     ("nodes.cli.bag", "--rate"),  # of `bag play`, a speed as in ROS 2
     ("nodes.cli.publish", "--rate"),  # of `topic pub`, messages a second as in ROS 2
     ("sim.cli.bench.taps", "--taps"),  # several
-    ("sim.cli.study.design", "--hand"),  # a range, or a published hand by its name
+    # a range, or a published hand by its name
+    ("sim.studies.design_options", "hand"),
 }
+
+
+def declared(calls: str) -> Iterator[tuple[str, str, ast.Call]]:
+    """Return verbs' arguments and functions' options: module, name and declaring call."""
+    for module, path in MODULES.items():
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                if node.func.attr == "add_argument" and calls == "argument":
+                    for one in node.args:
+                        if isinstance(one, ast.Constant):
+                            yield module, str(one.value), node
+            elif (
+                calls == "option"
+                and isinstance(node, ast.AnnAssign)
+                and isinstance(node.value, ast.Call)
+                and ast.unparse(node.value.func) in ("option", "argument")
+            ):
+                yield module, ast.unparse(node.target), node.value
 
 
 def test_a_quantity_is_declared_once() -> None:
     found = {
-        (module, option)
-        for module, path in MODULES.items()
-        if room(module) in ("nodes.cli", "sim.cli")
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Attribute)
-        and node.func.attr == "add_argument"
-        for argument in node.args
-        if isinstance(argument, ast.Constant)
-        and (option := str(argument.value)).removeprefix("--") in QUANTITIES
+        (module, name)
+        for module, name, _ in (*declared("argument"), *declared("option"))
+        if name.removeprefix("--") in QUANTITIES
     }
     assert found == OTHER_QUANTITIES
 
 
 def test_each_number_of_a_command_line_has_its_limits() -> None:
-    """A bare int or float lets through what no figure survives: nothing, everything, infinity."""
+    """A bare int or float would accept zero, huge values and infinity."""
     found = [
-        f"{module}: {ast.unparse(node.args[0])}"
-        for module, path in MODULES.items()
+        f"{module}: {name}"
+        for module, name, call in (*declared("argument"), *declared("option"))
         if module not in WITH_ARGUMENTS
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Attribute)
-        and node.func.attr == "add_argument"
-        for word in node.keywords
+        for word in call.keywords
         if word.arg == "type" and ast.unparse(word.value) in ("int", "float")
     ]
     assert found == []
@@ -352,7 +371,7 @@ WIDE = {
 
 
 def attributes(kind: ast.ClassDef) -> set[str]:
-    """Name what a class assigns to itself, and the fields that it declares."""
+    """Return what a class assigns to itself, and the fields it declares."""
     names = {
         node.target.id
         for node in kind.body
@@ -369,7 +388,7 @@ def attributes(kind: ast.ClassDef) -> set[str]:
 
 
 def test_long_functions_say_why() -> None:
-    """Ruff holds the limits (C901, PLR0915); a function beyond them says above itself why."""
+    """Ruff holds the limits (C901, PLR0915); a longer function has a comment with the reason."""
     silent = []
     for path in sorted(
         path for floor in (*FLOORS, "tests") for path in (ROOT / floor).rglob("*.py")
@@ -380,7 +399,7 @@ def test_long_functions_say_why() -> None:
                 above = itertools.dropwhile(
                     lambda text: text.lstrip().startswith("@"), reversed(lines[: number - 1])
                 )
-                if not next(above, "").lstrip().startswith("# Long: "):
+                if not next(above, "").lstrip().startswith("# Long"):
                     silent.append(f"{path.relative_to(ROOT)}:{number}")
     assert silent == []
 
@@ -395,7 +414,7 @@ def test_wide_classes_say_why() -> None:
 
 
 def test_state_is_typed() -> None:
-    """No rule takes a state that mypy cannot look into: a misspelt variable is an error before it is a late tick's."""
+    """No rule takes an untyped state, so that mypy finds misspelt variables."""
     untyped = [
         f"{module}.{node.name}"
         for module, path in MODULES.items()
@@ -407,3 +426,69 @@ def test_state_is_typed() -> None:
         and argument.annotation.id == "Any"
     ]
     assert untyped == []
+
+
+WORDED = (
+    "messages",
+    "nodes/base",
+    "nodes/client",
+    "nodes/compiled",
+    "nodes/coupling",
+    "nodes/driver",
+    "nodes/environment",
+    "nodes/laws",
+    "nodes/cli",
+    "nodes/parameters",
+    "nodes/recording",
+    "nodes/ros2",
+    "nodes/stability",
+    "nodes/view",
+    "sim/device",
+    "sim/device_check",
+    "sim/drill",
+    "sim/emulators",
+    "sim/measure",
+    "tests",
+)
+"""Folders whose docstrings are in the words of the field; each new one is added."""
+
+NOT_OF_THE_FIELD = frozenset(
+    ["Tell", "Take", "Let", "Give", "Lay", "Look", "Say", "Have", "Hold", "Keep"]
+)
+
+
+def docstrings(path: Path) -> Iterator[tuple[int, str]]:
+    """Return line and text of every docstring of a file, those of attributes included."""
+    for node in ast.walk(tree_of(path)):
+        if (
+            isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+        ):
+            yield node.lineno, node.value.value.strip()
+
+
+def worded_files() -> list[Path]:
+    return sorted(path for folder in WORDED for path in (ROOT / folder).rglob("*.py"))
+
+
+def test_docstrings_begin_with_words_of_the_field() -> None:
+    """A first line has at most 88 columns, and begins with a verb of the field."""
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
+        for path in worded_files()
+        for line, text in docstrings(path)
+        if text.split()[0] in NOT_OF_THE_FIELD or len(text.splitlines()[0]) > 88
+    ]
+    assert wrong == []
+
+
+def test_no_line_is_longer_than_100_columns() -> None:
+    long = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in worded_files()
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        # what only a checker reads does not count
+        if len(re.sub(r"\s+# (?:noqa|type: ignore).*", "", line)) > 100
+    ]
+    assert long == []

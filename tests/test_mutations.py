@@ -1,4 +1,4 @@
-"""No named mutation survives: each is made in a copy of the sources, and its tests must fail there."""
+"""Every named mutation, applied in a copy of the sources, makes its tests fail."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_every_mutation_changes_a_rule_that_stands_there_once() -> None:
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_what_is_drawn_is_another_program(room: str) -> None:
-    """Each compiles, differs from the source in one place, and is drawn again by the same seed."""
+    """Each compiles, differs in one place, and is drawn again by the same seed."""
     drawn = draw(40, "one", [room])
     for mutation in drawn:
         text = (ROOT / mutation.file).read_text(encoding="utf-8")

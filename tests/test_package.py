@@ -1,7 +1,7 @@
-"""The wheel holds all that the project needs, and runs where there is no clone.
+"""The wheel contains everything the project needs, and runs without a clone.
 
-It is built with the backend that is already installed and put into a folder of its own, so nothing
-is downloaded and the clone's own installation stays as it is.
+It is built with the installed backend into its own folder, so nothing is downloaded and the clone's
+installation is untouched.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def pip(*words: str) -> None:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build it."""
+    """Build the wheel."""
     folder = tmp_path_factory.mktemp("wheel")
     pip(
         "wheel",
@@ -52,7 +52,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Install it, without its dependencies, into a folder of its own."""
+    """Install it without dependencies into its own folder."""
     folder = tmp_path_factory.mktemp("installed")
     pip("install", "--no-deps", "--no-index", "--target", str(folder), str(wheel))
     return folder

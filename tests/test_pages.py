@@ -1,4 +1,4 @@
-"""The pages keep their word: commands run, promises hold, links lead somewhere, each scenario and verb is named."""
+"""Pages are correct: commands run, promises hold, links exist, scenarios are named."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import json
 import re
 import shlex
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from nodes.cli.main import VERBS, Parser, parser_for, verbs
 from nodes.parameters.installed import OURS
 from sim.lab.bench.scene_costs import BODIES
 from tests.support import ROOT
-from tests.support.launching import private_runtime_dir
+from tests.support.launching import private_runtime_dir, typed_in
 from tests.support.pages import Block, anchors, blocks, command, links, promised, shell
 
 PAGES = {
@@ -69,12 +71,12 @@ SHORTER = {
     "haptic lab coverage": "--devices 1 --seconds 3 --workers 1",
     "haptic lab fig4": "--gain 2..20 --points 2 --horizon 1500 --workers 1",
 }
-"""What makes a command short enough for a test, by its first words."""
+"""Options that make a command short enough for a test, by its first words."""
 
 INSTALLING = [
     line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")
 ]
-"""The two pasted lines: `.ci/run` takes the second one from README.md, and any user's fresh clone the first."""
+"""The two installation lines, run by `.ci/run` and in a fresh clone."""
 
 BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
     pytest.param(
@@ -96,7 +98,7 @@ BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str, Path], Path]]:
-    """Make a folder for each page, and one runtime directory: later blocks of a page read what earlier ones wrote."""
+    """Create a folder per page and one runtime directory; later blocks read earlier output."""
     with private_runtime_dir() as runtime_dir:
         yield {name: tmp_path_factory.mktemp("page") for name in PAGES}, runtime_dir
 
@@ -126,7 +128,7 @@ def test_commands_run_as_they_are_written(
 
 
 def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
-    """Judge what the page's six launches of ``haptic bench loop --scenes`` say, so that no other test runs them again."""
+    """Check the page's launches of ``haptic bench loop --scenes``, to avoid a second run."""
     bodies = set(BODIES) if find_spec("mujoco") else set()
     assert {row["scene"] for row in rows} == {
         "floor_drop",
@@ -142,7 +144,7 @@ def every_scene_has_its_row(rows: list[dict[str, Any]]) -> None:
 
 
 def every_message_is_accounted_for(found: dict[str, Any]) -> None:
-    """Judge what the page's soak of ten seconds says, so that no other test soaks; how many ticks are missed is not judged."""
+    """Check the page's soak of ten seconds; the number of missed ticks is not judged."""
     assert found["passed"], found["reasons"]
     assert found["rounds"] == found["respawns"] >= 1
     assert found["loggers"] == 2 * found["rounds"]
@@ -169,6 +171,30 @@ def test_the_pasted_lines_install_launch_and_test() -> None:
     assert re.findall(pattern + "$", README, re.MULTILINE) == [testing]
 
 
+def test_the_template_of_a_report_is_a_test_that_passes() -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", PAGES[".github/CONTRIBUTING.md"], re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(compile(code, "CONTRIBUTING.md", "exec"), names)  # noqa: S102  # our own page
+    (test,) = (found for name, found in names.items() if name.startswith("test_"))
+    test()
+
+
+def test_templates_and_citation_are_what_github_reads() -> None:
+    """Of an issue template: name and about; of CITATION.cff: the required fields of 1.2.0."""
+    templates = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.md"))
+    assert len(templates) >= 3
+    for path in templates:
+        _, head, body = path.read_text(encoding="utf-8").split("---\n", 2)
+        assert {"name", "about"} <= set(yaml.safe_load(head)), path
+        assert body.strip()
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)
+    assert cited["cff-version"] == "1.2.0"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    assert f"## [{cited['version']}] - {cited['date-released']}" in CHANGES
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_nothing_is_left_to_be_filled_in(name: str) -> None:
     assert not re.findall(r"@@\w+@@|TODO|TBD", PAGES[name])
@@ -184,7 +210,7 @@ CHANGES = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 @pytest.mark.parametrize("name", [*PAGES, "CHANGELOG.md"])
 def test_lines_have_at_most_100_columns(name: str) -> None:
-    """Rows of tables and pictures are excepted: Markdown cannot break them."""
+    """Except rows of tables and pictures, which Markdown cannot break."""
     text = PAGES.get(name, CHANGES)
     assert [
         line for line in text.splitlines() if len(line) > 100 and not line.startswith(("|", "!["))
@@ -192,7 +218,7 @@ def test_lines_have_at_most_100_columns(name: str) -> None:
 
 
 def test_changes_are_kept_as_the_page_says() -> None:
-    """Keep a Changelog: dated versions, six kinds of changes, one line each; 0.2.0 fits in 80."""
+    """The format of keepachangelog.com; one line per change; 0.2.0 fits in 80 lines."""
     versions = re.split(r"^## ", CHANGES, flags=re.MULTILINE)[1:]
     heads = [version.partition("\n")[0] for version in versions]
     assert heads[0] == "[Unreleased]"
@@ -220,12 +246,11 @@ QUICK = ("haptic study kmax", "haptic study world", "haptic law show", "haptic l
 
 
 @pytest.mark.parametrize(("name", "line"), TABLED)
-def test_commands_of_tables_run(name: str, line: str, places: tuple[dict[str, Path], Path]) -> None:
+def test_commands_of_tables_run(name: str, line: str, tmp_path: Path) -> None:
     """Quick ones are run as they are typed; of the others the words are read."""
     words = shlex.split(line)[1:]
     if line.startswith(QUICK) and name == "README.md":
-        with shell(places[0][name], places[1]) as terminal:
-            terminal.run(command(line, SHORTER))
+        typed_in(tmp_path, *command(line, SHORTER).words[1:])
     elif words[0] in ("study", "lab", "bench") and len(words) > 2:
         own = Parser()
         VERBS.load(".".join(words[:2])).add(own)

@@ -183,8 +183,8 @@ class Gate(threading.Thread):
         if gone:
             self._entered -= gone
             self._denied(
-                f"the key {', '.join(sorted(gone))} is not allowed any more; all connections over"
-                " tcp end, and those still allowed connect again"
+                f"the key {', '.join(sorted(gone))} is no longer allowed; all tcp connections "
+                "end, and allowed peers reconnect"
             )
             self._evict()
 

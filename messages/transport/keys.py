@@ -80,7 +80,7 @@ def _write(path: Path, text: str, replace: bool = False) -> None:
             os.link(draft, path)
     except FileExistsError as error:
         raise KeyRefusedError(
-            f"{path}: exists already; remove it first, or give --replace"
+            f"{path}: already exists; remove it first, or use --replace"
         ) from error
     finally:
         draft.unlink(missing_ok=True)
@@ -192,7 +192,7 @@ def revoke(name: str) -> Path:
     if not _NAME.fullmatch(name) or (not path.is_symlink() and not path.exists()):
         there = sorted(found.stem for found in (key_dir() / "allowed").glob("*.key"))
         raise KeyRefusedError(
-            f"no key of {name!r} is allowed here; there is: {', '.join(there) or 'none'}"
+            f"no key of {name!r} is allowed here; available: {', '.join(there) or 'none'}"
         )
     path.unlink()
     return path
@@ -203,7 +203,7 @@ def key_of(name: str) -> str:
     there = allowed()
     if name not in there:
         raise KeyRefusedError(
-            f"no key of {name!r} is allowed here (there is: {', '.join(there) or 'none'}); on that"
+            f"no key of {name!r} is allowed here (available: {', '.join(there) or 'none'}); on that"
             f" machine: haptic keys new, then here: haptic keys allow {name} KEY"
         )
     return there[name]

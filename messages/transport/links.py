@@ -36,10 +36,10 @@ _EVENTS = (
     | zmq.EVENT_CONNECT_RETRIED
     | zmq.EVENT_HANDSHAKE_SUCCEEDED
 )
-_NOT_LET_IN = "this machine's key is not let in there; there: haptic keys allow NAME KEY"
-_NO_KEY = "what answers there does not have the key that is expected; its messages are ignored"
-_NO_NODE = "what answers there is not a node"
-_WENT_AWAY = "what answered there went away before its handshake was complete"
+_NOT_LET_IN = "this machine's key is not allowed there; on that machine: haptic keys allow NAME KEY"
+_NO_KEY = "the peer does not have the expected key; its messages are ignored"
+_NO_NODE = "the peer is not a haptic node"
+_WENT_AWAY = "the peer disconnected before its handshake was complete"
 _STATES: dict[int, str] = {
     zmq.EVENT_CONNECTED: "no handshake",
     zmq.EVENT_HANDSHAKE_SUCCEEDED: "connected",
@@ -87,8 +87,7 @@ class _Link:
         if self.state == "given up" and now - self.since > GIVEN_UP:
             if self.was_open:
                 return (
-                    f"what came was longer than {MAX_MESSAGE} bytes, the limit, or no message"
-                    " at all"
+                    f"the data received exceeded {MAX_MESSAGE} bytes, the limit, or was no message"
                 )
             return self.failed or _NO_NODE
         if self.state == "no handshake" and now - self.since > 1e-3 * TCP_HANDSHAKE_MS + GIVEN_UP:
@@ -155,8 +154,8 @@ class Links:
             if link.key and link.key not in there and not link.is_revoked:
                 link.is_revoked = True
                 self._tell(
-                    f"{link.bare}: its key {link.key} is not allowed here any more; nothing more is"
-                    " taken from it"
+                    f"{link.bare}: its key {link.key} is no longer allowed here; its messages "
+                    "are ignored"
                 )
                 self._asked.append((link, False))
                 self._call()

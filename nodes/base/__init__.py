@@ -1,1 +1,1 @@
-"""What every node is built on: its process, its loop, its control thread, its words."""
+"""Base of every node: its process, loop, control thread and reports."""

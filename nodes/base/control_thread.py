@@ -1,8 +1,7 @@
-"""The second thread of a node: serves control requests, writes the status, watches the parameter file.
+"""The second thread of a node: control requests, status, watched parameter file.
 
-It is the only thread that may take its time. It never touches the loop's sockets: what must be
-published goes through the node's outbox, what must change is handed over between two ticks.
-Whatever a request provokes, it goes on serving.
+Only this thread may take its time. It never uses the loop's sockets: messages go through the node's
+outbox, and changes are handed over between two ticks. It keeps serving, whatever a request causes.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from messages.transport.requests import Reply, ReplySocket, Request, decode_requ
 from nodes.base import descriptors, realtime
 from nodes.base.leases import Leases
 from nodes.base.node import Node
-from nodes.base.saved_parameters import keep
+from nodes.base.saved_parameters import save_parameters
 from nodes.base.status_report import report_of
 from nodes.parameters.store import ParameterError
 
@@ -42,26 +41,26 @@ if TYPE_CHECKING:
     from nodes.parameters.yaml_io import WatchedFile
 
 STATUS_PERIOD = 0.5
-# so much memory grown means unbounded requests: who sends requests is disconnected [bytes]
-MOST_GROWTH = 256 << 20
-# requests served at once, and how many a second then: each takes the interpreter from the loop
+# memory growth taken as unbounded requests, after which all requesting peers are disconnected
+# [bytes]
+MAX_GROWTH = 256 << 20
+# requests served at once, and then per second: each takes the GIL from the loop
 BURST, RATE = 50, 100.0
-END_TIMEOUT = 10.0  # how long a request that is being served may take at the node's end [s]
+END_TIMEOUT = 10.0  # longest duration of a request at the node's end [s]
 
 WATCH_PERIOD = 0.1
-# how many changes of a file are told by name, and how many characters of each value
-MOST, SHOWN = 4, 60
+# limits of the change log: names listed, characters per value
+LISTED_CHANGES, SHOWN_CHARACTERS = 4, 60
 
 
 class ControlServer(threading.Thread):
-    """Serves one node, and looks after its `links`."""
+    """Serves one node, and monitors its `links`."""
 
     def __init__(self, node: Node, context: Context, links: Links) -> None:
         super().__init__(name=f"{node.setup.name}-control", daemon=True)
         self._node = node
         self._ending = threading.Event()
-        # Each time it wakes up for nothing, it takes the interpreter's lock from the loop for some
-        # 100 µs.
+        # each idle wake-up takes the GIL from the loop for some 100 µs
         often = node.setup.watch or node.setup.lease
         self._patience_ms = int((WATCH_PERIOD if often else STATUS_PERIOD) * 1000)
         self._context = context
@@ -75,7 +74,7 @@ class ControlServer(threading.Thread):
         self._links = links
         self._watched: WatchedFile | None = None
         if node.setup.watch:
-            # Few nodes do, and YAML is a tenth of what a node's modules take to load.
+            # few nodes need it, and YAML is a tenth of a node's import time
             from nodes.parameters.yaml_io import WatchedFile
 
             self._watched = WatchedFile(node.setup.watch, node.watched)
@@ -113,8 +112,7 @@ class ControlServer(threading.Thread):
         node = self._node
         self._requests = ReplySocket(self._context)
         self._socket = self._requests.socket
-        # Requests are carried by the thread that serves listeners, off the loop's processor where
-        # there is another.
+        # The thread that serves listeners carries requests, off the loop's processor if possible.
         self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
         self._socket.rcvtimeo = self._patience_ms
         with closed_if_refused(self._socket):
@@ -146,22 +144,22 @@ class ControlServer(threading.Thread):
         return report_of(self._node, self._node.report())
 
     def watched_by(self, gate: Gate) -> None:
-        """Let a gate watch who tries to connect to an encrypted endpoint."""
+        """Make a gate monitor connections to an encrypted endpoint."""
         if "#" in self._node.setup.control:
             gate.watch(self._socket)
 
     def evict(self) -> None:
-        """End all tcp connections soon; who is still allowed connects again. From any thread."""
+        """Request the end of all tcp connections; allowed peers reconnect. From any thread."""
         self._reopening.ask()
 
     def _review_memory(self) -> None:
-        """Disconnect all who may send requests when memory grows without bound; ZeroMQ bounds no request."""
+        """Disconnect all requesting peers if memory keeps growing; ZeroMQ limits no request."""
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
-        if now - self._usual_memory > MOST_GROWTH:
+        if now - self._usual_memory > MAX_GROWTH:
             grown = now - self._usual_memory
             self._node.events.deny(
-                f"memory grew by {grown >> 20} MiB; all connections for requests are ended",
+                f"memory grew by {grown >> 20} MiB; all requesting peers are disconnected",
                 {"grown_bytes": grown},
             )
             self._usual_memory = now
@@ -175,7 +173,7 @@ class ControlServer(threading.Thread):
                     time.sleep(WATCH_PERIOD)
 
     def await_fetch(self, timeout: float) -> None:
-        """Go on answering until the launcher has fetched the last report."""
+        """Serve until the launcher has fetched the last report."""
         if self.is_alive():
             self._fetched.wait(timeout)
 
@@ -187,13 +185,14 @@ class ControlServer(threading.Thread):
             self._node.lost_launcher = True
             self._node.stop(reason)
 
-    def _put_back(self) -> None:
-        """Revert what was changed under leases that have run out."""
+    def _revert_expired(self) -> None:
+        """Revert the changes of expired leases."""
         over = self._leases.run_out()
         for name, op, args in over:
             try:
                 self._perform(op, args)
-            except Exception as error:  # noqa: BLE001  # as for requests: told, and served on
+            # as for requests: report it, and keep serving
+            except Exception as error:  # noqa: BLE001
                 self._node.events.emit_each(
                     "lease", f"lease {name!r} has run out, but {op} failed: {error}"
                 )
@@ -202,13 +201,13 @@ class ControlServer(threading.Thread):
                     "lease", f"lease {name!r} expired without a renewal: {op} {args}"[:4000]
                 )
         if over:
-            # Parameters first: a process that dies in between must not leave those of a borrower
-            # without a lease.
-            self._keep()
+            # Parameters first: if the process dies in between, a borrower's must not remain without
+            # a lease.
+            self._save_parameters()
             try:
                 self._leases.save()
             except OSError as error:
-                self._node.events.emit("kept", f"the leases would outlive this process: {error}")
+                self._node.events.emit("kept", f"the leases cannot be saved: {error}")
 
     def _answer(self, frames: list[bytes]) -> Reply:
         name = self._node.setup.name
@@ -221,13 +220,14 @@ class ControlServer(threading.Thread):
             return Reply(True, self._perform(request.op, request.args))
         except ParameterError as error:
             return Reply(False, error=str(error)[:4000])
-        except Exception as error:  # noqa: BLE001  # e.g. what a law of another package raises while it is compiled
+        # e.g. an exception of another package's law while it is compiled
+        except Exception as error:  # noqa: BLE001
             return Reply(
                 False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000]
             )
 
     def _perform(self, op: str, args: Mapping[str, Any]) -> Any:
-        """Perform an operation; raise ParameterError for an unknown one and for arguments that it does not take."""
+        """Perform an operation; ParameterError if it or its arguments are unknown."""
         name = self._node.setup.name
         operation = self._operations.get(op)
         if operation is None:
@@ -240,7 +240,7 @@ class ControlServer(threading.Thread):
         return operation(**args)
 
     def _await_turn(self) -> None:
-        """Wait when there were many requests just now; who asks waits too, and nobody is refused."""
+        """Rate-limit requests with a token bucket; the caller waits, none is refused."""
         now = time.monotonic()
         self._tokens = min(float(BURST), self._tokens + (now - self._counted) * RATE)
         self._counted = now
@@ -260,8 +260,8 @@ class ControlServer(threading.Thread):
             node.changes.serving.start()
         self._asked = time.monotonic()
         reply = self._answer(frames)
-        # Before the answer: what was granted outlives this process.
-        self._keep()
+        # before the answer: accepted changes survive a restart
+        self._save_parameters()
         try:
             encoded = msgspec.msgpack.encode(reply)
         except (TypeError, OverflowError, RecursionError) as error:
@@ -270,13 +270,11 @@ class ControlServer(threading.Thread):
             )
         self._requests.answer(encoded)
 
-    def _keep(self) -> None:
+    def _save_parameters(self) -> None:
         try:
-            keep(self._node)
+            save_parameters(self._node)
         except OSError as error:
-            self._node.events.emit(
-                "kept", f"the parameters would not outlive this process: {error}"
-            )
+            self._node.events.emit("kept", f"the parameters cannot be saved for a restart: {error}")
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -288,33 +286,33 @@ class ControlServer(threading.Thread):
                 self._node.events.emit("control", f"a request could not be served: {error}")
             for duty in (
                 self._node.check_health,
-                self._keep,
+                self._save_parameters,
                 self._watch_lease,
-                self._put_back,
-                self._look_around,
+                self._revert_expired,
+                self._publish_status,
             ):
                 try:
                     duty()
                 except OSError as error:
-                    # Descriptors or memory ran out: what the lease and the next request are for
-                    # goes on.
+                    # Descriptors or memory ran out: leases and requests must still be served.
                     self._node.events.emit("control", f"{error}")
-                except Exception as error:  # noqa: BLE001  # e.g. code of a device: the node ends softly, and is reachable
+                # e.g. a device's code: the node ends softly, and stays reachable
+                except Exception as error:  # noqa: BLE001
                     self._end_softly(error)
         self._links.close()
         self._socket.close(linger=100)
         remove_ipc(self._node.setup.control)
 
     def _end_softly(self, error: Exception) -> None:
-        """End the node as a request to stop does, because something that it calls beside its loop failed."""
+        """Stop the node, because code outside its loop failed."""
         node = self._node
         if not node.failing:
-            reason = f"{node.setup.name}: {type(error).__name__} beside the loop: {error}"
+            reason = f"{node.setup.name}: {type(error).__name__} outside the loop: {error}"
             node.events.emit("control", f"{reason}; the node ends")
             node.failing = True
             node.stop(reason)
 
-    def _look_around(self) -> None:
+    def _publish_status(self) -> None:
         node, now = self._node, time.monotonic()
         if self._watched is not None and now >= self._next_watch:
             self._next_watch = now + WATCH_PERIOD
@@ -325,7 +323,7 @@ class ControlServer(threading.Thread):
             node.events.publish(topics.status(node.setup.name), node.status())
             self._reopening.maintain()
             self._review_memory()
-            # Who answers each tick should hear one all the time, from the first one on.
+            # A node that answers every tick should hear one all the time, from the first one on.
             self._links.poll(
                 node.counted().ticks or None if node.answers and node.state == "running" else None
             )
@@ -343,14 +341,14 @@ class ControlServer(threading.Thread):
             node.stop(reason)
 
     def _poll_file(self, watched: WatchedFile) -> None:
-        node, where = self._node, ""  # what the file itself does not allow names it already
+        node, where = self._node, ""  # errors of the file itself name it already
         try:
             values = watched.poll()
             where = f"{watched.path}: "
             if values is not None and node.store.merged(values) != node.store.current:
                 receipt = self._change(lambda: node.store.merged(values))
-                node.events.log(f"applied {watched.path}: {_told(receipt)}")
-        except Exception as error:  # noqa: BLE001  # as for requests: refused, told, and served on
+                node.events.log(f"applied {watched.path}: {_change_log(receipt)}")
+        except Exception as error:  # noqa: BLE001  # as for requests: refuse, report, keep serving
             known = isinstance(error, ParameterError)
             reason = (
                 f"{where}{error}" if known else f"{watched.path}: {type(error).__name__}: {error}"
@@ -363,8 +361,8 @@ class ControlServer(threading.Thread):
         """Stop serving and wait for the thread, but not for ever."""
         self._ending.set()
         if self.is_alive():
-            # The thread may end this very moment by itself, and nobody takes it; without a
-            # descriptor left to wake it by, it looks by itself before long.
+            # The thread may be ending by itself, so that nobody receives this. Without a free
+            # descriptor for the wake-up, it notices by itself soon.
             with contextlib.suppress(zmq.ZMQError), self._context.socket(zmq.REQ) as waker:
                 waker.linger = 0
                 waker.connect(self._wake)
@@ -377,11 +375,11 @@ class ControlServer(threading.Thread):
         return True
 
 
-def _told(receipt: dict[str, Any]) -> str:
-    """Tell what a changed file has changed, in one line; the receipt itself is published and recorded."""
+def _change_log(receipt: dict[str, Any]) -> str:
+    """Return the changes of a file in one line; the receipt itself is published and recorded."""
     changed = [
-        f"{path} {str(old)[:SHOWN]} → {str(new)[:SHOWN]}"
+        f"{path} {str(old)[:SHOWN_CHARACTERS]} → {str(new)[:SHOWN_CHARACTERS]}"
         for path, (old, new) in receipt["changed"].items()
     ]
-    more = f", {len(changed) - MOST} more" if len(changed) > MOST else ""
-    return f"{', '.join(changed[:MOST])}{more} from tick {receipt['seq']} on"
+    more = f", {len(changed) - LISTED_CHANGES} more" if len(changed) > LISTED_CHANGES else ""
+    return f"{', '.join(changed[:LISTED_CHANGES])}{more} from tick {receipt['seq']} on"

@@ -1,14 +1,17 @@
-"""Descriptors: ZeroMQ aborts a process that has none left when somebody connects over ipc; so a node ends in order before."""
+"""File descriptors: a node ends in order before it runs out of them.
+
+ZeroMQ aborts a process without a free descriptor when a peer connects over ipc.
+"""
 
 import os
 import resource
 
-# so many must be left, and at least this part of all: connections come faster than anybody looks
+# descriptors that must remain free, and the least part of all: connections come faster than checks
 SPARE, PART = 32, 4
 
 
 def take() -> None:
-    """Let the process open as many files and connections as it may."""
+    """Raise this process's limit of open files to the maximum."""
     most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
@@ -18,13 +21,13 @@ def _are_short() -> bool:
     try:
         used = len(os.listdir("/proc/self/fd"))
     except OSError:
-        # Not even one to look with.
+        # none left for this very check
         return True
     return limit != resource.RLIM_INFINITY and used > limit - max(SPARE, limit // PART)
 
 
 def shortage() -> str:
-    """Why this process must end while it can; empty when enough are left, or could be had."""
+    """Return why this process must end while it can, or ""."""
     if not _are_short():
         return ""
     take()

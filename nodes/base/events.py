@@ -1,7 +1,7 @@
-"""What a node has to say beside its ticks: events, what it refused, whom it turned away, and when that was.
+"""A node's output besides its ticks: events, refusal counts, and the clock.
 
-Nothing here waits: what is published goes into an outbox, which the loop empties when its tick's
-own message has left.
+Nothing here waits: published messages go into an outbox, which the loop empties when its tick's own
+message has left.
 """
 
 import math
@@ -28,23 +28,22 @@ class Clock:
     """The run's time, on this machine."""
 
     def __init__(self, setup: Setup, seq: Callable[[], int]) -> None:
-        # Whether time is that of the ticks: lockstep.
+        # `simulated`: time is counted in ticks (lockstep).
         self._name, self._period, self.simulated = (
             setup.name,
             setup.period,
             setup.pace == "lockstep",
         )
         self._seq = seq
-        # What is added to this host's monotonic clock to get the run's time, and how far off that
-        # may be [s].
+        # offset from this host's monotonic clock to the run's time, and its uncertainty [s]
         self.offset = self.error = 0.0
 
     def now(self) -> float:
-        """Time for stamps: the monotonic clock of the launcher's host, or simulated time in lockstep."""
+        """Return the time for stamps: the launcher's clock, or simulated time in lockstep."""
         return self._seq() * self._period if self.simulated else time.monotonic() + self.offset
 
     def set(self, offset: float, error: float) -> None:
-        """Take over how far this host's clock is from the launcher's, as the launcher has measured it."""
+        """Set the offset of this host's clock to the launcher's, and its uncertainty [s]."""
         if not (
             isinstance(offset, float)
             and isinstance(error, float)
@@ -65,20 +64,23 @@ class Events:
         self._name, self._clock, self._seq = name, clock, seq
         # topics and payloads that wait for the end of the tick
         self.outbox: deque[tuple[bytes, bytes]] = deque(maxlen=1024)
-        # whether something waits to be done between two ticks: the one thing that a loop looks at
+        # whether something waits to be done between two ticks; the only flag that a loop checks
         self.waiting = False
-        # ends the loop's wait for a message, where it waits without end
+        # ends the loop's wait for a message, if it waits for ever
         self.interrupt: Callable[[], None] = lambda: None
-        # Has compiled ticks that go on send a message; whether they will.
-        self.mail: Callable[[bytes, bytes], bool] | None = None
-        # Nodes are made on the thread that runs their loop.
-        self.loop_thread = threading.get_ident()  # identifier of the thread that runs the loop
-        self.refused = self.denied = 0  # messages refused; connections not let in
+        # requests compiled ticks to send a message; returns whether they will
+        self.post: Callable[[bytes, bytes], bool] | None = None
+        # nodes are created on the thread that runs their loop
+        self.loop_thread = threading.get_ident()  # identifier of the loop's thread
+        self.refused = self.denied = 0  # messages refused; connections refused
+        self.quiet = False  # publish events without logging them: a node without a process
         self._counts: dict[str, int] = {}
 
     def log(self, text: str) -> None:
-        """Write one line to standard error, named; in a node's process it only joins a queue (nodes/base/stderr_queue.py)."""
-        # On a terminal the launcher's status line stands where this goes.
+        """Write one named line to standard error, which queues it (nodes/base/stderr_queue.py)."""
+        if self.quiet:
+            return
+        # the launcher's status line may occupy this line of the terminal
         sys.stderr.write(f"{erased(sys.stderr)}[{self._name}] {text}\n")
 
     def emit(
@@ -99,17 +101,16 @@ class Events:
         reason : str
             One sentence with value and limit, for people.
         data : mapping of str to float
-            Numbers of the event, which its kind names; one that is not finite is left out.
+            Numbers of the event, which its kind names; values that are not finite are left out.
         always : bool
-            Publish each event, and thin out its log lines alone.
+            Publish each event, and thin out its log lines only.
         count : int
-            Number of the event among those of its kind, where the caller counts them; 0: counted
-            here.
+            Number of the event among those of its kind, if the caller counts them; 0: counted here.
 
         Raises
         ------
         UnknownEventError
-            When the kind or the name of a number is not registered.
+            If the kind or the name of a number is not registered.
         """
         numbers = checked_data(kind, data)
         count = self._counts[kind] = count or self._counts.get(kind, 0) + 1
@@ -123,7 +124,7 @@ class Events:
     def emit_each(
         self, kind: EventKind | OtherKind, reason: str, data: Mapping[str, float] = NONE
     ) -> None:
-        """Publish and log an event, however often: for what people do, which cannot come in every tick."""
+        """Publish and log every event, for actions of people, which cannot come in every tick."""
         numbers = checked_data(kind, data)
         self.log(f"{kind}: {reason}")
         self._publish_event(kind, reason, numbers)
@@ -138,23 +139,23 @@ class Events:
     def publish(self, topic: str, message: Message) -> None:
         """Queue a message that is not part of the tick; it leaves after the tick's own."""
         frames = topic.encode(), encode(message)
-        # Compiled ticks send it themselves, and are not interrupted for it.
-        if self.mail is None or not self.mail(*frames):
+        # Compiled ticks send it themselves, without interruption.
+        if self.post is None or not self.post(*frames):
             self.outbox.append(frames)
             self.notify()
 
     def notify(self) -> None:
-        """Call the loop's attention to what waits between two ticks; from any thread."""
+        """Request the loop's attention between two ticks; from any thread."""
         self.waiting = True
         if threading.get_ident() != self.loop_thread:
             self.interrupt()
 
     def refuse(self, reason: str) -> None:
-        """Count and tell a message that was refused."""
+        """Count and report a refused message."""
         self.refused += 1
         self.emit("refused", reason[:1000])
 
     def deny(self, reason: str, data: Mapping[str, float] = NONE) -> None:
-        """Count and report a peer that was turned away."""
+        """Count and report a refused peer."""
         self.denied += 1
         self.emit("denied", reason, data)

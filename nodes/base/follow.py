@@ -1,4 +1,4 @@
-"""Answering the ticks of another node: newest message wins, gaps and restarts are counted, never hidden."""
+"""Answering the ticks of another node: the newest message wins; gaps are counted."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -12,14 +12,17 @@ from nodes.base.node import IDLE_MS, Node
 M = TypeVar("M", bound=Message)
 
 
-# topics beside the one that is followed, and who takes their payloads
+# other topics of the subscription, and callbacks for their payloads
 Hear = Mapping[bytes, Callable[[bytes], None]]
 
 
 def _follow(
     node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, hear: Hear
 ) -> Callable[[], M | None]:
-    """Follow one loop topic; in real time a node that was stalled goes on with the present, not with what piled up."""
+    """Return a function that receives the next message of a loop topic.
+
+    In real time a node that was stalled continues with the newest message, not with the queue.
+    """
     expected = topic.encode()
     ticks = node.make_compiled()
     counters = node.counters
@@ -54,8 +57,8 @@ def _follow(
         except MessageRefusedError as error:
             node.events.refuse(str(error))
             return None
-        # A newer message that compiled ticks have put back must not stay there: they go on at the
-        # socket.
+        # A newer message that compiled ticks have put back must not stay there: they continue at
+        # the socket.
         if realtime and (
             clock() + node.clock.offset - message.stamp > period or inbox.has_returned()
         ):
@@ -112,7 +115,7 @@ def _count_gap(node: Node, topic: str, seq: int, last: int) -> None:
 def _pass_on(
     node: Node, hear: Callable[[bytes], None], next_frame: Callable[[], bytes], frame: bytes
 ) -> None:
-    """Pass on the payload of a topic beside the one that is followed."""
+    """Pass the payload of another topic to its callback."""
     try:
         hear(next_frame())
     except TimedOut:
@@ -127,12 +130,12 @@ def answer_ticks(
     respond: Callable[[M], bytes | None],
     hear: Hear | None = None,
 ) -> None:
-    """Answer each tick of a loop topic until stopped: with what `respond` returns, unless that is None.
+    """Answer each tick of a loop topic with the result of `respond`, until stopped.
 
-    `hear`: callbacks for the payloads of other topics of the same subscription, by full topic.
+    `hear` maps full names of other topics of the same subscription to callbacks for their payloads.
     """
     inbox = node.inbox
-    assert inbox is not None  # noqa: S101  # every kind that listens has one
+    assert inbox is not None  # noqa: S101  # every subscribing kind has one
     node.state = "running"
     take = _follow(node, inbox, Decoder(message), node.setup.topic(topic), hear or {})
     send, send_again = node.publisher.send, node.publisher.send_hop
@@ -141,12 +144,12 @@ def answer_ticks(
         taken = take()
         if taken is not None:
             if taken.seq == counters.answered:
-                # Asked again (lockstep, after a lost answer): the same answer, to who waits for it.
-                # Neither memory nor listeners may see the tick twice.
+                # Asked again (lockstep, after a lost answer): send the same answer to the waiting
+                # node only. Neither memory nor listeners may see the tick twice.
                 send_again(to, node.answer)
             elif (payload := respond(taken)) is not None:
                 counters.answered, node.answer = taken.seq, payload
-                # Before it is sent: whoever has the answer and asks for the count finds it there.
+                # before sending: a client that has the answer must find it counted
                 counters.ticks += 1
                 send(to, payload)
         if events.waiting:

@@ -1,4 +1,4 @@
-"""Handing something prepared to the loop: made on the control thread, applied on the main thread between two ticks."""
+"""Handing a change to the loop: prepared on the control thread, applied between two ticks."""
 
 import contextlib
 import threading
@@ -14,28 +14,28 @@ from nodes.parameters.store import ParameterError, ParameterStore, differences
 
 
 class Stopwatch:
-    """How long the control thread has been at work: for so long it may have kept the interpreter from the loop."""
+    """Working time of the control thread, during which it may have held the GIL."""
 
     def __init__(self) -> None:
-        # together: the loop reads them at any moment
+        # one tuple, because the loop reads both at any moment
         self._state: tuple[float, float | None] = (0.0, None)
 
     def start(self) -> None:
-        """Begin to count."""
+        """Start counting."""
         self._state = self.seconds(), time.monotonic()
 
     def stop(self) -> None:
-        """Count no longer."""
+        """Stop counting."""
         self._state = self.seconds(), None
 
     def seconds(self) -> float:
-        """Tell how long in all [s]."""
+        """Return the total time [s]."""
         before, since = self._state
         return before if since is None else before + time.monotonic() - since
 
 
 class Change:
-    """Something prepared off the hot path; `apply` runs on the main thread between two ticks, and gives the reply."""
+    """A prepared change; `apply` runs on the main thread between two ticks."""
 
     def __init__(self, apply: Callable[[int], Any]) -> None:
         self._apply = apply
@@ -44,22 +44,23 @@ class Change:
         self._error: Exception | None = None
 
     def run(self, seq: int) -> None:
-        """Apply it (main thread)."""
+        """Apply the change (main thread)."""
         try:
             self._result = self._apply(seq)
-        except Exception as error:  # noqa: BLE001  # a change that fails must not end the loop; the reply says why
+        # a failing change must not end the loop; the reply has the reason
+        except Exception as error:  # noqa: BLE001
             self._error = error
         self.applied.set()
 
     def result(self) -> Any:
-        """Give what came of it (control thread, once it was `applied`)."""
+        """Return the reply, or raise the error (control thread, once `applied` is set)."""
         if self._error is not None:
             raise self._error
         return self._result
 
 
 class Changes:
-    """How a node's parameters change, all or nothing: prepared on the control thread, applied by a loop that still `lives`."""
+    """Changes of a node's parameters, all or nothing, while its loop `lives`."""
 
     def __init__(
         self,
@@ -70,19 +71,22 @@ class Changes:
     ) -> None:
         self._setup, self._store, self._notify, self._lives = setup, store, notify, lives
         self._waiting: deque[Change] = deque()
-        self.serving = Stopwatch()  # how long the control thread was at work
+        self.serving = Stopwatch()  # working time of the control thread
 
     def __bool__(self) -> bool:
         return bool(self._waiting)
 
     def apply_next(self, seq: int) -> None:
-        """Apply one change (main thread): the loop takes one a tick."""
-        # It may be withdrawn at this very moment.
+        """Apply one change (main thread); the loop applies one per tick."""
+        # it may be withdrawn at this very moment
         with contextlib.suppress(IndexError):
             self._waiting.popleft().run(seq)
 
     def hand_over(self, apply: Callable[[int], Any], timeout: float = 2.0) -> Any:
-        """Hand a prepared change to the loop and wait until it was applied (control thread); one not taken up is withdrawn."""
+        """Hand a change to the loop and return its reply; withdraw it if it is not taken.
+
+        Runs on the control thread.
+        """
         self.serving.stop()
         try:
             change = Change(apply)
@@ -95,11 +99,11 @@ class Changes:
                 try:
                     self._waiting.remove(change)
                 except ValueError:
-                    # Taken up just now: it is being applied.
+                    # just taken: it is being applied
                     change.applied.wait()
                 else:
                     raise ParameterError(
-                        f"{self._setup.name}: not taken up by the loop within {timeout:g} s;"
+                        f"{self._setup.name}: not applied by the loop within {timeout:g} s;"
                         " nothing was changed; is the node stopping?"
                     )
             return change.result()
@@ -109,8 +113,11 @@ class Changes:
     def change(
         self, make: Callable[[], Any], prepare: Callable[[Any], Callable[[int], Any]]
     ) -> dict[str, Any]:
-        """Make new parameters, check, prepare and apply them, all or nothing; a receipt with what changed (control thread)."""
-        # Should they change in between (a scheduled swap), all is made again from the newer ones.
+        """Check, prepare and apply new parameters, all or nothing (control thread).
+
+        Return a receipt with the differences.
+        """
+        # If they change meanwhile (a scheduled change), everything is repeated with the newer ones.
         while True:
             base = self._store.current
             parameters = make()

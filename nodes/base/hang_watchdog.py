@@ -1,8 +1,8 @@
-"""A loop that stands still, noticed from another thread: a device's call that hangs is an end like any other, not a silence.
+"""Detecting a hanging loop from another thread, so that a hanging device ends the run.
 
-Who looks does so about twice a second. Time in which it was stopped or starved itself does not
-count: it saw nothing then. Nor does time in which what it looks at was kept from running. The
-launcher looks at its processes with the same `HangWatchdog`.
+The check runs about twice a second. Time in which the checking thread itself was stopped or starved
+does not count, nor time in which the checked process was starved. The launcher checks its processes
+with the same `HangWatchdog`.
 """
 
 import faulthandler
@@ -19,38 +19,38 @@ from nodes.base.setup import Setup
 from nodes.base.status_report import write_report
 from nodes.base.stderr_queue import drain_stderr
 
-HUNG = 3  # exit code of a node that has given itself up
-SENDING = 0.2  # how long its last messages may take to leave [s]
-LOOK = 0.4  # shortest time between two looks [s]
+HUNG = 3  # exit code of a node that has ended itself
+SENDING = 0.2  # time for its last messages to leave [s]
+CHECK_INTERVAL = 0.4  # shortest interval of checks [s]
 
 
-# so much longer than its limit may a call hold the interpreter's lock, in which nobody can look [s]
+# extra time that a call may hold the GIL before the process is killed [s]
 GRACE = 5.0
 
 
 class LastResort:
-    """Ends the process when not even the thread that looks can run: the call that hangs holds the interpreter's lock.
+    """Ends the process if a hanging call holds the GIL, so that no other thread can check.
 
-    It is a timer of the interpreter's own, in C, which needs no lock. All that it can say is where
-    the threads were, to a file that the launcher reads. A process that was stopped for so long ends
-    too; its device has let go by then.
+    It is a C timer of the interpreter that needs no lock. It can only write the threads' positions
+    to a file, which the launcher reads. A process that was stopped for as long ends too; its device
+    has let go by then.
     """
 
     def __init__(self, setup: Setup) -> None:
-        self._file = open(_last_place(setup), "wb")  # noqa: SIM115  # as long as the process
+        self._file = open(_last_place(setup), "wb")  # noqa: SIM115  # open as long as the process
         self._limit = self._wound = 0.0
 
     def postpone(self, limit: float) -> None:
-        """Put off the end, as long as somebody can."""
+        """Postpone the end, while a thread can still run."""
         if self._wound == math.inf:
             return
         now = time.monotonic()
-        if limit != self._limit or now - self._wound >= LOOK:
+        if limit != self._limit or now - self._wound >= CHECK_INTERVAL:
             self._limit, self._wound = limit, now
             faulthandler.dump_traceback_later(limit + GRACE, exit=True, file=self._file)
 
     def stop(self) -> None:
-        """Let the process end by itself."""
+        """Cancel it."""
         self._limit = self._wound = math.inf
         faulthandler.cancel_dump_traceback_later()
 
@@ -60,7 +60,7 @@ def _last_place(setup: Setup) -> Path:
 
 
 def held_in(setup: Setup) -> str:
-    """Tell for how long, and where, the loop's thread of a process that `LastResort` has ended was; empty for any other end."""
+    """Return how long and where a process hung that `LastResort` ended, or ""."""
     path = _last_place(setup)
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
     # The main thread comes last, its innermost call first.
@@ -73,28 +73,31 @@ def held_in(setup: Setup) -> str:
 
 
 class HangWatchdog:
-    """How long nothing has changed."""
+    """Time without progress."""
 
     def __init__(self) -> None:
         self._last: object = None
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
         self._stood = self._waited = 0.0
 
-    def look(self, progress: object, waited: float = 0.0) -> float:
-        """Look once more; `waited`: what it has waited for a processor so far, because others had it [s]."""
+    def check(self, progress: object, waited: float = 0.0) -> float:
+        """Check the progress. Return the time without any [s].
+
+        `waited` is the total time for which the process waited for a processor [s].
+        """
         now = time.monotonic()
-        passed = now - self._looked
+        passed = now - self._checked
         if progress != self._last:
-            # At once: what is done next has a limit of its own.
-            self._last, self._stood, self._looked, self._waited = progress, 0.0, now, waited
-        elif passed >= LOOK:
-            self._stood += max(0.0, min(passed, 2.0 * LOOK) - (waited - self._waited))
-            self._looked, self._waited = now, waited
+            # the next activity has a limit of its own
+            self._last, self._stood, self._checked, self._waited = progress, 0.0, now, waited
+        elif passed >= CHECK_INTERVAL:
+            self._stood += max(0.0, min(passed, 2.0 * CHECK_INTERVAL) - (waited - self._waited))
+            self._checked, self._waited = now, waited
         return self._stood
 
 
 def where(thread: int) -> str:
-    """Tell what a thread is doing."""
+    """Return what a thread is doing."""
     frame = sys._current_frames().get(thread)
     if frame is None:
         return ""
@@ -103,7 +106,7 @@ def where(thread: int) -> str:
 
 
 def give_up(node: Node, reason: str) -> None:
-    """End a process whose loop will not end it: say why, publish it, write the report, go."""
+    """End a process whose loop hangs: report the reason, publish, write the report, exit."""
     node.stop_reason, node.state, node.stopping = reason, "failed", True
     node.events.emit("hung", f"{reason}; it was in {where(node.events.loop_thread)}")
     node.events.publish(topics.status(node.setup.name), node.status())

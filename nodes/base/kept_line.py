@@ -1,36 +1,35 @@
-"""The line that is kept up to date on a terminal: written over and over, and never left behind in pieces.
+"""A status line on a terminal that is rewritten in place.
 
-The cursor rests at its beginning. A terminal that is made narrower breaks the line, and the cursor
-stays with the first
-piece: what is erased from there on is all of it.
+The cursor stays at its beginning. If a terminal is narrowed, it breaks the line and the cursor
+stays with the first piece, so that erasing from there removes all of it.
 """
 
 import os
 from typing import TextIO
 
-# from the beginning of the line to the end of the screen, below which nothing stands
+# erases from the beginning of the line to the end of the screen
 ERASE = "\r\x1b[J"
 
 
 def is_smart(stream: TextIO) -> bool:
-    """Whether a stream is a terminal that knows escape sequences."""
+    """Return whether a stream is a terminal that supports escape sequences."""
     return stream.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def columns(stream: TextIO) -> int:
-    """Tell how many columns a line may take: one less than there are, as some terminals break the line behind the last."""
+    """Return the columns of a line, one less than the terminal has; some break full lines."""
     try:
         return os.get_terminal_size(stream.fileno()).columns - 1
     except OSError:
         return 79
 
 
-def keep(stream: TextIO, text: str) -> None:
-    """Write the line over; it fits, or is cut to fit by who colours nothing in it."""
+def rewrite(stream: TextIO, text: str) -> None:
+    """Rewrite the line, which must fit the terminal."""
     stream.write(f"{ERASE}{text}\r")
     stream.flush()
 
 
 def erased(stream: TextIO) -> str:
-    """Give what makes room for a line that stays, where the other line stood."""
+    """Return what erases the status line, to print a permanent line in its place."""
     return ERASE if is_smart(stream) else ""

@@ -1,12 +1,11 @@
 """Leases: changes that a node reverts when the client that made them stops renewing.
 
-A client that borrows a running launch (pushes its device, tries laws) takes a lease at each node
-that it changes, renews it, and makes its changes under it. A client that is killed or held up
-renews
-nothing: the lease runs out and the node does what was agreed. From then on the node refuses the
-changes of that client, which may wake up later and not know. A lease belongs to its `holder`: for
-another client it has run out. A request without a holder speaks for whoever holds the lease. Leases
-outlive the node's process, as its parameters do.
+A client that borrows a running launch (pushes its device, tests laws) takes a lease at each node
+that it changes, renews it, and makes its changes under it. A client that is killed or delayed
+renews nothing: the lease expires and the node performs the agreed operation. From then on the node
+refuses changes of that client, which may wake up later and not know. A lease belongs to its
+`holder`: for another client it has expired. A request without a holder acts for the present holder.
+Leases survive the node's process, as its parameters do.
 """
 
 import time
@@ -19,8 +18,8 @@ import msgspec
 from nodes.base.status_report import write_whole
 from nodes.parameters.store import ParameterError
 
-LONGEST = 60.0  # longest time without a renewal that may be asked for [s]
-MOST = 16  # leases of one node at a time
+MAX_LEASE = 60.0  # longest time without a renewal of a lease [s]
+MAX_LEASES = 16  # leases of one node at a time
 
 
 class _Lease(msgspec.Struct):
@@ -28,9 +27,9 @@ class _Lease(msgspec.Struct):
 
     name: Its name.
     seconds: Longest time without a renewal [s].
-    holder: Client that holds it.
+    holder: Client that owns it.
     then, args: Operation that reverts the changes, and its arguments.
-    until: When it runs out, on this process's monotonic clock [s].
+    until: Time of expiry, on this process's monotonic clock [s].
     """
 
     name: str
@@ -45,7 +44,7 @@ class _Lease(msgspec.Struct):
 
 
 class Leases:
-    """Leases of one node, kept in the file `path` for the process after this one; used by its control thread alone."""
+    """Leases of one node, saved in `path` for a successor; for its control thread only."""
 
     def __init__(
         self, node: str, perform: Callable[[str, Mapping[str, Any]], Any], path: Path | None = None
@@ -57,7 +56,7 @@ class Leases:
         self._read()
 
     def _read(self) -> None:
-        """Continue the leases of the process before this one: what was changed under them still stands."""
+        """Continue the leases of the previous process, whose changes still apply."""
         if self._path is None or not self._path.exists():
             return
         for lease in msgspec.json.decode(self._path.read_bytes(), type=list[_Lease]):
@@ -65,7 +64,7 @@ class Leases:
             self._held[lease.name] = lease
 
     def save(self) -> None:
-        """Write the leases that are held for the process after this one."""
+        """Save the leases for the next process."""
         if self._path is not None:
             write_whole(self._path, list(self._held.values()))
 
@@ -81,19 +80,21 @@ class Leases:
     def _take(
         self, name: str, seconds: float, then: str, args: Mapping[str, Any], holder: str = ""
     ) -> dict[str, Any]:
-        if not (isinstance(seconds, int | float) and 0.0 < seconds <= LONGEST):
+        if not (isinstance(seconds, int | float) and 0.0 < seconds <= MAX_LEASE):
             raise ParameterError(
                 f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most"
-                f" {LONGEST:g} s"
+                f" {MAX_LEASE:g} s"
             )
         if name in self._held:
             agreed = self._held[name].seconds
             raise ParameterError(
-                f"{self._node}: lease {name!r} is held by somebody else; it ends when they are"
-                f" done, or {agreed:g} s after they were heard of last: try again then"
+                f"{self._node}: lease {name!r} is held by another client; it ends when "
+                f"released, or {agreed:g} s after its last renewal: try again then"
             )
-        if len(self._held) >= MOST:
-            raise ParameterError(f"{self._node}: {MOST} leases are held already; end one first")
+        if len(self._held) >= MAX_LEASES:
+            raise ParameterError(
+                f"{self._node}: {MAX_LEASES} leases are held already; end one first"
+            )
         lease = _Lease(name, float(seconds), holder, then, dict(args))
         lease.renew()
         self._held[name] = lease
@@ -108,14 +109,14 @@ class Leases:
         return name in self._held and holder in ("", self._held[name].holder)
 
     def _renew(self, names: list[str], holder: str = "") -> dict[str, Any]:
-        """Restart the time of leases; return those that have run out."""
+        """Restart the time of leases; return those that have expired."""
         for name in names:
             if self._is_held(name, holder):
                 self._held[name].renew()
         return {"run_out": [name for name in names if not self._is_held(name, holder)]}
 
     def _change(self, name: str, operation: str, args: Mapping[str, Any], holder: str = "") -> Any:
-        """Perform an operation under a lease; refuse it once the lease has run out."""
+        """Perform an operation under a lease; refuse it if the lease has expired."""
         if not self._is_held(name, holder):
             raise ParameterError(
                 f"{self._node}: {operation} refused: its lease {name!r} has run out, because"
@@ -125,7 +126,7 @@ class Leases:
         return self._perform(operation, args)
 
     def _end(self, names: list[str], holder: str = "") -> dict[str, Any]:
-        """End leases without reverting anything; return those that had run out."""
+        """End leases without reverting anything; return those that had expired."""
         gone = [name for name in names if not self._is_held(name, holder)]
         for name in set(names) - set(gone):
             del self._held[name]
@@ -133,7 +134,7 @@ class Leases:
         return {"run_out": gone}
 
     def run_out(self) -> list[tuple[str, str, dict[str, Any]]]:
-        """Remove the leases that have run out; return name, operation and arguments of each, oldest first.
+        """Remove expired leases; return name, operation and arguments of each, oldest first.
 
         The caller saves once it has reverted the changes: a process that ends before that leaves
         them to the next one.

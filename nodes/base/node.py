@@ -1,9 +1,9 @@
 """The base of all nodes: what a kind defines, and what every node can use.
 
 The main thread owns the loop's sockets and does nothing but ticks: blocking receive, plain floats,
-send. A second thread serves control requests on its own socket; what it prepares is handed over by
-one reference assignment and taken up between two ticks, and what it wants published goes through an
-outbox that is emptied after the tick's own message has left.
+send. A second thread serves control requests on its own socket; prepared changes are handed over by
+one reference assignment and applied between two ticks, and its messages go through an outbox that
+is emptied after the tick's own message has left.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["IDLE_MS", "M", "Node"]
 
 M = TypeVar("M", bound=Message)
 IDLE_MS = 100
-"""How long a blocking receive waits before it looks whether the node should stop [ms]."""
+"""Longest blocking receive before the loop checks whether to stop [ms]."""
 
 
 class Node:
@@ -38,48 +38,46 @@ class Node:
     Parameters
     ----------
     setup : Setup
-        Who the node is and how it is wired and paced.
+        Identity, wiring and pace of the node.
 
     Attributes
     ----------
     Parameters : type
         The struct of the node's parameters.
     publishes, listens_to : tuple of str
-        The loop topics that the kind binds and takes; ``"*"`` listens to everything.
+        The loop topics that the kind publishes and receives; ``"*"`` listens to everything.
     queue : int
-        Messages that may wait to be taken in.
+        Messages that may wait to be received.
     answers : bool
-        Whether each tick is one message taken and one sent; ``sent`` and ``received`` count only
-        what comes on top.
+        Whether each tick is one message received and one sent; ``sent`` and ``received`` count only
+        additional ones.
     answer : bytes
-        What was sent for the tick answered last.
+        Message sent for the last answered tick.
     kernel_module : str
-        Module of the compiled ticks of the kind (nodes/compiled); empty when it has none. Not
+        Module of the compiled ticks of the kind (nodes/compiled); empty if it has none. Not
         inherited.
     kernel : callable or None
-        They, where the launch asks for them and they could be had.
+        Compiled tick, or None if not requested or not available.
     ticks_compiled : int
-        How many of the ticks they did.
+        Number of compiled ticks.
     counters : Counters
-        How far it is; of a node with compiled ticks its whole state, which they change where it
-        stands.
+        Tick counters; with a compiled tick, the struct it updates in place.
     clock, events, changes : Clock, Events, Changes
-        The run's time; what it has to say beside its ticks; how its parameters change.
+        The run's time; output besides the ticks; changes of parameters.
     compiled : TickTaker or None
-        Its compiled ticks, when the sockets exist.
+        Its compiled ticks, once the sockets exist.
     intake : Intake
-        What it takes in.
+        Decoder of received messages.
     waker : Waker or None
-        What ends the loop's wait; None for a loop that does not wait without end.
+        Ends the loop's wait; None for a loop that does not wait for ever.
     saved_parameters : msgspec.Struct
-        The parameters that a successor of this process would go on with.
+        The parameters that a successor of this process would continue with.
     failing : bool
-        Whether its end is a failure, although it goes there in order.
+        Whether its end is a failure, although orderly.
     resumed_at : int
-        Tick from which this process goes on with what a predecessor had; -1 for the first one.
+        Tick from which this process continues a predecessor; -1 for the first one.
     watched : tuple of int, or None
-        Which save of the watched file has been taken up: one that was is older than what has been
-        set since.
+        Save of the watched file that was last applied; later changes take precedence over it.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = msgspec.Struct
@@ -94,7 +92,7 @@ class Node:
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        # Who changes a kind may change what its compiled ticks do: it names its own, or has none.
+        # A subclass may change the tick's meaning: it names compiled ticks of its own, or has none.
         if "kernel_module" not in vars(cls):
             cls.kernel_module = ""
 
@@ -128,7 +126,7 @@ class Node:
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check a node's `setup`, before anything is started, for what the types of its parameters cannot say.
+        """Check a node's `setup` before the launch, beyond the types of its parameters.
 
         Raises
         ------
@@ -139,19 +137,19 @@ class Node:
 
     @classmethod
     def kernel_of(cls, parameters: Mapping[str, Any]) -> str:
-        """Name the module of the compiled ticks of a node with these `parameters`, as written.
+        """Return the module of the compiled ticks of a node with these `parameters`.
 
         Returns
         -------
         str
-            Its name; empty where there is none.
+            Its name; empty without one.
         """
         del parameters
         return cls.kernel_module
 
     @classmethod
     def modules(cls, parameters: Mapping[str, Any]) -> set[str]:
-        """Tell what is compiled for a node with these `parameters`, as written.
+        """Return the modules to compile for a node with these `parameters`.
 
         Returns
         -------
@@ -162,12 +160,12 @@ class Node:
 
     @classmethod
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
-        """Tell which axes the scene must compute for what a node of this `name` does with these `parameters`, as written.
+        """Return the axes that the scene must compute for node `name` with these `parameters`.
 
         Returns
         -------
         tuple of str
-            Axes; none for a node that does not care.
+            Axes; none if the node does not care.
         """
         del parameters, name
         return ()
@@ -176,18 +174,20 @@ class Node:
     def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Put a real `device` (``device:=NAME``) in the place of a virtual one, in the node `name` with these `parameters`.
+        """Return node `name` with a real `device` (``device:=NAME``) in place of a virtual one.
+
+        `parameters` are those of the node.
 
         Returns
         -------
         tuple of dict and dict, or None
-            The node's parameters with that device, and the plant that it is to a coupling; None for
-            a node without a virtual device.
+            The node's parameters with that device, and its plant for a coupling; None for a node
+            without a virtual device.
 
         Raises
         ------
         ParameterError
-            When no such device is known.
+            If no such device is known.
         """
         del parameters, name, device
         return None
@@ -196,7 +196,7 @@ class Node:
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return what the node `name` with these `parameters`, as written, knows of the plant along the `axes` of the scene.
+        """Return what node `name` with these `parameters` knows of the plant along some `axes`.
 
         The launcher fills it into the ``plant`` of the chain's coupling, which judges its laws on
         it.
@@ -210,38 +210,57 @@ class Node:
         Raises
         ------
         ParameterError
-            When the parameters describe no device.
+            If the parameters describe no device.
         """
         del parameters, name, axes
         return {}
 
     @classmethod
+    def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
+        """Return whether a device with these parameters lives in simulated time.
+
+        Parameters
+        ----------
+        parameters : mapping
+            Parameters of the node.
+        name : str
+            Name of the node.
+
+        Returns
+        -------
+        bool
+            False for hardware, and for a node without a device.
+        """
+        del parameters, name
+        return False
+
+    @classmethod
     def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
-        """Return the largest force that the node `name` with these `parameters` hands over, at a `period` [s].
+        """Return the largest force of node `name` with these `parameters`, at a `period` [s].
 
         Returns
         -------
         float or None
-            Largest magnitude along an axis [N]; None where the parameters set no limit.
+            Largest magnitude along an axis [N]; None if the parameters set no limit.
         """
         del parameters, name, period
         return None
 
     @classmethod
     def unjudged(cls, setup: Setup) -> str:
-        """Return why nobody judges the stability of what the node of this `setup` renders.
+        """Return why the stability of what the node of this `setup` renders is not judged.
 
         Returns
         -------
         str
-            One sentence; empty where it is judged, or renders nothing.
+            One sentence; empty if it is judged, or renders nothing.
         """
         del setup
         return ""
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
-        """Tell which subscriptions a node with these `parameters` makes at each publisher, which waits for all of them.
+        """Return the subscriptions of a node with these `parameters`, which publishers wait for.
 
         Returns
         -------
@@ -253,7 +272,7 @@ class Node:
 
     @classmethod
     def hears(cls, parameters: Any, nodes: Iterable[str]) -> frozenset[str]:
-        """Tell which of the other `nodes` of a launch one with these `parameters` connects to, when it listens to everything.
+        """Return which other `nodes` one with these `parameters` connects to, if it hears all.
 
         Returns
         -------
@@ -263,14 +282,13 @@ class Node:
         del parameters
         return frozenset(nodes)
 
-    # -- what a kind of node defines
-    # ---------------------------------------------------------------------------------
+    # -- what a kind of node defines --
 
     def configure(self) -> None:
         """Build what the loop needs from the parameters, before any socket exists."""
 
     def compiled_ticks(self, kernel: Callable[[int], int]) -> TickTaker:
-        """Make the compiled ticks of the kind, which this `kernel` does, when the sockets exist.
+        """Return the compiled ticks of the kind for a `kernel`, once the sockets exist.
 
         Returns
         -------
@@ -283,7 +301,10 @@ class Node:
     def connect(
         self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]
     ) -> None:
-        """Connect to the publishers of what the kind listens to; `subscribe` takes endpoints, topics and queue length."""
+        """Connect to the publishers of the kind's topics.
+
+        `subscribe` takes endpoints, topics and queue length.
+        """
         if self.listens_to == ("*",):
             self.inbox = subscribe(
                 set(self.setup.sources.values()), self.subscribes(self.store.current), self.queue
@@ -294,6 +315,20 @@ class Node:
                 {self.setup.sources[topic] for topic in self.listens_to}, wanted, self.queue
             )
 
+    def respond(self, message: Any) -> bytes | None:
+        """Answer one `message` of the loop topic that the kind follows.
+
+        A process calls it for each message that arrives (nodes/base/follow.py), the player of one
+        process for each tick (sim/play).
+
+        Returns
+        -------
+        bytes or None
+            The encoded answer; None where the message has none.
+        """
+        del message
+        raise TypeError(f"node kind {self.setup.kind!r} does not define respond()")
+
     def loop(self) -> None:
         """Tick until `stopping` (main thread)."""
         raise TypeError(f"node kind {self.setup.kind!r} does not define loop()")
@@ -302,7 +337,7 @@ class Node:
         """Leave everything safe; called on every way out of the loop."""
 
     def report(self) -> dict[str, Any]:
-        """Tell the launcher at the end what the status does not.
+        """Return figures for the launcher at the end, in addition to the status.
 
         Returns
         -------
@@ -312,7 +347,7 @@ class Node:
         return {}
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare new, valid `parameters` off the hot path (control thread).
+        """Prepare new, valid `parameters` outside the loop (control thread).
 
         Returns
         -------
@@ -322,7 +357,7 @@ class Node:
         Raises
         ------
         ParameterError
-            When the node cannot change while it runs.
+            If the node cannot change while it runs.
         """
         del parameters
         raise ParameterError(
@@ -330,20 +365,20 @@ class Node:
         )
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare new, valid `parameters` that the user insists on although the node advises against them (control thread).
+        """Prepare valid `parameters` that the node advises against (control thread).
 
         Returns
         -------
         callable
-            As from `prepare`, which it is for a node that refuses nothing of the kind.
+            As from `prepare`, to which it is equal by default.
         """
         return self.prepare(parameters)
 
     def check_health(self) -> None:
-        """Look whether all is well, about twice a second (control thread)."""
+        """Check the node's health, about twice a second (control thread)."""
 
     def operations(self) -> dict[str, Callable[..., Any]]:
-        """Control operations beside parameters, status and stop.
+        """Return control operations besides parameters, status and stop.
 
         Returns
         -------
@@ -352,51 +387,50 @@ class Node:
         """
         return {}
 
-    # -- what every node can use
-    # -------------------------------------------------------------------------------------
+    # -- what every node can use --
 
     def make_counters(self) -> Any:
-        """Make what counts the node's ticks.
+        """Return the tick counters.
 
         Returns
         -------
         Counters
-            Or a struct with the same fields, in which compiled ticks go on.
+            Or a struct with the same fields, for compiled ticks.
         """
         return Counters()
 
     def counted(self) -> Counted:
-        """Tell how far the node is, compiled ticks that still go on included; from any thread.
+        """Return the tick counts, including compiled ticks under way; from any thread.
 
         Returns
         -------
         Counted
-            Its tick, how many there were, and what was missed.
+            Tick, number of ticks, and missing ones.
         """
         counters = self.counters
         return Counted(max(counters.seq, 0), counters.ticks, counters.gaps, counters.skipped)
 
     def set_clock(self, offset: float, error: float) -> None:
-        """Take over the `offset` from this host's clock to the launcher's [s], and how far off that may be: its `error` [s]."""
+        """Set the `offset` of this host's clock to the launcher's, and its `error` [s]."""
         self.clock.set(offset, error)
-        # Compiled ticks go on with the one that they were given.
+        # Compiled ticks use the offset that they were given.
         self.events.notify()
 
     def make_compiled(self) -> TickTaker | None:
-        """Make the compiled ticks, where there are any.
+        """Create the compiled ticks, if available.
 
         Returns
         -------
         TickTaker or None
-            Of this node, when its sockets exist.
+            Of this node.
         """
         if self.kernel is not None:
             self.compiled = self.compiled_ticks(self.kernel)
-            self.events.mail = self.compiled.mail
+            self.events.post = self.compiled.post
         return self.compiled
 
     def stop(self, reason: str) -> None:
-        """Ask the loop to end after the present tick, for a `reason`; the first one is kept."""
+        """Stop the loop after the present tick, for a `reason`; the first reason counts."""
         if not self.stopping:
             self.stop_reason = reason
             self.stopping = True
@@ -404,9 +438,9 @@ class Node:
         self.events.interrupt()
 
     def flush_outbox(self) -> None:
-        """Send what is queued (main thread)."""
+        """Send queued messages (main thread)."""
         if self.compiled is not None:
-            self.compiled.take_mail()
+            self.compiled.return_outgoing()
         while self.events.outbox:
             topic, payload = self.events.outbox.popleft()
             self.publisher.send_aside(topic, payload)
@@ -414,8 +448,11 @@ class Node:
         self.publisher.flush()
 
     def between_ticks(self, seq: int) -> None:
-        """Take up what the control thread prepared, from tick `seq` on, and send what is queued (main thread)."""
-        # Before looking: what comes in between calls again.
+        """Apply a change of the control thread from tick `seq` on, and send queued messages.
+
+        Runs on the main thread.
+        """
+        # before checking, so that a later request is not lost
         self.events.waiting = False
         if self.changes:
             self.changes.apply_next(seq)
@@ -425,21 +462,21 @@ class Node:
             self.events.waiting = True
 
     def maintain(self) -> bool:
-        """Take in what listeners have sent, and connect anew what the control thread found deaf (main thread).
+        """Process subscriptions, and reconnect links that failed (main thread).
 
         Returns
         -------
         bool
-            Whether there is more to take in.
+            Whether more subscriptions wait.
         """
         if self.links is None:
-            # There are no sockets.
+            # there are no sockets
             return False
         self.links.maintain()
         return self.publisher.maintain()
 
     def status(self) -> NodeStatus:
-        """Describe the node now.
+        """Return the status of the node.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Kinds of node: found through the entry points ``haptic.nodes``, imported only when one is needed."""
+"""Kinds of node, found through the entry points ``haptic.nodes`` and imported when needed."""
 
 import importlib
 
@@ -19,16 +19,16 @@ NODES = Registry(
 
 
 def node_kinds() -> dict[str, str]:
-    """Find all installed kinds of node."""
+    """Return all installed kinds of node: name to ``module:Class``."""
     return {name: point.value for name, point in NODES.points().items()}
 
 
 def load(factory: str) -> type[Node]:
-    """Import the class of a node kind."""
+    """Return the class of a node kind."""
     module, _, name = factory.partition(":")
     try:
         found = getattr(importlib.import_module(module), name)
-    # another package's module may raise anything while it is imported
+    # another package's module may raise anything on import
     except (Exception, SystemExit) as error:
         raise ParameterError(
             f"{factory}: cannot be imported: {type(error).__name__}: {error}"

@@ -1,7 +1,7 @@
-"""The life of a node's process: sockets, ready, ticks, and an end that leaves the device safe and nothing open.
+"""The life of a node's process: sockets, ready, ticks, and a safe end.
 
-Whatever ends the loop, an exception included: first the device is made safe, then it is reported,
-then all is closed.
+Whatever ends the loop, an exception included: first the device is made safe, then the end is
+reported, then everything is closed.
 """
 
 import signal
@@ -31,11 +31,11 @@ from nodes.base.status_report import write_report
 from nodes.base.stderr_queue import instead_of_stderr
 from nodes.parameters.store import ParameterError
 
-# how long messages for listeners may be collected in real time, one period or more [s]
+# longest time to collect messages for listeners in real time, at least one period [s]
 LISTENERS_WAIT = 0.002
-# how many are collected in lockstep: to wake an idle core for them costs the loop some µs
+# messages collected in lockstep: waking an idle core for each costs the loop some µs
 LOCKSTEP_BATCH = 32
-# for so much of its lease a node started by hand waits at its end until its report is fetched
+# fraction of the lease that a manual node waits for its report to be fetched
 REPORT_SHARE = 0.5
 
 
@@ -51,7 +51,7 @@ def _await_listeners(node: Node) -> None:
             )
             node.events.emit(
                 "listeners",
-                f"{there} of {expected} listeners within {patience:g} s; going on without",
+                f"{there} of {expected} listeners within {patience:g} s; continuing without them",
                 {"listeners": there, "expected": expected, "limit_s": patience},
             )
             return
@@ -60,10 +60,9 @@ def _await_listeners(node: Node) -> None:
 
 
 def _heed_signals(node: Node) -> None:
-    """Let a thread wait for signals: a handler would interrupt the loop's thread, which may hold the very lock it needs."""
+    """Wait for signals in a thread; a handler could interrupt one that holds a lock."""
     asking = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    # Threads made from here on inherit it; nodes/__main__.py has done the same for those of
-    # imports.
+    # inherited by threads created from here on; nodes/__main__.py did the same for those of imports
     signal.pthread_sigmask(signal.SIG_BLOCK, asking)
 
     def wait() -> None:
@@ -71,13 +70,13 @@ def _heed_signals(node: Node) -> None:
             node.stop(signal.Signals(signal.sigwait(asking)).name)
 
     threading.Thread(target=wait, name=f"{node.setup.name}-signals", daemon=True).start()
-    # Sent when somebody opens a watched file that is being read under a lease; its default is to
-    # end the process.
+    # sent when a process opens a watched file that is read under a lease; the default ends the
+    # process
     signal.signal(signal.SIGIO, signal.SIG_IGN)
 
 
 def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | None]:
-    """Make all sockets, and before them the gate, where some are encrypted."""
+    """Create all sockets, and the gate before them if some are encrypted."""
     setup = node.setup
     bound = (setup.publish, setup.control, setup.reach, setup.listen_reach)
     events = node.events
@@ -133,7 +132,7 @@ def _fail_to_start(node: Node, error: Exception) -> int:
 
 
 def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
-    """Run a node from start to end; `load_kernel` gives it compiled ticks, of which this room knows nothing."""
+    """Run a node from start to end; `load_kernel` loads its compiled ticks, if any."""
     _heed_signals(node)
     descriptors.take()
     refused = realtime.apply(node.setup.scheduling)
@@ -167,7 +166,7 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
             node.finish()
         code = int(node.failing)
     except (ParameterError, OSError) as error:
-        # What a device or a disk says is no fault of the program: one line, no traceback.
+        # an error of a device or a disk is no fault of the program: one line, no traceback
         node.stop_reason = node.stop_reason or str(error)
         node.events.log(f"ended: {error}")
     finally:
@@ -184,7 +183,7 @@ def _close(
     if gate is not None:
         gate.stop()
     is_ended = control.stop()
-    # Emptied first, so that the last status tells exactly what was sent before it.
+    # emptied first, so that the last status counts exactly what was sent before it
     node.flush_outbox()
     node.events.publish(topics.status(node.setup.name), node.status())
     node.flush_outbox()
@@ -194,12 +193,12 @@ def _close(
     if is_ended:
         context.term()
     if node.setup.by_hand:
-        # Its launcher has asked for the report, and may be removing the directory.
+        # its launcher has fetched the report, and may be removing the directory
         return code
     try:
         write_report(node)
     except OSError as error:
-        # A full disk, at which the launcher finds no word that all is well.
+        # a full disk: the launcher must not conclude that all is well
         node.events.log(f"its report could not be written: {error}")
         return 1
     return code

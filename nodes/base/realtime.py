@@ -1,9 +1,9 @@
-"""What the kernel can do for a loop: one core for the chain, FIFO scheduling, exact timers; and waiting until a deadline.
+"""Kernel settings for a loop: one core for the chain, FIFO scheduling, exact timers.
 
 Pinning driver, environment and coupling, their I/O threads included, to one core gives most of the
-gain in the median and needs no privilege. FIFO brings the tail down from milliseconds to half of
-one, but only together with pinning. Both are inherited by threads made later, so they are set
-before the ZeroMQ context.
+gain in the median and needs no privilege. FIFO reduces the tail from milliseconds to half of one,
+but only together with pinning. Both are inherited by threads created later, so they are set before
+the ZeroMQ context.
 """
 
 import contextlib
@@ -22,12 +22,12 @@ from nodes.base.setup import Scheduling
 
 PR_SET_PDEATHSIG = 1
 
-# who holds it open bounds the time to wake a processor [µs] (PM QoS)
+# a process that holds it open limits the time to wake a processor [µs] (PM QoS)
 WAKE_LATENCY = "/dev/cpu_dma_latency"
 
 
 def apply(scheduling: Scheduling) -> list[str]:
-    """Set affinity, scheduler and timer slack of the calling thread."""
+    """Set affinity, scheduler and timer slack of the calling thread; return what was refused."""
     refused = []
     if scheduling.cpus:
         try:
@@ -49,7 +49,7 @@ def apply(scheduling: Scheduling) -> list[str]:
 
 
 def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
-    """Find the processor that devices interrupt least, of those this process may use: a tick waits for every interrupt."""
+    """Return the available processor with the fewest device interrupts, which delay ticks."""
     available = os.sched_getaffinity(0)
     counts = dict.fromkeys(sorted(available), 0)
     try:
@@ -57,7 +57,7 @@ def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
             columns = [int(name.removeprefix("CPU")) for name in table.readline().split()]
             for line in table:
                 name, *numbers = line.split()[: len(columns) + 1]
-                # Timers and calls between processors, which have names, follow the load.
+                # timers and calls between processors have names, and follow the load
                 if name.rstrip(":").isdigit():
                     for processor, number in zip(columns, numbers, strict=False):
                         if processor in counts:
@@ -69,7 +69,10 @@ def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
 
 @contextlib.contextmanager
 def off(processors: Collection[int]) -> Iterator[None]:
-    """Keep the calling thread, and what it starts, off a loop's processors: no priority interrupts a system call of others."""
+    """Exclude the calling thread, and what it starts, from a loop's processors.
+
+    No priority interrupts a system call of another process.
+    """
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, before - set(processors) or before)
     try:
@@ -80,7 +83,10 @@ def off(processors: Collection[int]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def awake() -> Iterator[str]:
-    """Keep idle processors awake until the process ends, however: sleeping makes each tick 10 µs later, waking costs power."""
+    """Prevent processors from sleeping until the block ends; yield why not, or "".
+
+    Sleeping delays each tick by 10 µs; staying awake costs power.
+    """
     try:
         held = os.open(WAKE_LATENCY, os.O_WRONLY)
     except OSError as error:
@@ -97,10 +103,12 @@ def awake() -> Iterator[str]:
 
 
 def step_aside(scheduling: Scheduling) -> None:
-    """Take the calling thread off the chain's core and below its priority, above others: it may hold the interpreter's lock."""
+    """Move the calling thread off the chain's core and below its priority.
+
+    It stays above other processes, because it may hold the GIL.
+    """
     if scheduling.aside:
-        # Refused as `cpus` is where the node was started among other processors, which `apply`
-        # tells.
+        # refused as `cpus` is if the node was started on other processors, which `apply` reports
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, scheduling.aside)
     if os.sched_getscheduler(0) == os.SCHED_FIFO:
@@ -109,20 +117,18 @@ def step_aside(scheduling: Scheduling) -> None:
 
 
 def quiet_interpreter() -> None:
-    """Keep the interpreter's own work out of the ticks: leave all that there is to no collection, switch threads quickly."""
-    # Not collected before: of 26 000 objects 500 are garbage, and to find them takes 5 to 10 ms.
+    """Minimise the interpreter's own work in ticks: no old garbage, fast thread switches."""
+    # not collected before: of 26 000 objects 500 are garbage, and finding them takes 5 to 10 ms
     gc.freeze()
-    # From here on a few at a time, whatever the start had: a node that is started by hand is a
-    # command, which looks rarely.
+    # From here on a few at a time, whatever the settings at start: those of a command are rare.
     gc.set_threshold(700, 10, 10)
     gc.enable()
-    # The control thread must give the interpreter lock back within a fraction of a tick (Python's
-    # default is 5 ms).
+    # The control thread must release the GIL within a fraction of a tick (default: 5 ms).
     sys.setswitchinterval(5e-5)
 
 
 def die_with_parent(parent: int | None = None) -> None:
-    """Ask the kernel for SIGTERM when the launcher dies, so that no node outlives a killed launcher."""
+    """Request SIGTERM from the kernel when the launcher dies, so that no node outlives it."""
     parent = os.getppid() if parent is None else parent
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
@@ -130,7 +136,7 @@ def die_with_parent(parent: int | None = None) -> None:
 
 
 def sleep_until(deadline: float) -> float:
-    """Sleep to an absolute time."""
+    """Sleep until an absolute time [s]. Return the time of waking."""
     now = time.monotonic()
     while now < deadline:
         time.sleep(deadline - now)
@@ -144,5 +150,8 @@ def _statm() -> int:
 
 
 def memory_bytes() -> int:
-    """Resident memory of this process; its file stays open, so that one without a descriptor left can still report."""
+    """Return the resident memory of this process [bytes], without opening a file.
+
+    The file stays open, so that a process without free descriptors can still report.
+    """
     return int(os.pread(_statm(), 256, 0).split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -1,7 +1,7 @@
-"""Parameters outlive their process: a node that is started again goes on with those that it had, not the launch file's.
+"""Parameters survive their process: a restarted node keeps its live parameters.
 
-They are written off the hot path, before a change is answered, into the directory of the run, with
-which they end.
+They are written outside the loop, before a change is answered, into the directory of the run, which
+is removed with the run.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from nodes.parameters.store import ParameterError, convert
 
 
 class Kept(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file holds: a node's parameters, the tick up to which they are true, and which save of a watched file is in."""
+    """Content of the file: parameters, their tick, and the last save of a watched file."""
 
     seq: int
     parameters: dict[str, Any]
@@ -26,10 +26,9 @@ def _path(node: Node) -> Path:
     return Path(node.setup.run_dir) / f"{node.setup.name}.kept"
 
 
-def keep(node: Node) -> None:
-    """Write the node's parameters down, if they are no longer those that were written last (control thread)."""
-    # In this order: what a scheduled swap changes in between is then done once more, and not left
-    # out.
+def save_parameters(node: Node) -> None:
+    """Save the node's parameters if they changed since the last save (control thread)."""
+    # In this order: a scheduled change in between is then repeated, not lost.
     seq, current = node.counted().seq, node.store.current
     if current is node.saved_parameters or not node.setup.run_dir:
         return
@@ -39,7 +38,7 @@ def keep(node: Node) -> None:
 
 
 def resume(node: Node) -> None:
-    """Go on with what a predecessor of this node had, if there was one and it was changed."""
+    """Continue with the parameters of a predecessor, if they were changed."""
     path = _path(node)
     if not node.setup.run_dir or not path.exists():
         return
@@ -47,10 +46,7 @@ def resume(node: Node) -> None:
         kept = msgspec.json.decode(path.read_bytes(), type=Kept)
         node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
     except (msgspec.DecodeError, ParameterError) as error:
-        node.events.log(
-            f"what it had before it was started again cannot be used: {error}; the launch file's"
-            " parameters hold"
-        )
+        node.events.log(f"its saved parameters cannot be used: {error}; using the launch file's")
         return
     node.saved_parameters, node.resumed_at, node.watched = (
         node.store.current,
@@ -58,5 +54,5 @@ def resume(node: Node) -> None:
         kept.watched,
     )
     node.events.emit_each(
-        "resumed", f"goes on with the parameters that it had at tick {kept.seq}", {"tick": kept.seq}
+        "resumed", f"continues with its parameters of tick {kept.seq}", {"tick": kept.seq}
     )

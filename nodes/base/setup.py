@@ -1,4 +1,4 @@
-"""What the launcher tells a node: who it is, where its sockets are, how it is paced, and its parameters."""
+"""Setup of a node: identity, endpoints, pace and parameters, as the launcher sends them."""
 
 import sys
 from typing import Annotated, Any, Literal
@@ -18,7 +18,7 @@ AXIS_INDEX: dict[str, int] = {"x": 0, "y": 1, "z": 2}
 
 
 class Scheduling(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Where and how urgently a process runs.
+    """Processors and priority of a process.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Scheduling(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     fifo : int
         SCHED_FIFO priority 1-99; 0 for the normal scheduler.
     aside : list of int
-        Processors of its threads that serve others than the loop; empty for the same.
+        Processors of its threads outside the loop; empty for the same.
     """
 
     cpus: list[int] = []
@@ -52,32 +52,32 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     apply : str
         When a force takes effect: ``on_arrival`` or ``next_tick``.
     tick : str
-        ``compiled`` where the node takes its usual ticks without the interpreter (nodes/compiled),
-        ``plain`` where not.
+        ``compiled`` if the node runs its usual ticks without the interpreter (nodes/compiled), else
+        ``plain``.
     axes : list of str
         Axes that the scene computes.
     virtual : bool
-        Whether every device of the launch is made up, so that nothing can break.
+        Whether every device of the launch is virtual, so that nothing can break.
     ticks : int
         Ticks to run; 0 runs until stopped.
     publish, control, listen : str
         Endpoints that the node binds: for the next hop of the loop, for requests, for listeners.
     reach, listen_reach : str
-        Endpoints that it binds besides, for hops and listeners on other machines; empty for none.
+        Further endpoints, for hops and listeners on other machines; empty for none.
     allow_paths : list of str or None
-        Directories in which its parameters may name files, where the launcher is on another
-        machine; None for anywhere.
+        Directories in which its parameters may name files, if the launcher is on another machine;
+        None for anywhere.
     by_hand : bool
-        Whether somebody else than the launcher starts it.
+        Whether the node is started by hand, not by the launcher.
     lease : float
-        After so long without a control request it stops by itself [s]; 0 for never.
+        Time without a control request after which it stops by itself [s]; 0 for never.
     patience : float
-        How long it waits for its listeners [s].
+        Longest wait for its listeners [s].
     sources : dict of str to str
         Topic inside the chain (or ``<node>``, for all its topics) to the endpoint that publishes
         it.
     remap : dict of str to str
-        Topic inside the chain to the full name of the one that the node takes in its place.
+        Topic inside the chain to the full name of the topic that replaces it.
     listeners : int
         Subscriptions of the launch's own nodes to wait for before the first tick.
     scheduling : Scheduling
@@ -87,15 +87,15 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     plant : dict of str to float
         What the other nodes of the chain know of the device (`nodes.base.node.Node.plant`).
     peak_force : float or None
-        Largest force of the chain's driver along an axis, as far as its parameters say [N]; None
-        where they do not.
+        Largest force of the chain's driver along an axis by its parameters [N]; None if not
+        limited.
     watch : str
         YAML file whose changes are applied while running; empty for none.
     manifest : dict of str to str
-        What a logger writes into the recording: launch file, parameters, versions, clock offset.
+        Data for a recording: launch file, parameters, versions, clock offset.
     clock_offset, clock_error : float
-        What to add to the monotonic clock of the node's host to get that of the launcher's, as
-        measured before the start, and how far off that may be [s]; both 0 on the launcher's host.
+        Offset from the monotonic clock of the node's host to that of the launcher's, as measured
+        before the start, and its uncertainty [s]; both 0 on the launcher's host.
     """
 
     run: str
@@ -137,7 +137,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         return self.name.rpartition("/")[0]
 
     def topic(self, topic: str) -> str:
-        """Name on the wire of a topic inside the chain.
+        """Return the name on the wire of a topic inside the chain.
 
         Parameters
         ----------
@@ -147,6 +147,6 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         Returns
         -------
         str
-            What it is remapped to, or the topic in the namespace of the chain.
+            The topic it is remapped to, or the topic in the namespace of the chain.
         """
         return self.remap.get(topic) or topics.within(self.namespace, topic)

@@ -1,4 +1,4 @@
-"""A small file in a run's private directory, mapped by two nodes: what one writes, the other reads without a message."""
+"""A small file in a run's private directory, mapped by two nodes to share data."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 
 from nodes.base.setup import Setup
 
-PATIENCE = 10.0  # how long a file that another node makes in its start is waited for [s]
+FILE_TIMEOUT = 10.0  # longest wait for a file that another node creates when it starts [s]
 
 
 def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
-    """Map a file of so many bytes; FileNotFoundError where nobody has made it."""
+    """Return a mapped file of `size` bytes; FileNotFoundError if it does not exist."""
     descriptor = os.open(path, os.O_RDWR | (os.O_CREAT if make else 0), 0o600)
     try:
         if make:
@@ -25,11 +25,15 @@ def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
 
 
 def awaited(
-    path: Path, size: int, maker: Setup, given_up: Callable[[], bool], patience: float = PATIENCE
+    path: Path,
+    size: int,
+    maker: Setup,
+    given_up: Callable[[], bool],
+    patience: float = FILE_TIMEOUT,
 ) -> Path:
-    """Wait until the node that makes a file has made it: it may start later than who asks.
+    """Wait until a node that may start later has created a file. Return its path.
 
-    That of a node on another machine never comes, and is not waited for.
+    A node on another machine never creates it, and is not waited for.
     """
     deadline = time.monotonic() + patience
     while maker.control.startswith("ipc:") and time.monotonic() < deadline and not given_up():

@@ -1,4 +1,4 @@
-"""What a node says of itself: its status at any time, and what it leaves behind at its end, where the launcher finds it."""
+"""Status of a node at any time, and its report at the end, which the launcher reads."""
 
 import os
 import resource
@@ -13,7 +13,7 @@ from nodes.base import realtime
 
 
 class Counted(NamedTuple):
-    """How far a node is: its tick, ticks handled, ticks missing in what it follows, messages left out for newer ones."""
+    """Progress of a node: tick, ticks handled, ticks missing, messages skipped for newer ones."""
 
     seq: int
     ticks: int
@@ -22,15 +22,15 @@ class Counted(NamedTuple):
 
 
 class Counters:
-    """The same of a node without compiled ticks, and -1 for the tick before the first."""
+    """The same for a node without compiled ticks; -1 is the tick before the first."""
 
     def __init__(self) -> None:
         self.seq = self.answered = -1
-        self.ticks = self.gaps = self.skipped = self.mailed = 0
+        self.ticks = self.gaps = self.skipped = self.outgoing_sent = 0
 
 
 def status_of(node: Any) -> NodeStatus:
-    """Describe a node now."""
+    """Return the status of a node."""
     seq, ticks, gaps, skipped = node.counted()
     sent, received = (ticks, ticks + skipped) if node.answers else (0, 0)
     usage = resource.getrusage(resource.RUSAGE_SELF)
@@ -42,7 +42,7 @@ def status_of(node: Any) -> NodeStatus:
         state=node.state,
         pid=os.getpid(),
         ticks=ticks,
-        sent=node.sent + node.counters.mailed + sent,
+        sent=node.sent + node.counters.outgoing_sent + sent,
         received=node.received + received,
         refused=node.events.refused,
         skipped=skipped,
@@ -57,15 +57,15 @@ def status_of(node: Any) -> NodeStatus:
 
 
 def report_of(node: Any, figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Put a node's last status before its report."""
+    """Return a node's report, including its last status."""
     status = msgspec.to_builtins(node.status())
-    # A node that takes no ticks says nothing.
+    # empty for a node without ticks
     tick = "compiled" if node.kernel is not None else "plain" if node.publishes else ""
     return {"status": status, "tick": tick, "ticks_compiled": node.ticks_compiled, **figures}
 
 
 def write_whole(path: Path, content: Any) -> None:
-    """Write something as JSON so that whoever reads the file finds all of it, or what was there before."""
+    """Write JSON atomically: readers find all of it, or the previous content."""
     draft = path.with_name(f"{path.name}.draft")
     draft.write_bytes(msgspec.json.encode(content))
     draft.replace(path)

@@ -1,10 +1,10 @@
-"""Workers: processes of this machine that do what they are given, and never outlive who gave it.
+"""Worker processes on this machine, which never outlive the process that started them.
 
-Each has a pipe, and a thread here that feeds it. A terminal sends Ctrl-C to all of them. It is
-blocked where a worker is started, and so in the worker from the first: a handler of its own would
-come too late. Who asked for the work decides, and ends the workers at once or lets them finish. One
-that dies loses nothing: another does what it was at. The standard library's pool is given up whole
-when one dies, and its workers answer a Ctrl-C in their first seconds with tracebacks.
+Each has a pipe, and a thread here that feeds it. A terminal sends Ctrl-C to all of them. The signal
+is blocked from the start of a worker, because a handler of its own would come too late; the parent
+decides whether to end the workers or to let them finish. If one dies, nothing is lost: another
+repeats its job. The standard library's pool fails as a whole when a worker dies, and its workers
+answer a Ctrl-C in their first seconds with tracebacks.
 """
 
 import contextlib
@@ -26,12 +26,12 @@ from messages.errors import RefusedError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-TRIES = 4  # to so many workers a job is given, one after another, when they die
+TRIES = 4  # workers that try a job, one after another, if they die
 
 
 @contextlib.contextmanager
 def _later() -> Iterator[None]:
-    """Let Ctrl-C come after this block; what is started in it never sees any."""
+    """Defer Ctrl-C until the block ends; processes started in it never get it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -45,7 +45,7 @@ class _Worker(NamedTuple):
 
 
 class Workers(Executor):
-    """Processes that are started when there is work, at most `count`; a with block that is left by an exception ends them."""
+    """Up to `count` processes, started on demand; an exception in a with block ends them."""
 
     def __init__(self, count: int) -> None:
         self._threads = ThreadPoolExecutor(count, "worker")
@@ -55,20 +55,20 @@ class Workers(Executor):
         self._over = False
 
     def submit(self, work: Callable[P, R], /, *args: P.args, **options: P.kwargs) -> Future[R]:
-        """Give work to a worker: a function of a module, by name, with what can be pickled."""
+        """Run `work`, a function of a module, with picklable arguments in a worker."""
         packed = pickle.dumps((work, args, options))
         with _later():
-            # The thread, which may be started here, and its worker inherit it.
+            # inherited by a thread started here, and by its worker
             return self._threads.submit(self._done, packed)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let them finish what they were given, and go."""
+        """Wait until all submitted jobs are done, and end the workers."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
         if wait:
             self.end()
 
     def end(self) -> None:
-        """End them now, whatever they are at."""
+        """Kill the workers."""
         with _later():
             with self._starting:
                 self._over = True
@@ -78,19 +78,18 @@ class Workers(Executor):
             self._threads.shutdown(cancel_futures=True)
             for worker in self._there:
                 worker.pipe.close()
-                # Linux 6.18 was seen to spend a minute on taking a dead process from its table.
+                # Linux 6.18 was seen to take a minute to reap a dead process
                 threading.Thread(target=worker.process.wait, name="reap", daemon=True).start()
             self._there.clear()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Wait for them; after an exception, Ctrl-C for one, nobody wants their answers."""
+        """Wait for the workers; kill them after an exception, e.g. Ctrl-C."""
         if kind is None:
             self.shutdown()
         else:
             self.end()
 
-    # -- on the threads
-    # ----------------------------------------------------------------------------------------------
+    # -- on the threads --
 
     def _done(self, packed: bytes) -> Any:
         ended = 0
@@ -120,8 +119,8 @@ class Workers(Executor):
                 raise RefusedError("the workers were ended")
             here, there = Pipe()
             with there:
-                # Neither -m's module nor the caller's script is run again: a worker imports what it
-                # is given.
+                # Neither the module of -m nor the caller's script is run again: a worker imports
+                # its job only.
                 process = subprocess.Popen(
                     [
                         sys.executable,
@@ -132,20 +131,20 @@ class Workers(Executor):
                         str(os.getpid()),
                     ],
                     stdin=subprocess.DEVNULL,
-                    # An answer in JSON is the last line of standard output.
+                    # the JSON result of a command is the last line of standard output
                     stdout=sys.__stderr__,
                     pass_fds=(there.fileno(),),
                 )
             worker = self._own.worker = _Worker(process, here)
             self._there.append(worker)
         with contextlib.suppress(OSError):
-            # Gone already: `_done` sees it.
+            # already gone: `_done` notices
             here.send(sys.path)
         return worker
 
 
 def serve(pipe: Connection) -> None:
-    """Do what comes, until nobody is left who sends."""
+    """Run jobs from the pipe until it closes."""
     sys.path[:] = pipe.recv()
     while True:
         try:
@@ -153,9 +152,10 @@ def serve(pipe: Connection) -> None:
         except (EOFError, OSError):
             return
         try:
-            work, args, options = pickle.loads(packed)  # noqa: S301  # from who started this process
+            # from the process that started this one
+            work, args, options = pickle.loads(packed)  # noqa: S301
             answer = (True, work(*args, **options))
-        except Exception as error:  # noqa: BLE001  # whatever it is, it is the caller's
+        except Exception as error:  # noqa: BLE001  # any exception belongs to the caller
             error.add_note("".join(traceback.format_exception(error)))
             answer = (False, error)
         try:
@@ -165,7 +165,7 @@ def serve(pipe: Connection) -> None:
 
 
 def main() -> None:
-    """Serve who started this process: ``python -m nodes.base.workers DESCRIPTOR PARENT``."""
+    """Serve the parent process: ``python -m nodes.base.workers DESCRIPTOR PARENT``."""
     from nodes.base.realtime import die_with_parent
 
     die_with_parent(int(sys.argv[2]))

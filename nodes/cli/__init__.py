@@ -1,1 +1,1 @@
-"""The command line: one verb a file."""
+"""Command line of ``haptic``: one module per verb."""

@@ -1,4 +1,4 @@
-"""The running launch that a verb means."""
+"""Find the running launch, node or chain that a verb addresses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def sub_verb(
     run: Callable[[argparse.Namespace], int],
     text: str,
 ) -> argparse.ArgumentParser:
-    """Declare a sub-verb that speaks to a running launch; the text is its help."""
+    """Declare a sub-verb that talks to a running launch; `text` is its help."""
     own = sub.add_parser(name, help=text, description=text)
     own.set_defaults(run=run)
     add_run(own)
@@ -30,16 +30,16 @@ def sub_verb(
 
 
 def chosen_run(arguments: argparse.Namespace) -> RunInfo:
-    """Find the run that is meant: by --run, else by the variable HAPTIC_RUN, else the only one."""
+    """Return the run given by --run, else by the variable HAPTIC_RUN, else the only one."""
     return launches.find(arguments.run_name)
 
 
 def chosen_node(arguments: argparse.Namespace) -> tuple[RunInfo, str]:
-    """Find the run and, by the argument ``node``, the name of the node that are meant."""
+    """Return the run and the full name of the node given by the argument ``node``."""
     run = chosen_run(arguments)
     return run, launches.node_name(run, arguments.node)
 
 
 def chosen_chain(arguments: argparse.Namespace) -> RunInfo:
-    """Find the chain that is meant: as `chosen_run`, and of a run with several one has to be named."""
+    """Return the chain given by --run as `chosen_run`; of several, one must be named."""
     return chosen_run(arguments).only_chain()

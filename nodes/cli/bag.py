@@ -14,7 +14,7 @@ from pathlib import Path
 
 from messages.errors import UsageError
 from nodes.cli.main import add_json, add_run_name, answer, complain, heeding
-from nodes.cli.quantities import above_zero, not_negative
+from nodes.parameters.quantities import above_zero, not_negative
 from nodes.recording.accounts import ClockRecord, Completeness, clocks, completeness
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
@@ -40,25 +40,19 @@ def add(parser: argparse.ArgumentParser) -> None:
         )
     )
     info = declare(
-        "info",
-        _info,
-        "Tell what a recording holds: topics, messages, gaps in seq, sent against recorded.",
+        "info", _info, "Show a recording's topics, message counts, gaps in seq and losses."
     )
     play = declare(
-        "play",
-        _play,
-        "Publish a recording at its original pace, for PlotJuggler or a node to listen to.",
+        "play", _play, "Publish a recording at its original pace, for PlotJuggler or a node."
     )
     cut = declare("cut", _extract, "Copy a part of a recording into a new one.")
     cut.set_defaults(topics=[])
-    few = declare("filter", _extract, "Copy some topics of a recording into one of their own.")
-    few.add_argument(
-        "--topics", nargs="+", default=[], metavar="TOPIC", help="whole names of topics"
-    )
+    few = declare("filter", _extract, "Copy some topics of a recording into a new one.")
+    few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names")
     recover = declare(
         "recover",
         _recover,
-        "Copy all that is sound in a cut or damaged recording into a complete one.",
+        "Copy everything sound in a cut or damaged recording into a complete one.",
     )
     export = declare(
         "export",
@@ -72,10 +66,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--format",
         choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
         help=(
-            "csv: a directory, with a file per topic too (default); npz: numpy; mat: MATLAB;"
-            " parquet: ticks only; ros2: a directory that ros2 bag play takes; foxglove: the"
-            " recording with its scene in three dimensions. Taken from the ending of --out when"
-            " left out"
+            "csv: a directory, also with a file per topic (default); npz: numpy; mat: MATLAB;"
+            " parquet: ticks only; ros2: a directory for ros2 bag play; foxglove: the"
+            " recording with its scene in 3D (default: from the suffix of --out)"
         ),
     )
     plot = declare(
@@ -93,10 +86,10 @@ def add(parser: argparse.ArgumentParser) -> None:
             type=not_negative,
             dest="start",
             metavar="S",
-            help="from this time of the run on [s]",
+            help="start at this time of the run [s]",
         )
         own.add_argument(
-            "--to", type=not_negative, dest="stop", metavar="S", help="up to this time [s]"
+            "--to", type=not_negative, dest="stop", metavar="S", help="stop at this time [s]"
         )
     for own in (cut, few):
         _add_patterns(own)
@@ -108,39 +101,36 @@ def add(parser: argparse.ArgumentParser) -> None:
             export,
             "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap",
         ),
-        (plot, "FILE.png, FILE_xy.png, FILE_overlay.png; .svg and .pdf are what they are called"),
+        (
+            plot,
+            "FILE.png, FILE_xy.png or FILE_overlay.png; the suffix .svg or .pdf sets the format",
+        ),
     ):
         own.add_argument(
             "--out",
             "-o",
             type=Path,
             metavar="PATH",
-            help=f"what to write (default: {default}, beside it)",
+            help=f"output (default: {default}, beside the recording)",
         )
-        own.add_argument("--force", action="store_true", help="replace what is there already")
+        own.add_argument("--force", action="store_true", help="replace existing files")
 
 
 def _add_record(own: argparse.ArgumentParser) -> None:
-    own.add_argument(
-        "topics", nargs="*", metavar="TOPIC", help="whole names of topics; all when left out"
-    )
+    own.add_argument("topics", nargs="*", metavar="TOPIC", help="full topic names (default: all)")
     _add_patterns(own)
-    own.add_argument("--all", "-a", action="store_true", help="record all topics, as without any")
+    own.add_argument("--all", "-a", action="store_true", help="record all topics (the default)")
     own.add_argument(
-        "--out",
-        "-o",
-        type=Path,
-        metavar="FILE",
-        help="file to write (default: OUT_DIR/RUN-PID.mcap)",
+        "--out", "-o", type=Path, metavar="FILE", help="output file (default: OUT_DIR/RUN-PID.mcap)"
     )
     own.add_argument(
         "--out-dir",
         type=Path,
         default=Path("recordings"),
         metavar="DIR",
-        help="its directory (default: %(default)s)",
+        help="output directory (default: %(default)s)",
     )
-    own.add_argument("--force", action="store_true", help="replace a file that is there already")
+    own.add_argument("--force", action="store_true", help="replace an existing file")
     add_run_name(own)
     own.add_argument(
         "--duration",
@@ -155,58 +145,49 @@ def _add_play(own: argparse.ArgumentParser) -> None:
     own.add_argument(
         "--endpoint",
         default="tcp://127.0.0.1:9872",
-        help="where to publish (default: %(default)s, where PlotJuggler looks)",
+        help="endpoint to publish on (default: %(default)s, PlotJuggler's)",
     )
     own.add_argument(
         "--rate",
         "-r",
         type=above_zero,
         default=1.0,
-        help="speed, 1 is the original pace, inf does not wait",
+        help="speed factor: 1 is the original pace, inf does not wait",
     )
+    own.add_argument("--loop", "-l", action="store_true", help="repeat until Ctrl-C")
     own.add_argument(
-        "--loop", "-l", action="store_true", help="begin again at the end, until Ctrl-C"
-    )
-    own.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", help="topics to publish; all when left out"
+        "--topics", nargs="+", metavar="TOPIC", help="topics to publish (default: all)"
     )
     own.add_argument(
         "--start-offset",
         type=not_negative,
         default=0.0,
         metavar="S",
-        help="begin so many seconds into it",
+        help="start S seconds into the recording",
     )
     own.add_argument(
-        "--remap",
-        "-m",
-        nargs="+",
-        default=[],
-        metavar="OLD:=NEW",
-        help="publish a topic under another name",
+        "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish topic OLD as NEW"
     )
     own.add_argument(
-        "--wait", action="store_true", help="wait for a listener before the first message"
+        "--wait", action="store_true", help="wait for a subscriber before the first message"
     )
 
 
 def _add_patterns(own: argparse.ArgumentParser) -> None:
+    own.add_argument("--regex", "-e", metavar="REGEX", help="topics whose names match")
     own.add_argument(
-        "--regex", "-e", metavar="REGEX", help="the topics in whose names this is found"
-    )
-    own.add_argument(
-        "--exclude-regex", "-x", metavar="REGEX", help="but not those in whose names this is"
+        "--exclude-regex", "-x", metavar="REGEX", help="except topics whose names match"
     )
 
 
 def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
-    """Choose topics by name and pattern; all where nothing is asked for."""
+    """Return the topics that names and patterns select; all if neither is given."""
     try:
         wanted = re.compile(arguments.regex or "")
         unwanted = None if arguments.exclude_regex is None else re.compile(arguments.exclude_regex)
     except re.error as error:
         raise UsageError(
-            f"bag {arguments.chosen}: {error.pattern!r} is no regular expression: {error}"
+            f"bag {arguments.chosen}: {error.pattern!r} is not a regular expression: {error}"
         ) from error
     known = list(known)
     named = [
@@ -217,12 +198,12 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     chosen = named if arguments.topics or arguments.regex else known
     left = [topic for topic in chosen if unwanted is None or not unwanted.search(topic)]
     if not left:
-        raise UsageError(f"bag {arguments.chosen}: no topic fits; there are {', '.join(known)}")
+        raise UsageError(f"bag {arguments.chosen}: no topic matches; there are {', '.join(known)}")
     return left
 
 
 def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
-    """Run a sub-verb; a bad file gets an error of one line and exit code 1."""
+    """Run a sub-verb; for a bad file, print a one-line error and return exit code 1."""
     for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):
         if not file.is_file():
             raise UsageError(f"{file}: no such file")
@@ -236,13 +217,13 @@ def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Names
 def _free(out: Path, force: bool) -> Path:
     if out.exists() and not force:
         raise UsageError(
-            f"{out}: exists already; replace it with --force, or write elsewhere with --out"
+            f"{out}: already exists; replace it with --force, or write elsewhere with --out"
         )
     return out
 
 
 def _record(arguments: argparse.Namespace) -> int:
-    # First: who ends it while it starts gets a recording that is complete, too.
+    # Install the handler first, so that a signal during the start leaves a complete file too.
     ended: list[int] = []
     with heeding(ended.append):
         from nodes.cli.ask import chosen_run
@@ -252,13 +233,13 @@ def _record(arguments: argparse.Namespace) -> int:
         run = chosen_run(arguments)
         if arguments.all and arguments.topics:
             raise UsageError(
-                f"bag record: --all and topics ({' '.join(arguments.topics)}) at once; choose one"
+                f"bag record: --all together with topics ({' '.join(arguments.topics)}); choose one"
             )
         for topic in arguments.topics:
             known_topic(run, topic)
         patterns = arguments.regex or arguments.exclude_regex
         topics = _chosen(run.endpoints(), arguments) if patterns else arguments.topics
-        # Several recorders beside one launch each get a file of their own.
+        # The process number gives each of several recorders beside one launch its own file.
         out = _free(
             arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force
         )
@@ -283,7 +264,7 @@ def _counted(messages: Mapping[str, int]) -> str:
 def _in_order(start: float | None, stop: float | None) -> tuple[float, float]:
     begin, end = start or 0.0, math.inf if stop is None else stop
     if begin >= end:
-        raise UsageError(f"--from {begin:g} --to {end:g}: the end comes after the beginning")
+        raise UsageError(f"--from {begin:g} --to {end:g}: the end must come after the beginning")
     return begin, end
 
 
@@ -316,7 +297,7 @@ def _info_text(
     if verdict.left_out:
         lines.append(
             f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps"
-            " everywhere, no losses)"
+            " on every topic, no losses)"
         )
     for node, account in verdict.nodes.items():
         lines.append(f"  {node}: {account.text}")
@@ -466,7 +447,7 @@ def _recover(arguments: argparse.Namespace) -> int:
     saved = recover(arguments.file, out, overwrite=arguments.force)
     lines = [f"{out}: {sum(saved.messages.values())} messages saved"]
     lines += [f"  {topic}: {count}" for topic, count in saved.messages.items()]
-    lines += saved.problems or ["the recording was complete and sound: nothing was lost"]
+    lines += saved.problems or ["the recording was complete and sound; nothing was lost"]
     figures = {
         "out": str(out),
         "messages": saved.messages,
@@ -487,8 +468,8 @@ def _export(arguments: argparse.Namespace) -> int:
     form = arguments.format or ending or "csv"
     if form not in formats:
         raise UsageError(
-            f"{arguments.out}: {ending!r} is no format; take one of {', '.join(formats)} with"
-            " --format"
+            f"{arguments.out}: {ending!r} is not a format; choose one of {', '.join(formats)}"
+            " with --format"
         )
     ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(form, f".{form}")
     out = _free(arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force)
@@ -498,7 +479,7 @@ def _export(arguments: argparse.Namespace) -> int:
         try:
             recording.require_ticks()
         except RecordError as error:
-            complain(error)  # the other tables are written all the same
+            complain(error)  # the other tables are written anyway
     return answer(
         arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files))
     )

@@ -1,4 +1,4 @@
-"""The command ``haptic`` itself: quiet when it is interrupted before it can do anything."""
+"""The command ``haptic``: imports the command line; exits quietly if interrupted early."""
 
 import gc
 import os
@@ -8,14 +8,14 @@ import sys
 
 def main() -> int:
     """Import the command line and run it."""
-    # A loop's matrices are small: threads of the linear algebra only wait for each other, five
-    # times the processor's time, and in a node they would do so beside the loop. Whoever wants them
-    # says so; what a verb starts inherits it.
+    # A loop's matrices are small: BLAS threads only wait for each other, taking five times the
+    # processor time, also beside the loop. Child processes inherit the setting; users can override
+    # it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # What imports make stays: looking through it after every 700 objects takes a tenth of the time
-    # that most verbs take.
+    # Imported objects live until the end; collecting after every 700 of them takes a tenth of most
+    # verbs' time.
     gc.set_threshold(100_000)
-    # Importing takes some tenths of a second, in which Ctrl-C would be answered with a traceback.
+    # During the import, some tenths of a second, Ctrl-C would print a traceback.
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     from nodes.cli.main import main as run
 
@@ -23,12 +23,12 @@ def main() -> int:
         signal.signal(signal.SIGINT, before)
         code = run()
     except KeyboardInterrupt:
-        # Before the verb could take it, or behind its end.
+        # Ctrl-C before the verb handles it, or after its end.
         code = 130
     finally:
-        # Nothing is left to be put in order: what comes now ends the process without a word.
+        # No cleanup is left: from here a signal ends the process silently.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    # It all ends now, without being looked through once more.
+    # Skip the collection at exit.
     gc.freeze()
     return code
 

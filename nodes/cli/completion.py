@@ -1,4 +1,4 @@
-"""Print what makes a shell complete haptic's words on TAB: eval "$(haptic completion bash)"."""
+"""Print a script that completes haptic's words on TAB: eval "$(haptic completion bash)"."""
 
 import argparse
 import contextlib
@@ -11,7 +11,7 @@ from nodes.launcher.runs import RunError, RunInfo, find_run
 from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError
 
-SCRIPTS = {  # what to evaluate, by shell; each asks ``haptic completion words`` at every TAB
+SCRIPTS = {  # script per shell; each runs ``haptic completion words`` at every TAB
     "bash": (
         """\
 _haptic() {
@@ -55,10 +55,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "shell",
         choices=[*SCRIPTS, "words"],
-        help="which shell; words: what may follow (for the scripts)",
+        help="the shell; words: print completions (used by the scripts)",
     )
     parser.add_argument(
-        "typed", nargs="*", help="with words: what stands on the line, the last one unfinished"
+        "typed", nargs="*", help="with words: the words typed so far, the last one unfinished"
     )
     parser.set_defaults(run=run)
 
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def candidates(typed: list[str]) -> list[str]:
-    """Find what may stand in the place of the last word."""
+    """Return the words that may replace the last word of `typed`."""
     *done, prefix = typed or [""]
     chosen = next((word for word in done if not word.startswith("-")), None)
     if chosen is None:
@@ -93,7 +93,7 @@ def candidates(typed: list[str]) -> list[str]:
     given = _positionals(rest, options)
     found: list[str] = []
     for number, action in enumerate(places):
-        # One that takes several words stands for all that follow.
+        # An argument that accepts several words also covers all that follow.
         if number == len(given) or (
             number < len(given) and action.nargs in ("*", "+", argparse.REMAINDER)
         ):
@@ -108,7 +108,7 @@ def _fitting(words: Iterable[str], prefix: str) -> list[str]:
 def _descend(
     parser: argparse.ArgumentParser, done: list[str]
 ) -> tuple[argparse.ArgumentParser, list[str]]:
-    """Follow the sub-verbs that are typed already; give the innermost parser and what stands after its name."""
+    """Return the parser of the innermost sub-verb typed, and the words after its name."""
     rest = list(done)
     while True:
         sub = next(
@@ -127,15 +127,16 @@ def _descend(
         if sub is not None and word in sub.choices:
             parser = sub.choices[word]
         elif below and word in below:
+            declare = parser.get_default("declare")
             parser = Parser(prog=word)
-            VERBS.load(below[word]).add(parser)
+            declare(VERBS.load(below[word]), parser)
         else:
             return parser, rest
         rest = rest[place + 1 :]
 
 
 def _positionals(rest: list[str], options: dict[str, Any]) -> list[str]:
-    """Take out options and their values."""
+    """Return the words that are neither options nor their values."""
     found, skip = [], False
     for word in rest:
         if skip:
@@ -149,11 +150,11 @@ def _positionals(rest: list[str], options: dict[str, Any]) -> list[str]:
 
 
 def _values(action: argparse.Action, given: list[str]) -> list[str]:
-    """List what an argument may be: its choices, or the names of what runs or is installed."""
+    """Return the values of an argument: its choices, or names of running or installed things."""
     if action.choices is not None:
         return [str(choice) for choice in action.choices]
     source = _SOURCES.get(action.dest)
-    # What cannot be found out now is not offered.
+    # Offer nothing if no launch runs, or several do.
     with contextlib.suppress(RunError, ParameterError):
         return source(given) if source else []
     return []

@@ -1,4 +1,4 @@
-"""What ``haptic launch --debug`` says: the launch with all arguments filled in, and each process where it runs."""
+"""Output of ``haptic launch --debug``: the resolved launch, and each process as it starts."""
 
 import shlex
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from nodes.parameters.yaml_io import write_yaml
 
 
 class Debugging:
-    """Says of a launch what it is, and of each process when it is new."""
+    """Prints the launch once, and each process when it is new."""
 
     def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
         self._say = say
@@ -26,7 +26,7 @@ class Debugging:
             say(line)
 
     def __call__(self, supervisor: Supervisor) -> None:
-        """Say which processes are new."""
+        """Print new processes."""
         for name, child in supervisor.children.items():
             process = child.process
             if process is None or self._pids.get(name) == process.pid:
@@ -38,5 +38,5 @@ class Debugging:
             command = shlex.join([*PYTHON, "-m", "nodes", f"{setup.run_dir}/{name}.json"])
             self._say(f"{name}: pid {process.pid}, {where}, {how}, tick {setup.tick}: {command}")
             for topic, source in setup.sources.items():
-                self._say(f"  takes {topic} from {source}")
-            self._say(f"  publishes at {setup.publish}, answers at {setup.control}")
+                self._say(f"  receives {topic} from {source}")
+            self._say(f"  publishes at {setup.publish}, replies at {setup.control}")

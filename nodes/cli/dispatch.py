@@ -1,7 +1,7 @@
-"""Verbs made of sub-verbs, importing only the one asked for: a study that needs scipy does not slow the others.
+"""Verbs made of sub-verbs: import only the requested one, so that scipy slows no other.
 
-The sub-verb NAME of a verb is registered beside the verbs, as ``"VERB.NAME"``, and is a module of
-the same shape.
+The sub-verb NAME is registered beside the verbs as ``"VERB.NAME"``, and is a module of the same
+shape, or a function of options where the verb declares such (`sim.cli.functions`).
 """
 
 import argparse
@@ -9,9 +9,10 @@ import errno
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from messages.errors import UsageError
 from nodes.base.kept_line import erased
@@ -19,24 +20,30 @@ from nodes.cli.main import VERBS, Parser, complain, first_line, sub_verbs
 
 
 def dispatch(
-    parser: argparse.ArgumentParser, verb: str, noun: str, moved: Mapping[str, str] | None = None
+    parser: argparse.ArgumentParser,
+    verb: str,
+    noun: str,
+    moved: Mapping[str, str] | None = None,
+    declare: Callable[[Any, argparse.ArgumentParser], None] = lambda found, own: found.add(own),
 ) -> None:
     """Pass the arguments of a verb on to one of its sub-verbs.
 
     Parameters
     ----------
     parser : argparse.ArgumentParser
-        Of the verb.
+        Parser of the verb.
     verb, noun : str
-        The verb's name, and what a sub-verb of it is called.
+        Name of the verb, and the noun for its sub-verbs.
     moved : mapping of str to str, optional
-        Former sub-verbs, and the command that each is now: ``{"fig2": "lab fig2"}``.
+        Former sub-verbs to their present commands: ``{"fig2": "lab fig2"}``.
+    declare : callable, optional
+        Declares the arguments of what is registered as a sub-verb.
     """
     known = sub_verbs(verb)
     width = max(map(len, known))
     names = "".join(f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = f"{noun}:\n{names}\nhaptic {verb} {noun.upper()} --help tells more."
+    parser.epilog = f"{noun}:\n{names}\nDetails: haptic {verb} {noun.upper()} --help"
     parser.add_argument(
         "chosen",
         metavar=noun.upper(),
@@ -49,7 +56,7 @@ def dispatch(
     def run(arguments: argparse.Namespace) -> int:
         full = known[arguments.chosen]
         own = Parser(prog=f"{parser.prog} {arguments.chosen}", description=first_line(full))
-        VERBS.load(full).add(own)
+        declare(VERBS.load(full), own)
         chosen, left_over = own.parse_known_args(arguments.rest)
         if left_over:
             chosen.parser.refuse(left_over)
@@ -65,7 +72,7 @@ def dispatch(
             )
             raise
 
-    parser.set_defaults(run=run, sub_verbs=known)
+    parser.set_defaults(run=run, sub_verbs=known, declare=declare)
 
 
 def _current(verb: str, moved: Mapping[str, str], name: str) -> str:
@@ -76,7 +83,7 @@ def _current(verb: str, moved: Mapping[str, str], name: str) -> str:
 
 
 def refuse_unwritable(path: Path, option: str = "--out") -> None:
-    """Refuse a place that cannot be written to before the work is done, and name the option that chooses another."""
+    """Raise UsageError early if `path` cannot be written; name `option` as the remedy."""
     there = next(
         place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink()
     )
@@ -84,8 +91,7 @@ def refuse_unwritable(path: Path, option: str = "--out") -> None:
         raise UsageError(f"{path}: {there} is not a directory; choose another {option}")
     try:
         if there.is_dir():
-            # Asked by doing it: root may do what the mode forbids, and nobody may write to a
-            # read-only disk.
+            # Try it: root may write despite the mode, and nobody can write to a read-only disk.
             with tempfile.TemporaryFile(dir=there):
                 pass
         elif not os.access(there, os.W_OK):

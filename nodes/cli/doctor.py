@@ -1,4 +1,4 @@
-"""Tell what real-time settings this machine grants a loop, and what to do about those it refuses."""
+"""Check this machine's real-time settings, and print remedies for those it refuses."""
 
 import argparse
 import contextlib
@@ -11,7 +11,7 @@ import sysconfig
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from nodes.base import realtime
 from nodes.base.node_kinds import NODES, load, node_kinds
@@ -26,27 +26,31 @@ from nodes.parameters.registry import NotInstalledError, Registry
 
 DISTRIBUTION = ("/usr",)  # where the interpreters of distributions are installed
 
-WAKE_UPS = 250
-PERIOD = 0.002  # wake-ups that are measured, and their period [s]: half a second at 500 Hz
-LATE = 200e-6  # a wake-up later than this costs a tenth of a tick at 500 Hz [s]
-# descriptors that a node needs at most, encrypted connections to many listeners included
+WAKE_UPS = 250  # wake-ups measured
+WAKE_UP_PERIOD = 0.002  # their period [s]
+LATE = 200e-6  # limit of a wake-up's lateness: a tenth of a tick at 500 Hz [s]
+# Descriptors that a node needs at most, encrypted connections to many subscribers included.
 OPEN_FILES = 256
-# what a run adds to the runtime directory's path: scenario of 16 characters, time, and a socket's
-# name
+# Bytes that a run adds to the runtime directory's path: scenario of 16 characters, time, socket.
 RUN_NAME = 83
 
 
 class Diagnosis(NamedTuple):
-    """What was found about one setting."""
+    """Result of one check."""
 
-    # As it should be; works, but costs punctuality; or essential and not there.
+    # As it should be; works, but costs punctuality; or essential and missing.
     state: Literal["ok", "limited", "missing"]
-    found: str  # value or refusal
-    remedy: str = ""  # what to do; empty when nothing is to be done
+    found: str  # value, or why it was refused
+    remedy: str = ""  # what to do; empty if nothing
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="print what a bug report needs: versions, machine, load, configuration; as Markdown",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -93,9 +97,9 @@ def _throttling() -> Diagnosis:
         return Diagnosis("ok", "off")
     return Diagnosis(
         "ok",
-        f"FIFO may use {runtime} of every {period} µs: no hindrance to one loop with a fixed rate;"
-        " several on one processor may use that up, which shows as gaps of some 50 ms; lockstep,"
-        " which never sleeps, runs without FIFO because of it",
+        f"FIFO may use {runtime} of every {period} µs, enough for one loop with a fixed rate;"
+        " several on one processor may use it up, which shows as gaps of some 50 ms; lockstep,"
+        " which never sleeps, therefore runs without FIFO",
     )
 
 
@@ -106,7 +110,7 @@ def _processors() -> Diagnosis:
     text += f"; isolated: {isolated}" if isolated else ""
     if len(available) < 2:
         remedy = (
-            "give the loop a second one: with one, loggers and plots share it with the chain"
+            "add a second processor: with one, loggers and plots share it with the chain"
             " driver-environment-coupling"
         )
         return Diagnosis("limited", text, remedy)
@@ -130,8 +134,8 @@ def _governor() -> Diagnosis:
     if governor == "performance":
         return Diagnosis("ok", governor)
     remedy = (
-        "sudo cpupower frequency-set -g performance: a core that clocks down between ticks answers"
-        " late"
+        "sudo cpupower frequency-set -g performance: a core that lowers its clock between ticks"
+        " answers late"
     )
     return Diagnosis("limited", f"{governor} on processor {core}", remedy)
 
@@ -141,7 +145,7 @@ def _sleep() -> Diagnosis:
         if not refused:
             return Diagnosis("ok", f"can be kept awake ({realtime.WAKE_LATENCY})")
     remedy = (
-        f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root): without, answers come"
+        f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root); without it, answers come"
         " some 10 µs later"
     )
     return Diagnosis("limited", refused.partition(";")[0], remedy)
@@ -154,7 +158,7 @@ def _preemption() -> Diagnosis:
         if word in platform.version().split()
     ]
     models += ["PREEMPT_RT"] if _read("/sys/kernel/realtime") == "1" else []
-    unknown = "preemption model not named in its version; the wake-ups below show what it is worth"
+    unknown = "preemption model not named in its version; see the wake-ups below"
     return Diagnosis("ok", f"{platform.release()}, {models[0] if models else unknown}")
 
 
@@ -169,9 +173,7 @@ def _runtime() -> Diagnosis:
     try:
         path = runtime_dir()
     except (RunError, OSError) as error:
-        return Diagnosis(
-            "missing", str(error), "set HAPTIC_RUNTIME_DIR to a directory that you may write to"
-        )
+        return Diagnosis("missing", str(error), "set HAPTIC_RUNTIME_DIR to a writable directory")
     longest = len(os.fsencode(path)) + RUN_NAME
     if longest > MAX_IPC_PATH:
         text = f"{path}: socket paths would reach {longest} bytes, limit {MAX_IPC_PATH}"
@@ -180,7 +182,7 @@ def _runtime() -> Diagnosis:
         )
     if not os.access(path, os.W_OK | os.X_OK):
         return Diagnosis(
-            "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to one that is"
+            "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to a writable directory"
         )
     return Diagnosis("ok", f"{path}, private")
 
@@ -198,7 +200,7 @@ def _zeromq() -> Diagnosis:
 
 
 def interpreter() -> Diagnosis:
-    """Look at how this interpreter was built."""
+    """Check how this interpreter was built."""
     optimised = "-fprofile-use" in (
         sysconfig.get_config_var("PY_CORE_CFLAGS") or ""
     ) or "--enable-optimizations" in (sysconfig.get_config_var("CONFIG_ARGS") or "")
@@ -206,8 +208,7 @@ def interpreter() -> Diagnosis:
     if optimised:
         return Diagnosis("ok", f"{text}, built with PGO")
     if sys.base_prefix in DISTRIBUTION:
-        # Distributions run the profiling build by hand, so that its flags are not in the
-        # configuration.
+        # Distributions run the profiling build by hand, so its flags are not in the configuration.
         return Diagnosis("ok", f"{text}, the distribution's build")
     remedy = (
         "use a build with --enable-optimizations (distributions' and uv's are): nodes answer faster"
@@ -215,8 +216,8 @@ def interpreter() -> Diagnosis:
     return Diagnosis("limited", f"{text}, built without PGO", remedy)
 
 
-def wake_ups(period: float = PERIOD, count: int = WAKE_UPS) -> dict[str, float]:
-    """Measure how late this thread wakes up from sleeping to absolute times."""
+def wake_ups(period: float = WAKE_UP_PERIOD, count: int = WAKE_UPS) -> dict[str, float]:
+    """Measure how late this thread wakes from sleeps to absolute times [µs]."""
     start = time.monotonic()
     deadlines = [start + k * period for k in range(1, count + 1)]
     late = sorted(realtime.sleep_until(deadline) - deadline for deadline in deadlines)
@@ -228,12 +229,12 @@ def _slack() -> Diagnosis:
     slack = ctypes.CDLL(None).prctl(30, 0, 0, 0, 0)  # PR_GET_TIMERSLACK
     if slack == 1:
         return Diagnosis("ok", "1 ns granted")
-    remedy = "write access to /proc/self/timerslack_ns: ticks come about 50 µs later without"
+    remedy = "write access to /proc/self/timerslack_ns; without it, ticks come about 50 µs later"
     return Diagnosis("limited", f"{slack} ns; setting 1 ns refused", remedy)
 
 
 def _packages() -> Diagnosis:
-    """Import what other packages have installed beside us, as a launch would that names it."""
+    """Import what other packages registered, as a launch that names it would."""
     from nodes.environment.surfaces import SURFACES
     from nodes.laws.base import LAWS
     from nodes.laws.derivatives import DERIVATIVES
@@ -252,40 +253,40 @@ def _packages() -> Diagnosis:
                 except NotInstalledError as error:
                     broken[found[-1]] = str(error)
     if broken:
-        remedy = "mend or uninstall what cannot be imported; everything else works meanwhile"
+        remedy = "repair or uninstall what cannot be imported; everything else works"
         return Diagnosis("limited", "; ".join(broken.values()), remedy)
     return Diagnosis("ok", ", ".join(found) or "none")
 
 
 def _compiled_tick() -> Diagnosis:
-    """Look whether `run.tick: auto` finds the compiled ticks: it takes what is built, and never waits for the compiler."""
+    """Check whether compiled ticks are built, so that `run.tick: auto` can use them."""
     modules: set[str] = set()
     for factory in node_kinds().values():
-        # A kind that cannot be imported, or raises what it likes, is named under "other packages".
+        # A kind that cannot be imported, for any reason, is reported under "other packages".
         with contextlib.suppress(Exception):
             modules |= load(factory).modules({})
     try:
         entries = {module: find(module) for module in sorted(modules)}
     except CacheRefusedError as error:
-        remedy = "remove it, or set XDG_CACHE_HOME to a folder that only you may write to"
-        return Diagnosis("limited", f"compiled code is not taken from there: {error}", remedy)
+        remedy = "remove it, or set XDG_CACHE_HOME to a folder that only you can write to"
+        return Diagnosis("limited", f"compiled code is not loaded from there: {error}", remedy)
     missing = [module for module, entry in entries.items() if entry is None]
     failed = list(filter(None, map(reason, entries.values())))
     if failed:
         return Diagnosis(
             "limited",
-            f"cannot be compiled here: {'; '.join(failed)}; auto takes the plain tick",
-            "mend what it names (python -m nodes.compiled.build MODULE says more); haptic launch"
-            " floor_drop --tick compiled compiles it again",
+            f"cannot be compiled here: {'; '.join(failed)}; auto uses the plain tick",
+            "repair what it names (details: python -m nodes.compiled.build MODULE), then haptic"
+            " launch floor_drop --tick compiled compiles it again",
         )
     if not missing:
-        return Diagnosis("ok", f"built for this version and processor, auto takes it: {folder()}")
+        return Diagnosis("ok", f"built for this version and processor, auto uses it: {folder()}")
     seconds, _ = expected_seconds(missing)
     return Diagnosis(
         "limited",
-        f"not built for this version: {', '.join(missing)}; auto takes the plain tick",
+        f"not built for this version: {', '.join(missing)}; auto uses the plain tick",
         f"haptic launch floor_drop --tick compiled: compiles it once, about {seconds:.0f} s here;"
-        " auto takes it from then on",
+        " auto uses it from then on",
     )
 
 
@@ -300,11 +301,11 @@ def _punctuality(measured: dict[str, dict[str, float]]) -> Diagnosis:
     return Diagnosis(
         "limited",
         text,
-        "stop what else runs on this machine, and see SCHED_FIFO, CPU governor and kernel above",
+        "stop other programs on this machine, and see SCHED_FIFO, CPU governor and kernel above",
     )
 
 
-# what is looked at, in this order, before wake-ups are measured
+# Checks made, in this order, before wake-ups are measured.
 CHECKS: dict[str, Callable[[], Diagnosis]] = {
     "Python": interpreter,
     "ZeroMQ": _zeromq,
@@ -326,7 +327,7 @@ CHECKS: dict[str, Callable[[], Diagnosis]] = {
 
 def _findings(measured: dict[str, dict[str, float]]) -> dict[str, Diagnosis]:
     findings = {name: check() for name, check in CHECKS.items()}
-    # as a node of the chain would run: pinned, and with FIFO where it is granted
+    # As a node of the chain runs: pinned, and with FIFO if granted.
     cpus = [realtime.quietest_processor()]
     realtime.apply(Scheduling(cpus=cpus))
     measured["normal"] = wake_ups()
@@ -343,6 +344,10 @@ def run(arguments: argparse.Namespace) -> int:
         text = f"{sys.platform}: haptic nodes run on Linux only"
         answer(arguments.json, {"fine": False, "checks": [], "wake_up_us": {}, "error": text}, text)
         return 1
+    from nodes.cli.bug_report import gathered, markdown
+
+    # Before this process is pinned, and before its own load.
+    found = gathered() if arguments.report else {}
     measured: dict[str, dict[str, float]] = {}
     findings = _findings(measured)
     states = [finding.state for finding in findings.values()]
@@ -355,7 +360,9 @@ def run(arguments: argparse.Namespace) -> int:
     verdict = "nothing essential is missing" if fine else "a loop cannot run here"
     lines.append(f"{verdict}{f'; {limited} settings could be better' if limited else ''}")
     checks = [{"name": name, **finding._asdict()} for name, finding in findings.items()]
-    answer(
-        arguments.json, {"fine": fine, "checks": checks, "wake_up_us": measured}, "\n".join(lines)
-    )
+    figures: dict[str, Any] = {"fine": fine, "checks": checks, "wake_up_us": measured}
+    text = "\n".join(lines)
+    if arguments.report:
+        text = f"{markdown(found, checks)}\n\n{verdict}"
+    answer(arguments.json, figures | found, text)
     return 0 if fine else 1

@@ -1,4 +1,4 @@
-"""Keys of this machine and of those that may take part in its launches: new, allow, revoke, list."""
+"""Create and list keys, and allow or revoke the machines that may take part in launches."""
 
 import argparse
 from collections.abc import Callable
@@ -20,24 +20,24 @@ def add(parser: argparse.ArgumentParser) -> None:
         own.set_defaults(run=lambda arguments: _told(run, arguments))
         return own
 
-    new = declare("new", _new, "Make this machine's key pair and print the public key.")
-    new.add_argument("--replace", action="store_true", help="replace the pair that is there")
+    new = declare("new", _new, "Create this machine's key pair and print the public key.")
+    new.add_argument("--replace", action="store_true", help="replace the existing pair")
     allow = declare(
         "allow",
         _allow,
-        "Let another machine in: its public key, under a name (its address, as launch files say"
-        " host).",
+        "Allow another machine by its public key, under a name (its address, as host in a launch"
+        " file).",
     )
     allow.add_argument("name")
-    allow.add_argument("key", help="64 hexadecimal digits, as its haptic keys list prints them")
+    allow.add_argument("key", help="64 hexadecimal digits, printed there by haptic keys list")
     allow.add_argument("--replace", action="store_true", help="replace another key under that name")
     revoke = declare(
         "revoke",
         _revoke,
-        "Let a machine in no more: its open connections to whatever runs here end within a second.",
+        "Revoke a machine's access; its open connections here end within a second.",
     )
     revoke.add_argument("name")
-    declare("list", _list, "Print this machine's public key and the machines that are let in.")
+    declare("list", _list, "Print this machine's public key and the allowed machines.")
 
 
 def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
@@ -64,8 +64,8 @@ def _allow(arguments: argparse.Namespace) -> int:
 def _revoke(arguments: argparse.Namespace) -> int:
     path = keys.revoke(arguments.name)
     text = (
-        f"{arguments.name} is no longer allowed ({path} removed); what runs here ends its"
-        " connections within a second"
+        f"{arguments.name} is no longer allowed ({path} removed); its connections to this machine"
+        " end within a second"
     )
     return answer(arguments.json, {"name": arguments.name, "file": str(path)}, text)
 

@@ -37,7 +37,7 @@ from nodes.recording.writer import Ended, write_ended
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scenario", nargs="?", help="name of a launch file, or the path of one")
+    parser.add_argument("scenario", nargs="?", help="name or path of a launch file")
     parser.add_argument(
         "assignments", nargs="*", metavar="name:=value", help="arguments of the launch file"
     )
@@ -46,11 +46,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--show-args", "-s", action="store_true", help="show the arguments of a scenario"
     )
     parser.add_argument(
-        "--without",
-        action="append",
-        default=[],
-        metavar="NODE",
-        help="leave a node out, e.g. logger",
+        "--without", action="append", default=[], metavar="NODE", help="omit a node, e.g. logger"
     )
     parser.add_argument(
         "--params",
@@ -58,30 +54,21 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=Path,
         metavar="FILE",
-        help=(
-            "lay parameters over those of the nodes, as haptic param dump and haptic study design"
-            " write them"
-        ),
+        help=("override node parameters with a file from haptic param dump or haptic study design"),
     )
     parser.add_argument(
         "--tick",
         choices=("auto", "compiled", "plain"),
-        help=(
-            "how the loop's nodes take their ticks: compiled, or by the interpreter; tick:= does"
-            " the same"
-        ),
+        help=("run the loop's ticks compiled or in the interpreter (plain); same as tick:="),
     )
     parser.add_argument(
         "--out-dir",
         type=Path,
         metavar="DIR",
-        help="directory of recordings and plot (default: as the launch file says)",
+        help="directory of recordings and plot (default: from the launch file)",
     )
     parser.add_argument(
-        "--debug",
-        "-d",
-        action="store_true",
-        help="print what is launched, argument by argument, and each process",
+        "--debug", "-d", action="store_true", help="print the resolved launch and each process"
     )
     parser.add_argument(
         "--no-plot", action="store_true", help="do not draw the recording at the end"
@@ -89,7 +76,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view",
         action="store_true",
-        help="serve a page to see and touch it; its URL is printed first",
+        help="serve a page to see and touch the scene; print its URL first",
     )
     add_json(parser)
     parser.set_defaults(run=run)
@@ -123,10 +110,10 @@ def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
 
 
 def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]:
-    """Where the recordings are: ``host:`` (empty on this machine) and path, so that scp understands the two together."""
+    """Return host (``host:``, empty for this machine) and path of each recording, as for scp."""
     found = []
     for name, child in supervisor.children.items():
-        # A logger that was killed leaves no report, but a file.
+        # A killed logger leaves no report, but a file.
         path = supervisor.reports.get(name, {}).get("recording") or _path_of(
             child.setup, supervisor.run
         )
@@ -138,7 +125,7 @@ def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]
 
 
 def _path_of(setup: Setup, run: str) -> str:
-    """Name the file of a node that records on this machine; empty for any other, or where no file was begun."""
+    """Return the existing file that a local logger records to; else an empty string."""
     if setup.kind != "logger" or setup.control.startswith("tcp://"):
         return ""
     path = file_of(msgspec.convert(setup.parameters, LoggerParameters).path, run, setup.name)
@@ -146,7 +133,7 @@ def _path_of(setup: Setup, run: str) -> str:
 
 
 def _note_cut(supervisor: Supervisor, ticks: int) -> None:
-    """Leave beside each recording that its logger did not finish how many ticks the run had."""
+    """Write the run's number of ticks beside each recording that its logger did not finish."""
     for child in supervisor.children.values():
         path = _path_of(child.setup, supervisor.run) if child.ended_badly else ""
         if path:
@@ -166,7 +153,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
     return {
         "scenario": launch.scenario,
         "run": supervisor.run,
-        # Of several chains the first, and all below.
+        # Of several chains the first; all are listed below.
         **next(iter(chains.values()), _of_chain(launch, "", {})),
         "tick": supervisor.tick,
         "tick_by_node": {
@@ -196,7 +183,7 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
 
 
 def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, Any]:
-    """Figures of one chain, from its driver's report."""
+    """Return the figures of one chain from its driver's report."""
     axes = launch.axes.get(chain) or launch.run.axes
     axis, single = "xyz".index(axes[0]), len(axes) == 1
     final = driver.get("final", {})
@@ -225,7 +212,7 @@ def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, A
 
 
 def _safety_text(safety: dict[str, Any]) -> list[str]:
-    """Lines about what the driver's safety did; none for a run in which it had nothing to do."""
+    """Return lines about the driver's safety actions; none if there were none."""
     counts = [
         f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number
     ]
@@ -234,7 +221,7 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
         for which, number in safety.get("limited", {}).items()
         if number
     ]
-    first = ("waiting", "active")  # the first force is no news
+    first = ("waiting", "active")  # happens in every run, so not shown
     changes = [
         one["reason"] for one in safety.get("changes", []) if (one["before"], one["after"]) != first
     ]
@@ -244,7 +231,7 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
 
 
 def _ending(final: dict[str, Any], stopped: bool) -> str:
-    """Say how the motion ended: a mass that buzzes or falls is not at rest."""
+    """Return a line about the final motion: at rest, swinging, falling or moving."""
     motion, where = (
         final["motion"],
         f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N",
@@ -286,7 +273,7 @@ def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
 
 
 def _chain_text(figures: dict[str, Any]) -> list[str]:
-    """Lines about one chain."""
+    """Return lines about one chain."""
     response, lines = figures["response_us"], list[str]()
     if response and figures["ticks"]:
         lines = [
@@ -301,8 +288,8 @@ def _chain_text(figures: dict[str, Any]) -> list[str]:
         ]
     if guard := figures["guard"]:
         lines.append(
-            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; given out"
-            f" beyond what was in store: at most {guard['highest_j'] * 1e3:.4g} mJ"
+            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; energy"
+            f" owed: at most {guard['highest_j'] * 1e3:.4g} mJ"
         )
     lines += _safety_text(figures["safety"])
     final = figures["final"]
@@ -340,7 +327,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
-    """Name the loggers of this machine, and where each records to."""
+    """Yield the name and the file of each local logger."""
     for name, spec in launch.nodes.items():
         if spec.kind == "logger" and not spec.host:
             yield (
@@ -350,19 +337,19 @@ def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
 
 
 def _check_places(launch: Launch) -> None:
-    """Refuse, before anything is started, places that no recording of this machine can be written to, and one for two."""
+    """Refuse, before the start, unwritable places and one file for two loggers."""
     taken: dict[Path, str] = {}
     for name, path in _places(launch):
         refuse_unwritable(path, "--out-dir")
         if (other := taken.setdefault(path.absolute(), name)) != name:
             raise UsageError(
-                f"{launch.scenario}: {other} and {name} both record to {path}; give one of them"
-                f" another nodes.{name}.parameters.path"
+                f"{launch.scenario}: {other} and {name} both record to {path}; set another"
+                f" nodes.{name}.parameters.path for one of them"
             )
 
 
 def _into(launch: Launch, folder: Path) -> Launch:
-    """Let all loggers of this machine write into one directory."""
+    """Make all loggers of this machine write into `folder`."""
     nodes = dict(launch.nodes)
     for name, path in _places(launch):
         parameters = {**nodes[name].parameters, "path": str(folder / path.name)}
@@ -371,7 +358,7 @@ def _into(launch: Launch, folder: Path) -> Launch:
 
 
 def _plot(recording: str, say: Callable[[str], None]) -> str | None:
-    """Draw a recording beside it; Ctrl-C, also while the libraries load, ends the drawing and not the command."""
+    """Draw a recording beside it; Ctrl-C ends only the drawing, even while libraries load."""
     from nodes.recording.plot import plot
     from nodes.recording.reader import Recording
     from nodes.recording.writer import RecordError
@@ -389,13 +376,12 @@ def _print(text: str) -> None:
     try:
         print(text, flush=True)
     except BrokenPipeError:
-        # Nobody reads the answer; the exit code tells all the same.
+        # The reader is gone; the exit code still counts.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
-    # A reader of the launcher's output may pause; the launcher must look after its nodes, and heed
-    # Ctrl-C, all the same.
+    # A reader of the launcher's output may pause; supervision and Ctrl-C must not wait for it.
     instead_of_stderr()
     status = StatusLine(launch)
 
@@ -430,7 +416,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     figures = summarise(launch, supervisor)
     _note_cut(supervisor, figures["ticks"])
     if not arguments.json:
-        # First what happened: drawing takes a second.
+        # Print before drawing, which takes a second.
         _print(
             printable(
                 _text(launch, figures, "" if supervisor.load is None else supervisor.load.text)
@@ -442,7 +428,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         }
         with realtime.off(processors):
             compile_later(kernel_modules(launch), say)
-    # One on another machine is drawn there: haptic bag plot.
+    # A recording on another machine is drawn there, with haptic bag plot.
     here = [path for place, path in _recordings(launch, supervisor) if not place]
     if here and not arguments.no_plot and figures["ticks"]:
         try:
@@ -459,7 +445,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         return 1
     if supervisor.load is not None and supervisor.load.cause == "chains":
         return OVERLOADED
-    # launch/README.md says which end is early; one without an end of its own, a service for one,
-    # ends well by a signal.
+    # launch/README.md lists the early ends. A run without an end of its own, such as a service,
+    # ends normally by a signal.
     early = {STOPPED: 130, "SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
     return early.get(supervisor.exit_reason, 0) if launch.run.ticks else 0

@@ -11,16 +11,16 @@ from nodes.cli.ask import chosen_node, sub_verb
 from nodes.cli.law_worlds import world_figures, world_lines
 from nodes.cli.main import answer
 from nodes.cli.param import FORCE, forced, receipt_text
-from nodes.cli.quantities import declare as declare_quantities
-from nodes.cli.quantities import declare_law, positive, whole
 from nodes.client.launches import ask
+from nodes.parameters.quantities import declare as declare_quantities
+from nodes.parameters.quantities import declare_law, positive, whole
 
 if TYPE_CHECKING:
     from nodes.laws import CompiledLaw
     from nodes.stability.plant import Plant
 
+# Options that describe a law, and a loop, that need not run.
 OF_LAW = ("stiffness", "gain", "order", "taps", "gains", "derivative")
-# describe a law and a loop that need not run
 OF_LOOP = ("rate", "mass", "heaviest", "damping", "delay", "hand", "launch")
 DEFAULTS = {
     "rate": 500.0,
@@ -52,7 +52,7 @@ _NO_PARAMETERS = (
 )
 
 
-LEAK = 0.05  # difference of H(1) and K, as a part of the larger, that is warned of
+LEAK = 0.05  # relative difference between H(1) and K above which a warning is shown
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -64,36 +64,36 @@ def add(parser: argparse.ArgumentParser) -> None:
     ) -> argparse.ArgumentParser:
         own = sub_verb(sub, name, run, text)
         own.add_argument(
-            "--node", default="coupling", help="the coupling that is meant (default: %(default)s)"
+            "--node", default="coupling", help="name of the coupling (default: %(default)s)"
         )
         return own
 
     declare(
         "list",
         _list,
-        "List the laws that a running coupling can switch to; the active one is marked.",
+        "List the laws that a running coupling can switch to; * marks the active one.",
     )
     switch = declare(
-        "switch", _switch, "Switch the law between two ticks; tells what both really render."
+        "switch", _switch, "Switch the law between two ticks; print what both really render."
     )
     switch.add_argument("law")
     switch.add_argument(
         "--ramp",
         type=whole(0, 100_000),
         metavar="TICKS",
-        help="cross-fade (default: the coupling's own)",
+        help="duration of the cross-fade (default: the coupling's parameter)",
     )
     switch.add_argument("--force", action="store_true", help=FORCE)
     show = declare(
         "show",
         _show,
-        "Show what a law really renders: in the running loop, in a launch file (--launch), or in a"
-        " loop that you describe.",
+        "Show what a law really renders in the running loop, in a launch file (--launch), or in a"
+        " loop described by options.",
     )
     show.add_argument(
         "law",
         nargs="?",
-        help="name of a law, kind or preset, or a mapping {kind: ...}; the active one if left out",
+        help="name of a law, kind or preset, or a mapping {kind: ...} (default: the active law)",
     )
     show.add_argument(
         "assignments",
@@ -101,13 +101,15 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="name:=value",
         help="parameters of the law, or of the launch file",
     )
-    show.add_argument("--launch", metavar="SCENARIO", help="law, rate and device of a launch file")
+    show.add_argument(
+        "--launch", metavar="SCENARIO", help="use law, rate and device of this launch file"
+    )
     declare_quantities(show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None)
     declare_law(show)
     show.add_argument(
         "--heaviest",
         type=positive,
-        help="greatest mass of the device, where --mass is the least [kg]",
+        help="largest mass of the device; --mass is then the smallest [kg]",
     )
 
 
@@ -122,7 +124,7 @@ def _list(arguments: argparse.Namespace) -> int:
             f"{'*' if name == found['active'] else ' '} {name:{width}}  {law['kind']}: {values}"
         )
     if found["active"] not in found["laws"]:
-        lines.append(f"* {found['active']}: a law failed; haptic law switch takes another")
+        lines.append(f"* {found['active']}: a law failed; choose another with haptic law switch")
     return answer(arguments.json, {"run": run.run, **found}, "\n".join(lines))
 
 
@@ -141,7 +143,7 @@ def _short(value: Any) -> str:
 
 
 def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
-    """Lay out the figures of one or two laws."""
+    """Return a table of the figures of one or two laws."""
     wide = max(len(label) for _, label, _ in ROWS)
     lines = []
     if len(columns) > 1:
@@ -170,8 +172,7 @@ def _switch(arguments: argparse.Namespace) -> int:
 
 def _show(arguments: argparse.Namespace) -> int:
     if ":=" in (arguments.law or ""):
-        # ``law show --launch floor_drop stiffness:=900``: no law named, the first word is an
-        # assignment.
+        # ``law show --launch floor_drop stiffness:=900`` names no law: the word is an assignment.
         arguments.assignments.insert(0, arguments.law)
         arguments.law = None
     if arguments.launch is not None:
@@ -193,22 +194,23 @@ def _show(arguments: argparse.Namespace) -> int:
     lines = [
         f"{figures['law']}: {figures.get('kind', '')} {parameters}".rstrip(),
         "  taps"
-        f" {', '.join(f'{tap:.6g}' for tap in taps[:8])}{f', … ({len(taps)})' if len(taps) > 8 else ''} N/m"
+        f" {', '.join(f'{tap:.6g}' for tap in taps[:8])}"
+        + (f", … ({len(taps)})" if len(taps) > 8 else "")
+        + " N/m"
         + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
         *_table({"": figures}),
         *world_lines(worlds, max(len(label) for _, label, _ in ROWS)),
     ]
     if "masses_kg" in figures:
         low, high = figures["masses_kg"]
-        worst = f"{figures['worst_mass_kg']:.4g} kg, the worst for this loop"
-        lines.append(f"  with {worst} of the device's {low:g} to {high:g} kg over its workspace")
+        worst = f"{figures['worst_mass_kg']:.4g} kg"
+        lines.append(f"  with {worst}, the worst of the device's {low:g} to {high:g} kg")
     lines += _leak(figures)
     if "landing_proof" in figures:
         lines.append(f"  {figures['landing_proof']['text']}")
     if figures["h_nyquist_n_per_m"] is None:
         lines.append(
-            "  its own code is left out of H(1), which is that of its taps; the other figures need"
-            " taps alone"
+            "  H(1) is that of its taps, without its own code; the other figures need taps alone"
         )
     if arguments.damping is not None and arguments.gain is None and "damping" in figures:
         lines.append(
@@ -219,20 +221,23 @@ def _show(arguments: argparse.Namespace) -> int:
 
 
 def _leak(figures: dict[str, Any]) -> list[str]:
-    """Warn of a short memory whose end leaks: what it adds to K is felt for ever, or taken from it."""
+    """Return a warning if H(1) differs from K because the taps of a short memory leak."""
     nominal, felt = figures.get("stiffness"), figures["h1_n_per_m"]
     if not isinstance(nominal, int | float) or felt is None or figures["h_nyquist_n_per_m"] is None:
         return []
     if abs(felt - nominal) <= LEAK * max(abs(nominal), abs(felt)):
         return []
     return [
-        f"  warning: H(1) is {felt:.6g} N/m and K {nominal:.6g} N/m: a short memory leaks: take"
-        " more taps, or sections"
+        f"  warning: H(1) is {felt:.6g} N/m and K {nominal:.6g} N/m, because a short memory leaks:"
+        " use more taps, or sections"
     ]
 
 
 def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) -> dict[str, Any]:
-    """Whether every drop settles on a wall of the law, proven on each device; `contact`: the convention of a launch."""
+    """Return whether every drop is proven to settle, on the worst of the `plants`.
+
+    `contact` names the launch's contact convention; a proof covers one convention only.
+    """
     from nodes.stability.landing_proof import prove_landing
 
     worst = min(
@@ -251,7 +256,7 @@ def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) 
 
 
 def _describes(arguments: argparse.Namespace) -> bool:
-    """Whether a loop is described rather than a running one meant."""
+    """Whether the arguments describe a law and loop instead of a running coupling."""
     from nodes.launcher.runs import runs
 
     options = any(getattr(arguments, name) is not None for name in (*OF_LAW, *OF_LOOP))
@@ -307,7 +312,7 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     )
     if arguments.node not in launch.nodes:
         raise UsageError(
-            f"{launch.scenario}: no node is named {arguments.node!r}; there is:"
+            f"{launch.scenario}: no node is named {arguments.node!r}; available:"
             f" {', '.join(launch.nodes)}"
         )
     parameters: CouplingParameters = convert(

@@ -1,4 +1,4 @@
-"""The stiffness of a law for worlds that move, beside the figures of ``haptic law show``: computed here, not in the loop."""
+"""K_max of a law with moving worlds, for ``haptic law show``; computed outside the loop."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ ROWS = (
 
 
 def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
-    """Return K_max for a wall, any implicit world, and any hand as well; empty where device or law do not allow it.
+    """Return K_max for a wall, any implicit world, and any hand; empty if not computable.
 
-    `shown`: figures of a law with ``kind`` and its parameters, ``plant``, ``rate_hz`` and
-    ``delay_ticks``. Where the mass depends on the position: the least over both ends and the worst.
+    `shown` holds the figures of a law with ``kind`` and its parameters, ``plant``, ``rate_hz`` and
+    ``delay_ticks``. If the mass depends on position, the result is the smallest over both ends and
+    the worst mass.
     """
     from nodes.coupling.parameters import PlantParameters
     from nodes.laws import load_law
@@ -61,7 +62,7 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def world_lines(figures: Mapping[str, Any], wide: int) -> list[str]:
-    """Return a line for each figure of `world_figures`; `wide`: of the names [characters]."""
+    """Return a line per figure of `world_figures`; `wide` is the width of the labels."""
     return [
         f"  {label:{wide}} "
         f" {'none certified' if figures[key] is None else format(figures[key], '.6g'):>14}"

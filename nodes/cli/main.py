@@ -1,8 +1,8 @@
-"""The command ``haptic``: finds its verbs through the entry points ``haptic.verbs`` and imports only the one asked for.
+"""Command line ``haptic``: finds verbs by entry points, imports only the requested one.
 
 A verb is a module whose docstring's first line is its help and which has ``add(parser)``: it
 declares its arguments and sets ``run``, a function of the parsed arguments that returns the exit
-code. A name with a dot is a sub-verb: ``study.kmax``.
+code. A name with a dot is a sub-verb, ``study.kmax``; it may be a function of options instead.
 """
 
 import argparse
@@ -26,14 +26,17 @@ from nodes.base.printable import COLOURS, printable
 from nodes.base.stderr_queue import drain_stderr
 from nodes.parameters.installed import OURS, version
 from nodes.parameters.nearest import did_you_mean
+from nodes.parameters.options import takes_options
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
 
 VERBS = Registry(
     "haptic.verbs",
     "verb",
-    lambda _, found: (
-        "" if callable(getattr(found, "add", None)) else f"{found!r} has no add(parser)"
+    lambda name, found: (
+        ""
+        if callable(getattr(found, "add", None)) or ("." in name and takes_options(found))
+        else f"{found!r} has no add(parser)"
     ),
 )
 ASKING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask for an end
@@ -45,22 +48,27 @@ _CHOICE = re.compile(
 
 
 class Parser(argparse.ArgumentParser):
-    """Takes no abbreviations, and says what was probably meant; sub-parsers, which argparse makes, are of this class too."""
+    """Argument parser without abbreviations that suggests corrections.
+
+    argparse makes sub-parsers of this class too.
+    """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **{**options, "allow_abbrev": False})
-        # The innermost one is left in the namespace: who finds words left over complains with its
-        # usage.
+        # The innermost parser ends up in the namespace; its usage is shown for unknown words.
         self.set_defaults(parser=self)
 
     def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
-        """Declare an argument; one that may be left out has a default, or argparse lists it among those that are missing."""
+        """Declare an argument; an optional positional gets a default.
+
+        Without one, argparse lists it among the missing arguments.
+        """
         return super().add_argument(
             *names, **({"default": []} if options.get("nargs") == "*" else {}) | options
         )
 
     def error(self, message: str) -> NoReturn:
-        """Complain and exit with 2."""
+        """Print the error, with a suggestion, and exit with 2."""
         wrong = _CHOICE.search(message)
         if wrong is not None:
             message += did_you_mean(
@@ -69,19 +77,19 @@ class Parser(argparse.ArgumentParser):
         super().error(message)
 
     def refuse(self, words: list[str]) -> NoReturn:
-        """Complain about words that nothing takes."""
+        """Report unknown words and exit with 2."""
         options = [word.partition("=")[0] for word in words if word.startswith("-")]
         hint = did_you_mean(options[0], self._option_string_actions) if options else ""
         super().error(f"unrecognized arguments: {' '.join(words)}{hint}")
 
 
 def verbs() -> list[str]:
-    """List the verbs, without their sub-verbs."""
+    """Return the names of all verbs, without sub-verbs."""
     return [name for name in VERBS.names() if "." not in name]
 
 
 def sub_verbs(verb: str) -> dict[str, str]:
-    """List the sub-verbs that are registered for a verb: name, and the name with the verb's."""
+    """Return the sub-verbs of a verb: name to registered name."""
     return {name.partition(".")[2]: name for name in VERBS.names() if name.startswith(f"{verb}.")}
 
 
@@ -92,21 +100,21 @@ def add_run_name(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         dest="run_name",
         help=(
-            "which launch, when several are running, or NAME/NAMESPACE for one of its chains"
+            "name of the launch, if several run, or NAME/NAMESPACE for one of its chains"
             " (default: $HAPTIC_RUN)"
         ),
     )
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Offer --json."""
+    """Declare --json."""
     parser.add_argument(
-        "--json", action="store_true", help="answer with one JSON object on the last line"
+        "--json", action="store_true", help="print one JSON object on the last line"
     )
 
 
 def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> int:
-    """Print a verb's answer, for people, or with --json one JSON object as the last line; its exit code."""
+    """Print a verb's result as text, or as one JSON object, and return exit code 0."""
     print(json.dumps(figures) if as_json else printable(text), flush=True)
     return 0
 
@@ -115,7 +123,7 @@ def answer(as_json: bool, figures: Mapping[str, Any], text: str) -> int:
 def heeding(
     heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKING
 ) -> Iterator[None]:
-    """Let a function take the signals that ask for an end, for the time of a block."""
+    """Call `heed` for signals that ask for an end, during the block."""
     before = {number: signal.signal(number, lambda number, _: heed(number)) for number in numbers}
     try:
         yield
@@ -125,7 +133,7 @@ def heeding(
 
 
 def coloured(text: str, colour: str, stream: TextIO) -> str:
-    """Colour a text for people: on a terminal only, and not where NO_COLOR is set (no-color.org)."""
+    """Return `text` in a colour on a terminal, unless NO_COLOR is set (no-color.org)."""
     return (
         text
         if not is_smart(stream) or os.environ.get("NO_COLOR")
@@ -134,15 +142,14 @@ def coloured(text: str, colour: str, stream: TextIO) -> str:
 
 
 def complain(error: object) -> None:
-    """Say on standard error what went wrong."""
+    """Print an error to standard error."""
     print(coloured("haptic:", "red", sys.stderr), printable(str(error)), file=sys.stderr)
-    # A launch in this process has put a queue in place of standard error: who reads the exit code
-    # finds the reason there.
+    # A launch in this process replaced standard error by a queue: write it out before exiting.
     drain_stderr()
 
 
 def parser_for(chosen: str | None) -> Parser:
-    """Declare the command line: of one verb, which is imported, or the names of all."""
+    """Return the parser: of one verb, which is imported, or with the names of all."""
     parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
@@ -158,7 +165,7 @@ def parser_for(chosen: str | None) -> Parser:
 
 
 def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
-    """Add what is registered as ``"VERB.NAME"`` to a verb that declares sub-verbs of its own; these go before."""
+    """Add the sub-verbs registered as ``"VERB.NAME"`` after a verb's own."""
     places = [
         action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
     ]
@@ -172,7 +179,8 @@ def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
             )
             try:
                 VERBS.load(full).add(own)
-            except (Exception, SystemExit) as error:  # noqa: BLE001  # of another package: it costs its own name
+            # A broken package costs only its own sub-verb.
+            except (Exception, SystemExit) as error:  # noqa: BLE001
                 own = Parser(prog=own.prog, add_help=False)
                 place.choices[name] = own
                 own.add_argument("rest", nargs=argparse.REMAINDER)
@@ -180,7 +188,7 @@ def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
 
 
 def _refuse(error: BaseException, arguments: argparse.Namespace) -> int:
-    """Say why a sub-verb cannot be run; the others of its verb can."""
+    """Raise the error that keeps a sub-verb from running."""
     del arguments
     text = (
         str(error)
@@ -191,27 +199,26 @@ def _refuse(error: BaseException, arguments: argparse.Namespace) -> int:
 
 
 def first_line(name: str) -> str:
-    """Read the help of a verb without running its module: of all verbs that would take half a second."""
+    """Return the help of a verb without importing its module, which would cost half a second."""
     try:
         spec = find_spec(VERBS.points()[name].module)
         text = "" if spec is None or spec.origin is None else Path(spec.origin).read_bytes()
         help_text = ast.get_docstring(ast.parse(text)) if text else "(not installed)"
-    except (Exception, SystemExit) as error:  # noqa: BLE001  # of the package that it is in, which is imported, or of its text
+    except (Exception, SystemExit) as error:  # noqa: BLE001  # raised by its package or its text
         return f"(cannot be imported: {type(error).__name__}: {error})"
     return (help_text or "").strip().partition("\n")[0]
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb."""
+    """Run one verb and return the exit code."""
     argv = sys.argv[1:] if argv is None else argv
-    # A node waits for signals in a thread and blocks them everywhere else; a command that it starts
-    # inherits that.
+    # A node blocks signals in all but one thread, and a command started by it inherits that.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ASKING)
-    # Verbs draw into files: what else matplotlib is told to draw on must not stop them.
+    # Verbs draw into files, whatever backend matplotlib is configured with.
     os.environ["MPLBACKEND"] = "agg"
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # A terminal or a locale without µ gets a question mark, not a traceback.
+            # Print a question mark for characters that the locale lacks, not a traceback.
             stream.reconfigure(errors="replace")
     try:
         return _run(argv)
@@ -221,23 +228,22 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # The reader of a pipe (head, grep -q) went away: not our failure, and Python must not
-        # complain at exit.
+        # The reader of the pipe (head, grep -q) has ended; silence Python's error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        # What a disk or a directory refuses is no fault of the program: no traceback.
+        # A disk or directory refused: no traceback.
         where = f"{error.filename}: " if error.filename else ""
         complain(f"{where}{error.strerror or error}")
         return 1
 
 
 def _run(argv: list[str]) -> int:
-    # Behind an option stands none: with it, all of them are listed.
+    # If the first word is an option, list all verbs.
     parser = parser_for(argv[0] if argv and argv[0] in verbs() else None)
     arguments, left_over = parser.parse_known_args(argv)
     if left_over:
-        # argparse does not take positional words after options; name:=value may stand anywhere.
+        # argparse accepts no positional words after options, but name:=value may stand anywhere.
         if not hasattr(arguments, "assignments") or any(":=" not in word for word in left_over):
             arguments.parser.refuse(left_over)
         arguments.assignments = [*arguments.assignments, *left_over]
@@ -260,7 +266,7 @@ def _run(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    # Under its real name, so that a verb's UsageError is the one that main() knows.
+    # Imported under its real name, so that main() catches a verb's UsageError.
     from nodes.cli.main import main as haptic
 
     sys.exit(haptic())

@@ -1,4 +1,4 @@
-"""List the nodes of a running launch, tell what each one does, start one by hand, and let a driver that has stopped go on."""
+"""List nodes of a running launch, show one's state, start one by hand, or rearm a driver."""
 
 import argparse
 from pathlib import Path
@@ -15,24 +15,20 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(dest="chosen", metavar="list|info|start|rearm", required=True)
     sub_verb(sub, "list", _list, "List the nodes with kind, state and process number.")
-    info = sub_verb(sub, "info", _info, "Tell a node's state, counters, topics and operations.")
+    info = sub_verb(sub, "info", _info, "Show a node's state, counters, topics and operations.")
     info.add_argument("node")
     start = sub_verb(
         sub,
         "start",
         _start,
-        "Start a node that a launch waits for: one with by_hand or host in its launch file.",
+        "Start a node that a launch waits for: one with by_hand or host in the launch file.",
     )
     start.add_argument("node")
     start.add_argument(
-        "--bind",
-        metavar="HOST:PORT",
-        help="for a launch on another machine: where this node is reached",
+        "--bind", metavar="HOST:PORT", help="address of this node, for a launch on another machine"
     )
     start.add_argument(
-        "--kind",
-        default="",
-        help="with --bind: the one kind that it may become (default: its name)",
+        "--kind", default="", help="with --bind: the only kind allowed (default: the node's name)"
     )
     start.add_argument(
         "--allow-path",
@@ -41,12 +37,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help=(
-            "with --bind: where its parameters may name files and libraries; may be given several"
-            " times"
+            "with --bind: directory in which parameters may name files and libraries; repeatable"
         ),
     )
     text = (
-        "Let a driver that has stopped a swinging loop take forces again, by its ramp. Change the"
+        "Re-enable the forces of a driver that stopped an unstable loop, with its ramp. Change the"
         " law first."
     )
     again = sub_verb(sub, "rearm", _rearm, text)
@@ -58,7 +53,7 @@ def _state(run: RunInfo, name: str) -> dict[str, Any]:
         found: dict[str, Any] = ask(run, name, "status")
         return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
     except (RefusedError, KeyError, TypeError) as error:
-        # A node that is down, being started again or of another language must not hide the others.
+        # A node that is down, restarting or foreign must not hide the others.
         return {"kind": run.nodes[name].kind, "state": "unreachable", "pid": 0, "error": str(error)}
 
 
@@ -121,7 +116,7 @@ def _info(arguments: argparse.Namespace) -> int:
 def _mass(masses: dict[str, Any]) -> str:
     here = ", ".join(f"{value:.4g}" for value in masses["here_kg"])
     seen = f"{masses['least_kg']:.4g} to {masses['greatest_kg']:.4g}"
-    return f"{here} kg along x, y, z where it stands; {seen} kg in all poses so far"
+    return f"{here} kg along x, y, z at its position; {seen} kg in all poses so far"
 
 
 def _rearm(arguments: argparse.Namespace) -> int:
@@ -136,7 +131,7 @@ def _rearm(arguments: argparse.Namespace) -> int:
     return answer(
         arguments.json,
         {"run": run.run, "node": name, **receipt},
-        f"/{name}: takes forces again, from tick {receipt['seq']}",
+        f"/{name}: forces enabled again, from tick {receipt['seq']}",
     )
 
 
@@ -144,7 +139,7 @@ def _start(arguments: argparse.Namespace) -> int:
     from nodes.launcher import join
 
     if arguments.json:
-        raise UsageError("node start: a node has no figures to answer with; leave --json out")
+        raise UsageError("node start: has no JSON output; leave --json out")
     try:
         if arguments.bind is None:
             run = chosen_run(arguments)
@@ -158,5 +153,5 @@ def _start(arguments: argparse.Namespace) -> int:
             arguments.node, host.strip("[]"), int(port), arguments.kind, arguments.allow_path
         )
     except (ValueError, RunError) as error:
-        # Keys, endpoints and parameters are all refused by value.
+        # Invalid keys, endpoints and parameters all raise ValueError.
         raise UsageError(str(error)) from error

@@ -1,4 +1,4 @@
-"""What ``launch --view`` and ``view`` share: a view node in a launch, and announcing where the page is."""
+"""Parts shared by ``launch --view`` and ``view``: add a view node and announce its page."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from nodes.launcher.wiring import chains_of, free_name
 if TYPE_CHECKING:
     from nodes.launcher.supervisor import Supervisor
 
-KIND = "view"  # the kind of node that serves a page
+KIND = "view"  # kind of node that serves a page
 
 
 def with_view(launch: Launch) -> Launch:
-    """Add a view node to a launch that has none; a driver that its page may drive to a stop is started again after it."""
+    """Add a view node to a launch without one.
+
+    Drivers whose page may push them beyond a limit are set to restart.
+    """
     if any(spec.kind == KIND for spec in launch.nodes.values()):
         return launch
     realtime = launch.run.pace == "realtime"
@@ -33,7 +36,7 @@ def with_view(launch: Launch) -> Launch:
     view = NodeSpec(
         kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {}
     )
-    chains = chains_of(launch)  # A page shows one chain
+    chains = chains_of(launch)  # a page shows one chain
     pages = {
         free_name(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view
         for chain in chains or [""]
@@ -42,7 +45,7 @@ def with_view(launch: Launch) -> Launch:
 
 
 def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) -> None:
-    """Print where the page is, and open it where somebody sits at a screen."""
+    """Print the URL of the page, and open it in a browser if there is a screen."""
     print(
         json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True
     )
@@ -52,7 +55,7 @@ def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) 
 
 
 def _open(url: str) -> None:
-    """Open a page through a file that only this user reads: a command line, which everybody reads, must not hold its token."""
+    """Open a page through a private file: a command line is public, and the URL holds a token."""
     import atexit
     import tempfile
     import webbrowser
@@ -63,13 +66,13 @@ def _open(url: str) -> None:
             '<!doctype html><title>haptic</title><meta http-equiv="refresh" content="0;'
             f' url={url}"><a href="{url}">page</a>\n'
         )
-    # A browser may take its time to start.
+    # Removed at exit only: a browser may start late.
     atexit.register(lambda: Path(path).unlink(missing_ok=True))
     webbrowser.open(Path(path).as_uri())
 
 
 class PageAnnouncer:
-    """Tells once where the pages of a launch are; the launcher does not wait until somebody reads it."""
+    """Announces each page of a launch once, without waiting for a reader of the output."""
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
@@ -77,12 +80,12 @@ class PageAnnouncer:
         self._words: StderrQueue | None = None
 
     def drain(self) -> None:
-        """Give a reader the time that it may take, before anything else is printed."""
+        """Wait for the reader of the output, before anything else is printed."""
         if self._words is not None:
             self._words.drain()
 
     def __call__(self, supervisor: Supervisor) -> None:
-        """Look for pages that are served by now."""
+        """Announce pages that are now served."""
         for name, child in supervisor.children.items():
             if (
                 child.setup.kind == KIND
@@ -90,7 +93,7 @@ class PageAnnouncer:
                 and child.running
                 and not supervisor.ending
             ):
-                # Read as it stands: the view's own modules are none of the launcher's business.
+                # Decoded here, so that the launcher need not import the view.
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():
                     self._announced.add(name)

@@ -1,4 +1,7 @@
-"""List, read, describe, change, save and load parameters of running nodes: haptic param set coupling laws.pd.stiffness 1500."""
+"""Read, describe, change, save and load parameters of running nodes.
+
+Example: ``haptic param set coupling laws.pd.stiffness 1500``.
+"""
 
 import argparse
 import sys
@@ -20,10 +23,10 @@ from nodes.parameters.describe import described
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
-FORCE = "take the change even if the loop becomes unstable: for studies of that"
+FORCE = "apply the change even if the loop becomes unstable, for studies of instability"
 
-MOST = 8  # changes that are printed one by one
-SHORT = 60  # longest value that is printed in full [characters]
+CHANGES_SHOWN = 8  # changes printed one by one
+VALUE_LENGTH = 60  # length to which a printed value is shortened [characters]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         dest="chosen", metavar="list|get|set|describe|dump|load", required=True
     )
     listing = sub_verb(sub, "list", _list, "List the parameters of a node, or of all.")
-    listing.add_argument("node", nargs="?", help="all nodes when left out")
+    listing.add_argument("node", nargs="?", help="name of the node (default: all)")
 
     def declare(
         name: str, run: Callable[[argparse.Namespace], int], text: str
@@ -41,39 +44,35 @@ def add(parser: argparse.ArgumentParser) -> None:
         own.add_argument("node")
         return own
 
-    get = declare("get", _get, "Read one parameter, or a branch of them.")
+    get = declare("get", _get, "Read one parameter, or a group of parameters.")
     get.add_argument("name", help="e.g. laws.pd.stiffness, or laws.multi_term.terms[0].gain")
     change = declare(
         "set",
         _set,
-        "Change parameters while the loop runs; several at once are one change, all or nothing.",
+        "Change parameters while the loop runs; several are applied together or not at all.",
     )
     change.add_argument(
         "pairs",
         nargs="+",
         metavar="NAME VALUE",
-        help="values as in YAML, e.g. laws.pd.stiffness 1500",
+        help="parameter and YAML value, e.g. laws.pd.stiffness 1500",
     )
     describe = declare(
-        "describe", _describe, "Tell what parameters are: type, unit, limits, default, meaning."
+        "describe", _describe, "Describe parameters: type, unit, limits, default, meaning."
     )
     describe.add_argument(
-        "names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness; all when left out"
+        "names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness (default: all)"
     )
     dump = declare(
-        "dump",
-        _dump,
-        "Write all parameters of a node as YAML, as load and the launch file read them.",
+        "dump", _dump, "Write all parameters of a node as YAML, for load or a launch file."
     )
-    dump.add_argument(
-        "--out", "-o", type=Path, metavar="FILE", help="write to a file that does not exist yet"
-    )
+    dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a new file")
     load = declare(
         "load",
         _load,
-        "Lay a YAML file, whole or in part, over a node's parameters; all or nothing.",
+        "Apply a YAML file, complete or partial, to a node's parameters; all or nothing.",
     )
-    load.add_argument("file", help="written by dump or by a study; - for standard input")
+    load.add_argument("file", help="file written by dump or a study; - for standard input")
     for own in (change, load):
         own.add_argument("--force", action="store_true", help=FORCE)
 
@@ -107,13 +106,11 @@ def _set(arguments: argparse.Namespace) -> int:
     run, node = chosen_node(arguments)
     words = arguments.pairs
     if len(words) % 2:
-        raise UsageError(
-            f"param set {node}: {words[-1]!r} has no value; give NAME VALUE, as often as you like"
-        )
+        raise UsageError(f"param set {node}: {words[-1]!r} has no value; expected pairs NAME VALUE")
     values: dict[str, Any] = {}
     for name, text in zip(words[::2], words[1::2], strict=True):
         if name in values:
-            raise UsageError(f"param set {node}: {name} stands twice")
+            raise UsageError(f"param set {node}: {name} is given twice")
         values[name] = parse_yaml(text, f"{node}.{name}")
     receipt = ask(run, node, "param.set", values=values, **forced(arguments))
     return answer(
@@ -124,7 +121,7 @@ def _set(arguments: argparse.Namespace) -> int:
 
 
 def receipt_text(node: str, receipt: dict[str, Any]) -> str:
-    """Tell a receipt to people."""
+    """Return the text of a receipt."""
     changes = [
         f"{path} {_short(old)} → {_short(new)}"
         for path, (old, new) in receipt.get("changed", {}).items()
@@ -140,38 +137,40 @@ def receipt_text(node: str, receipt: dict[str, Any]) -> str:
         )
         fade = f", cross-fade of {receipt['ramp']} ticks" if receipt["ramp"] else ""
         lines[0] += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
-    lines += [f"  {change}" for change in changes[1:MOST]]
-    lines += [f"  and {len(changes) - MOST} more"] if len(changes) > MOST else []
+    lines += [f"  {change}" for change in changes[1:CHANGES_SHOWN]]
+    lines += [f"  and {len(changes) - CHANGES_SHOWN} more"] if len(changes) > CHANGES_SHOWN else []
     return "\n".join([*lines, *_stability(receipt)])
 
 
 def _short(value: Any) -> str:
     text = "none" if value is None else _flow(value)
-    return text if len(text) <= SHORT else f"{text[: SHORT - 1]}…"
+    return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 1]}…"
 
 
 def _stability(receipt: dict[str, Any]) -> list[str]:
+    worlds = [f"  {text}" for text in receipt.get("world", ())]
     found = receipt.get("stability")
     if not found:
-        return []
+        return worlds
     if found["why"]:
-        return [f"  stability not judged: {found['why']}"]
+        return [f"  stability not judged: {found['why']}", *worlds]
     before = "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
-    now = "stable below 1" if found["stable"] else "UNSTABLE: taken by force"
+    now = "stable below 1" if found["stable"] else "UNSTABLE: applied because of --force"
     of_law = "" if found.get("law") in (None, receipt.get("to")) else f" of {found['law']}"
     return [
         f"  pole radius{of_law} {before}{found['pole_radius']:.4g} ({now}) at a delay of"
-        f" {found['delay_ticks']:.3g} ticks"
+        f" {found['delay_ticks']:.3g} ticks",
+        *worlds,
     ]
 
 
 def forced(arguments: argparse.Namespace) -> dict[str, bool]:
-    """Pass --force on where it was given: a node in another language need not know it."""
+    """Return ``force`` only if --force was given, as nodes in other languages may lack it."""
     return {"force": True} if arguments.force else {}
 
 
 def _struct_of(kind: str) -> type[Any] | None:
-    """Struct of an installed law or surface, a preset's law included; None for what is neither."""
+    """Return the struct of an installed law, preset or surface; None for anything else."""
     kind = str(PRESETS.get(kind, {"kind": kind})["kind"])
     return next(
         (registry.load(kind) for registry in (LAWS, SURFACES) if kind in registry.names()), None

@@ -1,4 +1,4 @@
-"""What ``haptic topic pub`` may publish: a force and a target from outside; the loop's own topics belong to their nodes."""
+"""``haptic topic pub``: publish an external force or target; other topics belong to nodes."""
 
 import argparse
 import time
@@ -10,14 +10,14 @@ from messages.topics import LOOP
 from messages.types import Vector
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import answer
-from nodes.cli.quantities import between, whole
 from nodes.client.launches import ask, roles
 from nodes.driver.pointer import PointerWriter, pointer_file
 from nodes.launcher.runs import RunInfo
+from nodes.parameters.quantities import between, whole
 from nodes.parameters.store import convert
 from nodes.parameters.yaml_io import parse_yaml
 
-# a force on top of the law's [N]; where a virtual hand pulls to [m]
+# Force added to the law's [N]; position that a virtual hand pulls to [m].
 WRENCH, TARGET = "/external/wrench", "/external/target"
 
 
@@ -25,11 +25,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
         "topic",
-        help=f"{WRENCH} (a force on top of the law's) or {TARGET} (of a virtual device's hand)",
+        help=f"{WRENCH} (force added to the law's) or {TARGET} (of a virtual device's hand)",
     )
     parser.add_argument(
         "values",
-        help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m; or the three numbers alone",
+        help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m, or the three numbers alone",
     )
     parser.add_argument(
         "--rate",
@@ -37,11 +37,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=between(1e-3, 1000.0),
         default=50.0,
         metavar="HZ",
-        help="how often (default: %(default)g)",
+        help="rate of publishing (default: %(default)g)",
     )
-    parser.add_argument("--once", "-1", action="store_true", help="once, and end")
+    parser.add_argument("--once", "-1", action="store_true", help="publish once, then exit")
     parser.add_argument(
-        "--times", "-t", type=whole(0, 10**9), default=0, metavar="N", help="so often, and end"
+        "--times",
+        "-t",
+        type=whole(0, 10**9),
+        default=0,
+        metavar="N",
+        help="publish N times, then exit",
     )
 
 
@@ -66,31 +71,31 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
         pointer = PointerWriter(pointer_file(setup.run_dir, setup.name))
     except FileNotFoundError as error:
         raise RefusedError(
-            f"{driver}: no hand can be dragged; give a sim_driver device.hand and pointer: {{}}"
+            f"{driver}: has no hand to move; set device.hand and pointer: {{}} of a sim_driver"
         ) from error
     return lambda: pointer.write(position)
 
 
 def publish(arguments: argparse.Namespace) -> int:
-    """Publish until it was enough, Ctrl-C, or the end of the run."""
+    """Publish until --once or --times is reached, Ctrl-C, or the end of the run."""
     if arguments.topic not in (WRENCH, TARGET):
-        why = ": each tick has one, of its own node" if arguments.topic in LOOP else ""
+        why = ": its own node publishes one per tick" if arguments.topic in LOOP else ""
         raise UsageError(
             f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and"
             f" {TARGET}"
         )
     run = chosen_chain(arguments)
     send = _sender(run, arguments)
-    count, most = 0, 1 if arguments.once else arguments.times
+    count, limit = 0, 1 if arguments.once else arguments.times
     following = time.monotonic()
     try:
-        while run.lives and not (most and count >= most):
+        while run.lives and not (limit and count >= limit):
             send()
             count += 1
             following += 1.0 / arguments.rate
             time.sleep(max(0.0, following - time.monotonic()))
     except KeyboardInterrupt:
-        # What is not renewed is gone by itself.
+        # Values that are not renewed expire by themselves.
         pass
     return answer(
         arguments.json,

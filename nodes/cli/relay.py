@@ -1,8 +1,11 @@
-"""Publish the topics of running launches on one endpoint that stays: haptic relay tcp://127.0.0.1:9872, for PlotJuggler.
+"""Publish the topics of running launches on one fixed endpoint, e.g. for PlotJuggler.
 
-A launch's own endpoints are files of its run, one per node. PlotJuggler (from 3.10 on) connects one
-SUB socket to one address, ``tcp://localhost:9872`` unless told otherwise, and takes what the relay
-sends as it is: two frames, topic and MessagePack map.
+Example: ``haptic relay tcp:
+
+127.0.0.1:9872``. A launch's own endpoints are files of its run, one per node. PlotJuggler (3.10 or
+later) connects one SUB socket to one address, ``tcp:
+
+localhost:9872`` by default, and reads the relay's two frames: topic and MessagePack map.
 """
 
 import argparse
@@ -23,17 +26,17 @@ from nodes.client.launches import known_topic
 from nodes.client.listen import QUIET_MS, listening
 from nodes.launcher.runs import RunInfo, alive, runs
 
-# where PlotJuggler's ZeroMQ subscriber looks unless it is told otherwise
+# Default endpoint of PlotJuggler's ZeroMQ subscriber.
 ENDPOINT = "tcp://127.0.0.1:9872"
 
 _LOCAL = ("tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:", "ipc://")
 
 
 def local_publisher(context: Context, endpoint: str) -> OpenPort:
-    """Bind a publisher for listeners of this machine, any user's: it sends, and obeys nobody."""
+    """Bind a publisher for subscribers of this machine, of any user; it receives nothing."""
     if not endpoint.startswith(_LOCAL):
         raise UsageError(
-            f"{endpoint}: only {', '.join(_LOCAL)}...; nothing is published for other machines here"
+            f"{endpoint}: must begin with {', '.join(_LOCAL)}; a relay serves this machine only"
         )
     try:
         return OpenPort(context, endpoint, _say)
@@ -44,23 +47,26 @@ def local_publisher(context: Context, endpoint: str) -> OpenPort:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "endpoint", nargs="?", default=ENDPOINT, help="where to publish (default: %(default)s)"
+        "endpoint",
+        nargs="?",
+        default=ENDPOINT,
+        help="endpoint to publish on (default: %(default)s)",
     )
     parser.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", default=[], help="whole names; all when left out"
+        "--topics", nargs="+", metavar="TOPIC", default=[], help="full topic names (default: all)"
     )
     add_run_name(parser)
     parser.add_argument(
         "--once",
         action="store_true",
-        help="end with the launch instead of waiting for the next one",
+        help="exit with the launch instead of waiting for the next one",
     )
     add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb: relay one launch after the other, until Ctrl-C."""
+    """Relay one launch after the other, until Ctrl-C."""
     relayed: Counter[str] = Counter()
     names: list[str] = []
     context = new_context()
@@ -91,7 +97,7 @@ def _say(text: str) -> None:
 
 
 def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
-    """Wait for a launch that was not relayed yet."""
+    """Wait for a launch that was not relayed before."""
     wanted = arguments.run_name or os.environ.get("HAPTIC_RUN")
     waiting = False
     while True:
@@ -122,7 +128,7 @@ def _relay(found: RunInfo, topics: list[str], publisher: OpenPort, relayed: Coun
             links.keep()
             publisher.keep()
             if frames is None:
-                # Nothing under way any more, and nobody to send more.
+                # The launcher has ended and no message is in flight.
                 if not alive(found.launcher):
                     return
             elif frames[0] in wanted:

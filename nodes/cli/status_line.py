@@ -1,6 +1,6 @@
-"""The line that a launch keeps up to date on a terminal: tick, penetration, force, law, safety, response time.
+"""Status line of a launch on a terminal: tick, penetration, force, law, safety, response.
 
-It never takes more than the terminal's width: what matters least to a hand goes first.
+It fits the terminal's width: the parts least relevant to a hand are dropped first.
 """
 
 import sys
@@ -12,7 +12,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
-from nodes.base.kept_line import columns, erased, is_smart, keep
+from nodes.base.kept_line import columns, erased, is_smart, rewrite
 from nodes.base.node_kinds import load
 from nodes.cli.main import coloured
 from nodes.environment.surfaces import Meeting, parse_surface
@@ -20,12 +20,11 @@ from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor
 from nodes.parameters.store import ParameterError
 
-PATIENCE = 0.2  # how long a node may take to answer [s]; what it would have told is left out then
-# law and surface are asked for every so many times only: each question costs a node's loop some
-# microseconds
+ANSWER_TIMEOUT = 0.2  # time a node may take to answer; otherwise its parts are omitted [s]
+# Law and surface are asked for in every SLOW-th update: each request costs a loop microseconds.
 SLOW = 3
 
-KEEP = (
+PRIORITY = (
     "safety",
     "device",
     "penetration",
@@ -37,7 +36,7 @@ KEEP = (
     "response",
     "rate",
 )
-"""Parts of the line; the first ones are kept longest on a narrow terminal."""
+"""Parts of the line by priority; a narrow terminal shows the first ones."""
 
 ORDER = (
     "scenario",
@@ -51,14 +50,14 @@ ORDER = (
     "safety",
     "device",
 )
-"""Parts as they stand from left to right."""
+"""Parts from left to right."""
 
 
 def fitted(parts: dict[str, str], width: int) -> list[str]:
-    """Choose the parts that fit."""
+    """Return the parts that fit into `width`."""
     kept: set[str] = set()
     left = width
-    for name in KEEP:
+    for name in PRIORITY:
         need = len(parts[name]) + (2 if kept else 0) if parts.get(name) else width + 1
         if need <= left:
             kept.add(name)
@@ -67,7 +66,7 @@ def fitted(parts: dict[str, str], width: int) -> list[str]:
 
 
 def _meeting(surface: Any) -> Callable[[Vector], Meeting] | None:
-    """Build the question that the environment answers; None for what is no surface known here."""
+    """Return the environment's contact function; None for an unknown surface."""
     try:
         return None if surface is None else parse_surface(surface, "surface").meeting()
     except ParameterError:
@@ -75,7 +74,7 @@ def _meeting(surface: Any) -> Callable[[Vector], Meeting] | None:
 
 
 class StatusLine:
-    """One line on the terminal while the loop runs; nothing where there is no terminal."""
+    """One line on the terminal while the loop runs; prints nothing without a terminal."""
 
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
@@ -87,7 +86,7 @@ class StatusLine:
         self._meet: Callable[[Vector], Meeting] | None = None
 
     def __call__(self, supervisor: Supervisor) -> None:
-        """Show how the launch is doing."""
+        """Update the line."""
         now = self._ask(supervisor, DEVICE_STATE, "progress") if self._live else None
         if now is None:
             return
@@ -97,22 +96,26 @@ class StatusLine:
         self._asked += 1
         parts = self._parts(now, self._distance(now["position_m"]))
         chosen = [self._painted(name, parts[name]) for name in fitted(parts, columns(sys.stderr))]
-        keep(sys.stderr, "  ".join(chosen))
+        rewrite(sys.stderr, "  ".join(chosen))
 
     def _ask(self, supervisor: Supervisor, topic: str, op: str, **arguments: object) -> Any:
-        """Ask the node that publishes a topic; None when it does not answer."""
+        """Ask the node that publishes a topic; None if it does not answer."""
         for child in supervisor.children.values():
             if child.running and topic in load(child.setup.factory).publishes:
                 try:
                     return call(
-                        supervisor.context, child.setup.control, op, timeout=PATIENCE, **arguments
+                        supervisor.context,
+                        child.setup.control,
+                        op,
+                        timeout=ANSWER_TIMEOUT,
+                        **arguments,
                     )
                 except ControlError:
                     return None
         return None
 
     def _distance(self, position: list[float]) -> float | None:
-        """Signed distance to the surface [m]; None where none faces one way."""
+        """Return the signed distance to the surface [m]; None without a surface nearby."""
         if self._meet is None:
             return None
         x, y, z = position
@@ -143,7 +146,7 @@ class StatusLine:
             "missed": f"missed {now['missed']}",
             "response": f"p50 {p50:.0f} p99 {p99:.0f} µs",
             "safety": now["safety"],
-            # Why a real device gives no force, or another one.
+            # Why a real device renders no force, or a different one.
             "device": now.get("condition", ""),
         }
 
@@ -153,5 +156,5 @@ class StatusLine:
         return coloured(text, colours[name], sys.stderr) if name in colours else text
 
     def clear(self) -> None:
-        """Leave the line empty for what follows."""
+        """Erase the line before other output."""
         sys.stderr.write(erased(sys.stderr))

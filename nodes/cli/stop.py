@@ -1,4 +1,4 @@
-"""End a running launch as Ctrl-C does: force to zero first, then the nodes in order, recordings complete."""
+"""Stop a running launch as Ctrl-C does: force to zero, then nodes, recordings complete."""
 
 import argparse
 import contextlib
@@ -11,8 +11,7 @@ from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, answer
 from nodes.launcher.runs import STOPPED, alive, place_of, runs, write_end
 
-# longest end of a launch [s]: a driver comes down from its largest force, a recorder writes what it
-# holds
+# Time limit of a launch's end: the driver's ramp to zero, and the recorder's queue [s].
 TIMEOUT = 60.0
 
 
@@ -24,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="RUN",
         help="run or scenario (default: $HAPTIC_RUN, or the only one)",
     )
-    parser.add_argument("--all", "-a", action="store_true", help="end all launches of this user")
+    parser.add_argument("--all", "-a", action="store_true", help="stop all launches of this user")
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -32,11 +31,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     if arguments.all and arguments.run_name:
-        raise UsageError(f"stop: --all and {arguments.run_name} at once; choose one")
+        raise UsageError(f"stop: --all together with {arguments.run_name}; choose one")
     ending = list(runs().values()) if arguments.all else [chosen_run(arguments)]
     for one in ending:
-        # It may have ended by itself this moment, or its disk be full: then nobody reads why it
-        # ends.
+        # It may just have ended by itself, or the disk may be full: the reason is then not stored.
         with contextlib.suppress(OSError):
             write_end(place_of(one.run), STOPPED)
         with contextlib.suppress(ProcessLookupError):

@@ -1,4 +1,4 @@
-"""List, show, measure and feed the topics of a running launch, with the sub-verbs and options of ``ros2 topic``."""
+"""List, show, measure and publish topics of a launch, with the options of ``ros2 topic``."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from nodes.cli.ask import chosen_run, sub_verb
 from nodes.cli.main import answer, heeding
 from nodes.cli.publish import add as add_publish
 from nodes.cli.publish import publish
-from nodes.cli.quantities import above_zero
 from nodes.client.launches import known_topic
+from nodes.parameters.quantities import above_zero
 
 if TYPE_CHECKING:
     from nodes.client.listen import Heard
     from nodes.launcher.runs import RunInfo
 
-REPORT_PERIOD = 1.0  # how often the measuring sub-verbs tell where they are [s]
+REPORT_PERIOD = 1.0  # time between interim results of hz, bw and delay [s]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -40,23 +40,21 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare = partial(sub_verb, sub)
     listing = declare("list", _list, "List the topics with their types and publishers.")
     listing.add_argument(
-        "--show-types", "-t", action="store_true", help="as ROS 2 does: name and [type] only"
+        "--show-types", "-t", action="store_true", help="print name and [type] only, as ROS 2 does"
     )
-    declare("info", _info, "Tell a topic's type, fields with units, and publisher.").add_argument(
+    declare("info", _info, "Show a topic's type, fields with units, and publisher.").add_argument(
         "topic"
     )
     echo = declare(
         "echo", _echo, "Print the messages of a topic (with --json: one JSON object per line)."
     )
-    echo.add_argument("--once", action="store_true", help="print one message and end, as -n 1")
+    echo.add_argument("--once", action="store_true", help="print one message, then exit (-n 1)")
     echo.add_argument(
         "--field", metavar="NAME", help="print only this field, e.g. position or position[2]"
     )
     add_publish(
         declare(
-            "pub",
-            publish,
-            "Give a force or a hand's target from outside, as far as the driver allows it.",
+            "pub", publish, "Publish an external force or hand target, within the driver's limits."
         )
     )
     figures = [
@@ -77,19 +75,15 @@ def add(parser: argparse.ArgumentParser) -> None:
             type=_count,
             default=0,
             metavar="N",
-            help="measure the last N messages; all when left out",
+            help="measure only the last N messages (default: all)",
         )
     for own in (echo, *figures):
         own.add_argument("topic")
         own.add_argument(
-            "--count", "-n", type=_count, default=0, metavar="N", help="end after so many messages"
+            "--count", "-n", type=_count, default=0, metavar="N", help="exit after N messages"
         )
         own.add_argument(
-            "--duration",
-            type=above_zero,
-            default=0.0,
-            metavar="S",
-            help="end after so many seconds",
+            "--duration", type=above_zero, default=0.0, metavar="S", help="exit after S seconds"
         )
 
 
@@ -101,7 +95,7 @@ def _count(text: str) -> int:
 
 
 def _published(run: RunInfo) -> dict[str, str]:
-    """Topic to the name of the node that publishes it."""
+    """Return the publishing node of each topic."""
     nodes = {endpoint: name for name, endpoint in run.publishers().items()}
     return {topic: nodes[endpoint] for topic, endpoint in run.endpoints().items()}
 
@@ -153,10 +147,10 @@ def _info(arguments: argparse.Namespace) -> int:
 
 
 def _heard(arguments: argparse.Namespace, run: RunInfo) -> Iterator[Heard | None]:
-    """Go through the messages of the topic asked for, until count, duration, a signal or the end of the run."""
+    """Yield the messages of the chosen topic until count, duration, signal or the run's end."""
     from nodes.client.listen import listen
 
-    # The figures so far are printed, and sockets closed.
+    # On a signal, the results so far are still printed and sockets closed.
     ended: list[int] = []
     left = 1 if getattr(arguments, "once", False) else arguments.count or -1
     with heeding(ended.append, (signal.SIGINT, signal.SIGTERM)):
@@ -168,7 +162,7 @@ def _heard(arguments: argparse.Namespace, run: RunInfo) -> Iterator[Heard | None
 
 
 def _field(value: Any, path: str) -> Any:
-    """Take one field of a message's builtins, or one element of it."""
+    """Return a field of a decoded message, or an element of it."""
     name, _, index = path.partition("[")
     try:
         found = value[name]
@@ -206,7 +200,7 @@ def _echo(arguments: argparse.Namespace) -> int:
 
 
 class Spread:
-    """Count, mean and spread of a stream of numbers without keeping them (Welford 1962); all 0 without values."""
+    """Running count, mean and standard deviation of numbers (Welford 1962); 0 without values."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -214,7 +208,7 @@ class Spread:
         self._squares = 0.0
 
     def add(self, value: float) -> None:
-        """Take one value."""
+        """Add a value."""
         self.count += 1
         first = self.count == 1
         self.low, self.high = (
@@ -226,19 +220,19 @@ class Spread:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the values themselves (divided by their count)."""
+        """Return the population standard deviation."""
         return math.sqrt(self._squares / self.count) if self.count else 0.0
 
     def figures(self) -> dict[str, float]:
-        """Tell all of them."""
+        """Return mean, minimum, maximum and standard deviation."""
         return {"mean": self.mean, "min": self.low, "max": self.high, "std": self.deviation}
 
 
 class _Measure:
-    """What hz, bw and delay measure: takes what is heard, tells figures and one line; here hz."""
+    """Measurement of ``hz``, and base of ``bw`` and ``delay``."""
 
     def __init__(self) -> None:
-        self.count = self.refused = self._gaps = 0  # messages taken, and malformed ones
+        self.count = self.refused = self._gaps = 0  # messages, malformed ones, missing seq
         self._first = self._last = 0.0
         self._seq: int | None = None
         self._spread = Spread()
@@ -257,7 +251,7 @@ class _Measure:
         self._seq = heard.message.seq
 
     def _value(self, heard: Heard) -> float | None:
-        """Give what is measured of a message, where something is."""
+        """Return the measured value of a message, if it has one."""
         return heard.time - self._last if self.count and heard.message is not None else None
 
     def figures(self) -> dict[str, Any]:
@@ -332,8 +326,8 @@ def _measure(kind: type[_Measure], arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     if kind is _Delay and any(setup.pace == "lockstep" for setup in run.nodes.values()):
         raise UsageError(
-            f"{run.run}: stamps are simulated time in lockstep, so they have no delay;"
-            " pace:=realtime has"
+            f"{run.run}: in lockstep stamps are simulated time, so there is no delay to measure;"
+            " use pace:=realtime"
         )
     known_topic(run, arguments.topic)
     measure = kind()

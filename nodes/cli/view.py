@@ -1,4 +1,4 @@
-"""See and touch a running launch in a browser, or replay a recording there: haptic view [--replay FILE]."""
+"""Show a running launch or a recording in a browser: haptic view [--replay FILE]."""
 
 import argparse
 import asyncio
@@ -11,29 +11,29 @@ from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_chain
 from nodes.cli.main import add_run_name, answer, heeding
 from nodes.cli.page import announce
-from nodes.cli.quantities import PORT
 from nodes.client.listen import listening
 from nodes.launcher.runs import RunInfo, alive
+from nodes.parameters.quantities import PORT
 
-TELL = 2.0  # how often it is told how much of a long recording is read [s]
+PROGRESS_PERIOD = 2.0  # time between progress messages while reading a recording [s]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_run_name(parser)
     parser.add_argument(
-        "--replay", type=Path, metavar="FILE", help="a recording instead of a running launch"
+        "--replay", type=Path, metavar="FILE", help="show a recording instead of a running launch"
     )
     parser.add_argument(
-        "--over", type=Path, metavar="FILE", help="with --replay: another recording, drawn over it"
+        "--over", type=Path, metavar="FILE", help="with --replay: draw another recording over it"
     )
     parser.add_argument(
-        "--port", type=PORT, default=0, help="port of the page (default: a free one)"
+        "--port", type=PORT, default=0, help="port of the page (default: any free port)"
     )
     parser.add_argument(
         "--address",
         default="127.0.0.1",
-        help="only 127.0.0.1; others are refused with what to do instead",
+        help="only 127.0.0.1 is allowed; the error for others names the alternative",
     )
     parser.add_argument(
         "--foxglove",
@@ -42,12 +42,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         const=8765,
         metavar="PORT",
         help=(
-            "let Foxglove or Lichtblick connect too, at ws://127.0.0.1:PORT (default 8765); needs"
+            "also serve Foxglove and Lichtblick at ws://127.0.0.1:PORT (default: 8765); needs"
             " haptic-nodes[foxglove]"
         ),
     )
     parser.add_argument(
-        "--json", action="store_true", help='the URL as {"url": …} on the first line'
+        "--json", action="store_true", help='print the URL as {"url": …} on the first line'
     )
     parser.set_defaults(run=run)
 
@@ -72,7 +72,7 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
     from nodes.recording.logger import QUEUE
     from nodes.view.run_pages import RunPages
 
-    # Its workers' threads are off the loop's processors, too.
+    # Threads started here inherit a processor set without the loop's.
     with listening(found, set(found.publishers().values()), [""], QUEUE) as (inbox, links):
         pages = RunPages(found, inbox)
 
@@ -82,11 +82,11 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
             if arguments.foxglove is not None:
                 port = pages.bridge(arguments.foxglove)
                 print(
-                    f"Foxglove and Lichtblick find the run at ws://127.0.0.1:{port}",
+                    f"Foxglove and Lichtblick can connect to ws://127.0.0.1:{port}",
                     file=sys.stderr,
                     flush=True,
                 )
-            # A launch tells its end; one that was killed does not.
+            # A launch announces its end; a killed one does not.
             await pages.run(
                 lambda: bool(ended or pages.live.ended or not alive(found.launcher)), links.keep
             )
@@ -109,7 +109,7 @@ def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
         nonlocal told
         if ended:
             raise KeyboardInterrupt
-        if time.monotonic() - told > TELL:
+        if time.monotonic() - told > PROGRESS_PERIOD:
             told = time.monotonic()
             print(f"reading {arguments.replay}: {100.0 * share:.0f} %", file=sys.stderr, flush=True)
 

@@ -60,7 +60,7 @@ def node_name(run: RunInfo, name: str) -> str:
             f" choose its chain with --run /{within[0].rpartition('/')[0]}"
         )
     raise NoSuchNameError(
-        f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes), 'there is:')}"
+        f"{run.run}: no node is named {name!r}; {_hint(plain, list(run.nodes), 'available:')}"
     )
 
 

@@ -1,8 +1,7 @@
-"""The tick without the interpreter: environment, coupling and virtual driver as compiled functions on pyzmq's own sockets.
+"""Ticks without the interpreter: compiled functions on pyzmq's own sockets.
 
-A compiled tick does what is usual and nothing else: receive, decode, the kernels that the plain
-tick calls too, encode, send. Whatever is unusual (a message out of the ordinary, a request, a
-change of law, an error, the end) returns to the plain tick with everything as the plain tick would
-have found it: messages already taken off the socket are put back. So there is one meaning of a
-tick, and it is written in Python.
+A compiled tick handles the usual case and nothing else: receive, decode, the kernels that the plain
+tick calls too, encode, send. Every other case (an unusual message, a request, a change of law, an
+error, the end) is handed back to the plain tick, which processes the message from scratch: messages
+already received are put back. So there is one definition of a tick, written in Python.
 """

@@ -1,9 +1,9 @@
-"""The Python side of compiled ticks: it enters them before each plain tick, and comes back with what is unusual.
+"""The Python side of compiled ticks: runs them before each plain tick.
 
 A node that answers ticks waits for its next message with a function (nodes/base/follow.py).
-`CompiledTicks.in_front_of` puts the compiled ticks in front of it: they answer message after
-message, and when one is not theirs it is put back on the subscription, so that the plain tick
-receives it as if nobody had looked at it.
+`CompiledTicks.in_front_of` runs the compiled ticks before it: they answer message after message,
+and a message that they cannot process is put back on the subscription, so that the plain tick
+receives it unchanged.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from messages.codec import MAX_PAYLOAD
 from messages.topics import LOOP
 from nodes.compiled.layout import (
     LONGEST_IN,
-    LONGEST_MAIL,
     LONGEST_OUT,
+    LONGEST_OUTGOING,
     LONGEST_TEXT,
     LONGEST_TOPIC,
     NEVER,
@@ -32,20 +32,20 @@ from nodes.compiled.message_fields import key_blocks
 
 M = TypeVar("M")
 
-# a kernel stops after so many in lockstep; each stop costs a tick or two at 8 kHz
+# ticks after which a kernel stops in lockstep; each stop costs a tick or two at 8 kHz
 LOCKSTEP_TICKS: Final = 256
-WAIT_MS: Final = 100  # longest wait for a message before it looks [ms]
+WAIT_MS: Final = 100  # longest wait for a message between checks [ms]
 
 
 class CompiledTicks:
-    """The compiled ticks of one node, which listens to one topic inside the chain and answers on another."""
+    """Compiled ticks of a node that listens to one topic of the chain and answers on another."""
 
     def __init__(self, node: Any, kernel: Kernel, expected: str, topic: str) -> None:
-        assert node.inbox is not None  # noqa: S101  # every kind that answers has one
+        assert node.inbox is not None  # noqa: S101  # every answering kind has one
         self._node, self._kernel, self._inbox = node, kernel, node.inbox
         self.state = state = node.counters  # the node's state, in which the kernel ticks
-        self.inside = False  # whether the kernel ticks now
-        self._mailing = threading.Lock()
+        self.inside = False  # whether the kernel runs
+        self._posting = threading.Lock()
         self._at = state.here = ctypes.addressof(state)
         realtime = node.setup.pace == "realtime"
         self._most = NEVER if realtime else LOCKSTEP_TICKS
@@ -61,11 +61,11 @@ class CompiledTicks:
         self._frame = self._room("frame", LONGEST_TOPIC)
         self._text = self._room("text", LONGEST_TEXT + 16)
         self._room("events_size", 8).raw = (4).to_bytes(8, sys.byteorder)
-        self._mail = (
-            self._room("mail_topic", LONGEST_TOPIC),
-            self._room("mail_payload", LONGEST_MAIL),
+        self._outgoing = (
+            self._room("outgoing_topic", LONGEST_TOPIC),
+            self._room("outgoing_payload", LONGEST_OUTGOING),
         )
-        # An encoder may write 16 bytes beyond its message.
+        # an encoder may write 16 bytes beyond its message
         sizes = {
             "payload": LONGEST_IN,
             "spare": LONGEST_IN,
@@ -85,18 +85,18 @@ class CompiledTicks:
         self._room("out_keys", len(keys)).raw = keys
 
     def _room(self, name: str, size: int) -> Any:
-        """Make a buffer, and give its address to the kernel."""
+        """Allocate a buffer, and set its address in the state."""
         made = ctypes.create_string_buffer(size)
         self._kept.append(made)
         setattr(self.state, name, ctypes.addressof(made))
         return made
 
-    def keep(self, name: str, numbers: array[Any]) -> None:
-        """Give the address of an array to the kernel."""
+    def set_array(self, name: str, numbers: array[Any]) -> None:
+        """Set the address of an array in the state."""
         setattr(self.state, name, numbers.buffer_info()[0])
 
-    def say_text(self, text: str) -> bool:
-        """Set the text of the messages sent."""
+    def set_text(self, text: str) -> bool:
+        """Set the text of the messages sent. Return whether it fits."""
         encoded = msgspec.msgpack.encode(text)
         if len(encoded) > LONGEST_TEXT:
             return False
@@ -104,42 +104,42 @@ class CompiledTicks:
         self.state.text_size = len(encoded)
         return True
 
-    # -- what a kind of node defines
-    # ---------------------------------------------------------------------------------
+    # -- what a kind of node defines --
 
     def load_state(self) -> bool:
-        """Tell the kernel what it must know before its ticks; whether they are its own."""
+        """Prepare the state for compiled ticks. Return whether they can run."""
         return True
 
     def store_state(self) -> None:
-        """Do what follows from compiled ticks."""
+        """Process the results of compiled ticks."""
 
-    # -- for other threads, while the kernel ticks
-    # --------------------------------------------------------------------
+    # -- for other threads, while the kernel runs --
 
-    def mail(self, topic: bytes, payload: bytes) -> bool:
-        """Have the kernel send a message that is not part of a tick; whether it will, or the loop has to be called for it."""
+    def post(self, topic: bytes, payload: bytes) -> bool:
+        """Post a message outside the ticks for the kernel. Return whether it will be sent.
+
+        Otherwise the loop must be interrupted for it.
+        """
         state = self.state
-        fits = len(topic) <= LONGEST_TOPIC and len(payload) <= LONGEST_MAIL
-        if not fits or not self.inside or not self._mailing.acquire(blocking=False):
+        fits = len(topic) <= LONGEST_TOPIC and len(payload) <= LONGEST_OUTGOING
+        if not fits or not self.inside or not self._posting.acquire(blocking=False):
             return False
         try:
-            # What waits in the outbox was posted before it.
-            if state.mail or self._node.events.outbox:
+            # messages in the outbox were posted before it
+            if state.outgoing or self._node.events.outbox:
                 return False
-            for room, content in zip(self._mail, (topic, payload), strict=True):
+            for room, content in zip(self._outgoing, (topic, payload), strict=True):
                 ctypes.memmove(room, content, len(content))
-            state.mail_topic_size, state.mail_size = len(topic), len(payload)
-            state.mail = 1  # last: the kernel looks at this
+            state.outgoing_topic_size, state.outgoing_size = len(topic), len(payload)
+            state.outgoing = 1  # last, because the kernel checks this
         finally:
-            self._mailing.release()
+            self._posting.release()
         return True
 
-    # -- the border
-    # --------------------------------------------------------------------------------------------------
+    # -- the border --
 
     def go(self) -> int:
-        """Let the kernel tick until it stops; what it tells."""
+        """Run the kernel until it stops. Return its reason."""
         state = self.state
         state.upstream = state.skipping = 0
         before = state.ticks
@@ -149,28 +149,28 @@ class CompiledTicks:
         finally:
             self.inside = False
         self._node.ticks_compiled += state.ticks - before
-        self.take_mail()
+        self.return_outgoing()
         if state.upstream:
             self._node.events.waiting = True
         return reason
 
-    def take_mail(self) -> None:
-        """Put a message that the kernel was to send, and did not, into the outbox: before all that was posted after it."""
+    def return_outgoing(self) -> None:
+        """Move a message that the kernel did not send to the front of the outbox."""
         state = self.state
-        if state.mail:
-            topic, payload = self._mail
+        if state.outgoing:
+            topic, payload = self._outgoing
             self._node.events.outbox.appendleft(
-                (topic.raw[: state.mail_topic_size], payload.raw[: state.mail_size])
+                (topic.raw[: state.outgoing_topic_size], payload.raw[: state.outgoing_size])
             )
-            state.mail = 0
+            state.outgoing = 0
             self._node.events.waiting = True
 
     def last_sent(self) -> bytes:
-        """Copy the message sent last."""
+        """Return a copy of the last message sent."""
         return ctypes.string_at(self.state.sent, self.state.sent_size)
 
     def in_front_of(self, take: Callable[[], M | None]) -> Callable[[], M | None]:
-        """Put the compiled ticks before the plain one."""
+        """Return a `take` that runs compiled ticks before the plain one."""
         node, state, inbox = self._node, self.state, self._inbox
 
         def take_next() -> M | None:
@@ -185,8 +185,8 @@ class CompiledTicks:
             if not state.frames:
                 return None
             if state.skipping:
-                # For this one, which is unusual, the one before was left out: whether rightly, the
-                # plain tick finds out.
+                # The previous message was skipped for this unusual one: the plain tick decides
+                # whether rightly.
                 state.skipped -= 1
                 inbox.put_back((self._expected, ctypes.string_at(state.spare, state.spare_size)))
             inbox.put_back(self._frames())
@@ -195,11 +195,11 @@ class CompiledTicks:
         return take_next
 
     def _frames(self) -> list[bytes]:
-        """Copy what was taken off the socket and not answered."""
+        """Return copies of the received frames that were not answered."""
         state = self.state
         frames = [self._frame.raw[: state.frame_size]]
         if state.frames == 2:
-            # A payload too long for the buffer is refused for its length alone
+            # a payload too long for the buffer is refused for its length only
             size = state.payload_size
             frames.append(
                 ctypes.string_at(state.payload, size) if size <= MAX_PAYLOAD else bytes(size)

@@ -1,10 +1,10 @@
-"""Compiling the ticks, once, into the cache of compiled code: a node that ticks needs no numba.
+"""Compiling the ticks once into the cache of compiled code, so that nodes need no numba.
 
 numba makes a kernel from the functions that the plain tick calls, and LLVM writes it as an object
-file (machine_code.py). Where the machine has a linker it becomes a shared library, which costs a
-node nothing; otherwise llvmlite loads the object file. Each kernel is compiled in a process of its
-own, as many side by side as there are processors; with ``--idle`` only what is missing, and when
-nothing else has to be done::
+file (machine_code.py). If the machine has a linker it becomes a shared library, which loads
+fastest; otherwise llvmlite loads the object file. Each kernel is compiled in a process of its own,
+as many in parallel as there are processors; with ``--idle`` only missing ones, when nothing else
+has to be done::
 
     python -m nodes.compiled.build [--idle] MODULE...
 """
@@ -26,26 +26,29 @@ from nodes.compiled.machine_code import ENTRY as ENTRY
 from nodes.compiled.machine_code import linked, object_file
 from nodes.compiled.message_fields import NotCompilableError
 
-TIMEOUT: Final = 300.0  # how long compiling one kernel may take [s]
-USUAL: Final = 10.0  # processor time of a kernel that was never compiled here [s]
+TIMEOUT: Final = 300.0  # longest time to compile one kernel [s]
+USUAL: Final = 10.0  # assumed processor time of a kernel that was never compiled here [s]
 _FAILED: Final = "Failed in nopython mode pipeline"
 
 
 def find(module: str) -> cache.CacheEntry | None:
-    """Find a kernel compiled from what is installed now; CacheRefusedError when it would not be this user's own."""
+    """Return a kernel compiled from the installed sources, or None.
+
+    Raises CacheRefusedError if another user could have written it.
+    """
     return cache.read(f"{module}.tick")
 
 
 def reason(entry: cache.CacheEntry | None) -> str:
-    """Say why a kernel cannot be compiled here, as it turned out in the background; empty for one that can."""
+    """Return why a kernel could not be compiled in the background, or ""."""
     return entry.content.decode() if entry is not None and entry.kind == "failed" else ""
 
 
 def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
-    """Return how long compiling takes here [s], and whether each kernel was compiled here before.
+    """Return how long compiling takes here [s], and whether that was measured for each kernel.
 
-    The processor time that each took last time, side by side on the processors of this machine;
-    `USUAL` for one that was never compiled.
+    It is the processor time of the last compilation, in parallel on this machine's processors;
+    `USUAL` for a kernel that was never compiled here.
     """
     took = []
     for module in modules:
@@ -59,14 +62,14 @@ def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
 
 
 def build_in_background(modules: Sequence[str]) -> None:
-    """Compile kernels when nobody else wants the processor, in processes that outlive this one."""
+    """Compile kernels at idle priority, in processes that outlive this one."""
     nothing = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)]
     command = [sys.executable, "-m", "nodes.compiled.build", "--idle", *modules]
     os.posix_spawn(sys.executable, command, os.environ, file_actions=nothing, setsid=True)
 
 
 def build(modules: Sequence[str]) -> None:
-    """Compile kernels, each in a process of its own, as many at once as there are processors."""
+    """Compile kernels in parallel, each in a process of its own."""
     with ThreadPoolExecutor(max_workers=_processors()) as pool:
         failed = [failure for failure in pool.map(_build_one, modules) if failure]
     if failed:
@@ -74,12 +77,12 @@ def build(modules: Sequence[str]) -> None:
 
 
 def _processors() -> int:
-    """Count the processors that a compiling process takes: those of the machine that are not refused."""
+    """Return the number of processors for compiling."""
     return os.cpu_count() or 1
 
 
 def _build_one(module: str) -> str:
-    """Compile a kernel in a process of its own; why it failed, or nothing."""
+    """Compile a kernel in a process of its own. Return why it failed, or ""."""
     process = subprocess.Popen(
         [sys.executable, "-m", "nodes.compiled.build", module],
         stdin=subprocess.DEVNULL,
@@ -101,12 +104,11 @@ def _build_one(module: str) -> str:
     return f"{module}: {lines[-1]}"
 
 
-# -- in the process that compiles
-# ------------------------------------------------------------------------------------
+# -- in the process that compiles --
 
 
 def _cause(error: Exception) -> str:
-    """Say in a line why a kernel could not be compiled, and where: numba reports it innermost, below all that called it."""
+    """Return in a line why a kernel could not be compiled, and where; numba's innermost cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [
         type(error).__name__
     ]
@@ -128,7 +130,7 @@ def _cause(error: Exception) -> str:
 
 
 def _compile(module: str, keep_failure: bool) -> None:
-    # Before compiling: what is changed meanwhile was not compiled.
+    # before compiling: later changes were not compiled
     sources = {**cache.sources_of(module), **cache.sources_of("nodes.compiled.machine_code")}
     begin = time.process_time()
     try:
@@ -137,7 +139,7 @@ def _compile(module: str, keep_failure: bool) -> None:
     except Exception as error:
         if not keep_failure:
             raise NotCompilableError(_cause(error)) from error
-        # It would fail at each launch.
+        # it would fail at each launch
         entry = cache.CacheEntry(kind="failed", content=f"{module}: {_cause(error)}".encode())
     cache.write(f"{module}.tick", entry, sources)
     if entry.kind != "failed":
@@ -146,7 +148,7 @@ def _compile(module: str, keep_failure: bool) -> None:
 
 
 def _idle(modules: Sequence[str]) -> None:
-    """Compile what is missing, side by side, when nothing else wants a processor that this process may use."""
+    """Compile missing kernels in parallel, when nothing else wants a processor."""
     os.nice(19)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -160,7 +162,7 @@ def _idle(modules: Sequence[str]) -> None:
         if running == len(os.sched_getaffinity(0)):
             os.wait()
             running -= 1
-        # Forked: it inherits how modest this process is, and the lock of the one that compiles.
+        # forked: inherits the idle priority, and the lock of the compiling process
         if os.fork() == 0:
             failed = 1
             try:
@@ -178,9 +180,9 @@ def _main(words: Sequence[str]) -> None:
         if words[:1] == ["--idle"]:
             _idle(words[1:])
             return
-        # Of a loop's node it would inherit processor and priority.
+        # the node of a loop would pass on its processor and priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        # Refused where this container has others.
+        # refused if this container has others
         with contextlib.suppress(OSError):
             os.sched_setaffinity(0, range(os.cpu_count() or 1))
         for module in words:
@@ -189,7 +191,7 @@ def _main(words: Sequence[str]) -> None:
                 if found is None or reason(found):
                     _compile(module, keep_failure=False)
     except NotCompilableError as error:
-        # All that the compiler says, and last what came of it.
+        # the compiler's full output, then the result
         traceback.print_exc()
         sys.exit(str(error))
     except cache.CacheRefusedError as error:

@@ -1,14 +1,13 @@
-"""Compiled code on disk: whatever is loaded was written by this user, whole, from the sources that are installed now.
+"""Compiled code on disk: loaded only if this user wrote it, from the installed sources.
 
-Compiled code is run as it stands, so a file that somebody else could have written is never opened.
-Everything lies in one folder of the user's own: nobody else can write to it or to what leads there,
-and it is entered without following a link. An entry is one file: the digest of all that follows,
-what it was made of (every source file, by digest), and the code. It is written aside and put in
-place at once, so it is there as a whole or not at all; one that is cut, damaged or of other sources
-counts as absent, and is made anew by whoever may compile. What is run is the copy in memory whose
-digest was taken.
+Compiled code is executed, so a file that somebody else could have written is never opened. All
+entries are in one folder of the user's own: nobody else can write to it or to its parents, and it
+is entered without following a link. An entry is one file: the digest of the rest, its sources
+(every source file, by digest), and the code. It is written to a draft and moved into place, so that
+it is complete or absent; a truncated, damaged or outdated entry counts as absent and is compiled
+again. An entry is read into memory, its digest checked, and that copy loaded.
 
-Versions and processor are in the folder's name.
+The folder's name contains versions and processor.
 """
 
 from __future__ import annotations
@@ -34,33 +33,32 @@ import msgspec
 from messages.errors import HapticError
 from nodes.parameters.installed import version
 
-# where the packages are installed: sources are named from here
+# root of the installation, to which source paths are relative
 ROOT: Final = Path(__file__).parents[2]
-# longest entry that is read [bytes]; a kernel has some hundred thousand
+# largest entry [bytes]; a kernel has some hundred thousand
 LARGEST: Final = 256 * 2**20
-# How long another process that makes an entry is waited for, before it is made twice [s]: one that
-# ends lets go of it.
-PATIENCE: Final = 120.0
+# longest wait for another process that compiles an entry, before it is compiled twice [s]
+LOCK_TIMEOUT: Final = 120.0
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
 
 
 class CacheRefusedError(HapticError, OSError):
-    """A folder that compiled code is not taken from, or that cannot be had; the text says why."""
+    """A folder that is not trusted for compiled code, or unusable; the text has the reason."""
 
 
 class _About(msgspec.Struct, frozen=True, kw_only=True):
-    """What an entry's code is, and which source files it was made of: their digests by their place in the installation."""
+    """Kind of an entry's code, and digests of its source files by path in the installation."""
 
     kind: str
     sources: dict[str, str]
 
 
 class CacheEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """Compiled code as it was found.
+    """Compiled code in the cache.
 
-    kind: What `content` is: ``so``, ``o``, ``numba``; or ``failed``, and why.
+    kind: Kind of `content`: ``so``, ``o``, ``numba``; or ``failed``, with the reason.
     content: The code.
     """
 
@@ -70,7 +68,7 @@ class CacheEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 @cache
 def _versions() -> str:
-    """Name this installation, these compilers and this processor."""
+    """Return an identifier of this installation, its compilers and this processor."""
     text = [str(ROOT), sys.implementation.cache_tag or "", platform.machine()]
     for package in ("numba", "llvmlite", "numpy"):
         text.append(version(package) or "none")
@@ -85,7 +83,10 @@ def _versions() -> str:
 
 
 def folder() -> Path:
-    """Name the folder of compiled code, which need not exist: below ``NUMBA_CACHE_DIR``, ``XDG_CACHE_HOME`` or ``~/.cache``."""
+    """Return the folder of compiled code, which need not exist.
+
+    It is below ``NUMBA_CACHE_DIR``, ``XDG_CACHE_HOME`` or ``~/.cache``.
+    """
     base = (
         os.environ.get("NUMBA_CACHE_DIR")
         or os.environ.get("XDG_CACHE_HOME")
@@ -95,20 +96,20 @@ def folder() -> Path:
 
 
 def _others_write(found: os.stat_result) -> bool:
-    """Whether anybody but this user and root may write to what was found."""
+    """Return whether others than this user and root may write to a file."""
     if found.st_uid not in (0, os.getuid()):
         return True
     if found.st_mode & stat.S_IWOTH:
         return True
     if not found.st_mode & stat.S_IWGRP or found.st_gid == 0:
         return False
-    # Many systems give each user a group of its own, and write permission to it.
+    # many systems have a group per user, with write permission
     user = pwd.getpwuid(os.getuid())
     return found.st_gid != user.pw_gid or found.st_gid != user.pw_uid
 
 
 def _safe(path: Path, depth: int = 0) -> None:
-    """Look whether a path, link by link and folder by folder, leads where nobody else can put something else."""
+    """Check that nobody else can replace a path, link by link and folder by folder."""
     if depth > 16:
         raise CacheRefusedError(f"{path}: too many symbolic links")
     for step in (*reversed(path.parents), path):
@@ -117,13 +118,13 @@ def _safe(path: Path, depth: int = 0) -> None:
             if found.st_uid not in (0, os.getuid()):
                 raise CacheRefusedError(f"{step}: a symbolic link of another user")
             _safe((step.parent / step.readlink()).absolute(), depth + 1)
-        # In a sticky folder, as /tmp is, only its owner replaces what is there.
+        # in a sticky folder like /tmp only the owner can replace an entry
         elif _others_write(found) and not (found.st_uid == 0 and found.st_mode & stat.S_ISVTX):
             raise CacheRefusedError(f"{step}: others than user {os.getuid()} may write there")
 
 
 def _enter(name: str, make: bool) -> int:
-    """Open the folder of an entry, without following a link in its last two steps; its descriptor."""
+    """Return a descriptor of an entry's folder, opened without following its last two links."""
     if not _BARE.fullmatch(name):
         raise CacheRefusedError(f"{name!r}: is no name of an entry")
     path = folder()
@@ -159,13 +160,13 @@ def _enter(name: str, make: bool) -> int:
 
 
 def digest_of(path: Path) -> str:
-    """Take the digest of a file."""
+    """Return the digest of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def sources_of(module: str) -> dict[str, str]:
-    """Take the digests of a module and of all that it imports, near and far, of its own and this project's packages."""
-    # A node, which only loads, does without it.
+    """Return the digests of a module and all modules of these packages that it imports."""
+    # imported here, because a node only loads
     import ast
 
     packages = {module.split(".", maxsplit=1)[0], "messages", "nodes", "sim"}
@@ -179,7 +180,7 @@ def sources_of(module: str) -> dict[str, str]:
         seen.add(name)
         waiting.append(name.rpartition(".")[0])
         place = ROOT.joinpath(*name.split("."))
-        # ``from module import name`` of something that is no module is in that module's own file.
+        # ``from module import name``: if `name` is no module, it is in that module's own file
         for path in (place.with_suffix(".py"), place / "__init__.py"):
             if path.is_file():
                 text = path.read_bytes()
@@ -196,7 +197,10 @@ def sources_of(module: str) -> dict[str, str]:
 
 
 def read(name: str) -> CacheEntry | None:
-    """Find an entry, whole and of today's sources, or none; CacheRefusedError when somebody else could have written it."""
+    """Return an entry that is complete and up to date, or None.
+
+    Raises CacheRefusedError if another user could have written it.
+    """
     try:
         at = _enter(name, make=False)
     except FileNotFoundError:
@@ -233,7 +237,7 @@ def read(name: str) -> CacheEntry | None:
 
 
 def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
-    """Put an entry in place, all of it at once; CacheRefusedError when it cannot be kept, on a full disk for one."""
+    """Write an entry atomically; CacheRefusedError if that fails, e.g. on a full disk."""
     about = msgspec.json.encode(_About(kind=entry.kind, sources=dict(sources)))
     rest = about + b"\n" + entry.content
     at = _enter(name, make=True)
@@ -251,19 +255,22 @@ def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
         os.close(at)
 
 
-# entries that this process's threads make: nobody waits here, who may hold what they need
+# entries being made by this process's threads, which must not wait for each other
 _made_here: set[str] = set()
 
 
 @contextlib.contextmanager
 def making(name: str) -> Iterator[None]:
-    """Make an entry while no other process makes it too, waited for not too long; CacheRefusedError when it cannot be kept."""
+    """Lock an entry while it is made; CacheRefusedError if it cannot be written.
+
+    Another process that holds it is waited for, but not for ever.
+    """
     if name in _made_here:
         yield
         return
     at = _enter(name, make=True)
     lock = f".{name}.making"
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + LOCK_TIMEOUT
     held = None
     _made_here.add(name)
     try:
@@ -283,11 +290,14 @@ def making(name: str) -> Iterator[None]:
 
 
 def _locked(at: int, lock: str) -> int | None:
-    """Take a lock, which its holder may remove in the end; None while another has it."""
+    """Return a locked descriptor, or None if another process has the lock.
+
+    The holder may remove the file in the end.
+    """
     held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # It may have been removed between opening and locking.
+        # it may have been removed between opening and locking
         if os.stat(lock, dir_fd=at, follow_symlinks=False).st_ino == os.fstat(held).st_ino:
             return held
     except (BlockingIOError, FileNotFoundError):
@@ -300,7 +310,7 @@ def _locked(at: int, lock: str) -> int | None:
 
 
 def alone() -> int | None:
-    """Be the only one that compiles in the background, until the process ends or the descriptor is closed; None for another."""
+    """Return the lock of background compilation; None if another process has it."""
     at = _enter("background.lock", make=True)
     try:
         return _locked(at, "background.lock")
@@ -308,12 +318,12 @@ def alone() -> int | None:
         os.close(at)
 
 
-# descriptors of libraries: by a name it has met, a loader would give the library it had before
+# descriptors of libraries: a loader would reuse a library of a known name
 _open: list[int] = []
 
 
 def load(library: bytes) -> Any:
-    """Load a shared library from memory: nothing and nobody can change it any more."""
+    """Load a shared library from sealed memory, which nobody can change."""
     descriptor = os.memfd_create("haptic-compiled", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     with open(descriptor, "wb", closefd=False) as file:
         file.write(library)

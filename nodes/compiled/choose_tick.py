@@ -1,4 +1,4 @@
-"""Which tick a launch takes, and having it compiled: before its nodes start when it is asked for, else after its end."""
+"""Choice of a launch's tick, and its compilation before or after the launch."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from nodes.compiled.message_fields import NotCompilableError
 WantedTick: TypeAlias = Literal["auto", "compiled", "plain"]
 
 
-# from this rate on a tick by the interpreter fills a good part of the period [Hz]
+# rate from which an interpreted tick takes a large part of the period [Hz]
 SCARCE: Final = 1000.0
 
 
 def choose(
     wanted: WantedTick, modules: Collection[str], say: Callable[[str], None], scarce: bool = True
 ) -> Literal["compiled", "plain"]:
-    """Settle which tick the nodes of a launch take.
+    """Return which tick the nodes of a launch use.
 
-    ``auto`` takes the compiled one where it is there already, and makes no launch wait for the
-    compiler. It always says that one cannot be compiled, and where time is scarce that one is
-    missing, which is compiled after the
-    launch: `compile_later`.
+    ``auto`` uses the compiled one if it is built, and makes no launch wait for the compiler. It
+    always reports a tick that cannot be compiled, and at high rates (`scarce`) a missing one, which
+    is compiled after the launch (`compile_later`).
     """
     if wanted == "plain" or not modules:
         return "plain"
@@ -65,13 +64,16 @@ def choose(
 
 
 def compile_later(modules: Collection[str], say: Callable[[str], None]) -> None:
-    """Have what is missing compiled for the next launch, on this thread's processors; not with ``HAPTIC_COMPILE=asked``."""
+    """Compile missing ticks in the background, for the next launch.
+
+    Not with ``HAPTIC_COMPILE=asked``. The processes inherit this thread's processors.
+    """
     if os.environ.get("HAPTIC_COMPILE", "background") == "asked":
         return
     try:
         missing = sorted(module for module in modules if find(module) is None)
     except CacheRefusedError:
-        return  # the launch has said so
+        return  # the launch has reported it
     if missing:
         build_in_background(missing)
         say(

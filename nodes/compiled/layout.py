@@ -1,7 +1,7 @@
-"""What the plain and the compiled side of a node share: structs that both read and write, laid out once.
+"""Structs shared by the plain and the compiled side of a node.
 
-Addresses are whole numbers: a kernel knows nothing of Python's objects. Whoever fills them in keeps
-alive what they point to.
+Addresses are integers, because a kernel has no Python objects. The side that sets an address keeps
+its target alive.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from typing import (
 )
 
 NEVER: Final = 2**62  # a tick that does not come
-LONGEST_OUT: Final = 1024  # room for one message sent [bytes]; the longest is under 600
-# room for one message received [bytes]; a longer one is refused for its length
+LONGEST_OUT: Final = 1024  # buffer for one message sent [bytes]; the longest is below 600
+# buffer for one received message [bytes]; a longer one is refused
 LONGEST_IN: Final = 65536 + 64
-# room for a first frame [bytes]; of a longer one only the beginning is ever told
+# buffer for a first frame [bytes]; only the beginning of a longer one is reported
 LONGEST_TOPIC: Final = 256
-# room for a message that is not part of a tick [bytes]; a longer one makes the kernel stop
-LONGEST_MAIL: Final = 4096
-LONGEST_TEXT: Final = 128  # longest text in a message sent, encoded [bytes]
+# buffer for a message outside the ticks [bytes]; a longer one makes the kernel stop
+LONGEST_OUTGOING: Final = 4096
+LONGEST_TEXT: Final = 128  # longest encoded text in a message sent [bytes]
 
-REALS: Final = 32  # room for the numbers of a message, read or to be written
-WHOLES: Final = 16  # the same for its whole numbers
-# where among the wholes address and size of a message's text stand; size -1 for one that is absent
+REALS: Final = 32  # floats of a message, decoded or to encode
+WHOLES: Final = 16  # the same for its integers
+# index in the integers of address and size of a message's text; size -1 if absent
 TEXTS: Final = 12
 
 
@@ -44,7 +44,7 @@ S = TypeVar("S")
 
 
 def struct(declared: type[S]) -> type[S]:
-    """Lay out the annotations of a class as a ctypes struct, those of its base first.
+    """Return the annotations of a class as a ctypes struct, base class first.
 
     ``float`` and ``int`` are one number of 64 bits; ``Annotated[list[float], n]`` is an array of n.
     A type checker sees the class as it is written, so a misspelt variable is an error; numba sees
@@ -53,11 +53,10 @@ def struct(declared: type[S]) -> type[S]:
     Raises
     ------
     TypeError
-        For an annotation that is none of these.
+        For any other annotation.
     """
     hints = get_type_hints(declared, include_extras=True)
-    # The checker's bases are the struct's own fields here: numpy and numba look at one list of
-    # them.
+    # All fields go into one list, because numpy and numba do not look at base classes.
     fields = [
         (name, _laid_out(f"{declared.__name__}.{name}", kind)) for name, kind in hints.items()
     ]
@@ -98,60 +97,60 @@ class LoopState:
     sched_yield: int
 
     # Addresses of sockets
-    inbox: int  # subscription that brings the ticks
+    inbox: int  # subscription to the followed topic
     hop: int  # publisher of the next hop
-    aside: int  # publisher of the listeners; 0 where they share the hop's
+    aside: int  # publisher of the listeners; 0 if they share the hop's
 
     # Addresses of buffers
     expected: int  # topic that is followed
-    frame: int  # first frame taken
-    payload: int  # second frame taken
-    spare: int  # payload left out for a newer one
+    frame: int  # first frame received
+    payload: int  # second frame received
+    spare: int  # payload skipped for a newer one
     topic: int  # topic that is published
-    out_keys: int  # keys of the message published, encoded
-    text: int  # its text, encoded
-    out: int  # room for it
-    sent: int  # the message sent last
+    out_keys: int  # encoded keys of the message published
+    text: int  # its encoded text
+    out: int  # buffer of the message published
+    sent: int  # last message sent
     held: int  # messages collected for listeners
     held_sizes: int  # their sizes
-    time: int  # two whole numbers for the clock
-    events: int  # room for a socket's option
-    events_size: int  # room for that option's size
-    mail_topic: int  # frames that another thread wants sent
-    mail_payload: int
+    time: int  # two integers for the clock
+    events: int  # value of a socket option
+    events_size: int  # size of that option
+    outgoing_topic: int  # frames posted by another thread
+    outgoing_payload: int
 
-    # What is fixed
+    # Constants
     expected_size: int  # [bytes]
     topic_size: int  # [bytes]
     text_size: int  # [bytes]; -1 for no text
-    batch: int  # messages collected for listeners at most
+    batch: int  # batch of messages for listeners
     realtime: int  # 1 in real time, 0 in lockstep
     period: float  # sampling period T [s]
     clock_offset: float  # added to this host's clock to get the run's time [s]
-    most: int  # ticks at most before the kernel stops
+    most: int  # most ticks before the kernel stops
     until: int  # tick before which it stops
 
-    # What goes on from tick to tick
-    seq: int  # tick taken last; -1 before the first
-    answered: int  # tick answered last; -1 before the first
-    gaps: int  # ticks that never came
-    skipped: int  # messages left out for newer ones
-    skipping: int  # 1 where one was left out just now
+    # What changes from tick to tick
+    seq: int  # last tick received; -1 before the first
+    answered: int  # last tick answered; -1 before the first
+    gaps: int  # missing ticks
+    skipped: int  # messages skipped for newer ones
+    skipping: int  # 1 if one was just skipped
     ticks: int  # ticks done
-    held_count: int  # messages collected for listeners
+    held_count: int  # messages in the batch for listeners
     sent_size: int  # [bytes]
-    frames: int  # frames taken that must be put back: 0, 1 (topic) or 2
+    frames: int  # received frames that must be put back: 0, 1 (topic) or 2
     frame_size: int  # [bytes]
     payload_size: int  # [bytes]
-    spare_size: int  # of the message that was left out last [bytes]
-    mail: int  # 1 where another thread has a message to send
-    mail_topic_size: int  # [bytes]
-    mail_size: int  # [bytes]
-    mailed: int  # messages of other threads sent so far
-    unlooked: int  # ticks since the kernel looked for mail
-    upstream: int  # 1 where a listener has sent something that must be taken in
+    spare_size: int  # of the last skipped message [bytes]
+    outgoing: int  # 1 if another thread has posted a message
+    outgoing_topic_size: int  # [bytes]
+    outgoing_size: int  # [bytes]
+    outgoing_sent: int  # posted messages sent so far
+    unlooked: int  # ticks since the kernel checked for posted messages
+    upstream: int  # 1 if a listener has sent something
 
-    # Numbers of the message read
+    # Numbers of the decoded message
     reals: Annotated[list[float], REALS]
     wholes: Annotated[list[int], WHOLES]
 
@@ -176,12 +175,15 @@ def _ordinary(struct: Any) -> type[Any]:
 
 
 def state_of(struct: type[S], compiled: bool = False, **given: Any) -> S:
-    """Return a new state: the struct itself, or for the interpreter an ordinary object, with which rules take 5 µs of 13."""
+    """Return a new state: the struct, or for the interpreter an object with the same fields.
+
+    With the object, interpreted rules take 5 µs instead of 13.
+    """
     kind: Any = struct
     made: S = (kind if compiled else _ordinary(kind))(**given)
     return made
 
 
 def address_of(state: Any) -> int:
-    """Return where a state that is a struct stands, for compiled code."""
+    """Return the address of a state that is a struct."""
     return addressof(state)

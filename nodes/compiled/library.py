@@ -1,4 +1,4 @@
-"""Loading compiled kernels, and finding the C functions that they call: pyzmq's own libzmq, and libc.
+"""Loading compiled kernels, and finding the C functions that they call (libzmq, libc).
 
 Sockets belong to the libzmq that made them, so it must be the very one that pyzmq has loaded:
 beside its wheel, within its extension, or the system's.
@@ -20,13 +20,13 @@ from nodes.compiled.message_fields import NotCompilableError
 _ZMQ: Final = ("zmq_recv", "zmq_send", "zmq_getsockopt")
 _LIBC: Final = ("clock_gettime", "clock_nanosleep", "ppoll", "sched_yield")
 
-# from the address of a node's state to the number of ticks done
+# maps the address of a node's state to the number of ticks done
 Kernel: TypeAlias = Callable[[int], int]
-_kept: list[Any] = []  # what must live as long as its functions may be called
+_kept: list[Any] = []  # must live as long as its functions may be called
 
 
 def library_of_pyzmq() -> str:
-    """Find the library that pyzmq has loaded."""
+    """Return the path of the libzmq that pyzmq has loaded."""
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
         mapped = sorted({line.split(maxsplit=5)[5].strip() for line in maps if ".so" in line})
     candidates = [path for path in mapped if "zmq" in Path(path).name]
@@ -43,7 +43,7 @@ def library_of_pyzmq() -> str:
 
 
 def functions() -> dict[str, int]:
-    """Find the C functions that kernels call."""
+    """Return the addresses of the C functions that kernels call."""
     libzmq, libc = ctypes.CDLL(library_of_pyzmq()), ctypes.CDLL(None)
     found = {}
     for library, names in ((libzmq, _ZMQ), (libc, _LIBC)):
@@ -53,7 +53,7 @@ def functions() -> dict[str, int]:
 
 
 def _addresses(entry: cache.CacheEntry, names: Sequence[str]) -> list[int]:
-    """Load what was compiled, and find its functions."""
+    """Load a compiled entry and return the addresses of its functions."""
     if entry.kind == "so":
         library = cache.load(entry.content)
         _kept.append(library)
@@ -71,12 +71,12 @@ def _addresses(entry: cache.CacheEntry, names: Sequence[str]) -> list[int]:
 
 
 def obtain(module: str) -> Kernel:
-    """Load a kernel that is compiled already: a node that compiled one would leave its launcher without an answer meanwhile."""
+    """Return a compiled kernel; it must exist, because compiling would delay the node."""
     return _kernel_at(*obtain_calls(module, (ENTRY,)))
 
 
 def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
-    """Load functions that are compiled already; their addresses."""
+    """Return the addresses of compiled functions; NotCompilableError if not available."""
     try:
         entry = find(module)
     except cache.CacheRefusedError as error:
@@ -95,8 +95,7 @@ def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
 
 
 def _kernel_at(address: int) -> Kernel:
-    # numba's own way of calling: where the result goes, where an exception would be told, and the
-    # argument.
+    # numba's calling convention: address of the result, of the exception, and the argument
     function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(
         address
     )

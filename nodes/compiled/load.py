@@ -1,10 +1,10 @@
-"""Give a node its compiled ticks as it starts; light, because plain launches import it too."""
+"""Loading a node's compiled ticks at its start, with few imports for plain launches."""
 
 from typing import Any
 
 
 def load_kernel(node: Any) -> None:
-    """Load a node's compiled ticks, where the launch asks for them; without them the plain ones do."""
+    """Load a node's compiled ticks, if requested; without them the plain ones run."""
     if node.setup.tick == "compiled" and node.kernel_module:
         from nodes.compiled.library import obtain
         from nodes.compiled.message_fields import NotCompilableError

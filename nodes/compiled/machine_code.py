@@ -1,9 +1,9 @@
-"""Machine code of a kernel: numba writes each function once, LLVM optimises all of them together once.
+"""Machine code of a kernel: numba writes each function, LLVM optimises the whole once.
 
 For a function that Python calls, numba optimises and emits its own machine code, and again within
 each function that calls it. Nothing calls the parts of a kernel, so they stay text until the kernel
-is whole. What numba does of itself, a lowered module per function, is unchanged, and LLVM gets the
-same instructions: without fastmath it may not change their results.
+is complete. numba's own output, a lowered module per function, is unchanged, and LLVM gets the same
+instructions: without fastmath it may not change their results.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ _LINKERS: Final = ("cc", "gcc", "clang")
 
 
 def object_file(module: str) -> bytes:
-    """Compile a kernel: machine code that refers to nothing but libm.
+    """Return the object code of a kernel, which refers only to libm.
 
     Raises
     ------
     Exception
-        What numba raises for a function that it cannot compile.
+        Raised by numba for a function that it cannot compile.
     RuntimeError
         For a kernel that allocates memory.
     """
     import llvmlite.binding as llvm
 
     loaded: Any = importlib.import_module(module)
-    # What the compiler makes lives until this process ends: looking for garbage in it takes a
-    # twelfth of the time.
+    # The compiler's objects live until this process ends: searching them for garbage takes 8 % of
+    # the time.
     gc.disable()
     called = getattr(loaded, "ENTRIES", None)
     entries = {ENTRY: (loaded.ticks, "int64(int64)")} if called is None else called
@@ -75,7 +75,7 @@ def object_file(module: str) -> bytes:
 
 
 def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
-    """Compile functions and all that they call; their names in LLVM, and one module that is not optimised yet."""
+    """Compile functions and their callees; return LLVM names and one unoptimised module."""
     import llvmlite.binding as llvm
     import numba
     from numba.core import cgutils
@@ -83,7 +83,7 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
     from numba.core.registry import cpu_target
 
     class Parts(JITCodeLibrary):
-        """What numba writes of one function, as text: neither optimised nor emitted."""
+        """numba's output for one function, as text: neither optimised nor emitted."""
 
         def add_ir_module(self, ir_module: Any) -> None:
             self._written = [*getattr(self, "_written", ()), ir_module]
@@ -99,10 +99,10 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
     context.refresh()
     codegen = context.codegen()
     codegen._library_class = Parts
-    # Python calls none of them. numba knows a function by what it would call, so each needs a
-    # builtin of its own.
+    # Python calls none of them. numba identifies a function by its executable, so each needs a
+    # builtin.
     context.get_executable = lambda *_: [].append
-    # Of numba's options a type checker knows only the common ones.
+    # a type checker knows only numba's common options
     compile_: Any = numba.njit
     names, waiting = {}, []
     for name, (function, signature) in entries.items():
@@ -121,7 +121,7 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
             continue
         seen.add(library)
         waiting += library._linking_libraries
-        # Numba's own library, which was there before, has only what counts references.
+        # numba's own library, which existed before, only counts references
         for written in getattr(library, "_written", ()):
             text: Any = cgutils.normalize_ir_text
             unit.link_in(llvm.parse_assembly(text(str(written))))
@@ -129,7 +129,7 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
 
 
 def _by_c(name: str, made: str, signature: str) -> str:
-    """Write a function with C's way of calling around one of numba's, which takes result and error first."""
+    """Return a C wrapper of a numba function, which takes result and error first."""
     kinds = [
         "double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")
     ]
@@ -150,7 +150,7 @@ def _by_c(name: str, made: str, signature: str) -> str:
 
 
 def linked(made: bytes) -> tuple[str, bytes]:
-    """Make a shared library of an object file, where there is a linker; which of the two it is, and its bytes."""
+    """Link an object file to a shared library, if there is a linker. Return kind and bytes."""
     linker = next(filter(None, map(shutil.which, _LINKERS)), None)
     if linker is not None:
         with tempfile.TemporaryDirectory(prefix="haptic-tick-") as folder:

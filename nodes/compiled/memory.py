@@ -1,7 +1,7 @@
-"""Memory by its address and the clock, for rules that are interpreted and compiled: here for the interpreter.
+"""Memory by address, and the clock, for rules: the interpreted versions.
 
-Where a rule looks at an array that somebody else holds, or at the clock, it calls a function of
-this module; nodes/compiled/kernels/machine.py says what a kernel does in its place.
+A rule that reads an array of another owner, or the clock, calls a function of this module;
+nodes/compiled/kernels/machine.py has the compiled versions.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ from typing import Any
 
 
 def reals_at(address: int, count: int) -> Any:
-    """Look at an array of floats that somebody else holds."""
+    """Return a view of an array of floats."""
     return (c_double * count).from_address(address) if count else ()
 
 
 def wholes_at(address: int, count: int) -> Any:
-    """Look at an array of 64-bit integers that somebody else holds."""
+    """Return a view of an array of 64-bit integers."""
     return (c_int64 * count).from_address(address) if count else ()
 
 
 def shared_whole(address: int) -> int:
-    """Load an integer that another process may be writing: before every later load."""
+    """Return an integer that another process may be writing, read before every later load."""
     return c_int64.from_address(address).value
 
 
 def shared_real(address: int) -> float:
-    """Load a float that another process may be writing: before every later load."""
+    """Return a float that another process may be writing, read before every later load."""
     return c_double.from_address(address).value
 
 
 def monotonic(s: object) -> float:
-    """Read the monotonic clock [s]."""
+    """Return the monotonic clock [s]."""
     del s
     return time.monotonic()
 
 
 def pairs_at(address: int, count: int) -> Any:
-    """Look at an array of pairs of floats that somebody else holds."""
+    """Return a view of an array of pairs of floats."""
     return (c_double * 2 * count).from_address(address)

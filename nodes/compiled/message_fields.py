@@ -1,7 +1,7 @@
-"""The fields of a message as tables: what the compiled tick knows of it, read from the message's own type.
+"""Fields of a message as tables for the compiled tick, read from the message's own type.
 
 So a bound, a default or a new field is written once, in messages/types.py. A field of a kind that
-is not listed here cannot be compiled; the plain tick takes its message then.
+is not listed here cannot be compiled; the plain tick then handles its message.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LONGEST_NAME: Final = 15  # longest name of a field [bytes]: with its header one
 
 
 class NotCompilableError(HapticError):
-    """Something that the compiled tick cannot do; the text says what."""
+    """A feature that the compiled tick does not support; the text names it."""
 
 
 class Field(NamedTuple):
@@ -26,17 +26,17 @@ class Field(NamedTuple):
 
     name: str  # its key on the wire
     kind: int  # `REAL`, `VECTOR`, `WHOLE`, `FLAG` or `TEXT`
-    # where its value stands: among the reals (a vector takes three), the wholes (flags too) or the
+    # index of its value in the floats (a vector takes three), the integers (also flags) or the
     # texts
     slot: int
-    low: int  # bounds of a whole number; `high` is the longest length of a text [characters]
+    low: int  # bounds of an integer; `high` is the longest length of a text [characters]
     high: int
-    # Value when it is absent; None when it must be there. Texts are checked only, so theirs is 0.
+    # value if absent; None if required; 0 for texts, which are only checked
     default: float | None
 
 
 def fields_of(message: type[Message]) -> tuple[Field, ...]:
-    """Tabulate a type of message."""
+    """Return the fields of a message type."""
     described = inspect.type_info(message)
     assert isinstance(described, inspect.StructType)  # noqa: S101
     fields = []
@@ -81,12 +81,12 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
 
 
 def slots(fields: tuple[Field, ...], *names: str) -> list[int]:
-    """Find where fields' values stand."""
+    """Return the indices of fields' values."""
     known = {field.name: field.slot for field in fields}
     return [known[name] for name in names]
 
 
 def key_blocks(message: type[Message]) -> bytes:
-    """Lay out the keys of a message, encoded, in blocks of 16 bytes."""
+    """Return the encoded keys of a message, in blocks of 16 bytes."""
     keys = [field.name.encode() for field in fields_of(message)]
     return b"".join((bytes([0xA0 | len(key)]) + key).ljust(16, b"\0") for key in keys)

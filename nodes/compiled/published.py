@@ -96,15 +96,23 @@ def _value_of(name: str, first: int | None, wanted: Any, is_flag: bool) -> str:
     return "(" + ", ".join(f"s.{name}[{first + i}]" for i in range(3)) + ")"
 
 
-def payload_of(table: Published) -> Callable[[Any, str], bytes]:
-    """Return the function of the interpreted tick that encodes a message from a state and its text.
+def message_of(table: Published) -> Callable[[Any, str], Any]:
+    """Return the function of the interpreted tick that makes a message from a state and its text.
 
     Its source is written from the table, as `dataclasses` does: a tick has no time for a loop over
     names.
     """
-    given = (f"{name}={value}" for name, value in table.values.items())
-    source = f"lambda s, text: encode(message({', '.join(given)}))"
-    made: Callable[[Any, str], bytes] = eval(  # noqa: S307  # of names of ours alone
-        source, {"encode": encode, "message": table.message}
+    return _made(table, "message({})")
+
+
+def payload_of(table: Published) -> Callable[[Any, str], bytes]:
+    """Return the function of the interpreted tick that encodes a message from a state and its text."""
+    return _made(table, "encode(message({}))")
+
+
+def _made(table: Published, form: str) -> Callable[[Any, str], Any]:
+    given = ", ".join(f"{name}={value}" for name, value in table.values.items())
+    made: Callable[[Any, str], Any] = eval(  # noqa: S307  # of names of ours alone
+        f"lambda s, text: {form.format(given)}", {"encode": encode, "message": table.message}
     )
     return made

@@ -1,6 +1,6 @@
-"""Rules: plain functions on a state, which the interpreter calls and compiled ticks compile as they stand.
+"""Rules: plain functions on a state, called by the interpreter and compiled into ticks.
 
-A rule registers by itself; nodes/compiled/kernels/sources.py hands all of them to numba. Nothing
+A rule registers by itself; nodes/compiled/kernels/sources.py passes all of them to numba. Nothing
 here imports numba.
 """
 
@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-RULES: Final[list[Callable[..., Any]]] = []  # all that were defined so far in this process
+RULES: Final[list[Callable[..., Any]]] = []  # all rules defined so far in this process
 
 
 def rule(function: Function) -> Function:

@@ -29,7 +29,7 @@ class CouplingTicks(CompiledTicks):
         if renderer.watched:
             return False
         if renderer.name != self._name:
-            self._name, self._fits = renderer.name, self.say_text(renderer.name)
+            self._name, self._fits = renderer.name, self.set_text(renderer.name)
         self.state.until = self._coupling.next_swap()
         self._most = min(self._longest, STANDBY_TICKS) if renderer.standby else self._longest
         return self._fits

@@ -110,8 +110,16 @@ class Judgement:
             else "the law has code of its own"
         )
 
-    def of_moving_world(self, parameters: CouplingParameters, delay: float) -> list[str]:
-        """Return certificates of the law of tick 0 for every moving world, this hand and any hand.
+    def of_moving_world(
+        self,
+        parameters: CouplingParameters,
+        delay: float,
+        law: CompiledLaw | None = None,
+        name: str = "",
+    ) -> list[str]:
+        """Return certificates of a law for every moving world, this hand and any hand.
+
+        The law of tick 0, or one that is compiled already, with its name.
 
         A world that answers in the same tick may be any; a stepped tool may touch anything; a
         second device may be in any hand, as this one. Empty for a coupling to a wall, and for a law
@@ -120,27 +128,34 @@ class Judgement:
         plant = parameters.plant
         if plant is None or parameters.stability == "off":
             return []
+        name = name or parameters.law
+        law = self._book.compile(parameters, name) if law is None else law
         if plant.tool_mass is None and plant.tool_lag is None and plant.partner_mass is None:
             return []
-        from nodes.stability.world_verdict import judge_world
+        from nodes.stability.world_verdict import judge_tool, judge_world
         from nodes.stability.worlds import AnyWorld, OtherDevice, SteppedTool, WorldKind
 
-        law, loop = self._book.compile(parameters, parameters.law), plant.at(self._period, delay)
+        loop = plant.at(self._period, delay)
         world: WorldKind
         if plant.partner_mass is not None and loop.other is not None:
             world = OtherDevice(loop.other.damping, loop.other.delay)
         elif plant.tool_lag == 0.0:
             world = AnyWorld()
         else:
-            world = SteppedTool(plant.tool_damping, loop.delay - plant.device_delay)
+            step = plant.tool_step
+            steps = None if step is None else max(1, math.ceil(self._period / step - 1e-9))
+            late = loop.delay - plant.device_delay
+            world = SteppedTool(plant.tool_damping, late, steps)
         hands = (True,) if isinstance(world, OtherDevice) else (False, True)
+        device = replace(loop, partner=None)
         found = [
-            judge_world(law, replace(loop, partner=None), world, any_hand) for any_hand in hands
+            judge_tool(law, device, world, plant.tool_mass, any_hand)
+            if isinstance(world, SteppedTool)
+            else judge_world(law, device, world, any_hand)
+            for any_hand in hands
         ]
         return [
-            f"{self._node}.laws.{parameters.law}: {verdict.text}"
-            for verdict in found
-            if verdict is not None
+            f"{self._node}.laws.{name}: {verdict.text}" for verdict in found if verdict is not None
         ]
 
     def unjudged(self, parameters: CouplingParameters) -> str:
@@ -213,8 +228,8 @@ class Judgement:
             return verdict, text
         remedy = self._remedy(now, wanted, name, verdict)
         raise ParameterError(
-            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it all the"
-            f" same, --force, or set {self._node}.stability to warn"
+            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it "
+            f"anyway, use --force, or set {self._node}.stability to warn"
         )
 
     def refuse_fallback(
@@ -258,7 +273,7 @@ class Judgement:
                 if share
                 else f"no part of {where}"
             )
-            return f"{part} would be taken"
+            return f"{part} would be accepted"
 
         def at(share: float) -> Any:
             return _mapped(
@@ -268,12 +283,12 @@ class Judgement:
         share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
         if share is None:
             return (
-                f"no value of {where}.{' or '.join(start)} would be taken on the way there, the"
-                " rest as asked"
+                f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
+                "the rest as requested"
             )
         reached, ends = _numbers(at(share)), _numbers(asked)
         if len(start) > 1:
-            return f"together, {where} would be taken up to " + ", ".join(
+            return f"together, {where} is accepted up to " + ", ".join(
                 f"{path} {reached[path]:.4g}" for path in start
             )
         ((path, begin),) = start.items()
@@ -282,8 +297,8 @@ class Judgement:
         found = judge(rounded, verdict.plant)
         shown = f"{value:g}" if found is not None and found.stable else f"{reached[path]:.9g}"
         return (
-            f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that would be"
-            f" taken is {shown}"
+            f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that is "
+            f"accepted is {shown}"
         )
 
     def _start(
@@ -318,7 +333,7 @@ _UNITS = {
     "stiffness": "N/m",
     "device_delay": "ticks",
 }
-_UNITS |= {"scale": "", "tool_stiffness": "N/m", "tool_lag": "ticks"}
+_UNITS |= {"scale": "", "tool_stiffness": "N/m", "tool_lag": "ticks", "tool_step": "s"}
 _UNITS |= {
     "tool_damping": "N s/m",
     "partner_mass": "kg",
@@ -331,6 +346,7 @@ _WHOSE = {
     "tool_damping": "the tool of the scene is damped to ground by",
     "tool_stiffness": "the body that is felt is on a spring of",
     "tool_lag": "what is felt answers later by",
+    "tool_step": "the scene is stepped by",
     **dict.fromkeys(
         ("partner_mass", "partner_damping", "partner_stiffness"), "the second device has"
     ),
@@ -366,6 +382,9 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
         low, high = limit * (1.0 - _CLOSE), limit * (1.0 + _CLOSE)
         if field in ("scale", "tool_stiffness", "tool_lag"):
             kept = value is not None and low <= value <= high
+        elif field == "tool_step":
+            # A shorter step, or none, promises less.
+            kept = value is None or value <= high
         elif field == "heaviest":
             kept = value is None or value >= low
         elif field == "partner_later":

@@ -116,8 +116,8 @@ class LawBook:
             tick = round(swap.at / self._period)
             if tick < taken_until:
                 raise ParameterError(
-                    f"{where}.at: {swap.at:g} s is tick {tick}, but the swap before it is over at"
-                    f" tick {taken_until} only; schedule it later or shorten that one's ramp"
+                    f"{where}.at: {swap.at:g} s is tick {tick}, but the swap before it ends at "
+                    f"tick {taken_until}; schedule it later or shorten that one's ramp"
                 )
             taken_until = tick + max(swap.ramp, 1)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import msgspec
@@ -30,6 +30,7 @@ from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.coupling.state import PUBLISHED, CouplingState
 from nodes.coupling.time_budget import Budget
+from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:
@@ -98,6 +99,8 @@ class Coupling(Node):
         self._realtime = self.setup.pace == "realtime"
         self.counters.delay = _least_delay(self.setup)
         self._failed_text = ""
+        # what was last reported of the law and a world that moves
+        self._told_of_world: list[str] = []
         self._book = LawBook(self.setup.name, self.setup.period)
         self._judgement = Judgement(
             self.setup.name, self.setup.period, self._book, self.setup.plant
@@ -107,13 +110,14 @@ class Coupling(Node):
         self._renderer = Renderer(axes, parameters.memory, self.counters)
         self.counters.ease_peak = self.setup.peak_force or 0.0
         for reason in self._book.unfit(parameters):
-            self.events.emit_each("law", f"{reason}; it cannot be switched to")
+            self.events.emit_each("law", f"{reason}; it cannot become active")
         anyway = StartAnyway.VIRTUAL if self.setup.virtual else StartAnyway.NO_REASON
         if self.resumed_at >= 0:
             anyway = StartAnyway.ACCEPTED_BEFORE
         for text in self._judgement.at_start(parameters, self._felt_delay, anyway):
             self.events.emit_each("stability", text)
-        for text in self._judgement.of_moving_world(parameters, self._felt_delay):
+        self._told_of_world = self._judgement.of_moving_world(parameters, self._felt_delay)
+        for text in self._told_of_world:
             self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
@@ -123,12 +127,30 @@ class Coupling(Node):
         ]
         # changes already made before a restart are in the saved parameters
         due = [(tick, swap) for tick, swap in swaps if tick > self.resumed_at]
+        for name in dict.fromkeys(swap.law for _, swap in due if swap.law != parameters.law):
+            # Said now: a scheduled swap comes between two ticks, where nothing is computed.
+            for text in self._judgement.of_moving_world(parameters, self._felt_delay, name=name):
+                self.events.emit_each("world", f"from the swap that is scheduled: {text}")
         self._take_schedule(
             [(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due]
         )
         if parameters.figures or parameters.plant is not None:
             # numpy takes tens of milliseconds to import and holds the GIL: now, not during contact
             self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
+
+    def begin_with(self, law: CompiledLaw, swaps: Sequence[tuple[int, CompiledLaw, int]]) -> None:
+        """Render a compiled law from the start, and swap to others at given ticks.
+
+        `swaps` are tick, law and ramp [ticks], in the order of their ticks.
+        """
+        histories = self._renderer.histories
+        self._renderer.law = ActiveLaw("given", "", law, histories)
+        self._take_schedule(
+            [
+                (tick, ActiveLaw(f"given_{n}", "", later, histories), ramp)
+                for n, (tick, later, ramp) in enumerate(swaps, 1)
+            ]
+        )
 
     def _take_schedule(self, schedule: list[Scheduled]) -> None:
         self._schedule = schedule
@@ -188,6 +210,15 @@ class Coupling(Node):
             self.events.emit_each("stability", warning)
         before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
         return self._judged(law.name, wanted, verdict, before)
+
+    def _judge_moving(self, wanted: CouplingParameters, law: ActiveLaw) -> dict[str, Any]:
+        """Return a receipt's text about a law and a moving world, and report changes of it."""
+        told = self._judgement.of_moving_world(wanted, self._felt_delay, law.compiled, law.name)
+        if told and told != self._told_of_world:
+            for text in told:
+                self.events.emit_each("world", text)
+        self._told_of_world = told
+        return {"world": told} if told else {}
 
     def _judged(
         self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None
@@ -278,6 +309,7 @@ class Coupling(Node):
         stability: dict[str, Any] = {"stability": set_aside} if set_aside else {}
         if judged != (self._renderer.law.compiled, now.plant, now.stability):
             stability = {"stability": self._judge(now, parameters, law, force)}
+            stability |= self._judge_moving(parameters, law)
         if action == "set" and law.text == self._failed_text:
             # A failed law does not return because another parameter is set; switching to it by name
             # does it.
@@ -349,6 +381,11 @@ class Coupling(Node):
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
+    @property
+    def rendering(self) -> Renderer:
+        """What renders, and what it remembers."""
+        return self._renderer
+
     # -- between two ticks --
 
     def _swap(
@@ -401,7 +438,7 @@ class Coupling(Node):
                 self._swap(seq, law, ramp, "switch", "schedule")
             except ParameterError as error:
                 self.events.emit_each(
-                    "refused", f"scheduled swap at tick {seq}: {error}; the running law goes on"
+                    "refused", f"scheduled swap at tick {seq}: {error}; the running law continues"
                 )
             else:
                 self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
@@ -445,8 +482,8 @@ class Coupling(Node):
             return self._fall_back(proxy, over)
         self.events.emit(
             "budget",
-            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; once more within a second is"
-            " too often",
+            f"law {self._renderer.name!r} at tick {proxy.seq}: {over}; another overrun within "
+            "a second activates the fallback",
             {"tick": proxy.seq},
         )
         return force
@@ -470,7 +507,8 @@ class Coupling(Node):
                 "eased", text, {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds}
             )
 
-    def _answer(self, proxy: Proxy) -> bytes:
+    def respond(self, proxy: Proxy) -> bytes:
+        """Answer a tick's proxy with a force."""
         seq, s, renderer = proxy.seq, self.counters, self._renderer
         jumped = renderer.follow(proxy, s.answered)
         if self._schedule:
@@ -482,10 +520,10 @@ class Coupling(Node):
         if jumped:
             self._report_jump(proxy)
         s.stamp = proxy.stamp if self.clock.simulated else self.clock.now()
-        s.force[:], s.credit = force, proxy.credit
+        s.seq, s.credit, s.force[:] = seq, proxy.credit, force
         s.normal[:] = proxy.normal if proxy.contact else ZERO
         return _payload(s, renderer.name)
 
     def loop(self) -> None:
         """Answer proxies until stopped."""
-        answer_ticks(self, Proxy, topics.PROXY, topics.FORCE, self._answer)
+        answer_ticks(self, Proxy, topics.PROXY, topics.FORCE, self.respond)

@@ -63,6 +63,8 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         ``mujoco``) [kg]; None for a wall.
     tool_damping: Viscous damping of that body to ground [N s/m].
     tool_stiffness: Stiffness of a spring from that body to ground [N/m].
+    tool_step: Longest step of semi-implicit Euler that moves it, all that it touches solved within
+        the step [s]; None if it is not. With it the mass of a tool certifies a law as well.
     tool_lag: Lag of the other end of the coupling: 0 if it answers in the same tick, above 0 for a
         stepped tool [ticks]; None for a wall, or a stepped tool of unknown lag.
     partner_mass: Mass of the second device, if two are coupled position to position [kg]; None for
@@ -84,6 +86,7 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     tool_mass: Positive | None = None
     tool_damping: NonNegative = 0.0
     tool_stiffness: NonNegative = 0.0
+    tool_step: Positive | None = None
     tool_lag: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] | None = None
     partner_mass: Positive | None = None
     partner_damping: NonNegative = 0.0

@@ -29,7 +29,7 @@ class DriverTicks(CompiledTicks):
         self._room("device_room", 48)
         # struct pollfd: descriptor, then two shorts: POLLIN, and the result
         self._poll = array("i", [self._inbox.fd, 1])
-        self.keep("poll", self._poll)
+        self.set_array("poll", self._poll)
         self._texts = [
             ctypes.create_string_buffer(msgspec.msgpack.encode(text).ljust(32, b"\0"))
             for text in SAFETY

@@ -33,7 +33,7 @@ class Condition:
                 f" {error}"
             )
             node.events.emit(
-                "device", f"{self._failed}; the force is brought down to zero, and the driver ends"
+                "device", f"{self._failed}; the force ramps down to zero, and the driver ends"
             )
             node.failing = True
             node.stop(self._failed)
@@ -45,4 +45,4 @@ class Condition:
         if now != self._last:
             self._last = now
             kind: EventKind = "device_force" if now else "device_force_back"
-            self._node.events.emit_each(kind, now or "nothing keeps forces off any more")
+            self._node.events.emit_each(kind, now or "the device applies forces again")

@@ -32,21 +32,19 @@ STATES: Final[Mapping[str, StateWords]] = {
         "the driver waits for the first force of the coupling",
         "does it run, and does the environment? haptic node list",
     ),
-    "ramp": StateWords("the driver lets the force in slowly after a start or a loss", ""),
-    "active": StateWords("the driver hands over what the law asks for", ""),
-    "damping": StateWords(
-        "the coupling is late; the driver damps the device meanwhile", "haptic node list"
-    ),
+    "ramp": StateWords("the force ramps up after a start or a gap", ""),
+    "active": StateWords("the driver applies the law's force", ""),
+    "damping": StateWords("the coupling is late; the driver damps the device", "haptic node list"),
     "zero": StateWords(
-        "the coupling is silent; the watchdog has let go until a fresh force comes",
-        "haptic node list",
+        "the coupling is silent; the force is zero until a fresh one arrives", "haptic node list"
     ),
     "fault": StateWords(
-        "the device is outside its workspace, or gives no position",
+        "the device is outside its workspace, or has no valid position",
         "move the handle back, or see mapping",
     ),
     "stopped": StateWords(
-        "the loop swung, and the driver stopped it", "choose a softer law, then haptic node rearm"
+        "the loop was unstable, and the driver stopped it",
+        "choose a softer law, then haptic node rearm",
     ),
 }
 
@@ -73,10 +71,10 @@ NOTES: Final[Mapping[int, Note]] = {
         "safety", ("silent_ticks",), "no fresh force for {silent_ticks:.0f} ticks"
     ),
     notes.LET_GO: Note(
-        "safety", (), "no force was written in time, and the device let go by itself"
+        "safety", (), "no force was written in time, and the device released the old one"
     ),
     notes.NO_POSITION: Note(
-        "safety", ("x_m", "y_m", "z_m"), "the device gives position ({x_m}, {y_m}, {z_m})"
+        "safety", ("x_m", "y_m", "z_m"), "the device returned position ({x_m}, {y_m}, {z_m})"
     ),
     notes.OUTSIDE: Note(
         "safety",
@@ -106,13 +104,10 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.REARMED: Note(
         "rearmed",
         (),
-        "armed again on request: the force comes back by its ramp, and swings are counted from"
-        " zero",
+        "rearmed on request: the force ramps up, and oscillations are counted from zero",
     ),
     notes.JUMPED: Note(
-        "safety",
-        (),
-        "the position jumped without a motion: what is felt goes to what is asked by the ramp",
+        "safety", (), "the position jumped without motion: the force changes by a ramp"
     ),
     notes.REFUSED_FIRST: Note(
         "refused_future",

@@ -7,9 +7,9 @@ from nodes.compiled.kernels import hop, machine
 from nodes.compiled.kernels.encode import make_write
 from nodes.compiled.kernels.hop import (
     called,
+    enqueue,
     flush,
     has_message,
-    keep,
     monotonic,
     out_at,
     receive,
@@ -127,7 +127,7 @@ def _receive(s: DriverState, until: float) -> int:
 
 @compilable
 def _aside(s: DriverState) -> None:
-    if keep(s, s.sent_size):
+    if enqueue(s, s.sent_size):
         flush(s)
 
 

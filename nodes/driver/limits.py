@@ -95,7 +95,7 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
     )
     return missing and (
         f"the device declares no {missing}, which a real device must have (DeviceLimits in"
-        f" nodes/driver/device.py); to start it all the same: safety.without: [{missing}]"
+        f" nodes/driver/device.py); to start anyway: safety.without: [{missing}]"
     )
 
 

@@ -111,6 +111,7 @@ class Driver(Node):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self.driving = self.counters
+        self._virtual = self.is_virtual(setup.parameters, setup.name)
         self._report = DriverReport(self.driving)
         self._condition = Condition(self, self.condition)
         self._paused_until = 0.0
@@ -132,7 +133,14 @@ class Driver(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Check pace and workspace before the launch (`Node.check`)."""
-        check(setup, convert(setup.parameters, cls.Parameters, setup.name), cls.virtual)
+        virtual = cls.is_virtual(setup.parameters, setup.name)
+        check(setup, convert(setup.parameters, cls.Parameters, setup.name), virtual)
+
+    @classmethod
+    def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
+        """Return whether the device lives in simulated time: here for every device of the kind."""
+        del parameters, name
+        return cls.virtual
 
     @property
     def target(self) -> Vector:
@@ -149,16 +157,21 @@ class Driver(Node):
         """
         raise TypeError(f"driver kind {self.setup.kind!r} does not define make_device()")
 
+    @property
+    def device(self) -> Device:
+        """The device, once it is made."""
+        return self._device
+
     def configure(self) -> None:
         """Create the device and set the conditions of the run."""
         parameters, s, period = self.store.current, self.driving, self.setup.period
         self._device = self.make_device()
         limits = self._device.limits
-        if not self.virtual and (refusal := undeclared(parameters.safety, limits)):
+        if not self._virtual and (refusal := undeclared(parameters.safety, limits)):
             self._device.close()
             raise ParameterError(f"{self.setup.name}: {refusal}")
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
-        s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self.virtual
+        s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self._virtual
         s.next_tick = self.setup.apply == "next_tick"
         s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
         # Ticks after the last write until the device lets go by itself, at the earliest.
@@ -177,12 +190,9 @@ class Driver(Node):
         for text in held.overruled:
             self.events.emit("limit", text)
         if limits.latency is None and s.guard_on:
-            text = (
-                "the device does not tell its latency: the guard takes forces to act when they are"
-                " handed over"
-            )
+            text = "the device does not report its latency: the guard assumes none"
             self.events.emit("guard", text)
-        waits = self.virtual or parameters.safety.hang is None
+        waits = self._virtual or parameters.safety.hang is None
         self._watch = Watch(self, limits, None if waits else LastResort(self.setup))
         self._open = False
 
@@ -234,7 +244,9 @@ class Driver(Node):
                 if time.monotonic() - asked > ASK_AGAIN:
                     asked = time.monotonic()
                     self.events.emit(
-                        "unanswered", f"tick {s.seq} has no answer; asking again", {"tick": s.seq}
+                        "unanswered",
+                        f"tick {s.seq} has no answer; publishing it again",
+                        {"tick": s.seq},
                     )
                     payload = (
                         self._plain.payload if self.compiled is None else self.compiled.last_sent()
@@ -300,8 +312,8 @@ class Driver(Node):
             self.store.current, passivity=None
         ):
             raise ParameterError(
-                f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs, all"
-                f" but {self.movable}"
+                f"{self.setup.name}: while it runs, parameters of a {self.setup.kind} are "
+                f"fixed, except {self.movable}"
             )
         if self._report.own_guard:
             raise ParameterError(
@@ -314,7 +326,8 @@ class Driver(Node):
 
         return apply
 
-    def _report_notes(self) -> None:
+    def report_notes(self) -> None:
+        """Publish what the rules of the tick noted as events."""
         for note in self._report.notes():
             # every change of state is published, whatever else happened
             self.events.emit(
@@ -323,12 +336,12 @@ class Driver(Node):
 
     def between_ticks(self, seq: int) -> None:
         """Report notes, then do the work of every node between ticks."""
-        self._report_notes()
+        self.report_notes()
         super().between_ticks(seq)
 
     def check_health(self) -> None:
         """Check that the loop progresses, and report the device's condition (control thread)."""
-        self._watch.look((*self.counted(), self._report.soft_stop_ticks))
+        self._watch.check((*self.counted(), self._report.soft_stop_ticks))
         if self.state == "running":
             self._condition.report()
 
@@ -352,11 +365,10 @@ class Driver(Node):
     def _rearm(self, beside: bool = False) -> dict[str, Any]:
         """Rearm after a stop; a real device only if somebody is `beside` it."""
         name = self.setup.name
-        if not (self.virtual or beside):
+        if not (self._virtual or beside):
             raise ParameterError(
-                f"{name}: a real device, whose driver has stopped a loop that gave out energy;"
-                " choose a softer law, stand beside the device, and ask for forces again: haptic"
-                " node rearm"
+                f"{name}: the driver of a real device has stopped an unstable loop; choose a "
+                "softer law, stand beside the device, then: haptic node rearm"
             )
 
         def apply(seq: int) -> dict[str, Any]:
@@ -372,12 +384,11 @@ class Driver(Node):
         name = self.setup.name
         if self.driving.realtime:
             raise ParameterError(
-                f"{name}: only a loop in lockstep can stand still; a device in real time cannot"
-                " wait"
+                f"{name}: only a lockstep loop can pause; a device in real time cannot wait"
             )
         if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
             raise ParameterError(
-                f"{name}: stand still for {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
+                f"{name}: a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
             )
         self._paused_until = time.monotonic() + seconds
         self.events.notify()
@@ -443,4 +454,4 @@ class Driver(Node):
             self._watch.begin("close()", self._device.limits.closing)
             self._device.close()
             self._watch.end()
-            self._report_notes()
+            self.report_notes()

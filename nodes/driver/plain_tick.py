@@ -6,17 +6,24 @@ import time
 from typing import Any
 
 from messages import topics
-from messages.codec import Decoder
+from messages.codec import Decoder, encode
 from messages.transport.sockets import TimedOut
-from messages.types import Force
+from messages.types import DeviceState, Force
 from nodes.base import realtime
-from nodes.compiled.published import payload_of
+from nodes.compiled.published import message_of
 from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
 from nodes.driver.state import PUBLISHED, SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
 
-_payload = payload_of(PUBLISHED)
+_message = message_of(PUBLISHED)
+
+
+def state_message(s: DriverState, seq: int, stamp: float) -> DeviceState:
+    """Return the state of a tick as it is published."""
+    assert s.asked == seq  # noqa: S101  # `take_sample` comes before
+    s.stamp = stamp
+    return _message(s, SAFETY[s.safety])
 
 
 class PlainTicks:
@@ -59,10 +66,9 @@ class PlainTicks:
         self._device.write_force((x, y, z), seq, offset)
         return True
 
-    def publish(self, s: DriverState, seq: int, stamp: float) -> None:  # noqa: ARG002  # the port's
+    def publish(self, s: DriverState, seq: int, stamp: float) -> None:
         """Send the state of a tick to the next hop."""
-        s.stamp = stamp
-        payload = _payload(s, SAFETY[s.safety])
+        payload = encode(state_message(s, seq, stamp))
         s.states_sent += 1
         # before sending: under FIFO the whole chain may run before the call returns
         s.sampled = self._clock()

@@ -22,7 +22,7 @@ import msgspec
 
 from messages.types import ZERO, Vector
 from nodes.base.setup import Setup
-from nodes.base.shared_file import PATIENCE, awaited, mapped
+from nodes.base.shared_file import FILE_TIMEOUT, awaited, mapped
 
 _VALUE = struct.Struct("<QddddQ")
 """Count after the value, target [m], time [s], count before; read in this order.
@@ -58,7 +58,7 @@ def pointer_file(run_dir: str | Path, driver: str) -> Path:
 
 
 def awaited_pointer(
-    driver: Setup, given_up: Callable[[], bool], patience: float = PATIENCE
+    driver: Setup, given_up: Callable[[], bool], patience: float = FILE_TIMEOUT
 ) -> Path:
     """Return the path of a driver's pointer file; wait for it if the launch promises one."""
     path = pointer_file(driver.run_dir, driver.name)

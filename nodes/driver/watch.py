@@ -31,11 +31,11 @@ class Watch:
         if self._last_resort is not None:
             self._last_resort.stop()
 
-    def look(self, progress: tuple[int, ...]) -> None:
+    def check(self, progress: tuple[int, ...]) -> None:
         """End the process if there is no progress for too long (control thread)."""
         what, limit = self._doing
         self._postpone(limit)
-        if self._watchdog.look((what, *progress)) >= limit:
+        if self._watchdog.check((what, *progress)) >= limit:
             hold = self._limits.hold
             lets_go = (
                 f"it lets go by itself after {hold:g} s"

@@ -86,8 +86,14 @@ class Environment(Node):
 
     def configure(self) -> None:
         """Build the surface."""
-        self._place, meet = self._built(self.store.current)
-        self._touch(meet)
+        self.begin_with(*self._built(self.store.current))
+
+    def begin_with(
+        self, place: TouchedSurface, meet: Callable[[Vector], Meeting] | None = None
+    ) -> None:
+        """Begin with a surface, and a function that meets it in place of its own."""
+        self._place = place
+        self._touch(place.meet if meet is None else meet)
 
     def make_counters(self) -> Any:
         """Return the state."""
@@ -163,7 +169,8 @@ class Environment(Node):
             self, kernel, self.kernel_of(self.setup.parameters) != self.kernel_module
         )
 
-    def _answer(self, state: DeviceState) -> bytes | None:
+    def respond(self, state: DeviceState) -> bytes | None:
+        """Answer a tick's state with a proxy."""
         simulated = self.clock.simulated
         if state.safety == "fault" and not simulated:
             # The position is outdated; the coupling bridges the gap. In lockstep the driver waits
@@ -181,6 +188,7 @@ class Environment(Node):
         if not simulated:
             note_spent(s.spent, time.monotonic() - begin)
         s.stamp = state.stamp if simulated else self.clock.now()
+        s.seq = state.seq
         s.position[:], s.delay, s.contact = state.position, state.delay, contact
         if s.kind == UNKNOWN:
             s.met[: DISTANCE + 1] = (*proxy, *normal, distance)
@@ -223,4 +231,4 @@ class Environment(Node):
 
     def loop(self) -> None:
         """Answer device states until stopped."""
-        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self.respond)

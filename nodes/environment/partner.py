@@ -165,7 +165,8 @@ class PartnerEnvironment(Node):
         self.heard += counted
         self.late += not counted
 
-    def _answer(self, state: DeviceState) -> bytes | None:
+    def respond(self, state: DeviceState) -> bytes | None:
+        """Answer a tick's state with a proxy."""
         if state.safety == "fault":
             # The position is outdated; the coupling bridges the gap.
             return None
@@ -221,6 +222,6 @@ class PartnerEnvironment(Node):
             DeviceState,
             topics.DEVICE_STATE,
             topics.PROXY,
-            self._answer,
+            self.respond,
             {partner: self._hear},
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, MutableSequence
 
 from messages.types import Vector
-from nodes.environment.meet import meeting_of
+from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.shapes.scene import carry_over, identity_of
 from nodes.environment.shapes.tables import INSIDE, NEVER, PLACED
 from nodes.environment.state import JUMPED, MET, SHAPES, UNKNOWN
@@ -21,7 +21,19 @@ class TouchedSurface:
     def __init__(
         self, surface: Surface, period: float, met: MutableSequence[float] | None = None
     ) -> None:
-        self.numbers = numbers_of(surface, period)
+        self._begin(numbers_of(surface, period), met)
+        if self.numbers is None:
+            self.meet = surface.meeting_every(period)
+
+    @classmethod
+    def of(cls, numbers: Numbers, met: MutableSequence[float] | None = None) -> TouchedSurface:
+        """Make one of the numbers of a surface, without its parameters."""
+        made = cls.__new__(cls)
+        made._begin(numbers, met)
+        return made
+
+    def _begin(self, numbers: Numbers | None, met: MutableSequence[float] | None) -> None:
+        self.numbers = numbers
         self._met = [0.0] * MET if met is None else met
         # Computed with the surface, not when it is replaced, which happens between two ticks.
         self._identity = (
@@ -29,11 +41,8 @@ class TouchedSurface:
             if self.numbers is not None and self.kind == SHAPES
             else None
         )
-        self.meet = (
-            surface.meeting_every(period)
-            if self.numbers is None
-            else meeting_of(self.numbers, self._met)
-        )
+        if self.numbers is not None:
+            self.meet = meeting_of(self.numbers, self._met)
 
     @property
     def kind(self) -> int:

@@ -1,1 +1,1 @@
-"""Starts the nodes of a launch file, watches over them, and ends them."""
+"""Start the nodes of a launch file, supervise them and end them."""

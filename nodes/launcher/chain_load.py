@@ -1,8 +1,7 @@
-"""What the chains of a launch take of the processors: estimated before the start, measured while they run.
+"""Processor load of a launch's chains: estimated before the start, measured in the run.
 
-What a tick of a chain costs here is kept beside the compiled code, by what the chain is made of. So
-the next launch can be told before it starts how many chains this machine carries, and its chains
-are spread over the processors.
+The processor time of a tick is stored beside the compiled code, by kind of chain. The next launch
+uses it to warn if this machine cannot carry its chains, and to spread them over the processors.
 """
 
 from __future__ import annotations
@@ -22,47 +21,45 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.compiled.cache import folder
 from nodes.launcher.launch_spec import Launch
 
-# part of a processor that chains may take: from there on waiting for each other makes them miss
-# ticks
+# Share of a processor that chains may take; above it they delay each other and miss ticks.
 CARRIED: Final = 0.75
-# part of a processor that is left to loggers, pages and the launcher where chains take all
-# processors
+# Share of a processor left to loggers, pages and the launcher if chains use all processors.
 LISTENERS: Final = 0.25
-# share of lost ticks from which a run was overloaded, where its processors had no time left
+# Share of lost ticks above which a run on busy processors counts as overloaded.
 LATE: Final = 0.05
-# part of a processor's time from which it had none left; FIFO tasks get 0.95 at most
+# Share of its time above which a processor counts as busy; FIFO tasks get at most 0.95.
 BUSY: Final = 0.85
-OVERLOADED: Final = 4  # exit code of a launch whose own chains were too many for its processors
-_SHORTEST: Final = 0.5  # a shorter run tells nothing of what a tick costs [s]
+OVERLOADED: Final = 4  # exit code of a launch with more chains than its processors carry
+_SHORTEST: Final = 0.5  # duration below which a run does not show the cost of a tick [s]
 _KINDS_KEPT: Final = 256
 
 
 class Known(msgspec.Struct, frozen=True):
-    """What was measured here before."""
+    """Costs measured here before."""
 
     costs: dict[str, float] = {}  # kind of chain to processor time of a tick [s]
 
 
 Cause = Literal["", "chains", "others"]
-"""Why a run lost ticks: too many chains, or others that kept the processors; empty for few, or another reason."""
+"""Why a run lost ticks: its own chains or other processes; empty for another reason."""
 
 
 class Load(msgspec.Struct, frozen=True, kw_only=True):
-    """How busy the processors of the chains were during a run, and what they carry."""
+    """Load of the chains' processors during a run, and how many chains they carry."""
 
     chains: int
     rate_hz: float
-    tick_cost_us: float  # processor time of one tick of a chain, the mean over all
+    tick_cost_us: float  # mean processor time of one tick of a chain
     processors: int
-    busy: float  # part of these processors' time that the chains took
-    waited: float  # how long processes of chains waited for a processor, per second of the run
-    carried: int  # how many such chains the machine carries
-    lost: float  # share of ticks without their answer in time
-    cause: Cause  # why so many were lost
+    busy: float  # share of these processors' time that the chains took
+    waited: float  # time that chains' processes waited for a processor, per second of the run
+    carried: int  # number of such chains that the machine carries
+    lost: float  # share of ticks not answered in time
+    cause: Cause  # why ticks were lost
 
     @property
     def text(self) -> str:
-        """What a summary says of it; empty where nothing is wrong."""
+        """Return the summary's text about an overload; empty if there was none."""
         if not self.cause:
             return ""
         chains = f"{_counted(self.chains)} at {self.rate_hz:g} Hz lost {self.lost:.1%} of the ticks"
@@ -71,11 +68,11 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
             return (
                 f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick;"
                 f" this machine carries about {_counted(self.carried)} of that kind: start fewer,"
-                " lower run.rate, or take --tick compiled"
+                " lower run.rate, or use --tick compiled"
             )
         return (
-            f"{chains}: they took {self.busy:.0%} of {of}, and waited for others {self.waited:.2g}"
-            " s a second; end what else keeps this machine busy, or grant SCHED_FIFO (haptic"
+            f"{chains}: they took {self.busy:.0%} of {of}, and waited for other processes"
+            f" {self.waited:.2g} s per second; stop other programs, or grant SCHED_FIFO (haptic"
             " doctor)"
         )
 
@@ -99,9 +96,10 @@ def _hops(launch: Launch, namespace: str) -> list[str]:
 
 
 def kind_of_chain(launch: Launch, namespace: str, tick: str) -> str:
-    """Return what the cost of a chain's tick depends on: its nodes, surface and axes, how ticks are taken, and about how often.
+    """Return a key of what determines a tick's cost: nodes, surface, axes, tick and rate.
 
-    A tick after a long pause finds cold caches: at 500 Hz it costs twice as much as at 8 kHz.
+    The rate counts because a tick after a long pause finds cold caches: at 500 Hz it costs twice as
+    much as at 8 kHz.
     """
     parts = [tick, f"{2 ** round(math.log2(launch.run.rate))} Hz"]
     for name in _hops(launch, namespace):
@@ -119,7 +117,7 @@ def _place() -> Path:
 
 
 def known_costs() -> dict[str, float]:
-    """Return what ticks cost here before [s], by kind of chain; nothing where nothing was measured."""
+    """Return the tick costs measured here before [s], by kind of chain."""
     with contextlib.suppress(OSError, msgspec.DecodeError):
         path = _place()
         if path.stat().st_uid == os.getuid() and path.stat().st_size < 1_000_000:
@@ -129,11 +127,11 @@ def known_costs() -> dict[str, float]:
 
 
 def keep_costs(measured: Mapping[str, float]) -> None:
-    """Store what ticks cost [s], by kind of chain, unless the folder cannot be written to."""
+    """Store tick costs [s] by kind of chain; do nothing if the folder is not writable."""
     known = known_costs()
     for kind, cost in measured.items():
         known.pop(kind, None)
-        known[kind] = cost  # the newest last: a machine that was busy for once is not for ever
+        known[kind] = cost  # newest last; old entries are dropped
     kept = dict(list(known.items())[-_KINDS_KEPT:])
     with contextlib.suppress(OSError):
         path = _place()
@@ -144,19 +142,19 @@ def keep_costs(measured: Mapping[str, float]) -> None:
 
 
 def estimated(launch: Launch, chains: Iterable[str], tick: str) -> dict[str, float]:
-    """Return the part of a processor that each chain will take, by namespace; only chains whose cost is known."""
+    """Return the share of a processor that each chain will take, if its cost is known."""
     known = known_costs()
     costs = {chain: known.get(kind_of_chain(launch, chain, tick)) for chain in chains}
     return {chain: cost * launch.run.rate for chain, cost in costs.items() if cost is not None}
 
 
 def carried(cost: float, rate: float, processors: int) -> int:
-    """Return how many chains of a tick's `cost` [s] run at a `rate` [Hz] without waiting for each other."""
+    """Return how many chains of a tick `cost` [s] fit at `rate` [Hz] without lost ticks."""
     return max(0, processors * math.floor(CARRIED / (cost * rate))) if cost > 0.0 else 0
 
 
 def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> str:
-    """Return what to say before the start of a launch that its machine does not carry; empty where it does, or nobody knows."""
+    """Return a warning if the machine cannot carry the launch; empty if it can, or unknown."""
     shares = estimated(launch, chains, tick)
     if launch.run.pace != "realtime" or len(shares) < len(chains) or not shares:
         return ""
@@ -164,19 +162,20 @@ def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> st
     if whole <= CARRIED * processors:
         return ""
     rate = launch.run.rate
-    most = carried(mean / rate, rate, processors)
+    limit = carried(mean / rate, rate, processors)
     return (
         f"overload ahead: {_counted(len(chains))} at {rate:g} Hz will take {whole:.0%} of one"
         f" processor, as measured here ({mean / rate * 1e6:.0f} µs a tick), and there are"
-        f" {processors}; this machine carries about {_counted(most)} of that kind: start fewer,"
-        f" lower run.rate{'' if tick == 'compiled' else ', or take --tick compiled'}"
+        f" {processors}; this machine carries about {_counted(limit)} of that kind: start fewer,"
+        f" lower run.rate{'' if tick == 'compiled' else ', or use --tick compiled'}"
     )
 
 
 def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float]) -> dict[str, int]:
-    """Return a processor for each chain, the first of `cores` for as many as it carries; listeners keep the last if it can be.
+    """Return a processor for each chain: the first of `cores` with room, the last as reserve.
 
-    A chain whose share is not known counts as a twentieth of a processor.
+    The last core is left to subscribers if possible. A chain of unknown cost counts as a twentieth
+    of a processor.
     """
     chains = list(chains)
     share = {chain: shares.get(chain, 0.05) for chain in chains}
@@ -192,16 +191,16 @@ def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float])
 
 
 def _processor_time(pid: int) -> float:
-    """Return the processor time of a process, all its threads together [s]; 0 for one that is gone."""
+    """Return the processor time of a process with all its threads [s]; 0 if it ended."""
     try:
-        # the kernel's clock of a process, as clock_getcpuclockid makes it
+        # The clock id of a process, as clock_getcpuclockid computes it.
         return time.clock_gettime((~pid << 3) | 2)
     except OSError:
         return 0.0
 
 
 def _waited(pid: int) -> float:
-    """Return how long the threads of a process waited for a processor [s]; 0 for one that is gone."""
+    """Return how long the threads of a process waited for a processor [s]; 0 if it ended."""
     waited = 0
     with contextlib.suppress(OSError, ValueError):
         for task in os.listdir(f"/proc/{pid}/task"):
@@ -212,7 +211,7 @@ def _waited(pid: int) -> float:
 
 
 class Meter:
-    """Measures the processor time of a launch's nodes from the first tick on: what they had, and how long they waited for it.
+    """Measures processor time and waiting time of a launch's nodes from the first tick on.
 
     Parameters
     ----------
@@ -227,14 +226,14 @@ class Meter:
         self._waits: dict[str, float] = {}
 
     def look(self) -> None:
-        """Read how long the nodes that are still there have waited."""
+        """Update the waiting times of the nodes that still run."""
         for name, pid in self._pids.items():
             at, before = self._began[name]
             if (waited := _waited(pid)) > before and time.monotonic() > at:
                 self._waits[name] = (waited - before) / (time.monotonic() - at)
 
     def had(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-        """Return the processor time of each node since the first tick [s], by what the nodes reported at their end."""
+        """Return each node's processor time since the first tick [s], from its final report."""
         ends = {name: reports.get(name, {}).get("status", {}) for name in self._pids}
         return {
             name: max(0.0, float(end["cpu"]) - self._had[name])
@@ -254,18 +253,18 @@ def load_of(
     reports: Mapping[str, Mapping[str, Any]],
     processors: int,
 ) -> Load | None:
-    """Return how busy a run was; None for one that was too short to tell, or did not tick in real time.
+    """Return the load of a run; None if it was too short, or not in real time.
 
     Parameters
     ----------
     launch : Launch
-        What ran.
+        The launch.
     had : float
-        Processor time of the nodes of its chains [s].
+        Processor time of its chains' nodes [s].
     waiting : float
-        How long they waited for a processor, per second.
+        Time that they waited for a processor, per second.
     reports : mapping of str to mapping
-        What the driver of each chain reported.
+        Final report of each chain's driver.
     processors : int
         Processors that the chains share.
     """
@@ -283,7 +282,7 @@ def load_of(
     if seconds < _SHORTEST or had <= 0.0 or launch.run.pace != "realtime":
         return None
     share = lost / (done + lost)
-    cost = had / max(done, 1)  # what was spent on lost ticks is part of what an answered one costs
+    cost = had / max(done, 1)  # time spent on lost ticks counts for the answered ones
     busy = had / (seconds * processors)
     return Load(
         chains=len(reports),

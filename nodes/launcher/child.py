@@ -1,4 +1,4 @@
-"""One node of a launch as the supervisor sees it: a process of its own to start, look after and end."""
+"""A node's process: start it, watch it and end it for the supervisor."""
 
 import contextlib
 import os
@@ -20,24 +20,27 @@ from nodes.base.processor_wait import ProcessorWait, state_of
 from nodes.base.setup import Setup
 from nodes.base.status_report import write_whole
 
-# our processes': without the working directory, where a ``sim.py`` may be anybody's
+# Without the working directory on the path, where any ``sim.py`` may lie.
 PYTHON = (sys.executable, "-P")
-# until a node is ready [s]: eight launches at once on two processors take more than 30 s
+# Time limit until a node is ready; eight launches at once on two processors take over 30 s [s].
 START_TIMEOUT = 90.0
 
 
 class Child:
-    """One node's process, started again so often (-1: for ever); the launch ends with one that is `required`."""
+    """Process of a node, respawned up to `respawns` times (-1: always).
 
-    patience = START_TIMEOUT  # how long the launcher waits for it to be ready [s]
-    # how much longer than on this machine the first answer over a new connection takes [s]
+    The launch ends when a `required` node does.
+    """
+
+    patience = START_TIMEOUT  # time limit until it is ready [s]
+    # Extra time, compared to this machine, of the first answer over a new connection [s].
     distance = 0.0
 
     def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
         self.setup = setup
         kind = load(setup.factory)
         self.drives, self.hops = drives(kind), is_hop(kind)  # a driver; a part of the loop
-        self.listens = bool(setup.manifest)  # whether it only listens (a logger)
+        self.listens = bool(setup.manifest)  # whether it only subscribes (a logger)
         self.respawns = respawns
         self.delay = delay
         self.required = required
@@ -46,13 +49,13 @@ class Child:
         self._exit: int | None = None
         self._wait_for_processor = ProcessorWait()
         self.again_at: float | None = None
-        self.ready_at = time.monotonic()  # when it was ready; before, when it was made [s]
-        # how long its device may take to open, from then on, and to close [s]
+        self.ready_at = time.monotonic()  # time when it became ready; before, of creation [s]
+        # Times that its device may take to open, from `ready_at` on, and to close [s].
         self.opening = self.closing = 0.0
         self.to_start = False
         self.ready = False
         self.over = False
-        self.unreported = False  # whether it has ended as if it were done, and did not say so
+        self.unreported = False  # whether it exited with 0 without reporting that it finished
 
     @property
     def running(self) -> bool:
@@ -61,12 +64,15 @@ class Child:
 
     @property
     def code(self) -> int | None:
-        """Exit code of the process, which a thread takes from the kernel's table; negative for a signal, None while it runs."""
+        """Exit code of the process; negative for a signal, None while it runs.
+
+        A thread then reaps the process.
+        """
         if self._exit is None and self.process is not None:
             try:
                 ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
             except ChildProcessError:
-                # whoever started the launcher ignores SIGCHLD, and the kernel keeps no exit code
+                # The launcher's parent ignores SIGCHLD, so the kernel stores no exit code.
                 self._exit = 0
                 return self._exit
             if ended is not None:
@@ -76,43 +82,43 @@ class Child:
 
     @property
     def end(self) -> str:
-        """How it ended, in words."""
+        """Return how the process ended, as text."""
         code = self.code
         if self.unreported:
             return (
-                f"exit code {code} in mid-run, without its own word that it is done: something in"
-                " it has called exit()"
+                f"exit code {code} in mid-run without reporting that it finished: something in it"
+                " called exit()"
             )
         if code is not None and code < 0:
             return signal.Signals(-code).name
         place = held_in(self.setup) if code else ""
         return f"exit code {code}" + (
-            f": its last resort: a call let no other thread run for {place}" if place else ""
+            f": its last resort: a call blocked all other threads for {place}" if place else ""
         )
 
     @property
     def ended_badly(self) -> bool:
-        """Whether it ended otherwise than by itself, cleanly; one that was still being set up may be ended by SIGTERM."""
+        """Whether it ended abnormally; SIGTERM during set-up counts as normal."""
         asked = () if self.ready else (-signal.SIGTERM, 128 + signal.SIGTERM)
         return self.unreported or self.code not in (None, 0, *asked)
 
     @property
     def end_patience(self) -> float:
-        """How long it has to end, beside what any node has: what its device declares [s]."""
+        """Return the extra time it has to end, from what its device declares [s]."""
         return self.closing + max(0.0, self.ready_at + self.opening - time.monotonic())
 
     def _write_setup(self, run_dir: Path) -> Path:
         path = run_dir / f"{self.setup.name}.json"
         path.parent.mkdir(mode=0o700, exist_ok=True, parents=True)
-        # a program that somebody started by hand may be waiting for it
+        # A manually started program may be waiting for the file.
         write_whole(path, self.setup)
         return path
 
     def start(self, run_dir: Path) -> None:
         """Start the process."""
         path = self._write_setup(run_dir)
-        # A group of its own, so that Ctrl-C on the terminal reaches the launcher alone, which ends
-        # the nodes in order.
+        # In its own process group, so that Ctrl-C reaches only the launcher, which ends the nodes
+        # in order.
         self.process = subprocess.Popen(
             [*PYTHON, "-m", "nodes", str(path), str(os.getpid())],
             stdin=subprocess.DEVNULL,
@@ -120,18 +126,18 @@ class Child:
             process_group=0,
         )
         self.again_at = self._exit = None
-        # another process: its interpreter is being set up again
+        # A new process has to be set up again.
         self.ready = self.unreported = False
 
     def state(self, context: Context, timeout: float = 0.25) -> str:
-        """Ask for its state."""
+        """Ask the node for its state; ``"starting"`` without an answer."""
         try:
             return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
         except ControlError:
             return "starting"
 
     def is_done(self, run_dir: Path) -> bool:
-        """Whether it has ended and says itself that it was at its end; whatever else ends it, says nothing."""
+        """Whether it exited with code 0 and reported that it had finished."""
         status = self.report(run_dir).get("status", {})
         finished = (
             self.process is not None
@@ -142,19 +148,21 @@ class Child:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the kernel holds on to it; one that has only not got its turn to die yet is not."""
+        """Whether the kernel has stopped the process (SIGSTOP or a debugger)."""
         with contextlib.suppress(OSError, AttributeError):
             return state_of(Path(f"/proc/{self.process.pid}")) in "Tt"  # type: ignore[union-attr]
         return False
 
     def waited(self) -> float:
-        """Tell how long it has waited for a processor, because others had it, since it was asked first [s]."""
-        return self._wait_for_processor.look(self.process.pid) if self.process is not None else 0.0
+        """Return how long it has waited for a processor since the first call [s]."""
+        return (
+            self._wait_for_processor.update(self.process.pid) if self.process is not None else 0.0
+        )
 
     def progress(self) -> int:
-        """Tell how much it has written so far, which grows as long as a logger gets on [bytes]."""
+        """Return the bytes it has written so far, which grow while a logger works."""
         assert self.process is not None  # noqa: S101
-        # One that has ended writes nothing more.
+        # The process may have ended.
         with contextlib.suppress(OSError):
             for line in (
                 Path(f"/proc/{self.process.pid}/io").read_text(encoding="ascii").splitlines()
@@ -164,18 +172,18 @@ class Child:
         return 0
 
     def send(self, number: signal.Signals) -> None:
-        """Ask it to end."""
+        """Send a signal, and wake the process if it is stopped."""
         assert self.process is not None  # noqa: S101
-        # Its number is its own until it is taken from the kernel's table, which `code` begins.
+        # The process number stays valid until `code` reaps the process.
         for each in (number, signal.SIGCONT):
             if self.running:
                 os.kill(self.process.pid, each)
 
     def release(self) -> None:
-        """Let go of what the supervisor held for it."""
+        """Release the supervisor's resources for it."""
 
     def report(self, run_dir: Path) -> dict[str, Any]:
-        """Read what it told at its end."""
+        """Read the node's final report."""
         path = run_dir / f"{self.setup.name}.report.json"
         found: dict[str, Any] = msgspec.json.decode(path.read_bytes()) if path.exists() else {}
         return found

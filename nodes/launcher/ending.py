@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from nodes.base.hang_watchdog import LOOK, HangWatchdog
+from nodes.base.hang_watchdog import CHECK_INTERVAL, HangWatchdog
 from nodes.launcher.child import Child
 
 # how long nodes have to end after each signal [s]
@@ -89,7 +89,7 @@ class _Wait:
             if self._is_cut_short(now):
                 return
             if now >= checked:
-                checked = now + LOOK
+                checked = now + CHECK_INTERVAL
                 stood = self._stood()
                 granted = max((child.end_patience for child in self._left), default=0.0)
                 if all(seconds > self._patience + granted for seconds in stood.values()):
@@ -106,7 +106,7 @@ class _Wait:
     def _stood(self) -> dict[str, float]:
         """Return for how long each running node made no progress [s]."""
         return {
-            name: watchdog.look(child.progress() if child.listens else 0, child.waited())
+            name: watchdog.check(child.progress() if child.listens else 0, child.waited())
             for child in self._left
             if child.running
             for name, watchdog in [(child.setup.name, self._watched[child.setup.name])]

@@ -1,10 +1,9 @@
-"""A node that somebody else starts: on another machine, under a debugger, or written in another language.
+"""A node started by hand: on another machine, under a debugger, or in another language.
 
-The launcher waits for it on its control endpoint, hands it its setup, keeps measuring how far its
-clock is from the launcher's, takes it as lost when it stays silent, and asks it to stop at the end.
-What no signal can reach ends by itself: such a node has a lease, which every request of the
-launcher renews. One that is started once more in place of a lost one is a respawn like any other:
-the launch file says whether it is taken back.
+The launcher waits for it at its control endpoint, sends its setup, measures its clock offset
+repeatedly, considers it lost if it stays silent, and asks it to stop at the end. No signal can
+reach it, so it has a lease that every request of the launcher renews, and stops when the lease
+expires. Restarting a lost one counts as a respawn: the launch file decides whether it is accepted.
 """
 
 import contextlib
@@ -28,34 +27,33 @@ from nodes.launcher.child import Child
 from nodes.parameters.paths import needed
 from nodes.parameters.store import convert
 
-PATIENCE = 120.0  # how long the launcher waits for somebody to start a node [s]
-# after so long without an answer, and its distance, a node that was there is taken as lost [s]
-LOST = 5.0
-# after so long, and its distance, a node that said it is finished is believed gone, report or not
-# [s]
-UNREPORTED = 2.0
-# after so long without a request, and its distance, such a node takes its launcher as lost, and
-# stops [s]
-LEASE = 6.0
+# The time limits below are extended by `ByHand.distance`.
+ARRIVAL_TIMEOUT = 120.0  # time that the launcher waits for a manual start [s]
+LOST = 5.0  # time without an answer after which a node counts as lost [s]
+UNREPORTED = 2.0  # time after which a finished node counts as gone, with or without report [s]
+LEASE = 6.0  # time without a request after which such a node stops [s]
 
 ROUND_TRIPS = 12
-"""What the first answer over a new connection may take: one for tcp, two for the greeting, two for the keys, one for itself,
-and as many again where the first try found nobody there yet, or lost a packet."""
+"""Round trips that the first answer over a new connection may take.
 
-# how long an answer is waited for at first, and at last: the distance may be that long [s]
+One for tcp, two for the greeting, two for the keys, one for the request, and as many again if the
+first attempt found nobody or lost a packet.
+"""
+
+# First and largest timeout of a request [s].
 ANSWER, LONGEST_ANSWER = 1.0, 8.0
-# how fast two monotonic clocks may drift apart [s/s]: two ordinary crystals of 25 ppm each
+# Drift between two monotonic clocks: two ordinary crystals of 25 ppm each [s/s].
 DRIFT = 50e-6
-WINDOW = 16  # measurements of a clock that are kept
+WINDOW = 16  # stored clock measurements
 
-PERIOD = 0.5
-_QUICK = 0.05
+STATUS_PERIOD = 0.5  # time between requests while the node is ready or running [s]
+_QUICK = 0.05  # time between requests before that and at the end [s]
 
-_ROUNDS = 8  # how often the clock is measured at once, before and after the start, or for a second
+_ROUNDS = 8  # clock measurements in a burst, at the start; at most for a second
 
 
 def command(setup: Setup) -> str:
-    """Tell how to start a node by hand."""
+    """Return the command that starts a node by hand."""
     bare, _ = split(setup.control)
     if bare.startswith("ipc://"):
         own = f"{setup.run_dir}/{setup.name}.json"
@@ -73,27 +71,27 @@ def command(setup: Setup) -> str:
 
 
 class ClockOffset:
-    """Offset of another host's monotonic clock, from repeated questions for its time.
+    """Estimates the offset of another host's monotonic clock from its answers.
 
-    The time of a run is that of the launcher's host. Of a question asked at t0, answered with the
-    other's time r and received at t3, only so much is known: r was the other's time somewhere
-    between t0 and t3. So the offset is (t0 + t3)/2 − r, off by at most half the round trip; the
-    shortest of the last round trips tells best (NTP's filter), and an old one loses worth at the
-    rate at which two crystals may drift apart.
+    The time of a run is that of the launcher's host. A request sent at t0 and answered at t3 with
+    the remote time r shows that the remote clock was at r between t0 and t3. So the offset is (t0 +
+    t3)/2 − r, with an error of at most half the round trip. The shortest of the last round trips is
+    best (NTP's filter); an old one becomes less certain at the rate at which two crystals may drift
+    apart.
     """
 
     def __init__(self) -> None:
         self._measured: deque[tuple[float, float, float]] = deque(maxlen=WINDOW)
 
     def add(self, asked: float, remote: float, answered: float) -> None:
-        """Take one measurement."""
+        """Add a measurement."""
         if answered >= asked:
             self._measured.append(
                 (answered, (asked + answered) / 2.0 - remote, (answered - asked) / 2.0)
             )
 
     def best(self, now: float) -> tuple[float, float]:
-        """Give the offset that is known best."""
+        """Return the best offset and its error bound [s]."""
         if not self._measured:
             return 0.0, float("inf")
         bounds = [
@@ -104,9 +102,9 @@ class ClockOffset:
 
 
 class ByHand(Child):
-    """A node that the launcher waits for instead of starting it."""
+    """A node that the launcher waits for instead of starting."""
 
-    patience = PATIENCE
+    patience = ARRIVAL_TIMEOUT
 
     def __init__(
         self,
@@ -139,32 +137,32 @@ class ByHand(Child):
 
     @property
     def distance(self) -> float:  # type: ignore[override]
-        """As its clock's measurements tell it [s]."""
+        """Return the extra time of a first answer, from the clock measurements [s]."""
         error = self._clock.best(time.monotonic())[1]
         return ROUND_TRIPS * 2.0 * error if math.isfinite(error) else 0.0
 
     @property
     def end_patience(self) -> float:
-        """How long it has to end: what is being asked of it, that it stops, and its report, each in its turn [s]."""
+        """Return the extra time it has to end: pending request, stop and report [s]."""
         return super().end_patience + self.distance
 
     @property
     def running(self) -> bool:
-        """Whether it is there, or still waited for."""
+        """Whether it runs or is still waited for."""
         return self._code is None and self._thread is not None
 
     @property
     def code(self) -> int | None:
-        """0 after a clean end, 1 after a failure or when it was lost, None while it runs."""
+        """0 after a clean end, 1 after a failure or loss, None while it runs."""
         return self._code
 
     @property
     def end(self) -> str:
-        """How it ended, in words."""
+        """Return how it ended, as text."""
         return self._end
 
     def start(self, run_dir: Path) -> None:
-        """Tell how to start it, and wait for it on a thread."""
+        """Print how to start the node, and wait for it on a thread."""
         self.release()
         self._write_setup(run_dir)
         self._reset()
@@ -177,21 +175,21 @@ class ByHand(Child):
         self._thread.start()
 
     def state(self, context: Context, timeout: float = 0.25) -> str:
-        """Tell its state as last heard."""
+        """Return the last known state."""
         del context, timeout
         return self._state
 
     def is_done(self, run_dir: Path) -> bool:
-        """Whether it says itself that it was at its end."""
+        """Whether it reported a clean end."""
         del run_dir
         return self._code == 0
 
     def progress(self) -> int:
-        """Tell how many messages it has taken, as last heard."""
+        """Return the number of messages it has received, as last reported."""
         return self._received
 
     def send(self, number: signal.Signals) -> None:
-        """Ask it to stop; what does not answer any more is left to its lease."""
+        """Ask it to stop; if it no longer answers, its lease ends it."""
         if number == signal.SIGKILL or not self._seen:
             self._code, self._end = self._over or (1, self._end or "given up")
         self._stop = True
@@ -203,7 +201,7 @@ class ByHand(Child):
             self._thread.join()
 
     def report(self, run_dir: Path) -> dict[str, Any]:
-        """Give what it told at its end."""
+        """Return its final report."""
         del run_dir
         return self._report
 
@@ -213,8 +211,8 @@ class ByHand(Child):
     def _ask(self, op: str, **args: object) -> Any:
         wait = self._wait
         if self._seen:
-            patience = UNREPORTED + self.distance if self._over else self._lost
-            wait = min(wait, max(0.25, patience - (time.monotonic() - self._seen)))
+            limit = UNREPORTED + self.distance if self._over else self._lost
+            wait = min(wait, max(0.25, limit - (time.monotonic() - self._seen)))
         asked = time.monotonic()
         answer = self._line.call(op, timeout=wait, **args)
         self._seen = time.monotonic()
@@ -243,20 +241,20 @@ class ByHand(Child):
                 elif silent > self._lost:
                     self._code, self._end = 1, f"no answer for {self._lost:g} s ({error})"
             except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
-                # Of a program of somebody else's anything may come.
+                # A foreign program may send anything.
                 self._code, self._end = (
                     1,
-                    f"an answer that is not of the protocol ({type(error).__name__}: {error})",
+                    f"an answer that violates the protocol ({type(error).__name__}: {error})",
                 )
             ready = self._state in ("ready", "running")
-            self._ending.wait(PERIOD if ready and not self._stop else _QUICK)
+            self._ending.wait(STATUS_PERIOD if ready and not self._stop else _QUICK)
 
     def _visit(self) -> None:
         status = self._ask("status")
         state, process = str(status["state"]), int(status.get("pid", 0))
         if self._process and process != self._process:
-            # Faster than the loss was noticed; what is there now knows neither setup nor, as a
-            # driver, that it was started.
+            # Restarted before the loss was noticed: the new process has no setup, and a driver
+            # does not know that the run has started.
             self._code, self._end = 1, f"process {process} in place of {self._process}"
             return
         self._process = process
@@ -264,7 +262,7 @@ class ByHand(Child):
         if state == "unconfigured":
             with self._optional("configure"):
                 self._ask("configure", setup=msgspec.to_builtins(self._with_clock()))
-            # The node makes sockets of its own in place of the one that waited.
+            # The node replaces the waiting socket by its own sockets.
             self._line.drop()
             return
         if state in ("ready", "running") and self._state not in ("ready", "running"):
@@ -281,7 +279,7 @@ class ByHand(Child):
         self._state = state
 
     def _with_clock(self) -> Setup:
-        """Give the setup with the clock as measured, so that a node which answers at once stamps rightly from the first."""
+        """Return the setup with the measured clock offset, so that stamps are right at once."""
         self._measure_well(tell=False)
         offset, error = self._clock.best(time.monotonic())
         if not math.isfinite(error):
@@ -293,7 +291,7 @@ class ByHand(Child):
 
     @contextlib.contextmanager
     def _optional(self, needed: str = "") -> Iterator[None]:
-        """Let a node refuse what is not needed of it; an answer that was lost on the way is asked for again."""
+        """Ignore a node's refusal, unless it is `needed`; a lost answer still raises."""
         try:
             yield
         except NoAnswerError:
@@ -308,7 +306,7 @@ class ByHand(Child):
             self._measure_well()
             offset, error = self._clock.best(time.monotonic())
             clock = f"; its clock is {-offset:+.6f} s from here, known to ±{error * 1e6:.0f} µs"
-        self._say(f"{self.setup.name}: is there{clock}")
+        self._say(f"{self.setup.name}: connected{clock}")
 
     def _measure_well(self, tell: bool = True) -> None:
         until = time.monotonic() + 1.0
@@ -318,7 +316,7 @@ class ByHand(Child):
                 break
 
     def _measure(self, tell: bool = True) -> None:
-        """Measure the clock and tell the node; one that has no use for it (another language) may refuse."""
+        """Measure the clock offset and send it; a node may refuse it."""
         asked = time.monotonic()
         with self._optional():
             remote = float(self._ask("clock")["monotonic_s"])

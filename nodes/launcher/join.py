@@ -1,9 +1,9 @@
-"""Starting one node by hand: beside a launch on this machine, or for a launch on another one.
+"""Start one node by hand, for a launch on this machine or on another one.
 
-For another machine's launch it waits on the node's control endpoint until that launcher, whose key
-must be allowed here, hands it the setup. What kind of node that is, which code it runs and which
-files it touches is decided here, by what is installed and by this command line; what in the setup
-would reach beyond that is refused or replaced.
+For another machine's launch it waits at the node's control endpoint until that launcher, whose key
+must be allowed here, sends the setup. This machine decides the kind of node, the code it runs and
+the files it opens, by what is installed and by the command line; a setup that goes beyond that is
+refused or adjusted.
 """
 
 import fcntl
@@ -37,19 +37,18 @@ from nodes.parameters.store import ParameterError, convert
 
 
 def start_here(run: runs.RunInfo, name: str) -> int:
-    """Start a node of a launch on this machine that waits for it."""
+    """Start a node that a launch on this machine waits for."""
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
         raise ParameterError(
-            f"{name}: the launch does not wait for it here; its launch file says so with by_hand:"
-            " true"
+            f"{name}: the launch does not wait for it here; set by_hand: true in its launch file"
         )
     _claim(setup)
     return live(load(setup.factory)(setup), load_kernel)
 
 
 def _claim(setup: Setup) -> None:
-    """Be the only process that is this node, for as long as it lives: a second one would take its sockets from it."""
+    """Lock the node's name for this process: a second one would take over its sockets."""
     held = os.open(Path(setup.run_dir) / f"{setup.name}.lock", os.O_RDWR | os.O_CREAT, 0o600)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -57,7 +56,7 @@ def _claim(setup: Setup) -> None:
         other = os.read(held, 32).decode("ascii", errors="replace")
         os.close(held)
         raise ParameterError(
-            f"{setup.name}: process {other} is this node already; end it first: kill {other}; kill"
+            f"{setup.name}: process {other} is already this node; end it first: kill {other}; kill"
             f" -CONT {other}"
         ) from error
     os.ftruncate(held, 0)
@@ -65,7 +64,7 @@ def _claim(setup: Setup) -> None:
 
 
 class Starter:
-    """Waits for the launcher of the node `name` on another machine and takes its setup, within `kind` and `allow_paths`."""
+    """Waits for a remote launcher and accepts its setup, within `kind` and `allow_paths`."""
 
     def __init__(
         self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()
@@ -75,7 +74,7 @@ class Starter:
         kinds = node_kinds()
         if self._kind not in kinds:
             raise ParameterError(
-                f"{name}: no kind of node is named {self._kind!r}; say which it is with --kind:"
+                f"{name}: no kind of node is named {self._kind!r}; choose one with --kind:"
                 f" {', '.join(sorted(kinds))}"
             )
         self._factory = kinds[self._kind]
@@ -87,7 +86,7 @@ class Starter:
         self._stopping = False
 
     def wait(self) -> Setup | None:
-        """Wait for the setup."""
+        """Wait for the setup; None if interrupted."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._on_signal)
         context = new_context()
@@ -104,7 +103,7 @@ class Starter:
             return self._serve(inbox)
         finally:
             gate.stop()
-            # Long enough for the last answer to leave.
+            # Time for the last answer to leave.
             inbox.socket.close(linger=1000)
             context.term()
 
@@ -144,7 +143,7 @@ class Starter:
         return Reply(True, answers[op])
 
     def accept(self, data: Any) -> Setup:
-        """Judge a setup that came from elsewhere."""
+        """Check a setup from another machine and adapt it to this one."""
         setup: Setup = convert(data, Setup, "setup")
         if setup.name != self._name:
             raise ParameterError(f"setup.name: {setup.name!r}, but {self._name!r} was started here")
@@ -164,8 +163,8 @@ class Starter:
                 raise ParameterError(f"setup.sources.{topic}: {source} is not on the network")
         if setup.kind != self._kind:
             raise ParameterError(
-                f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; to let it be the"
-                f" other: haptic node start {self._name} --kind {setup.kind}"
+                f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; use: haptic"
+                f" node start {self._name} --kind {setup.kind}"
             )
         allowed = [str(folder) for folder in self._allow_paths]
         made = msgspec.structs.replace(
@@ -173,7 +172,7 @@ class Starter:
         )
         kind = load(made.factory)
         made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
-        # Before anything of the kind's own looks at them.
+        # Check paths before the kind's own code reads them.
         check_paths(
             convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name
         )
@@ -185,7 +184,7 @@ class Starter:
 
 
 def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
-    """Choose the processors of this machine: the quietest for a node of the loop, the others for a listener."""
+    """Choose processors here: the quietest for a node of the loop, others for a listener."""
     quietest = realtime.quietest_processor()
     others = sorted(os.sched_getaffinity(0) - {quietest})
     if not asked.cpus or not others:
@@ -198,7 +197,7 @@ def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
 
 
 def _plain(run: str) -> str:
-    """Name of a run as a directory: it came over the network."""
+    """Return the run's name if it is valid as a directory name; it came over the network."""
     if not run or "/" in run or run.startswith(".") or not run.isprintable() or len(run) > 100:
         raise ParameterError(f"setup.run: {run!r} is not the name of a run")
     return run
@@ -213,7 +212,7 @@ def start_for(
     setup = starter.wait()
     if setup is None:
         return 130
-    # What earlier ones left that were killed and not started again.
+    # Remove what killed predecessors left.
     runs.sweep()
     try:
         node = load(setup.factory)(setup)

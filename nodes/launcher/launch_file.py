@@ -1,10 +1,10 @@
-"""Launch files: one YAML per scenario, with arguments, checked completely before anything is started.
+"""Read and check launch files: one YAML per scenario, with arguments.
 
 A launch file has these parts: ``summary``, ``arguments`` (with default, unit, help, limits),
-``run`` (rate, pace, apply, duration, axes, scheduling), ``nodes``, and where it matters ``model``
-(what the scene is for, what it leaves out on purpose), ``include`` (other launch files, each in a
+``run`` (rate, pace, apply, duration, axes, scheduling), ``nodes``, and optionally ``model`` (the
+purpose of the scene and its intended omissions) and ``include`` (other launch files, each in a
 namespace). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for the folder of the launch
-file, as in ROS 2. ``run.NAME:=VALUE`` sets what stands under ``run`` without an argument for it.
+file, as in ROS 2. ``run.NAME:=VALUE`` sets a field of ``run`` for which there is no argument.
 """
 
 import contextlib
@@ -28,6 +28,7 @@ from nodes.launcher.launch_spec import (
     Including,
     Launch,
     LaunchText,
+    Model,
     NodeSpec,
     RunSpec,
 )
@@ -38,7 +39,7 @@ from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
 
-# names packages with launch files; none is imported
+# Names of packages with launch files; they are not imported.
 COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
 _KINDS = {
     float: "a number",
@@ -51,19 +52,22 @@ _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
 _RUN = "run."
-LISTED = "run"  # no node's name: its setup would be the file that lists all nodes, run.json
+LISTED = "run"  # reserved: a node of this name would overwrite run.json
 
-DEVICE = "device"  # argument that puts a real device in the place of a launch file's virtual one
+DEVICE = "device"  # argument that replaces a virtual device by a real one
 _DEVICE = Argument(
-    default="none", help="a real device whose known values are taken: haptic device presets"
+    default="none", help="real device whose known values are used: haptic device presets"
 )
 
-# longest text made of arguments, a path's length: a kilobyte of ``$(var a)`` would make gigabytes
+# Limit of a text after substitution, a path's length: nested arguments could produce gigabytes.
 MAX_FILLED_IN = 4096
 
 
 def launch_dirs() -> list[Path]:
-    """List where launch files are: in the wheel, beside the package, in packages under the entry points ``haptic.launch``."""
+    """Return the folders with launch files: in the wheel, beside it, in other packages.
+
+    Other packages register theirs under the entry points ``haptic.launch``.
+    """
     nodes = Path(__file__).resolve().parents[1]
     specs = [_spec(point.value) for point in COLLECTIONS.points().values()]
     added = [
@@ -73,15 +77,15 @@ def launch_dirs() -> list[Path]:
 
 
 def _spec(package: str) -> ModuleSpec | None:
-    """Find a package with launch files; None for one that is not there or whose parent cannot be imported."""
+    """Return the spec of a package with launch files; None if missing or not importable."""
     try:
         return find_spec(package)
-    except (Exception, SystemExit):  # noqa: BLE001  # `haptic doctor` names it; the other launch files are there
+    except (Exception, SystemExit):  # noqa: BLE001  # reported by `haptic doctor`
         return None
 
 
 def scenarios() -> dict[str, Path]:
-    """List the launch files that are installed, sorted; this project's go before those of other packages."""
+    """Return the installed launch files, sorted; this project's override other packages'."""
     found = {
         path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")
     }
@@ -89,7 +93,7 @@ def scenarios() -> dict[str, Path]:
 
 
 def find(name: str) -> Path:
-    """Find a launch file: a scenario, or the path of a YAML file; the error lists what there is."""
+    """Return the path of a scenario or YAML file; the error lists the known ones."""
     known = scenarios()
     if name in known:
         return known[name]
@@ -108,31 +112,31 @@ def find(name: str) -> Path:
                 f"{name!r}: not UTF-8, as a launch file's name has to be; rename it"
             ) from error
         except OSError as error:
-            # Longer than a name may be, or in a folder that is not ours.
+            # The name is too long, or its folder is not readable.
             raise ParameterError(f"{name}: {error.strerror}") from error
     raise ParameterError(f"no launch file is named {name!r}; {choices(name, known)}")
 
 
 def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
-    """Read only what a launch file says about itself: summary, and arguments by name."""
+    """Read summary and arguments of a launch file."""
     file = convert(read_yaml(path), LaunchText, path.name)
     return file.summary, {**_offered(path, file, Including()), **file.arguments}
 
 
 def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Argument]:
-    """Arguments that a launch file has without naming them: `DEVICE`, where it or one that it includes has a virtual device."""
+    """Return the implicit arguments: `DEVICE`, if the launch has a virtual device."""
     kinds = node_kinds()
     for node in file.nodes.values():
         kind = node.get("kind") if isinstance(node, dict) else None
         factory = kinds.get(kind) if isinstance(kind, str) else None
-        # What is no kind, is not installed or does not import is refused when the launch is read.
+        # Reading the launch reports unknown or broken kinds.
         with contextlib.suppress(ParameterError, AttributeError):
             if (
                 factory
                 and load(factory).substitute_device.__func__ is not Node.substitute_device.__func__  # type: ignore[attr-defined]
             ):
                 return {DEVICE: _DEVICE}
-    # So is what cannot be included.
+    # Reading the launch also reports broken includes.
     with contextlib.suppress(ParameterError):
         including = including.another(path, path.name)
         for entry in file.include:
@@ -145,13 +149,13 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
 
 
 def _beside(path: Path, launch: str) -> str:
-    """Name an included launch file: a scenario, a path, or one beside the file that includes it."""
+    """Resolve an included launch file: a scenario, a path, or a file beside the including one."""
     beside = path.resolve().parent / launch
     return str(beside) if launch not in scenarios() and beside.is_file() else launch
 
 
 def parse_assignments(words: list[str]) -> dict[str, Any]:
-    """Read ``name:=value`` words, the values as YAML does."""
+    """Parse ``name:=value`` words, with values in YAML."""
     values = {}
     for word in words:
         name, sign, text = word.partition(":=")
@@ -257,12 +261,12 @@ def read(
     laid_over: Sequence[Path] = (),
     including: Including | None = None,
 ) -> Launch:
-    """Read a launch file, fill in its arguments and lay files of parameters over those of its nodes.
+    """Read a launch file, substitute its arguments and apply files of parameters.
 
-    `given`: arguments that differ from their defaults; every launch file has ``tick`` and
-    ``run.NAME`` (see `RunSpec`), each with a virtual device ``device``. `laid_over`: YAML files
-    from node to parameters, whole or in part, as ``haptic param dump`` and ``haptic study design``
-    write them; later ones go before. `including`: the files that include this one.
+    `given`: arguments that differ from their defaults; every launch file also accepts ``tick`` and
+    ``run.NAME`` (see `RunSpec`), and ``device`` if it has a virtual device. `laid_over`: YAML
+    files that map nodes to some or all parameters, as ``haptic param dump`` and ``haptic study
+    design`` write them; later files take precedence. `including`: the files that include this one.
     """
     path = find(name)
     outermost = including is None
@@ -271,7 +275,7 @@ def read(
     origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
     try:
         launch = _read(path, data, given, laid_over, origins, including)
-        # Whoever includes a file may still change its device.
+        # An including file may still change the device, so only the outermost fills in plants.
         return with_plants(launch) if outermost else launch
     except ParameterError as error:
         raise ParameterError(origins.located(str(error))) from error
@@ -286,7 +290,7 @@ def _read(
     including: Including,
 ) -> Launch:
     file = convert(data, LaunchText, path.name)
-    # Besides ``run.NAME``: every launch file has ``tick``.
+    # Every launch file accepts ``run.NAME`` and ``tick``.
     over = {
         name
         for name in given
@@ -331,12 +335,13 @@ def _read(
         nodes=nodes,
         axes=axes,
         model=file.model,
+        models=_models(included),
         origins=origins,
     )
 
 
 def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
-    """Put a real device in the place of every virtual one, and of the plant that a coupling judges its laws by."""
+    """Replace every virtual device, and the plant of its coupling, by a real `device`."""
     kinds, found = node_kinds(), dict(nodes)
     plants: dict[str, dict[str, Any]] = {}
     for name, spec in nodes.items():
@@ -364,7 +369,7 @@ def _nodes(
     origins: Origins,
     included: Sequence[tuple[str, Launch]],
 ) -> dict[str, NodeSpec]:
-    """Nodes of the included files, then the file's own."""
+    """Return the nodes of included files, then the file's own."""
     nodes: dict[str, NodeSpec] = {}
     kinds = node_kinds()
     for namespace, launch in included:
@@ -372,7 +377,7 @@ def _nodes(
             full = f"{namespace}/{name}" if namespace else name
             if not _NAME.fullmatch(full) or full in nodes:
                 why = (
-                    "is there twice; give one a namespace"
+                    "exists twice; give one a namespace"
                     if full in nodes
                     else "is longer than 32 letters"
                 )
@@ -383,13 +388,13 @@ def _nodes(
         where = f"{path.name}.nodes.{node}"
         if not _NAME.fullmatch(node):
             raise ParameterError(
-                f"{where}: a node's name is lower-case letters, digits and _, with its namespace"
-                " and / before it, at most 32"
+                f"{where}: a node's name has lower-case letters, digits and _, with namespace and /"
+                " before it, at most 32"
             )
         if node == LISTED:
             raise ParameterError(
-                f"{where}: {LISTED!r} is the name of the file that lists a run's nodes; give the"
-                " node another, or a namespace"
+                f"{where}: {LISTED!r} is reserved for the list of a run's nodes; choose another"
+                " name, or a namespace"
             )
         if node in nodes:
             raise ParameterError(
@@ -402,7 +407,7 @@ def _nodes(
             )
     if not nodes:
         raise ParameterError(
-            f"{path.name}: no nodes: name them under nodes, or other launch files under include"
+            f"{path.name}: no nodes: add them under nodes, or other launch files under include"
         )
     return nodes
 
@@ -410,7 +415,7 @@ def _nodes(
 def _include(
     entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including
 ) -> tuple[str, Launch]:
-    """Read an included launch file; with its namespace."""
+    """Read an included launch file; return its namespace and content."""
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
     if made.namespace and not _NAME.fullmatch(made.namespace):
         raise ParameterError(
@@ -437,25 +442,35 @@ def _include(
 def _common_run(
     included: Sequence[tuple[str, Launch]], written: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """Collect what the included files say of how the loop runs and this one does not; they have to agree."""
+    """Return fields of ``run`` from the included files, which must agree, if not set here."""
     found: dict[str, Any] = {}
     for _, launch in included:
         for name in set(RunSpec.__struct_fields__) - set(written) - {"axes"}:
             value = getattr(launch.run, name)
             if found.setdefault(name, value) != value:
                 raise ParameterError(
-                    f"{where}.run.{name}: the included files differ: {found[name]} and {value}; say"
-                    " here which it is"
+                    f"{where}.run.{name}: the included files differ: {found[name]} and {value}; set"
+                    " it in this file"
                 )
+    return found
+
+
+def _models(included: Sequence[tuple[str, Launch]]) -> dict[str, Model]:
+    """Return the model of each included chain, by namespace; without one, this file's applies."""
+    found = {}
+    for namespace, launch in included:
+        for inner in dict.fromkeys(name.rpartition("/")[0] for name in launch.nodes):
+            if chain := "/".join(filter(None, (namespace, inner))):
+                found[chain] = launch.models.get(inner) or launch.model
     return found
 
 
 def _axes(
     run: RunSpec, nodes: Mapping[str, NodeSpec], included: Sequence[tuple[str, Launch]], where: str
 ) -> tuple[RunSpec, dict[str, list[Axis]]]:
-    """Axes of each chain, by its namespace, where they are not the ones of ``run``, which are those of the first chain."""
+    """Return ``run`` with the first chain's axes, and the axes of other chains by namespace."""
     if len(set(run.axes)) < len(run.axes):
-        raise ParameterError(f"{where}.run.axes: [{', '.join(run.axes)}]: an axis stands twice")
+        raise ParameterError(f"{where}.run.axes: [{', '.join(run.axes)}]: an axis is given twice")
     if run.axes:
         return run, {}
     kinds, axes = node_kinds(), {}
@@ -480,7 +495,7 @@ def _axes(
 
 
 def without(launch: Launch, left_out: list[str]) -> Launch:
-    """Leave nodes out of a launch."""
+    """Return the launch without some nodes."""
     for name in left_out:
         if name not in launch.nodes:
             raise ParameterError(

@@ -1,7 +1,7 @@
-"""What may stand in a launch file: how the loop runs, its nodes, the arguments, and what the scene is for.
+"""Structure of a launch file: run, nodes, arguments, includes and the scene's purpose.
 
-The fields are the YAML's own; nodes/launcher/launch_file.py finds the files, fills them in and
-checks them.
+The fields are those of the YAML; nodes/launcher/launch_file.py finds, substitutes and checks the
+files.
 """
 
 from __future__ import annotations
@@ -17,62 +17,60 @@ from nodes.base.setup import Apply, Axis, Pace
 from nodes.compiled.choose_tick import WantedTick
 from nodes.parameters.store import ParameterError
 
-# most launch files of one launch, each as often as included: thirty that include the next twice are
-# a billion
+# Limit of included files, counted with repetition: thirty files that each include the next twice
+# would be a billion.
 MAX_FILES = 256
 
 
 class Argument(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One argument of a launch file."""
 
-    # value when none is given; its type is the argument's type
+    # Default value; its type is the argument's type.
     default: bool | int | float | str | list[Any]
-    help: str = ""  # for people, as is the unit
+    help: str = ""  # help text; like the unit, for display only
     unit: str = ""
     min: float | None = None  # limits of a number
     max: float | None = None
-    choices: list[str] = []  # what a text may be; empty for anything
+    choices: list[str] = []  # allowed texts; empty for any
 
 
-# from this rate on a tick is too short for processors that sleep between ticks [Hz]
+# Rate from which idle processors must not sleep between ticks [Hz].
 AWAKE_RATE = 1000.0
 
 
 class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How the loop runs."""
+    """Settings of the loop: rate, pace, duration, axes, scheduling."""
 
     rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = 500.0  # sampling rate [Hz]
-    pace: Pace = "realtime"  # this and the next: see nodes/base/setup.py
+    pace: Pace = "realtime"  # pace and apply: see nodes/base/setup.py
     apply: Apply = "on_arrival"
-    # how long [s]; 0 runs until stopped
+    # Duration [s]; 0 runs until stopped.
     duration: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0
-    # Axes that the scene computes; when left out, those along which its surface pushes, or z where
-    # that is not known.
+    # Axes that the scene computes; by default those along which its surface pushes, or z if
+    # unknown.
     axes: Annotated[list[Axis], msgspec.Meta(max_length=3)] = []
-    # Core of the chain; ``auto`` takes the one that devices interrupt least where there are
-    # several, ``any`` does not pin.
+    # Core of the chain; ``auto``: the one with fewest device interrupts, ``any``: not pinned.
     cpu: int | Literal["auto", "any"] = "auto"
-    # SCHED_FIFO priority of the chain; ``auto`` takes 50 in real time, 0 none.
+    # SCHED_FIFO priority of the chain; ``auto``: 50 in real time; 0: none.
     fifo: Annotated[int, msgspec.Meta(ge=0, le=90)] | Literal["auto"] = "auto"
-    # How environment, coupling and driver take their ticks (nodes/compiled): ``compiled``,
-    # ``plain`` (by the interpreter) or ``auto``: compiled where that is there already, for it was
-    # asked for before.
+    # How environment, coupling and driver run their ticks (nodes/compiled): ``compiled``,
+    # ``plain`` (interpreted), or ``auto``: compiled if already built.
     tick: WantedTick = "auto"
-    # Whether idle processors are kept from going to sleep (`nodes.base.realtime.awake`); ``auto``:
-    # in real time from 1 kHz up.
+    # Whether idle processors are kept out of sleep states (`nodes.base.realtime.awake`); ``auto``:
+    # in real time from 1 kHz.
     awake: bool | Literal["auto"] = "auto"
-    # address under which other machines reach this one; needed when nodes run elsewhere
+    # Address of this machine for other machines; needed if nodes run elsewhere.
     host: str = ""
     port: Annotated[int, msgspec.Meta(ge=1, le=65000)] = 5600  # first tcp port of the run
 
     @property
     def period(self) -> float:
-        """Sampling period T [s]."""
+        """Return the sampling period T [s]."""
         return 1.0 / self.rate
 
     @property
     def stays_awake(self) -> bool:
-        """Whether idle processors are kept from going to sleep."""
+        """Whether idle processors are kept out of sleep states."""
         return (
             (self.pace == "realtime" and self.rate >= AWAKE_RATE)
             if self.awake == "auto"
@@ -81,37 +79,36 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     @property
     def ticks(self) -> int:
-        """Ticks to run, 0 until stopped."""
+        """Return the number of ticks to run; 0 until stopped."""
         return round(self.duration * self.rate)
 
 
 class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One node of a launch file."""
 
-    kind: str  # a registered kind of node
-    parameters: dict[str, Any] = {}  # its parameters
+    kind: str  # registered kind of node
+    parameters: dict[str, Any] = {}
     required: bool = True  # whether the launch ends when the node does
-    respawn: bool = False  # whether it is started again when it dies
-    respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = 0.5  # wait before that [s]
-    respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5  # how often at most; -1 for ever
-    # Topic that the node listens to, as its chain calls it, to the full name of the one that it
-    # takes in its place.
+    respawn: bool = False  # whether it is restarted when it dies
+    respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = 0.5  # delay before a restart [s]
+    respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5  # limit of restarts; -1 for none
+    # Topic name inside the node's chain to the full name of the topic it receives instead.
     remap: dict[str, str] = {}
     # YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
     watch: str = ""
-    # Whether somebody else starts it: ``haptic node start``, a debugger, or a program in another
-    # language.
+    # Whether the node is started by hand: ``haptic node start``, a debugger, or a program in
+    # another language.
     by_hand: bool = False
-    # Address of the machine that runs it; empty for this one. It is started there by hand.
+    # Address of the machine that runs it, where it is started by hand; empty for this machine.
     host: str = ""
-    # tcp port that it publishes at, its requests at the next one; 0 for the run's port and two for
-    # every node before it.
+    # tcp port for publishing, the next one for requests; 0: the run's port plus two per node
+    # before it.
     port: Annotated[int, msgspec.Meta(ge=0, le=65534)] = 0
-    # Name under which that machine's key is allowed here; empty for the address, on loopback for
-    # this machine's own.
+    # Name under which that machine's key is allowed here; empty: its address, or on loopback this
+    # machine's own.
     key: str = ""
-    # tcp port on loopback at which every user of this machine may listen to the node, unencrypted,
-    # and do no more: for a display that knows neither ipc nor CURVE. 0 for none.
+    # tcp port on loopback where every user of this machine may subscribe to the node, unencrypted:
+    # for a display without ipc and CURVE. 0 for none.
     open_port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0
 
 
@@ -142,76 +139,76 @@ ModelTerm = Literal[
 
 
 class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a scene is for, and what it leaves out on purpose: the rest is checked by ``haptic study needs``."""
+    """Purpose of a scene and its intended omissions; ``haptic study needs`` checks the rest."""
 
-    # Figures that count.
+    # Figures that matter.
     outcome: Annotated[list[Figure], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: ["settling", "peak_force", "rest_force", "limit_cycle", "k_max"]
     )
-    leaves_out: list[ModelTerm] = []  # terms of a real device that the scene idealises away
-    # terms that are there to be identified, whether the motion feels them or not
+    leaves_out: list[ModelTerm] = []  # terms of a real device that the scene omits on purpose
+    # Terms present to be identified, whether or not they affect the motion.
     sought: list[ModelTerm] = []
-    # Relative movement of a figure that does not matter.
+    # Relative change of a figure that does not matter.
     tolerance: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.02
 
 
 class Include(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Another launch file whose nodes belong to this one."""
+    """Another launch file whose nodes are added to this one."""
 
-    launch: str  # a scenario, or the path of a file
-    namespace: str = ""  # what stands before its nodes and topics; empty for nothing
+    launch: str  # scenario or path of a file
+    namespace: str = ""  # prefix of its nodes and topics; empty for none
     arguments: dict[str, Any] = {}  # its arguments that differ from their defaults
-    parameters: dict[str, dict[str, Any]] = {}  # node to parameters that are laid over its own
-    without: list[str] = []  # nodes of it that are left out
+    parameters: dict[str, dict[str, Any]] = {}  # node to parameters that override its own
+    without: list[str] = []  # nodes to omit
 
 
 class Including:
-    """Which launch files include the one that is read, the outermost first, and how many one launch has read so far."""
+    """Stack of including launch files, outermost first, and a count of all files read."""
 
     def __init__(self, files: Sequence[Path] = (), count: Iterator[int] | None = None) -> None:
         self.files = tuple(files)
         self.count = count or itertools.count()
 
     def another(self, path: Path, name: str) -> Including:
-        """Go on in one more file."""
+        """Return the stack with one more file; refuse cycles and too many files."""
         if path.resolve() in self.files:
             raise ParameterError(f"{name}: includes itself")
         if next(self.count) >= MAX_FILES:
             raise ParameterError(
-                f"{name}: more than {MAX_FILES} launch files are included, each as often as it is"
-                " named"
+                f"{name}: more than {MAX_FILES} included launch files, counted with repetition"
             )
         return Including((*self.files, path.resolve()), self.count)
 
 
 class LaunchText(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A launch file as it is written, before its arguments are filled in."""
+    """A launch file as written, before arguments are substituted."""
 
-    summary: str  # what it shows, in a line
-    nodes: dict[str, Any] = {}  # not yet checked: arguments may stand anywhere in them
-    include: list[dict[str, Any]] = []  # other launch files (`Include`), neither checked yet
+    summary: str  # one line about what it shows
+    nodes: dict[str, Any] = {}  # unchecked: may contain arguments anywhere
+    include: list[dict[str, Any]] = []  # other launch files (`Include`), unchecked too
     arguments: dict[str, Argument] = {}  # by name
     run: dict[str, Any] = {}
-    model: Model = Model()  # what the scene is for
+    model: Model = Model()  # purpose of the scene
 
 
 class Launch(msgspec.Struct, frozen=True, kw_only=True):
-    """A launch file with its arguments filled in."""
+    """A launch file with its arguments substituted."""
 
     scenario: str  # name of the file
-    summary: str  # what it shows
-    path: str  # where it is
-    text: str  # the file as written
+    summary: str  # one line about what it shows
+    path: str  # path of the file
+    text: str  # file as written
     arguments: dict[str, Any]  # values of all arguments
-    run: RunSpec  # how the loop runs
-    nodes: dict[str, NodeSpec]  # the nodes by name
-    axes: dict[str, list[Axis]] = {}  # axes by namespace, where they are not those of ``run``
-    model: Model = Model()  # what the scene is for
-    origins: Any = None  # where its values were written; see nodes/launcher/origins.py
+    run: RunSpec  # settings of the loop
+    nodes: dict[str, NodeSpec]  # nodes by name
+    axes: dict[str, list[Axis]] = {}  # axes by namespace, if they differ from those of ``run``
+    model: Model = Model()  # purpose of the scene
+    models: dict[str, Model] = {}  # purpose of each included chain, by namespace
+    origins: Any = None  # file and line of each value; see nodes/launcher/origins.py
 
 
 def unusual(spec: RunSpec | NodeSpec) -> dict[str, Any]:
-    """Give the fields that are not as they are when they are left out."""
+    """Return the fields that differ from their defaults."""
     usual = RunSpec() if isinstance(spec, RunSpec) else NodeSpec(kind="")
     return {
         name: value

@@ -1,4 +1,4 @@
-"""Where a parameter of a launch was written: file and line, and the argument that filled it in; so that an error can say so."""
+"""Origins of a launch's parameters (file, line and argument), for error messages."""
 
 import re
 from collections.abc import Mapping
@@ -16,35 +16,35 @@ class Origins:
     """Origins of one launch file's values."""
 
     def __init__(self, path: Path, given: Mapping[str, Any], nodes: Mapping[str, Any]) -> None:
-        self.folder = str(path.resolve().parent)  # where the launch file stands
+        self.folder = str(path.resolve().parent)  # folder of the launch file
         self._name = path.name
         self._given = given
         self._nodes = set(nodes)
         self._path = path
-        # the lines of parameters that go before the launch file
+        # Lines of parameters that override the launch file.
         self._over: dict[str, tuple[str, int]] = {}
         self._arguments: dict[str, str] = {}
 
     @cached_property
     def _lines(self) -> dict[str, tuple[str, int]]:
-        """File and line of each place; reading them takes as long as reading the launch file: only for an error."""
+        """Return file and line of each value; computed only for an error, as it costs a read."""
         return {
             place: (self._path.name, line) for place, line in lines_of(self._path).items()
         } | self._over
 
     def laid_over(self, path: Path) -> None:
-        """Note a file of parameters, by node, that goes before the launch file."""
+        """Add a file of parameters, by node, that overrides the launch file."""
         for place, line in lines_of(path).items():
             node, _, rest = place.partition(".")
             self._over[f"nodes.{node}.parameters.{rest}"] = (str(path), line)
             self._arguments.pop(f"nodes.{node}.parameters.{rest}", None)
 
     def filled_in(self, place: str, argument: str) -> None:
-        """Note that an argument stands at a place."""
+        """Record that `argument` was substituted at `place`."""
         self._arguments[place.removeprefix(f"{self._name}.")] = argument
 
     def located(self, text: str) -> str:
-        """Say where what an error complains about was written."""
+        """Return an error text with file, line and argument of the value it names."""
         match = _PATH.match(text)
         if match is None:
             return text

@@ -1,8 +1,8 @@
-"""The plant of each coupling: written once, as the device, and filled in where the coupling needs it.
+"""Fill in the plant of each coupling from the parameters of the other nodes.
 
-A coupling judges its laws on ``plant``. What the other nodes of its chain know of that
-(`nodes.base.node.Node.plant`: a virtual device its mass, a driver its scale, a scene the mass of
-its tool) is filled in where the launch file leaves it out.
+A coupling judges its laws on ``plant``. Facts that other nodes of its chain know
+(`nodes.base.node.Node.plant`: the mass of a virtual device, a driver's scale, the mass of a scene's
+tool) are filled in if the launch file omits them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 
 _PLANT = "plant"
-# Fields as they are when they are left out.
+# Default values of the fields.
 _OF_PARTNERS = (
     "tool_damping",
     "tool_stiffness",
@@ -34,16 +34,16 @@ _USUAL = {
     "scale": 1.0,
     **dict.fromkeys(_OF_PARTNERS, 0.0),
 }
-_DIGITS = 12  # significant digits: 0.1 kg and a hand of 0.05 kg are 0.15 kg, as a person adds them
+_DIGITS = 12  # significant digits, so that 0.1 kg plus a hand of 0.05 kg is exactly 0.15 kg
 
 
 def has_plant(kind: type[Node]) -> bool:
-    """Return whether nodes of a kind judge what they render on a plant."""
+    """Whether nodes of a kind judge their output on a plant."""
     return _PLANT in kind.Parameters.__struct_fields__
 
 
 def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
-    """Return what the nodes of a chain know of its plant, by field; later nodes go before."""
+    """Return the plant's fields known to a chain's nodes; later nodes take precedence."""
     kinds, axes = node_kinds(), launch.axes.get(namespace) or launch.run.axes
     found: dict[str, float] = {}
     for name, spec in launch.nodes.items():
@@ -53,7 +53,7 @@ def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
 
 
 def known_peak(launch: Launch, namespace: str) -> float | None:
-    """Return the largest force that the drivers of a chain hand over along an axis [N]; None where no parameter says."""
+    """Return a chain's largest force along an axis [N]; None if no parameter limits it."""
     kinds, period = node_kinds(), launch.run.period
     inside = [
         (name, spec) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace
@@ -65,13 +65,10 @@ def known_peak(launch: Launch, namespace: str) -> float | None:
 
 
 def with_plants(launch: Launch) -> Launch:
-    """Return the launch with each coupling's plant filled in; ``plant: null`` stays as it is.
+    """Return the launch with each coupling's plant filled in; ``plant: null`` is unchanged.
 
-    Raises
-    ------
-    ParameterError
-        When a node's parameters describe no device, or one that answers later than a law is judged
-        at.
+    Raises ParameterError if a node's parameters describe no device, or one with a delay beyond the
+    range in which laws are judged.
     """
     kinds, nodes = node_kinds(), dict(launch.nodes)
     for name, spec in launch.nodes.items():
@@ -82,8 +79,8 @@ def with_plants(launch: Launch) -> Launch:
         if (late := known.get("device_delay", 0.0)) > LONGEST_DELAY:
             raise ParameterError(
                 f"{name}.plant.device_delay: the device answers {late:g} ticks late, limit"
-                f" {LONGEST_DELAY:g}: no law is judged at so much. Shorten the device's delay, or"
-                f" set {name}.plant to null"
+                f" {LONGEST_DELAY:g}; laws cannot be judged beyond it. Shorten the device's delay,"
+                f" or set {name}.plant to null"
             )
         telling = {field: value for field, value in known.items() if value != _USUAL.get(field)}
         whole = {**telling, **written}

@@ -1,12 +1,11 @@
-"""The reaper: what is left to do when the launcher itself is killed.
+"""The reaper: cleans up if the launcher itself is killed.
 
-A small process of its own session, holding the other end of a pipe. The launcher writes down each
-node that it starts; when the pipe closes without a ``done``, the launcher is dead: the reaper stops
-the nodes (SIGTERM, then SIGKILL) and removes the run's directory. It holds them by descriptors, so
-that it needs no look into ``/proc``, which may be hidden, and no process number is mistaken for
-another. A node that was just being started notices by itself that its parent is gone. The reaper
-imports nothing but the standard library, so that it is small and cannot fail with the rest. A
-launcher whose reaper was killed starts another.
+A small process in its own session at the other end of a pipe. The launcher writes each node that it
+starts; if the pipe closes without a ``done``, the launcher is dead, and the reaper stops the nodes
+(SIGTERM, then SIGKILL) and removes the run's directory. It uses process descriptors, so it does not
+need ``/proc``, which may be hidden, and cannot mistake a reused process number. A node that was
+just being started notices by itself that its parent is gone. The reaper imports only the standard
+library, to stay small and independent. A launcher starts a new reaper if it was killed.
 """
 
 import contextlib
@@ -17,11 +16,14 @@ import signal
 import sys
 import time
 
-GRACE = 2.0  # how long a node has to stop by itself, beside what it was granted [s]
+GRACE = 2.0  # time that a node has to stop by itself, beside its own allowance [s]
 
 
 class Held:
-    """One process, held so that its number cannot become another's; it may take so long to end, beside `GRACE` [s]."""
+    """A process held by descriptor, so that its number cannot be mistaken after reuse.
+
+    `seconds` extends `GRACE`.
+    """
 
     def __init__(self, pid: int, seconds: float) -> None:
         self.seconds = seconds
@@ -33,23 +35,23 @@ class Held:
         return not select.select((self._descriptor,), (), (), 0.0)[0]
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal; one that is gone does not mind."""
+        """Send a signal; ignore an ended process."""
         with contextlib.suppress(ProcessLookupError):
             signal.pidfd_send_signal(self._descriptor, number)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the descriptor."""
         os.close(self._descriptor)
 
 
 def end(nodes: list[Held]) -> None:
     """Stop the nodes of a run."""
     for number in (signal.SIGTERM, signal.SIGKILL):
-        patience = GRACE + max((node.seconds for node in nodes if node.lives), default=0.0)
-        deadline = time.monotonic() + patience
+        grace = GRACE + max((node.seconds for node in nodes if node.lives), default=0.0)
+        deadline = time.monotonic() + grace
         for node in nodes:
             node.send(number)
-            # A stopped node must wake up to bring its force to zero or to close its file.
+            # A stopped node must wake to ramp its force to zero or close its file.
             node.send(signal.SIGCONT)
         while any(node.lives for node in nodes) and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -64,8 +66,7 @@ def main(arguments: list[str]) -> int:
         words = line.split()
         if words == ["done"]:
             return 0
-        # The number of a node, and how long its end may take; the number may be one that another
-        # has had before.
+        # Process number of a node, possibly reused, and its allowance for the end [s].
         if len(words) == 2 and words[0].isdigit():
             pid = int(words[0])
             if pid in nodes:

@@ -1,10 +1,9 @@
-"""Runs of launches on this machine: where they live, how to find them, how nothing stale stays behind.
+"""Runs on this machine: their directories, how to find them, and how they are removed.
 
-A run is a private directory (mode 0700) in ``runs`` below the runtime directory. It holds the
-sockets, one setup file per node, and ``run.json``, which tells listeners who publishes what. It is
-removed at every end: by the launcher, by the reaper when the launcher was killed, and by the next
-launch should both have been killed. Whatever does not bear the mark of a run belongs to somebody
-else and stays.
+A run is a private directory (mode 0700) in ``runs`` below the runtime directory. It contains the
+sockets, one setup file per node, and ``run.json``, which tells subscribers who publishes what. It
+is always removed: by the launcher, by the reaper if the launcher was killed, and by the next launch
+if both were killed. Directories without the mark of a run are never touched.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from messages.errors import UsageError
 from nodes.base.setup import Setup
 from nodes.base.status_report import write_whole
 
-MAX_IPC_PATH = 107  # longest path of a Unix socket [bytes]
-LONGEST_NAME = 32  # longest name of a node [letters]
-# so much of a scenario's name is in its runs' [letters]: a recording's name has 255 bytes
+MAX_IPC_PATH = 107  # length limit of a Unix socket's path [bytes]
+LONGEST_NAME = 32  # length limit of a node's name [letters]
+# Length to which a scenario is shortened in run names; file names are limited to 255 bytes.
 LONGEST_SCENARIO = 48
 
 
@@ -38,47 +37,47 @@ class RunError(UsageError):
 
 
 class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``run.json`` holds."""
+    """Content of ``run.json``."""
 
     run: str  # its name, unique on the host
     scenario: str  # name of its launch file
     launcher: int  # process number of the launcher
     nodes: dict[str, Setup]  # all nodes by name
-    launcher_started: int = 0  # when that was started (`started_at`)
-    wall_minus_monotonic: float = 0.0  # what to add to a stamp to get wall time [s]
-    manifest: dict[str, str] = {}  # what goes into every recording
-    # namespace of the one chain that this is about (`within`); empty for the whole run
+    launcher_started: int = 0  # start of the launcher (`started_at`)
+    wall_minus_monotonic: float = 0.0  # offset from a stamp to wall time [s]
+    manifest: dict[str, str] = {}  # manifest of every recording
+    # Namespace of the selected chain (`within`); empty for the whole run.
     namespace: str = ""
-    manifests: dict[str, dict[str, str]] = {}  # the same for one chain alone, by namespace
+    manifests: dict[str, dict[str, str]] = {}  # manifest of a single chain, by namespace
 
     @property
     def lives(self) -> bool:
-        """Whether its launcher does."""
+        """Whether its launcher runs."""
         return alive(self.launcher, self.launcher_started)
 
     @property
     def chosen(self) -> str:
-        """Name for ``--run``: of the run, or of the one chain of it that this is about."""
+        """Return the name for ``--run``: of the run, or of the selected chain."""
         return f"{self.run}/{self.namespace}" if self.namespace else self.run
 
     @property
     def processors(self) -> set[int]:
-        """Processors of this host on which the loop runs with real-time priority."""
+        """Return this host's processors on which the loop has real-time priority."""
         own = [setup.scheduling for setup in self.nodes.values() if not setup.by_hand]
         return {cpu for scheduling in own if scheduling.fifo for cpu in scheduling.cpus}
 
     def drivers(self) -> list[str]:
-        """Name the nodes that publish a device's state: the driver of each chain."""
+        """Return the drivers: the nodes that publish a device state."""
         from nodes.base.node_kinds import drives, load
 
         return [name for name, setup in self.nodes.items() if drives(load(setup.factory))]
 
     def chains(self) -> list[str]:
-        """List the namespaces of the chains: of their drivers."""
+        """Return the namespaces of the chains."""
         return list(dict.fromkeys(name.rpartition("/")[0] for name in self.drivers()))
 
     def within(self, namespace: str) -> RunInfo:
-        """Give one chain of the run as if it were alone: nodes and topics are named as inside it."""
+        """Return one chain as a run of its own, with names as seen inside it."""
         namespace = namespace.strip("/")
         inside = {
             name.removeprefix(f"{namespace}/"): setup
@@ -87,7 +86,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         }
         if not inside:
             known = ", ".join(filter(None, self.chains())) or "none"
-            raise RunError(f"{self.run}: no namespace {namespace!r}; there is: {known}")
+            raise RunError(f"{self.run}: no namespace {namespace!r}; available: {known}")
         return msgspec.structs.replace(
             self,
             nodes=inside,
@@ -96,7 +95,7 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def only_chain(self) -> RunInfo:
-        """Give the run as that of its only chain; several are refused."""
+        """Return the run as seen inside its only chain; refuse several chains."""
         chains = self.chains()
         if len(chains) > 1:
             raise RunError(
@@ -106,11 +105,11 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return self.within(chains[0]) if chains and chains[0] else self
 
     def publishers(self) -> dict[str, str]:
-        """List the endpoints for listeners."""
+        """Return the endpoint to subscribe to, by node."""
         return {name: setup.listen or setup.publish for name, setup in self.nodes.items()}
 
     def endpoints(self) -> dict[str, str]:
-        """List who publishes what."""
+        """Return the endpoint to subscribe to, by topic."""
         from nodes.base.node_kinds import load
 
         found = {}
@@ -122,14 +121,14 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         return found
 
 
-# file in the directory of each run, and nowhere else: the sweep removes nothing without it
+# File in the directory of each run; the sweep removes only directories with it.
 MARK = ".haptic-run"
 
 _MARKED = "Directory of a run of haptic-nodes; the next launch removes it when the run is over.\n"
 
 
 def runtime_dir() -> Path:
-    """Find the private directory below which the runs of this user are; other things may be in it too."""
+    """Return the private runtime directory of this user, created if necessary."""
     if "HAPTIC_RUNTIME_DIR" in os.environ:
         path = Path(os.environ["HAPTIC_RUNTIME_DIR"])
     elif "XDG_RUNTIME_DIR" in os.environ and os.access(os.environ["XDG_RUNTIME_DIR"], os.W_OK):
@@ -139,8 +138,8 @@ def runtime_dir() -> Path:
         path = Path("/tmp") / f"haptic-{os.getuid()}"  # noqa: S108
     if "#" in str(path):
         raise RunError(
-            f"{path}: its name has a #, which begins the key of an endpoint; set HAPTIC_RUNTIME_DIR"
-            " to another"
+            f"{path}: contains a #, which begins the key of an endpoint; set HAPTIC_RUNTIME_DIR to"
+            " another path"
         )
     return _private(path)
 
@@ -150,9 +149,9 @@ def _private(path: Path) -> Path:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = path.lstat()
     except OSError as error:
-        # A file or a dangling link in its place, a disk that is full or read-only.
+        # A file or dangling link in its place, or a full or read-only disk.
         raise RunError(
-            f"{path}: the runtime directory cannot be made: {error.strerror}; set"
+            f"{path}: the runtime directory cannot be created: {error.strerror}; set"
             " HAPTIC_RUNTIME_DIR to a directory of your own"
         ) from error
     if found.st_uid != os.getuid():
@@ -169,12 +168,12 @@ def _private(path: Path) -> Path:
 
 
 def runs_dir() -> Path:
-    """Find the directory that holds the runs of this user and nothing else."""
+    """Return the directory that contains only this user's runs."""
     return _private(runtime_dir() / "runs")
 
 
 def is_marked(path: Path) -> bool:
-    """Whether a directory was made for a run, by this user."""
+    """Whether a directory was created by this user for a run."""
     try:
         found, mark = path.lstat(), (path / MARK).lstat()
         ours = stat.S_ISDIR(found.st_mode) and stat.S_ISREG(mark.st_mode)
@@ -188,7 +187,7 @@ def is_marked(path: Path) -> bool:
 
 
 def place_of(run: str) -> Path:
-    """Name the directory of a run: its name, or a short one where the paths of sockets would be too long for the kernel."""
+    """Return the directory of a run; a short name is used if socket paths would be too long."""
     for name in (run, hashlib.sha256(run.encode()).hexdigest()[:8]):
         path = runs_dir() / name
         longest = len(os.fsencode(path / ("n" * LONGEST_NAME + ".listen")))
@@ -201,32 +200,32 @@ def place_of(run: str) -> Path:
 
 
 def name_of(scenario: str) -> str:
-    """Name a new run: its scenario, as far as file names and endpoints bear it (in those ``#`` begins a key), and the time."""
+    """Return a new run's name: scenario, restricted to valid characters, and time."""
     plain = re.sub(r"^\.|[^\w.-]", "_", scenario)[:LONGEST_SCENARIO]
     return f"{plain}-{time.strftime('%Y%m%d-%H%M%S')}-{time.monotonic_ns() % 10**6:06d}"
 
 
 def new_run_dir(run: str) -> Path:
-    """Make the private directory of a run."""
+    """Create the private directory of a run."""
     path = place_of(run)
     try:
         path.mkdir(mode=0o700)
     except FileExistsError as error:
-        raise RunError(f"{path}: a run of that name exists already") from error
+        raise RunError(f"{path}: a run of that name already exists") from error
     (path / MARK).write_text(_MARKED, encoding="utf-8")
     return path
 
 
 def hold(path: Path) -> int:
-    """Keep the directory of a run from the sweep until this descriptor is closed, if only by the process's end, however.
+    """Lock a run's directory against the sweep until the descriptor or this process closes.
 
-    Raises BlockingIOError where another process holds it, FileNotFoundError where it is gone.
+    Raises BlockingIOError if another process holds it, FileNotFoundError if it is gone.
     """
-    # For writing: on NFS an exclusive lock needs it.
+    # Open for writing, which an exclusive lock on NFS needs.
     held = os.open(path / MARK, os.O_RDWR)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Another may have removed it between the two.
+        # The sweep may have removed it before the lock.
         (path / MARK).lstat()
     except OSError:
         os.close(held)
@@ -235,23 +234,23 @@ def hold(path: Path) -> int:
 
 
 def new_node_dir(run: str) -> Path:
-    """Make the private directory of a node whose launcher is elsewhere, or take over that of its killed predecessor."""
+    """Create the directory of a node of a remote launch, or take over a killed predecessor's."""
     path = place_of(run)
     if not is_marked(path):
         new_run_dir(run)
     try:
         hold(path)
     except OSError as error:
-        raise RunError(f"{path}: a run of that name exists already") from error
+        raise RunError(f"{path}: a run of that name already exists") from error
     return path
 
 
 def started_at(pid: int) -> int:
-    """Tell when a process was started, which together with its number names it for ever."""
+    """Return when a process was started, which with its number identifies it; 0 if gone."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
-        # Gone, or hidden: somebody else's.
+        # Gone, or hidden because it belongs to another user.
         return 0
     fields = text.rsplit(")", 1)[1].split()
     return 0 if fields[0] in "ZX" else int(fields[19])
@@ -264,27 +263,27 @@ def alive(pid: int, started: int = 0) -> bool:
 
 
 def belongs(pid: int, run_dir: Path) -> bool:
-    """Whether a live process is a node of a run (process numbers are used again)."""
+    """Whether a live process is a node of a run; guards against reused process numbers."""
     try:
         return alive(pid) and os.fsencode(run_dir) in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
-        # Gone, or hidden: somebody else's.
+        # Gone, or hidden because it belongs to another user.
         return False
 
 
 def write_run(path: Path, info: RunInfo) -> None:
-    """Publish what a run consists of."""
+    """Write ``run.json``."""
     write_whole(path / "run.json", info)
 
 
-def read_chain(setup: Setup, given_up: Callable[[], bool], patience: float = 10.0) -> RunInfo:
-    """Read what the run of a node consists of, once its launcher has told it: the chain of its namespace, or the only one."""
+def read_chain(setup: Setup, given_up: Callable[[], bool], timeout: float = 10.0) -> RunInfo:
+    """Read the node's chain from ``run.json``, waiting until the launcher has written it."""
     path = Path(setup.run_dir) / "run.json"
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + timeout
     while not path.exists():
         if time.monotonic() > deadline or given_up():
             raise OSError(
-                f"{path}: the launcher has not listed the run's nodes within {patience:g} s"
+                f"{path}: the launcher has not listed the run's nodes within {timeout:g} s"
             )
         time.sleep(0.005)
     run = msgspec.json.decode(path.read_bytes(), type=RunInfo)
@@ -292,44 +291,44 @@ def read_chain(setup: Setup, given_up: Callable[[], bool], patience: float = 10.
         return run.within(setup.namespace) if setup.namespace else run.only_chain()
     except RunError as error:
         raise OSError(
-            f"{error}: a {setup.kind} node has one chain; give {setup.name} its namespace"
+            f"{error}: a {setup.kind} node needs one chain; put {setup.name} into its namespace"
         ) from error
 
 
-STOPPED = "stopped by haptic stop"  # why a run ends that was not interrupted at its own terminal
+STOPPED = "stopped by haptic stop"  # reason of a run ended from another terminal
 
 
 class RunEnd(msgspec.Struct, frozen=True):
-    """Why a run ends; no reason while it goes on."""
+    """Why a run ended; empty while it runs."""
 
     reason: str = ""
     node: str = ""  # name of the node whose failure ended it; empty for any other end
 
 
 def write_end(path: Path, reason: str, node: str = "") -> None:
-    """Write why a run ends, before its nodes are told to: they only know that they were."""
+    """Write why a run ends, before its nodes are stopped."""
     (path / "end.json").write_bytes(msgspec.json.encode(RunEnd(reason, node)))
 
 
 def end_of(run_dir: str) -> RunEnd:
-    """Read why a run ends."""
+    """Read why a run ended."""
     path = Path(run_dir) / "end.json"
     if not run_dir or not path.exists():
         return RunEnd()
     try:
         return msgspec.json.decode(path.read_bytes(), type=RunEnd)
     except msgspec.DecodeError:
-        # It is being written this moment: a line later it is there.
+        # The file is just being written.
         return RunEnd()
 
 
 def ended_why(run_dir: str) -> str:
-    """Read the reason for which a run ends; empty while it goes on."""
+    """Return the reason why a run ended; empty while it runs."""
     return end_of(run_dir).reason
 
 
 def _live() -> dict[Path, RunInfo]:
-    """List the live runs by their directories, the oldest first."""
+    """Return the live runs by directory, oldest first."""
     found = []
     for path in runs_dir().glob("*/run.json"):
         try:
@@ -343,12 +342,12 @@ def _live() -> dict[Path, RunInfo]:
 
 
 def runs() -> dict[str, RunInfo]:
-    """List the live runs of this user on this machine."""
+    """Return the live runs of this user on this machine, by name."""
     return {info.run: info for info in _live().values()}
 
 
 def find_run(name: str | None = None) -> RunInfo:
-    """Find one live run."""
+    """Return the live run with this name or scenario, or the only one; RunError otherwise."""
     live = runs()
     fits = [info for info in live.values() if name is None or name in (info.run, info.scenario)]
     if len(fits) == 1:
@@ -363,12 +362,12 @@ def find_run(name: str | None = None) -> RunInfo:
 
 
 def sweep() -> list[str]:
-    """Remove the directories of runs whose launcher and nodes are all gone; only what bears the mark of a run."""
+    """Remove marked run directories whose launcher and nodes are gone; return their names."""
     swept = []
     for path in runs_dir().iterdir():
-        # One that is held belongs to a live launcher, or is being removed by another sweep.
+        # A locked directory belongs to a live launcher or to another sweep.
         with contextlib.suppress(BlockingIOError, FileNotFoundError):
-            # A directory that was made this moment is not held yet.
+            # A new directory may not be locked yet.
             if not is_marked(path) or time.time() - path.stat().st_mtime < 60.0:
                 continue
             held = hold(path)

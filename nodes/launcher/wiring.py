@@ -14,7 +14,7 @@ from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
 from nodes.launcher.chain_load import estimated, spread
 from nodes.launcher.endpoints import Endpoints
-from nodes.launcher.external_child import LEASE, PATIENCE
+from nodes.launcher.external_child import ARRIVAL_TIMEOUT, LEASE
 from nodes.launcher.graph import Graph, full_names
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
 from nodes.launcher.plants import has_plant, known_peak, known_plant
@@ -185,7 +185,11 @@ def _setup(
     namespace = name.rpartition("/")[0]
     is_by_hand = bool(spec.by_hand or spec.host)
     any_by_hand = any(other.by_hand or other.host for other in launch.nodes.values())
-    devices = filter(drives, graph.classes.values())
+    virtual = all(
+        one.is_virtual(launch.nodes[other].parameters, other)
+        for other, one in graph.classes.items()
+        if drives(one)
+    )
     knows_plant = has_plant(kind)
     return Setup(
         run="",
@@ -198,14 +202,14 @@ def _setup(
         apply=run.apply,
         tick="compiled" if run.tick == "compiled" and kind.kernel_module else "plain",
         axes=launch.axes.get(namespace) or run.axes,
-        virtual=all(getattr(one, "virtual", False) for one in devices),
+        virtual=virtual,
         ticks=run.ticks,
         publish=endpoints.publish(name),
         listen=endpoints.listen(name),
         control=endpoints.control(name),
         by_hand=is_by_hand,
         lease=LEASE if is_by_hand else 0.0,
-        patience=PATIENCE if any_by_hand else 10.0,
+        patience=ARRIVAL_TIMEOUT if any_by_hand else 10.0,
         sources=_sources(name, graph, endpoints),
         remap=spec.remap,
         listeners=graph.listeners(name),

@@ -58,7 +58,7 @@ _BOUNDS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
 def choices(given: object, known: Iterable[str]) -> str:
     """Return the known names, and the most similar one, for an error about an unknown name."""
     names = list(known)
-    return f"there is: {', '.join(names) or 'nothing yet'}{did_you_mean(given, names)}"
+    return f"available: {', '.join(names) or 'nothing yet'}{did_you_mean(given, names)}"
 
 
 def short(value: object) -> str:

@@ -248,13 +248,14 @@ class ParameterStore:
         if isinstance(step, int) and isinstance(value, list) and step < len(value):
             return value[step]
         there = (
-            "there is:"
-            f" {'nothing below it; set it as a whole' if value is None else 'no further names'}"
+            "it has nothing below it; set it as a whole"
+            if value is None
+            else "it has no names below"
         )
         if isinstance(value, dict):
             there = choices(step, value)
         elif isinstance(value, list):
-            there = f"there is: {len(value)} entries from [0]"
+            there = f"it has {len(value)} entries from [0]"
         path = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in (*done, step))
         raise ParameterError(f"{self._node}.{path.removeprefix('.')}: no such parameter; {there}")
 

@@ -32,7 +32,8 @@ _RESOLVED = (
     (
         "float",
         re.compile(
-            r"^(?:[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?"
+            r"^(?:[-+]?(?:[0-9][0-9_]*\.[0-9_]*(?:[eE][-+]?[0-9]+)?"
+            r"|\.[0-9][0-9_]*(?:[eE][-+]?[0-9]+)?"
             r"|[0-9][0-9_]*[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))|\.(?:nan|NaN|NAN))$"
         ),
         "-+0123456789.",
@@ -227,7 +228,7 @@ class WatchedFile:
             descriptor = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 os.close(descriptor)
-                raise OSError(errno.EINVAL, "is no regular file, and is not watched")
+                raise OSError(errno.EINVAL, "is not a regular file, and is not watched")
             with open(descriptor, "rb") as file:
                 if not self._lease(file.fileno(), fcntl.F_RDLCK):
                     return None

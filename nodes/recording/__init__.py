@@ -1,1 +1,1 @@
-"""What a run leaves behind: written, read, recovered, accounted for, exported, played and plotted."""
+"""Recordings: write, read, recover, export, replay and plot them."""

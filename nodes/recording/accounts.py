@@ -1,4 +1,4 @@
-"""Every message accounted for: what nodes say they sent, what was recorded, what was left out on purpose, and their clocks."""
+"""Completeness of a recording: messages sent, recorded, left out and lost; clock offsets."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from nodes.recording.writer import CHOSEN, MANIFEST, read_ended
 
 
 class Account(msgspec.Struct):
-    """What a node says it sent against what was recorded of it."""
+    """Messages a node sent, compared with those recorded."""
 
-    sent: int  # messages sent, by the last status of each of its processes
+    sent: int  # messages sent, from the last status of each of the node's processes
     recorded: int  # messages of the node recorded before that status
-    # Difference; 0 when everything arrived. Of a late logger, and of a cut, only what was sent
-    # after the first status there, is missing in ``seq`` and was not left out by the driver.
+    # Messages sent but not recorded; 0 if everything arrived. For a late logger or an extract,
+    # only gaps in ``seq`` after the first recorded status that the driver did not leave out.
     lost: int
-    # Messages sent before the logger listened or the cut begins, as the first recorded status
-    # tells: not lost.
+    # Messages sent before the logger listened or the extract begins, from the first recorded
+    # status; they do not count as lost.
     early: int
-    # ``seq`` at which the recording of its chain begins: above 0 for a logger that came late
+    # First recorded ``seq`` of the node's chain; above 0 if the logger started late.
     since: int
-    # Whether the last status is a final one: otherwise the node was killed, or the logger left
-    # before it.
+    # Whether the last status is a final one; otherwise the node was killed, or the logger stopped
+    # first.
     finished: bool
 
     @property
     def text(self) -> str:
-        """The account in words."""
+        """Return the account as text."""
         whole = "all there" if self.finished else "nothing missing so far; its end is not there"
         parts = [f"{self.lost} lost" if self.lost else whole]
         parts += (
@@ -42,26 +42,26 @@ class Account(msgspec.Struct):
 
 
 class Completeness(msgspec.Struct):
-    """Whether a recording holds everything: the one verdict that ``bag info``, plots and summaries tell."""
+    """Whether a recording is complete; shown by ``bag info``, plots and summaries."""
 
-    complete: bool  # whether its writer finished the file; not so for a cut one that was recovered
+    complete: bool  # whether the writer finished the file; False for a cut, recovered file
     end_s: float  # time of the run at which the recording ends [s]
-    # Ticks of the run that came after the end of a cut recording; None where no launch told how
-    # many the run had.
+    # Ticks of the run after the end of a cut recording; None if no launch reported the run's
+    # length.
     missing_ticks: int | None
-    nodes: dict[str, Account]  # what each node sent against what was recorded
-    # Ticks that the driver left out: gaps in ``seq`` everywhere, but no losses; None where its
+    nodes: dict[str, Account]  # account of each node
+    # Ticks that the driver left out: gaps in ``seq`` on every topic, but no losses; None if its
     # states were not recorded.
     left_out: int | None
 
     @property
     def lost(self) -> int | None:
-        """Messages that were sent and not recorded; None when no node's count was recorded, so that nobody can tell."""
+        """Number of messages sent but not recorded; None if no node's count was recorded."""
         return sum(account.lost for account in self.nodes.values()) if self.nodes else None
 
     @property
     def text(self) -> str:
-        """The verdict in words."""
+        """Return the verdict as text."""
         if not self.complete:
             after = (
                 "what came after is"
@@ -71,14 +71,12 @@ class Completeness(msgspec.Struct):
             before = f"; {self.lost} messages lost before" if self.lost else ""
             return f"cut at {self.end_s:.3f} s; {after} not there{before}"
         if self.lost is None:
-            return (
-                "complete, losses unknown: no node's status recorded together with all its topics"
-            )
+            return "complete, losses unknown: no node has its status and all its topics recorded"
         return f"complete, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
 
 
 def completeness(recording: Recording) -> Completeness:
-    """Judge whether a recording holds everything."""
+    """Check whether a recording is complete."""
     ended = read_ended(recording.path) if recording.recovered else None
     last = [
         figures.last_seq
@@ -90,18 +88,20 @@ def completeness(recording: Recording) -> Completeness:
 
 
 class ClockRecord(msgspec.Struct):
-    """How far the clock of a node's host was from the launcher's; its stamps are corrected by that already."""
+    """Clock offset of a node's host to the launcher's; its stamps are already corrected."""
 
-    # What was added to that clock to get the time of the run, as measured last [s]; 0 on the
-    # launcher's host.
+    # Last measured correction from that clock to the time of the run [s]; 0 on the launcher's
+    # host.
     offset: float
-    # how far off that was at most, the largest bound of the whole recording [s]; 0 on the
-    # launcher's host
+    # Largest error bound of the correction during the recording [s]; 0 on the launcher's host.
     error: float
 
 
 def clocks(recording: Recording) -> dict[str, ClockRecord]:
-    """Tell how far the nodes' clocks were from the launcher's, by the recorded statuses: a manifest is written too early."""
+    """Return the clock offset of each node, read from the recorded statuses.
+
+    The manifest is written before the offsets are measured.
+    """
     found: dict[str, ClockRecord] = {}
     for entry in recording.entries(
         topic for topic in recording.topics if message_type(topic) is NodeStatus
@@ -116,7 +116,7 @@ def clocks(recording: Recording) -> dict[str, ClockRecord]:
 
 
 def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
-    """Topics outside its own name that a node publishes, by the manifest."""
+    """Return the topics outside its own name that a node publishes, from the manifest."""
     found = recording.facts(MANIFEST, "publishes", dict[str, list[str]])
     own = found.get(status.node) or found.get(
         status.node.removeprefix(f"{recording.namespace}/"), []
@@ -125,7 +125,7 @@ def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
 
 
 def _all_taken(recording: Recording, topics: Collection[str]) -> bool:
-    """Tell whether all topics of a node were to be in the recording: where only some were, there is nothing to compare."""
+    """Whether all of a node's `topics` were to be recorded, so that counts are comparable."""
     full = {within(recording.namespace, topic) for topic in topics}
     chosen, without = (
         recording.facts(MANIFEST, CHOSEN, set[str]),
@@ -135,7 +135,7 @@ def _all_taken(recording: Recording, topics: Collection[str]) -> bool:
 
 
 class _Told(msgspec.Struct):
-    """What is found of one node; see `Account`."""
+    """Counts collected for one node; see `Account`."""
 
     own: list[str]  # its topics that were recorded
     chain: str  # its namespace
@@ -154,14 +154,14 @@ def _first_told(
     counts: dict[str, int],
     begins: dict[str, int],
 ) -> _Told:
-    """Begin with a node at its first status."""
+    """Create the counts of a node from its first status."""
     ticking = _tick_topics(recording, status)
     place = topic.rpartition("/")[0]
     own = [t for t in counts if t in ticking or t.startswith(f"{place}/")]
     chain = split(topic)[0]
     since = begins.get(chain, max(begins.values(), default=0))
-    # What it counts and nobody received was sent before the logger listened, or the cut begins, if
-    # no tick was sent yet.
+    # Messages counted but not received were sent before the logger listened, or before the extract
+    # begins, provided that no tick was sent yet.
     ahead = since or not any(counts.get(t, 0) for t in ticking)
     early = max(status.sent - sum(counts[t] for t in own), 0) if ahead else 0
     comparable = (not ticking or ticking[0] in counts) and _all_taken(
@@ -171,7 +171,7 @@ def _first_told(
 
 
 def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
-    """Give the accounts of the nodes and the ticks left out, from one pass through the recording."""
+    """Return each node's account and the ticks left out, in one pass through the recording."""
     topics = recording.topics
     places = {topic: split(topic) for topic in topics}
     begins: dict[str, int] = {}
@@ -192,8 +192,7 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
         if inside == DEVICE_STATE:
             state = recording.decode(states, raw, offset)
             last = before.get(chain, state)
-            # A driver that was started again counts anew, in real time from the tick on where the
-            # other ended.
+            # A restarted driver counts from zero; in real time its seq continues the old one's.
             more = state.overruns - last.overruns if state.seq > last.seq else 0
             left_out[chain] = left_out.get(chain, 0) + max(more, 0)
             before[chain] = state
@@ -211,7 +210,7 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
         sent = sum(node.sent.values())
         lost = max(sent - node.recorded - node.early, 0)
         if node.since:
-            # What a node skipped for something newer is missing in seq too, but was never sent.
+            # Ticks that a node skipped are gaps in seq too, but were never sent.
             lost = min(
                 lost, max(sum(topics[t].gaps for t in node.own) - left_out.get(node.chain, 0), 0)
             )
@@ -221,10 +220,10 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
 
 
 def accounts(recording: Recording) -> dict[str, Account]:
-    """Compare, node by node, what it says it sent with what was recorded."""
+    """Compare what each node says it sent with what was recorded."""
     return _compared(recording)[0]
 
 
 def overruns(recording: Recording) -> int | None:
-    """Count the ticks that drivers left out while it was recorded: gaps in ``seq`` that are no losses; None without states."""
+    """Count the ticks that drivers left out: gaps in ``seq``, no losses. None without states."""
     return _compared(recording)[1]

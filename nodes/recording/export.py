@@ -1,7 +1,7 @@
-"""A recording for other programs: one table per tick, a table per topic, and the parameters of the run beside them.
+"""Export a recording: a table of ticks, a table per topic, and the parameters of the run.
 
-CSV for everything, NPZ for numpy, MAT for MATLAB and Octave, Parquet for pandas, polars and
-databases.
+Formats: CSV for any program, NPZ for numpy, MAT for MATLAB and Octave, Parquet for pandas, polars
+and databases.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from messages.schema import schema
 from messages.topics import DEVICE_STATE, split
 from messages.types import Message
 from nodes.recording.facts import DEEPEST, depth
-from nodes.recording.reader import Recording, plain_value
+from nodes.recording.reader import Recording, column_value
 from nodes.recording.table import COLUMNS, VECTORS, Row, read, rows
 from nodes.recording.writer import (
     LAUNCH_FILE,
@@ -45,7 +45,7 @@ _ROWS = 65536
 
 
 def plain_names(topics: Iterable[str]) -> dict[str, str]:
-    """Turn topics into names that are safe as file names and as names of variables."""
+    """Return names for topics that are valid file and variable names."""
     found: dict[str, str] = {}
     for topic in topics:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", topic.strip("/"))[:55] or "topic"
@@ -59,7 +59,7 @@ def plain_names(topics: Iterable[str]) -> dict[str, str]:
 
 
 def columns(message_type: type[Message]) -> list[str]:
-    """Name the columns of a topic's table, units included."""
+    """Return the column names of a topic's table, with units."""
     found = ["time [s]", "log_time [s]"]
     for name, field in schema(message_type)["properties"].items():
         unit = _UNIT.search(field.get("description", ""))
@@ -75,7 +75,7 @@ def columns(message_type: type[Message]) -> list[str]:
 
 
 def parameters(recording: Recording) -> dict[str, Any]:
-    """Collect what belongs to the tables: the run, its parameters, the launch file, and what the columns mean."""
+    """Return run, parameters, launch file, versions and the meaning of the columns."""
 
     def parsed(text: str) -> Any:
         try:
@@ -102,11 +102,11 @@ def _flat(values: Iterable[Any]) -> Iterator[Any]:
         if isinstance(value, tuple):
             yield from value
         else:
-            yield int(value) if isinstance(value, bool) else plain_value(value)
+            yield int(value) if isinstance(value, bool) else column_value(value)
 
 
 def begin_of(recording: Recording) -> float:
-    """Stamp of the first tick, of several chains the earliest [s], or of whatever came first where there are no ticks."""
+    """Return the stamp of the first tick of any chain, or else of the first message [s]."""
     ticks = [
         figures for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE
     ]
@@ -114,7 +114,7 @@ def begin_of(recording: Recording) -> float:
 
 
 def _tick_names() -> list[str]:
-    """Names of the columns of the table of ticks, one per number."""
+    """Return the column names of the table of ticks, one per number."""
     return [
         f"{part}{f' [{unit}]' if unit else ''}"
         for name, (unit, _, _) in COLUMNS.items()
@@ -129,7 +129,7 @@ def _tick(row: Row, begin: float) -> list[Any]:
 
 
 def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one CSV file with a row per tick, one per topic, and the parameters as JSON."""
+    """Write a CSV file with a row per tick, one per topic, and the parameters as JSON."""
     folder = Path(out)
     files = {topic: folder / f"{name}.csv" for topic, name in plain_names(recording.topics).items()}
     made = list(files.values())
@@ -170,7 +170,7 @@ def _text(recording: Recording) -> bytes:
 
 
 def _stand(recording: Recording, path: Path) -> bool:
-    """Tell whether a recording's parameters are there already: NPZ, MAT and Parquet of it share their file."""
+    """Whether the parameter file is already this recording's; formats share the file."""
     try:
         return path.read_bytes() == _text(recording)
     except OSError:
@@ -184,13 +184,11 @@ def _beside(out: Path) -> Path:
 def _refuse_existing(recording: Recording, out: Path) -> None:
     for path in (out, _beside(out)):
         if path.exists() and (path == out or not _stand(recording, path)):
-            raise RecordError(
-                f"{path}: exists already; give another name or ask for it to be overwritten"
-            )
+            raise RecordError(f"{path}: already exists; choose another name or ask to overwrite it")
 
 
 def _tables(recording: Recording) -> dict[str, Arrays]:
-    """All tables as arrays, by name; time of each from the first tick on."""
+    """Return all tables as arrays, by name; times start at the first tick."""
     found: dict[str, Arrays] = (
         {TICKS: read(recording.path)} if DEVICE_STATE in recording.topics else {}
     )
@@ -208,7 +206,7 @@ def _tables(recording: Recording) -> dict[str, Arrays]:
 
 
 def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one NPZ file with the arrays of the ticks and of all topics, and the parameters as JSON."""
+    """Write an NPZ file with the arrays of ticks and topics, and the parameters as JSON."""
     import numpy as np
 
     arrays = {
@@ -217,7 +215,8 @@ def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False
         for field, array in table.items()
     }
     buffer = BytesIO()
-    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # the stub takes a keyword of numpy's for any name
+    # The stub reads every array's name as a keyword of numpy's own.
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]
     return _save_with_parameters(recording, Path(out), buffer.getvalue(), overwrite)
 
 
@@ -231,7 +230,10 @@ def _save_with_parameters(
 
 
 def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write one MAT file (version 5) for MATLAB and Octave; ``run.ticks.time`` and ``run.ticks.position`` are columns."""
+    """Write a MAT file (version 5) for MATLAB and Octave.
+
+    Arrays such as ``run.ticks.time`` and ``run.ticks.position`` are columns.
+    """
     from scipy.io import savemat
     from scipy.io.matlab import MatWriteError
 
@@ -243,7 +245,7 @@ def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False
         for name, table in _tables(recording).items()
     }
     tables["parameters"] = json.dumps(parameters(recording), ensure_ascii=False)
-    # The stub knows paths only.
+    # Any: the stub accepts paths only.
     buffer: Any = BytesIO()
     try:
         savemat(buffer, tables, oned_as="column", long_field_names=True, do_compression=True)
@@ -253,7 +255,10 @@ def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False
 
 
 def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write the table of ticks as Parquet, in blocks of bounded memory; needs pyarrow: pip install 'haptic-nodes[parquet]'."""
+    """Write the table of ticks as Parquet, in blocks of bounded memory.
+
+    Needs pyarrow: ``pip install 'haptic-nodes[parquet]'``.
+    """
     try:
         import pyarrow as pa
         from pyarrow import parquet
@@ -294,7 +299,7 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
     return [out, _save_parameters(recording, _beside(out), overwrite)]
 
 
-FORMATS: dict[str, Callable[..., list[Path]]] = {  # how to write each format
+FORMATS: dict[str, Callable[..., list[Path]]] = {  # export function of each format
     "csv": export_csv,
     "npz": export_npz,
     "mat": export_mat,

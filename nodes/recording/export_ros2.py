@@ -1,8 +1,8 @@
-"""A recording as a ROS 2 bag: ``ros2 bag play`` plays it, RViz and PlotJuggler show it.
+"""Export a recording as a ROS 2 bag, for ``ros2 bag play``, RViz and PlotJuggler.
 
-A folder with an MCAP file and ``metadata.yaml`` of version 8, which Humble and all newer ones read.
-Stamps are wall-clock time, positions metres; frames follow REP 103 (x forward, y left, z up), which
-is ours.
+The bag is a folder with an MCAP file and ``metadata.yaml`` of version 8, which Humble and later
+releases read. Stamps are wall-clock time, positions metres; frames follow REP 103 (x forward, y
+left, z up), as ours do.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from nodes.recording.ros2_messages import RosMessages
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
 
-# topics of a chain in the bag, and their types; of several each has its namespace before them
+# Topics of a chain in the bag and their types; with several chains, each prefixes its namespace.
 CHAIN = (
     ("/haptic/device/pose", "geometry_msgs/msg/PoseStamped"),
     ("/haptic/device/force", "geometry_msgs/msg/WrenchStamped"),
@@ -29,14 +29,14 @@ CHAIN = (
     ("/haptic/proxy/pose", "geometry_msgs/msg/PoseStamped"),
     ("/haptic/coupling/force", "geometry_msgs/msg/WrenchStamped"),
 )
-COMMON = (  # topics of the whole bag
+COMMON = (  # topics common to all chains
     ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
     ("/haptic/parameters", "std_msgs/msg/String"),
 )
 
 
 def _of(make: RosMessages, topic: str, message: Message, at: int) -> Iterator[tuple[str, Any]]:
-    """Turn one recorded message into those of the bag."""
+    """Yield the ROS 2 messages (topic, message) of one recorded message."""
     chain, inside = topics.split(topic)
     if isinstance(message, NodeStatus):
         yield "/diagnostics", make.diagnostics(at, message)
@@ -53,7 +53,7 @@ def _of(make: RosMessages, topic: str, message: Message, at: int) -> Iterator[tu
 
 
 def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write a ROS 2 bag; needs rosbags: pip install 'haptic-nodes[rosbag]'."""
+    """Write a ROS 2 bag; needs rosbags: ``pip install 'haptic-nodes[rosbag]'``."""
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
@@ -65,10 +65,10 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
     if folder.exists():
         if not overwrite:
             raise RecordError(
-                f"{folder}: exists already; give another name or ask for it to be overwritten"
+                f"{folder}: already exists; choose another name or ask to overwrite it"
             )
         if not (folder / "metadata.yaml").is_file():
-            raise RecordError(f"{folder}: is no bag, and is not overwritten")
+            raise RecordError(f"{folder}: is not a bag, so it is not overwritten")
         shutil.rmtree(folder)
     offset = read_offsets(recording.metadata[CLOCK])[1] if CLOCK in recording.metadata else 0
     store = get_typestore(Stores.ROS2_HUMBLE)

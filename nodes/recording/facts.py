@@ -1,7 +1,8 @@
-"""What was recorded with a run, read as what it should be: a recording may be another program's, or made to deceive.
+"""Read and validate what was recorded with a run: period, axes, publishers, parameters.
 
-Rate, axes and publishers of the manifest, and the nodes' parameters. What is not what it should be
-is a RecordError. Files that parameters name are opened only where their reader keeps files anyway.
+A recording may come from another program or be malicious, so every invalid value raises
+RecordError. Files that parameters name are opened only in folders where the reader keeps files (see
+`refuse_foreign_files`).
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
 from nodes.recording.writer import MANIFEST, PARAMETERS, RecordError
 
-SLOWEST, FASTEST = 1.0, 100_000.0  # rates that a launch may have [Hz]
-DEEPEST = 32  # how deep parameters are nested at most
+SLOWEST, FASTEST = 1.0, 100_000.0  # limits of a launch's rate [Hz]
+DEEPEST = 32  # limit of the nesting depth of parameters
 
 
 def period_of(recording: Recording) -> float:
-    """Return the sampling period by the manifest's ``rate_hz`` [s]."""
+    """Return the sampling period from the manifest's ``rate_hz`` [s]."""
     text = recording.manifest.get("rate_hz", "")
     try:
         rate = float(text)
@@ -29,25 +30,25 @@ def period_of(recording: Recording) -> float:
     if not SLOWEST <= rate <= FASTEST:
         raise RecordError(
             f"{recording.path}: {MANIFEST}.rate_hz is {text[:40]!r}, expected {SLOWEST:g} to"
-            f" {FASTEST:g} Hz; without it nothing can be replayed or drawn as a scene"
+            f" {FASTEST:g} Hz; replaying and drawing the scene need it"
         )
     return 1.0 / rate
 
 
 def axes_of(recording: Recording) -> list[str]:
-    """Return the axes that its scene computes, by the manifest."""
+    """Return the axes that the scene computes, from the manifest."""
     text = recording.manifest.get("axes", "")
     axes = text.split(",")
     if not set(axes) <= set(AXIS_INDEX) or len(set(axes)) != len(axes):
         raise RecordError(
-            f"{recording.path}: {MANIFEST}.axes is {text[:40]!r}, expected some of x, y, z with"
-            " commas between"
+            f"{recording.path}: {MANIFEST}.axes is {text[:40]!r}, expected some of x, y, z"
+            " separated by commas"
         )
     return axes
 
 
 def publishers_of(recording: Recording) -> dict[str, list[str]]:
-    """Return the topics that each node publishes outside its own name, by the manifest."""
+    """Return the topics that each node publishes outside its own name, from the manifest."""
     return recording.facts(MANIFEST, "publishes", dict[str, list[str]])
 
 
@@ -64,25 +65,25 @@ def parameters_of(recording: Recording) -> dict[str, dict[str, Any]]:
     return found
 
 
-def depth(value: Any, most: int = DEEPEST + 1) -> int:
-    """Return how deep something is nested, at most `most`."""
-    if most == 0 or not isinstance(value, (dict, list)):
+def depth(value: Any, limit: int = DEEPEST + 1) -> int:
+    """Return the nesting depth of a value, at most `limit`."""
+    if limit == 0 or not isinstance(value, (dict, list)):
         return 0
     inside = value.values() if isinstance(value, dict) else value
-    return 1 + max((depth(one, most - 1) for one in inside), default=0)
+    return 1 + max((depth(one, limit - 1) for one in inside), default=0)
 
 
 def group(values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a group of a node's parameters, empty where there is none."""
+    """Return a group of a node's parameters; empty if absent."""
     found = values.get(name)
     return found if isinstance(found, dict) else {}
 
 
 def refuse_foreign_files(recording: Recording, parameters: Mapping[str, Any], node: str) -> None:
-    """Raise RecordError where an environment's parameters name a file that its reader did not put where it is.
+    """Raise RecordError if parameters name a file outside the folders allowed here.
 
-    A recording of somebody else may name any file of this machine, a device or a pipe. Opened are
-    regular files below the recording's folder, the working directory, and the folders of installed
+    A recording from elsewhere may name any file of this machine, a device or a pipe. Allowed are
+    regular files below the recording's folder, the working directory and the folders of installed
     scenarios.
     """
     for text in _names(parameters):
@@ -102,7 +103,7 @@ def refuse_foreign_files(recording: Recording, parameters: Mapping[str, Any], no
 
 
 def _names(value: Any) -> Iterator[str]:
-    """Find what may name a file: every text with a separator, or that begins in somebody's home."""
+    """Yield every text that may name a file: with a separator, a suffix or a leading ``~``."""
     if isinstance(value, str):
         if "/" in value or "\\" in value or value.startswith("~") or Path(value[:4096]).suffix:
             yield value
@@ -115,14 +116,14 @@ def _names(value: Any) -> Iterator[str]:
 
 
 def _folders(recording: Path) -> Iterator[Path]:
-    """List the folders below which a file may be opened; the root of all is none of them."""
+    """Yield the folders below which a file may be opened; never the root."""
     for folder in (recording.absolute().parent, Path.cwd(), *_collections()):
         if (resolved := folder.resolve()).parent != resolved:
             yield resolved
 
 
 def _collections() -> Iterator[Path]:
-    """List the folders of installed launch files."""
+    """Yield the folders of installed launch files."""
     from nodes.launcher.launch_file import scenarios
 
     yield from {path.parent for path in scenarios().values()}

@@ -1,7 +1,7 @@
-"""One style for every picture: colours that the colour-blind tell apart, line styles for print, PDF and SVG beside PNG.
+"""One style for every figure: colour-blind safe, readable in print; PNG, PDF and SVG.
 
-The colours are those of Okabe and Ito (2008); each comes with a line style and a marker of its own,
-so that a black and white print is read as well. A function that draws is decorated with `styled`;
+The colours are those of Okabe and Ito (2008). Each has a line style and a marker of its own, so
+that a black and white print stays readable. Decorate a function that draws with `styled`;
 `save_figure` writes all formats.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Blue, vermilion, green, purple, orange, sky and black, in this order."""
+"""Blue, vermilion, green, purple, orange, sky blue and black, in this order."""
 
 LINES: tuple[Any, ...] = (
     "-",
@@ -86,15 +86,14 @@ def _rc() -> Any:
 
 
 def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let a function draw in the project's style; no setting of matplotlib's is changed for anybody else."""
+    """Decorate a drawing function to use the project's style; global settings stay unchanged."""
 
     @functools.wraps(draw)
     def drawn(*words: _P.args, **named: _P.kwargs) -> _T:
         import matplotlib as mpl
 
         with mpl.rc_context(_rc()), warnings.catch_warnings():
-            # On a machine that stalls for a second while a legend is placed: nothing that its user
-            # could mend.
+            # A slow machine triggers this warning; the user cannot do anything about it.
             warnings.filterwarnings(
                 "ignore", message="Creating legend with loc", category=UserWarning
             )
@@ -104,7 +103,7 @@ def styled(draw: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure of so many inches, without a window."""
+    """Create an empty figure without a window; size in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
@@ -114,14 +113,14 @@ def new_figure(width: float, height: float) -> Figure:
 def save_figure(
     figure: Figure, path: Path, room: Callable[[Path], Path] = lambda path: path
 ) -> Path:
-    """Write a picture as PNG, and beside it as PDF and SVG; `room` makes room for a file, see `sim.results.fresh`."""
+    """Write a figure as PNG, PDF and SVG; `room` frees a file name, see `sim.results.fresh`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     _write_numbers_plainly(figure)
     figure.set_dpi(150)
     settle_layout(figure)
     for suffix in (".pdf", ".svg", path.suffix):
-        # Drawn before it is written: on a full disk matplotlib's PDF loses the reason in an error
-        # of its own.
+        # Render to memory first: on a full disk matplotlib's PDF writer hides the reason behind an
+        # error of its own.
         drawn = io.BytesIO()
         with _letters_alone():
             figure.savefig(drawn, dpi=150, format=suffix.removeprefix("."))
@@ -130,7 +129,7 @@ def save_figure(
 
 
 def settle_layout(figure: Figure) -> None:
-    """Lay out a figure once: each file that is written of it would draw all of it once more, for nothing but the layout."""
+    """Compute a figure's layout once, so that writing each file does not repeat it."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
@@ -142,11 +141,11 @@ _fonts = threading.Lock()
 
 @contextlib.contextmanager
 def _letters_alone() -> Iterator[None]:
-    """Keep out of a PDF the rules by which its letters are set: nobody reads them there, and they took a third of its time."""
+    """Omit OpenType layout tables from PDF fonts: unused, and a third of the time."""
     from fontTools.subset import Options
 
     name = "_drop_tables_default"
-    # Of all who draw, in whatever thread.
+    # The default is global, so one thread at a time.
     with _fonts:
         before = getattr(Options, name, [])
         setattr(Options, name, [*before, "GDEF", "GPOS", "GSUB", "kern"])
@@ -157,7 +156,7 @@ def _letters_alone() -> Iterator[None]:
 
 
 def plain_power(text: str) -> str:
-    r"""Write what matplotlib gives as mathematics, ``$\mathdefault{2\times10^{-3}}$``, as 2×10⁻³; any other text as it is."""
+    r"""Convert ``$\mathdefault{2\times10^{-3}}$`` to 2×10⁻³; return other text unchanged."""
     found = re.fullmatch(r"\$\\mathdefault\{(.*?)(?:\^\{(.*)\})?\}\$", text)
     if found is None:
         return text
@@ -165,13 +164,13 @@ def plain_power(text: str) -> str:
 
 
 def plain_factor(text: str) -> str:
-    """Write what the numbers of an axis are multiplied with, and what is added to them, ``1e−3+2e7``, as ×10⁻³+2×10⁷."""
+    """Convert an axis' factor and offset, ``1e−3+2e7``, to ×10⁻³+2×10⁷."""
     text = re.sub(r"e\+?([−-]?\d+)", lambda power: "×10" + power[1].translate(_RAISED), text)
     return re.sub(r"^1×", "×", text)
 
 
 def _write_numbers_plainly(figure: Figure) -> None:
-    """Let axes have their numbers as plain text: to set them as mathematics took the half of what a picture costs."""
+    """Write axis numbers as plain text; as mathematics they take half of the drawing time."""
     from matplotlib.ticker import Formatter, LogFormatter, ScalarFormatter
 
     class Plain(Formatter):
@@ -196,21 +195,21 @@ def _write_numbers_plainly(figure: Figure) -> None:
 
 
 def typeset(text: str) -> str:
-    """Set the symbols that a page writes plainly, K_max and D^1.5, as mathematics."""
+    """Typeset plain symbols such as K_max and D^1.5 as mathematics."""
     for plain, mathematics in _SYMBOLS:
         text = plain.sub(mathematics, text)
     return text
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
-    """Give a panel one row for each name, the first on top, below room for the name of a threshold."""
+    """Label a panel's rows, the first on top, with space above for a threshold's name."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -1.0)
     axes.grid(visible=False, axis="x")
 
 
 def legend_above(axes: Axes, columns: int = 2) -> None:
-    """Name marks above a panel whose inside is full."""
+    """Place the legend above a panel that has no free space inside."""
     axes.legend(
         loc="lower left",
         bbox_to_anchor=(0.0, 1.0),
@@ -221,7 +220,7 @@ def legend_above(axes: Axes, columns: int = 2) -> None:
 
 
 def label_ends(axes: Axes, size: float = 8.0) -> None:
-    """Write the label of each curve at its right end, in its colour, in place of a legend; limits are set before."""
+    """Label each curve at its right end in its colour; call after setting the limits."""
     import numpy as np
 
     low, high = axes.get_xlim()
@@ -237,10 +236,11 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
         )
         ends.append((float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color()))
     ends.sort(key=lambda end: end[0])
-    # A line of text, in parts of the panel's height.
-    least = 1.25 * size / 72.0 * axes.get_figure(root=True).dpi / axes.get_window_extent().height  # type: ignore[union-attr]
+    # Height of a line of text, as a fraction of the panel's height.
+    dpi = axes.get_figure(root=True).dpi  # type: ignore[union-attr]
+    gap = 1.25 * size / 72.0 * dpi / axes.get_window_extent().height
     for (_, at, name, colour), height in zip(
-        ends, _apart([end[0] for end in ends], least), strict=True
+        ends, _apart([end[0] for end in ends], gap), strict=True
     ):
         place: Any = {
             "xycoords": "axes fraction",
@@ -258,26 +258,26 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
         )
 
 
-def _apart(heights: Sequence[float], least: float) -> list[float]:
-    """Move sorted heights apart, as little as it takes, and down again from the top."""
+def _apart(heights: Sequence[float], gap: float) -> list[float]:
+    """Move sorted heights apart by at least `gap`, within 0 to 1."""
     found: list[float] = []
     for height in heights:
-        found.append(max(height, found[-1] + least) if found else height)
-    most = 1.0
+        found.append(max(height, found[-1] + gap) if found else height)
+    limit = 1.0
     for i in range(len(found) - 1, -1, -1):
-        found[i] = min(found[i], most)
-        most = found[i] - least
+        found[i] = min(found[i], limit)
+        limit = found[i] - gap
     return found
 
 
 def threshold(
     axes: Axes, value: float, name: str, vertical: bool = False, before: bool = False
 ) -> None:
-    """Draw a line that decides something, and name it, value and unit included; the name of a vertical one stands after it."""
+    """Draw a named threshold line; a vertical line's name stands after it unless `before`."""
     draw = axes.axvline if vertical else axes.axhline
     draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
     place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
-    # Near the top the name would lie over the title.
+    # Near the top the name would overlap the title.
     high = (
         not vertical
         and axes.transAxes.inverted().transform(
@@ -295,8 +295,8 @@ def threshold(
         fontsize=7.5,
         color=INK,
         va="top" if vertical or high else "bottom",
-        # A curve that passes behind it does not strike it through; an outline would make shapes of
-        # the letters.
+        # A background box keeps curves from striking the name through; an outline would turn the
+        # letters into shapes.
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
         zorder=5,
     )

@@ -1,8 +1,8 @@
-"""Loggers: listen to everything, write MCAP, cost the loop nothing.
+"""Loggers: subscribe to all messages and write MCAP without slowing the loop.
 
-A logger is a node of a launch, or ``haptic bag record`` beside it; both use the same recorder. A
-publisher never waits for
-one: a stalled logger loses messages beyond the publisher's queue, and the recording tells how many.
+A logger is a node of a launch, or ``haptic bag record`` beside it; both use `Recorder`. A publisher
+never waits for a logger: if one stalls, messages beyond the publisher's queue are lost, and the
+recording shows how many.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from nodes.parameters.store import ParameterError
 from nodes.recording.parts import next_part
 from nodes.recording.writer import CHOSEN, RecordError, RecordWriter
 
-FLUSH_PERIOD = 0.5  # what a killed logger loses at most [s]
-QUEUE = 200_000  # messages that wait in the logger's process while its disk is busy
-CONNECTING = 5.0  # after so long whoever records for a while has heard what there is to hear [s]
-QUIET_MS = 200  # how long no message may come before a stopped logger believes that all have [ms]
+FLUSH_PERIOD = 0.5  # time between flushes: most that a killed logger loses [s]
+QUEUE = 200_000  # messages queued in the logger's process while its disk is busy
+CONNECTING = 5.0  # time after which `record` starts its duration even without a message [s]
+QUIET_MS = 200  # silence after which a stopping logger assumes that all messages came [ms]
 
 
 class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of a logger node.
 
-    path: The file; ``{run}`` stands for the name of the run, and of the logger's namespace if it
+    path: The file; ``{run}`` stands for the name of the run, and for the logger's namespace if it
         has one.
     topics: Topics to record; empty for all.
     overwrite: Whether an existing file may be replaced.
@@ -51,12 +51,12 @@ class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 def file_of(path: str, run: str, node: str) -> str:
-    """Fill in the file that a logger writes, from its name in the launch."""
+    """Return the file that a logger writes, from the `path` of the launch file."""
     return path.replace("{run}", "-".join([run, *node.split("/")[:-1]]))
 
 
 class Recorder:
-    """Writes what a subscription receives: the topics of these whole names, or all."""
+    """Writes the messages of a subscription: those of the given topics, or all."""
 
     def __init__(
         self, inbox: Subscription, writer: RecordWriter, topics: Collection[str] = ()
@@ -67,16 +67,15 @@ class Recorder:
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
         self._last: dict[bytes, bytes] = {}
         self._next_flush = time.monotonic() + FLUSH_PERIOD
-        # Messages written, and messages that were not of the protocol.
+        # Messages written, and messages that do not follow the protocol.
         self.recorded = 0
         self.refused = 0
-        self.latest = -math.inf  # stamp of the message written last [s]
-        # What to add to this host's monotonic clock to get the time of the run, in which receipt is
-        # recorded [s].
+        self.latest = -math.inf  # stamp of the last written message [s]
+        # Correction from this host's monotonic clock to the time of the run, for receipt times [s].
         self.clock_offset = 0.0
 
     def take(self, timeout_ms: int) -> bool:
-        """Wait for one message and record it; flush when it is time."""
+        """Wait for one message and record it; flush when due. Return whether one came."""
         frames = self._inbox.receive(timeout_ms)
         now = time.monotonic()
         if frames is not None:
@@ -88,11 +87,11 @@ class Recorder:
 
     def _record(self, frames: tuple[bytes, bytes], now: float) -> None:
         topic, payload = frames
-        # A subscription is a prefix: what merely begins like a topic is not meant.
+        # ZeroMQ subscribes to prefixes; drop topics that only begin like a wanted one.
         if self._topics and topic not in self._topics:
             return
-        # A node that is asked again answers again; one with a single socket, to its listeners too.
-        # The same to the byte, its stamp included, is one message.
+        # A node asked again repeats its answer, and its subscribers may see that. Frames equal to
+        # the byte, stamp included, are one message.
         if self._last.get(topic) == payload:
             return
         self._last[topic] = payload
@@ -114,18 +113,18 @@ class Recorder:
         self.recorded += 1
 
     def drain(self, end: float = math.inf) -> None:
-        """Record what is still under way, until nothing comes any more, or all that comes was sent after an `end` [s]."""
+        """Record messages in flight, until none comes or all were sent after `end` [s]."""
         wait, pid = ProcessorWait(), os.getpid()
         late = 0
-        # Publishers are heard in turn: what one of them sent late says nothing of what still waits
-        # of another.
+        # Publishers are received in turn: a late message of one says nothing about the queue of
+        # another.
         while late <= len(self._last):
             if not self.take(0):
-                # A while counts only where this process had a processor: else its I/O thread may
-                # hold messages.
-                began, before = time.monotonic(), wait.look(pid)
+                # Silence counts only while this process had a processor; otherwise messages may
+                # still be in ZeroMQ's I/O thread.
+                began, before = time.monotonic(), wait.update(pid)
                 if not self.take(QUIET_MS):
-                    if time.monotonic() - began - (wait.look(pid) - before) > 0.5e-3 * QUIET_MS:
+                    if time.monotonic() - began - (wait.update(pid) - before) > 0.5e-3 * QUIET_MS:
                         return
                     continue
             late = late + 1 if self.latest > end else 0
@@ -134,11 +133,11 @@ class Recorder:
 def open_writer(
     path: str, manifest: dict[str, str], overwrite: bool, topics: Collection[str] = ()
 ) -> RecordWriter:
-    """Create a recording of these topics, or all, its folder included."""
+    """Create a recording of these topics, or of all, and its folder."""
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RecordError(f"{path}: its folder cannot be made: {error.strerror}") from error
+        raise RecordError(f"{path}: cannot create its folder: {error.strerror}") from error
     facts = {name: text for name, text in manifest.items() if name not in ("launch_file", "nodes")}
     if topics:
         facts[CHOSEN] = msgspec.json.encode(list(topics)).decode()
@@ -161,7 +160,7 @@ class Logger(Node):
 
     @classmethod
     def subscribes(cls, parameters: Any) -> tuple[str, ...]:
-        """Tell which subscriptions a logger makes."""
+        """Return the topics that the logger subscribes to."""
         return tuple(dict.fromkeys(parameters.topics)) or ("",)
 
     @classmethod
@@ -179,14 +178,14 @@ class Logger(Node):
                 )
 
     def configure(self) -> None:
-        """Create the file, so that a bad path fails the start and not the run."""
+        """Create the file, so that a bad path fails at start and not during the run."""
         parameters: LoggerParameters = self.store.current
         self._path = file_of(parameters.path, self.setup.run, self.setup.name)
         diary = Path(self.setup.run_dir) / f"{self.setup.name}.parts"
         path, first = next_part(Path(self._path), diary)
         if not first:
             self.events.emit_each(
-                "recording", f"goes on in {path}; {self._path} is left as its predecessor left it"
+                "recording", f"continues in {path}; {self._path} stays as the last process left it"
             )
         try:
             self._writer = open_writer(
@@ -197,7 +196,7 @@ class Logger(Node):
         self._recorder: Recorder | None = None
 
     def report(self) -> dict[str, Any]:
-        """Tell what was recorded."""
+        """Return the file and the numbers of messages recorded and refused."""
         recorder = self._recorder
         return {
             "recording": (
@@ -210,7 +209,7 @@ class Logger(Node):
         }
 
     def loop(self) -> None:
-        """Record until stopped, then what is still under way."""
+        """Record until stopped, then drain the messages in flight."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
         recorder = self._recorder = Recorder(self.inbox, self._writer, self.store.current.topics)
@@ -221,8 +220,8 @@ class Logger(Node):
                 self.received = self.counters.ticks = recorder.recorded
                 self.events.refused = recorder.refused
                 self.between_ticks(0)
-            # What is sent later, where only this logger ends, is not its business; in lockstep
-            # nothing tells when it was sent.
+            # Later messages are not recorded if only this logger stops. In lockstep stamps are
+            # simulated, so they cannot be told by their time.
             end = self.clock.now() if self.setup.pace == "realtime" else math.inf
             recorder.drain(end)
         except RecordError as error:
@@ -231,13 +230,13 @@ class Logger(Node):
             self.received = self.counters.ticks = recorder.recorded
 
     def _give_up(self, error: RecordError) -> NoReturn:
-        """End with an event and exit code 1: a full disk is no bug, so no traceback either."""
+        """Exit with an event and code 1: a full disk is not a bug, so no traceback."""
         self.events.emit("recording", str(error))
         self.stop(str(error))
         raise SystemExit(1) from error
 
     def finish(self) -> None:
-        """Close the file, so that it is complete."""
+        """Close the file to complete it."""
         try:
             self._writer.close()
         except RecordError as error:
@@ -252,12 +251,12 @@ def record(
     duration: float = math.inf,
     overwrite: bool = False,
 ) -> int:
-    """Record a running launch from beside it, until that ends, or somebody ends this; how many messages were recorded.
+    """Record a running launch until it ends or `ended` returns True; return the message count.
 
-    The `duration` [s] begins with the first message, or when one that is sent must have come:
-    connecting takes as long as the machine is slow.
+    The `duration` [s] starts with the first message, or after CONNECTING if none comes, because
+    connecting takes longer on a slow machine.
     """
-    # On the wire the topics of a chain have its namespace.
+    # On the wire, topics of a chain begin with its namespace.
     topics = [within(run.namespace, topic) for topic in topics]
     with (
         listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (inbox, links),
@@ -271,10 +270,10 @@ def record(
             if not heard and recorder.recorded:
                 until = time.monotonic() + duration
             links.keep()
-        # What came until now still waits, where this process was held up; in lockstep nothing tells
-        # when it was sent.
+        # Messages may still be queued if this process was held up. In lockstep stamps are
+        # simulated, so the time of sending is unknown.
         if run.lives and run.manifest.get("pace") == "lockstep":
-            # what was sent just now may still be in ZeroMQ's threads
+            # Messages sent just now may still be in ZeroMQ's threads.
             soon = time.monotonic() + 1e-3 * QUIET_MS
             for _ in range(QUEUE):
                 if not recorder.take(0) and (

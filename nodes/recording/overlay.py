@@ -1,4 +1,4 @@
-"""Several runs in one picture: position and force over time, or force over position."""
+"""Figures of several runs: position and force over time, or force over position."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-RUNS = 10  # most runs in one picture: as many as there are colours that can be told apart
+RUNS = 10  # limit of runs in one figure, set by distinguishable line styles
 _CELLS = 2000
 
 
 def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str]:
-    """Name the runs: by scenario and law where that tells them apart, else by file."""
+    """Return labels for the runs: scenario and law if these differ, else the file name."""
     facts = [
         printable(
             f"{recording.manifest.get('scenario', recording.path.stem)[:24]}, law"
@@ -45,7 +45,7 @@ def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str
 
 
 def _look(number: int, count: int) -> dict[str, Any]:
-    """Look of a line: after all colours the same ones come with other lines; the first is the widest, and so always seen."""
+    """Return a unique colour, dash style and width; the first line is the widest."""
     style = LINES[(number + number // len(COLOURS)) % len(LINES)]
     return {
         "color": COLOURS[number % len(COLOURS)],
@@ -106,7 +106,7 @@ def overlay(
 
 
 def _surface(lines: Lines, axis: int) -> float | None:
-    """Where the surface is first [mm]."""
+    """Return the first recorded position of the surface [mm]; None without one."""
     values = lines.proxy.arrays()[1][:, 3 + axis]
     seen = values[~np.isnan(values)]
     return float(seen[0]) * 1e3 if len(seen) else None
@@ -119,7 +119,7 @@ def _facts(level: float | None) -> str:
 def _pairs(
     recording: Recording, start: float, stop: float
 ) -> Iterator[tuple[DeviceState, DeviceState]]:
-    """Go through the states with the next one each, which tells the force handed over at this one's tick."""
+    """Yield each state with the next one, which holds the force handed over at this tick."""
     before: DeviceState | None = None
     begin = recording.topics[DEVICE_STATE].first_stamp
     for entry in recording.entries([DEVICE_STATE]):
@@ -138,7 +138,10 @@ def _pairs(
 def _trace(
     recording: Recording, lines: Lines, axis: int, start: float, stop: float
 ) -> tuple[list[float], list[float]]:
-    """Force over position, each way between two cells of a fine grid drawn once: an hour at rest is one point."""
+    """Return position [mm] and force [N], drawing each move between grid cells once.
+
+    So an hour at rest is one point.
+    """
     cell = [_extent(line, axis) / _CELLS or 1.0 for line in (lines.position, lines.force)]
     x: list[float] = []
     y: list[float] = []
@@ -170,7 +173,7 @@ def _extent(line: Line, axis: int) -> float:
 def force_over_position(
     recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
 ) -> Figure:
-    """Draw the force handed to the device over the position at the same tick: what a wall feels like."""
+    """Draw the force handed to the device over the position at the same tick."""
     _checked(recordings)
     ends = start or 0.0, math.inf if stop is None else stop
     lines = [Lines(recording, *ends) for recording in recordings]

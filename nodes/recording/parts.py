@@ -1,7 +1,7 @@
-"""A recording in several files: a logger that is started again goes on in a numbered one, and readers take them as one.
+"""A recording in several files: a restarted logger continues in a numbered file.
 
-``run.mcap`` is followed by ``run.2.mcap``, ``run.3.mcap`` and so on, as long as they are of the
-same run.
+``run.mcap`` is followed by ``run.2.mcap``, ``run.3.mcap`` and so on; readers treat the parts of one
+run as one recording.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from nodes.recording.writer import MANIFEST, RecordError
 
 
 def part(path: Path, number: int) -> Path:
-    """Name a part of a recording."""
+    """Return the path of part `number` of a recording."""
     return path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
 def _run_of(path: Path) -> str:
-    """Read the run from the manifest, which stands at the beginning; empty when there is none."""
+    """Return the run named in the manifest at the beginning of a file; empty without one."""
     with contextlib.suppress(RecordError, mcap_walk.CutError):
         for record in mcap_walk.walk(path):
             if record.opcode == mcap_walk.METADATA:
@@ -34,9 +34,9 @@ def _run_of(path: Path) -> str:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Find the parts of a recording."""
+    """Return the paths of all parts of a recording."""
     found = [path]
-    # A folder such as . or / has no name that could be followed by another; who opens it says so.
+    # A folder such as . or / has no name to number; opening it raises the error.
     if not path.name or not part(path, 2).is_file():
         return found
     run = _run_of(path)
@@ -46,7 +46,7 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def next_part(path: Path, diary: Path) -> tuple[Path, bool]:
-    """Choose the file of a logger, so that one that is started again leaves alone what was recorded before."""
+    """Return the next file of a logger and whether it is the first; `diary` counts its starts."""
     begun = msgspec.json.decode(diary.read_bytes(), type=int) if diary.exists() else 0
     diary.write_bytes(msgspec.json.encode(begun + 1))
     return part(path, begun + 1), begun == 0

@@ -1,4 +1,4 @@
-"""Publish a recording again at its original pace, so that a plotting program or a node can attach as to a running loop."""
+"""Replay a recording at its original pace, for plotting programs and nodes."""
 
 from __future__ import annotations
 
@@ -19,14 +19,17 @@ def play(
     offset: float = 0.0,
     remap: Mapping[str, str] | None = None,
 ) -> Iterator[Entry]:
-    """Publish the messages of a recording as they were received, from `offset` [s] on; stamps and seq unchanged."""
+    """Publish recorded messages at the pace they were received, from `offset` [s] on.
+
+    Stamps and seq stay unchanged. Yields each entry after sending it.
+    """
     if not rate > 0.0:
         raise ValueError(f"rate is {rate}, must be above 0")
     names, begin, first = remap or {}, time.monotonic(), recording.first_log + offset
     for entry in recording.entries(topics):
         if entry.log_time < first:
             continue
-        # Absolute targets: what one message is late does not add up.
+        # Absolute targets, so that delays do not accumulate.
         ahead = begin + (entry.log_time - first) / rate - time.monotonic()
         if ahead > 0.0:
             time.sleep(ahead)

@@ -1,8 +1,8 @@
-"""A picture of a run from its recording: position and proxy, force, energy, response time, and when the law changed.
+"""Figure of a run: position and proxy, force, energy, response time, and law changes.
 
-Time is the stamp of the messages from the first tick on: the host's clock in real time, simulated
-time in lockstep. Of a run that ends at rest, position and force are shown up to a while after it
-came to rest, the response time always in full.
+Time is the message stamp from the first tick on: the host's clock in real time, simulated time in
+lockstep. If a run ends at rest, position and force are shown until shortly after it came to rest;
+the response time is always shown in full.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COLORS = {
     "late": "#c0262d",
     "switch": "#009E73",
 }
-"""What each colour of a plot stands for."""
+"""Colour of each curve of a plot."""
 
 FORMATS = ("png", "svg", "pdf")
 
@@ -151,7 +151,7 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
     period = 1e6 / summary.rate_hz if realtime and summary.rate_hz > 0.0 else 0.0
     shown = [*values, *([period] if period else [])] or [1.0]
     axes.set_ylim(0.7 * min(shown), 1.4 * max(shown))
-    # Over many decades, 2 and 5 in between would stand too close.
+    # Over many decades, labels at 2 and 5 would overlap.
     subs = (1.0, 2.0, 5.0) if max(shown) < 200.0 * min(shown) else (1.0,)
     axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=9))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -172,7 +172,7 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
 
 
 def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
-    """Mark each change of law or parameters in all panels, and name above the topmost those that have room there."""
+    """Mark each change of law or parameters in all panels; name it on top where there is room."""
     low, high = panels[0].get_xlim()
     taken = [-math.inf] * _ROWS
     for stamp, action, law in lines.receipts:
@@ -183,7 +183,7 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
         for axes in panels:
             axes.axvline(at, color=color, lw=1.0, ls=":")
         name = (law if law and action != "set" else action)[:24]
-        # About 6 of 1200 points of width a letter, at this size.
+        # Estimated width of the name on the time axis, at this font size.
         width = (8 * len(name) + 12) / (DPI * 8.6) * (high - low)
         row = next((row for row, end in enumerate(taken) if at >= end), None)
         if row is None or at + width > high:
@@ -208,7 +208,7 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
 
 
 def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
-    """Tell the run in two lines."""
+    """Return two lines of facts: how the run went, and its result."""
     pace = recording.manifest.get("pace", "")
     share = 100.0 * (summary.missed or 0) / summary.ticks if summary.ticks else 0.0
     how_it_went = [
@@ -228,7 +228,7 @@ def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, s
 
 
 def style(axes: Axes) -> None:
-    """Give a panel its grid and take off what it does not need."""
+    """Apply grid and margins to a panel and hide unused spines."""
     axes.grid(True, color="#e3e5e8", lw=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -253,7 +253,7 @@ def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
 
 
 def new_figure(height: float) -> Figure:
-    """Make an empty figure without a window."""
+    """Create an empty figure without a window; `height` in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -295,7 +295,7 @@ def figure_of(
     for axes in panels:
         style(axes)
         if not axes.get_legend_handles_labels()[0]:
-            continue  # of stamps that go back nothing is drawn
+            continue  # nothing is drawn if stamps go backwards
         axes.legend(
             loc="lower right",
             bbox_to_anchor=(1.0, 0.99),
@@ -314,7 +314,7 @@ def figure_of(
 
 
 def render(figure: Figure, form: str) -> bytes:
-    """Write a figure as a file's content; its layout is settled from then on."""
+    """Return a figure as the bytes of a file; this fixes its layout."""
     settle_layout(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=form)
@@ -322,10 +322,10 @@ def render(figure: Figure, form: str) -> bytes:
 
 
 def form_of(out: Path) -> str:
-    """Tell the format that the name of a picture asks for."""
+    """Return the file format from the suffix of a picture's name."""
     form = out.suffix.lower().removeprefix(".") or "png"
     if form not in FORMATS:
-        raise RecordError(f"{out}: {out.suffix} is not a format of plots: .{', .'.join(FORMATS)}")
+        raise RecordError(f"{out}: {out.suffix} is not a plot format: .{', .'.join(FORMATS)}")
     return form
 
 

@@ -1,8 +1,8 @@
-"""Read a recording: messages, figures per topic, gaps in ``seq``, and what was recorded with it.
+"""Read a recording: messages, figures per topic, gaps in ``seq``, and metadata.
 
-Opening reads the file once, checks every length and checksum, and keeps figures only, so that an
-hour of recording needs no more memory than a minute. A file whose writer was killed opens like any
-other and says where it was cut.
+Opening reads the file once, checks every length and checksum, and stores figures only, so an hour
+of recording needs no more memory than a minute. A file whose writer was killed opens too;
+`Recording.cut` says where it ends.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 __all__ = ["EXTRACT", "RECOVERY", "WITHOUT", "Entry", "M", "Recording"]
 
-RECOVERY = "recovery"  # metadata that `nodes.recording.recover.recover` leaves in what it writes
-EXTRACT = "extract"  # metadata that tells which part of which file a part is
-WITHOUT = "without"  # what of them lists the topics that are not in it, by their full names
+RECOVERY = "recovery"  # metadata record added by `nodes.recording.recover.recover`
+EXTRACT = "extract"  # metadata record of an extract: its source, times and omitted topics
+WITHOUT = "without"  # entry of EXTRACT: full names of the omitted topics
 _NANO = 1e9
 
-# MCAP's numbers of channels are smaller; each part of a recording has its own
+# Offset between the channel numbers of a recording's parts; MCAP's numbers are below it.
 _OWN_NUMBERS = 1 << 16
 M = TypeVar("M", bound=Message)
 T = TypeVar("T")
@@ -46,9 +46,9 @@ class Entry(NamedTuple):
     Attributes
     ----------
     topic : str
-        Topic it came on.
+        Topic of the message.
     log_time : float
-        When the logger received it, on the host's monotonic clock [s].
+        Time of receipt by the logger, on the host's monotonic clock [s].
     message : Message
         The message.
     """
@@ -58,8 +58,19 @@ class Entry(NamedTuple):
     message: Message
 
 
-def plain_value(value: Any) -> Any:
-    """Return a field as a column holds it: a mapping as its JSON text, all else as it is."""
+def column_value(value: Any) -> Any:
+    """Return a field as a column of a table holds it.
+
+    Parameters
+    ----------
+    value : object
+        Field of a message.
+
+    Returns
+    -------
+    object
+        A mapping's JSON text, anything else as it is.
+    """
     return msgspec.json.encode(value).decode() if isinstance(value, dict) else value
 
 
@@ -76,31 +87,30 @@ class Recording:
     path : Path
         The file.
     namespace : str
-        Namespace of its only chain, whose topics are named as inside it; empty where there is none,
-        or several.
+        Namespace of the only chain, which is removed from topic names; empty for none or several.
     parts : list of Path
-        It, and those in which a logger that was started again went on (nodes/recording/parts.py).
+        The file, and those in which a restarted logger continued (nodes/recording/parts.py).
     topics : dict of str to TopicFigures
         Figures per topic, in the order of their first message.
     metadata : dict of str to dict of str to str
         All metadata records.
     complete : bool
-        Whether its writer finished it; False for the file of a killed logger.
+        Whether the writer finished the file; False if the logger was killed.
     cut : str
-        Where it was cut; empty for a complete file.
+        Description of where the file is cut; empty for a complete file.
     first_log : float
-        First receipt, on the clock of the recording host [s].
+        Time of the first receipt, on the clock of the recording host [s].
     wall_duration : float
         Time from the first to the last receipt [s].
     channels, schemas : dict of int to Channel, dict of int to Schema
-        Channels by the numbers that `raw` gives, and schemas by those that the channels name.
+        Channels by the numbers that `raw` yields, and schemas by the numbers in the channels.
     publish_offset : int
-        What to take from a publish time of `raw` to get the stamp [ns].
+        Offset to subtract from a publish time of `raw` to get the stamp [ns].
 
     Raises
     ------
     RecordError
-        When it is not an MCAP file, is damaged, or holds channels that are not JSON.
+        If it is not an MCAP file, is damaged, or has channels that are not JSON.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -115,23 +125,23 @@ class Recording:
         self.namespace = ""
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        # Without a clock's record (a foreign writer's) the times stand as they are.
+        # Without a clock record (another program's file) times stay unchanged.
         self._log_offset = self.publish_offset = 0
         self._scan()
 
     @property
     def manifest(self) -> dict[str, str]:
-        """What identifies the run; empty when the recording has no manifest."""
+        """Return the record that identifies the run; empty if there is none."""
         return self.metadata.get(MANIFEST, {})
 
     @property
     def recovered(self) -> bool:
-        """Whether it was cut: either it still is, or `nodes.recording.recover.recover` completed it."""
+        """Whether the file was cut, even if `nodes.recording.recover.recover` completed it."""
         return not self.complete or RECOVERY in self.metadata
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last stamp [s]: of the ticks, or of all messages when there are none."""
+        """Return the time from first to last stamp [s], of ticks or else of all messages."""
         figures = [self.topics[topic] for topic in LOOP if topic in self.topics] or list(
             self.topics.values()
         )
@@ -140,7 +150,7 @@ class Recording:
         return max(f.last_stamp for f in figures) - min(f.first_stamp for f in figures)
 
     def _channel(self, channel: Channel, offset: int) -> Channel:
-        """Check a channel: JSON, and one number for one topic throughout."""
+        """Check a channel: JSON encoding, and one topic per channel number."""
         if channel.encoding != "json":
             raise RecordError(
                 f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is"
@@ -153,7 +163,10 @@ class Recording:
         return channel
 
     def _records(self) -> Iterator[tuple[int, Record]]:
-        """Walk all records with chunks unpacked, the summaries left out; with what to add to their part's numbers."""
+        """Yield all records, chunks unpacked, without the summaries.
+
+        With each comes the offset to add to its part's channel and schema numbers.
+        """
         for n, path in enumerate(self.parts):
             try:
                 for record in mcap_walk.walk(path):
@@ -161,8 +174,8 @@ class Recording:
                         for inner in mcap_walk.unpack_chunk(path, record):
                             yield n * _OWN_NUMBERS, inner
                     elif record.opcode != mcap_walk.DATA_END:
-                        # What follows the end of the data repeats schemas and channels; the walk
-                        # must still see the end.
+                        # The summary after the end of the data repeats schemas and channels, but
+                        # the walk must still see the footer.
                         yield n * _OWN_NUMBERS, record
             except CutError as error:
                 self.cut = self.cut or str(error)
@@ -198,7 +211,7 @@ class Recording:
             self.wall_duration = (last_log - first_log) / _NANO
 
     def _enter_chain(self) -> None:
-        """Name topics as inside the chain, where there is only one."""
+        """Remove the namespace from topics if there is only one chain."""
         spaces = {split(topic)[0] for topic in self.topics}
         if len(spaces) == 1 and (namespace := spaces.pop()):
             self.namespace = namespace
@@ -209,26 +222,26 @@ class Recording:
             }
 
     def facts(self, record: str, name: str, kind: type[T]) -> T:
-        """Decode what a metadata record holds as JSON.
+        """Decode a JSON value of a metadata record.
 
         Parameters
         ----------
         record : str
             Name of the record.
         name : str
-            Name in it.
+            Name of the value in the record.
         kind : type
-            What it is.
+            Type of the value.
 
         Returns
         -------
         object
-            Of that type; empty where there is nothing.
+            Value of type `kind`; empty if absent.
 
         Raises
         ------
         RecordError
-            When it is damaged.
+            If the value does not decode as `kind`.
         """
         text = self.metadata.get(record, {}).get(name)
         try:
@@ -237,14 +250,14 @@ class Recording:
             raise RecordError(f"{self.path}: damaged metadata {record}.{name}: {error}") from error
 
     def require_ticks(self) -> None:
-        """Raise RecordError where it has no ticks of one chain; of several chains it says how to take one out."""
+        """Raise RecordError without ticks of one chain; of several, name how to extract one."""
         if DEVICE_STATE in self.topics:
             return
         chains = sorted(space for space, topic in map(split, self.topics) if topic == DEVICE_STATE)
         text = f"{self.path}: no message on {DEVICE_STATE}, so there are no ticks"
         if chains:
             take = f"haptic bag filter {shlex.quote(str(self.path))} -e ^/{chains[0]}/"
-            text += f"; of its chains ({', '.join(chains)}) {take} takes one out"
+            text += f"; to extract one of its chains ({', '.join(chains)}): {take}"
         raise RecordError(text)
 
     def _message(self, shift: int, record: Record) -> RawMessage:
@@ -272,7 +285,7 @@ class Recording:
         )
 
     def _types(self) -> dict[int, type[Message]]:
-        """Message type of each channel, by the name of its schema or else by its topic."""
+        """Return the message type of each channel, from its schema's name or else its topic."""
         known = {
             f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)
         }
@@ -284,21 +297,21 @@ class Recording:
             if kind is not None and issubclass(kind, Message):
                 found[number] = kind
                 if by_topic.setdefault(channel.topic, kind) is not kind:
-                    raise RecordError(f"{self.path}: {channel.topic} carries two types of message")
+                    raise RecordError(f"{self.path}: {channel.topic} carries two message types")
         return found
 
     def raw(self) -> Iterator[tuple[str, RawMessage, int]]:
-        """Go through the messages as they stand, in the order in which they were received.
+        """Yield the encoded messages in the order of receipt.
 
         Yields
         ------
         tuple of str, RawMessage and int
-            Topic, message and the place of its chunk [bytes].
+            Topic, message and byte offset of its chunk.
 
         Raises
         ------
         RecordError
-            When the file has changed since it was opened.
+            If the file has changed since it was opened.
         """
         for shift, record in self._records():
             if record.opcode == mcap_walk.MESSAGE:
@@ -314,21 +327,21 @@ class Recording:
         Parameters
         ----------
         decoder : msgspec.json.Decoder
-            For its type.
+            Decoder of the message's type.
         raw : RawMessage
-            The message.
+            Encoded message.
         offset : int
-            Place of its chunk [bytes], for the error's text.
+            Byte offset of its chunk, for the error text.
 
         Returns
         -------
         Message
-            The message.
+            Decoded message.
 
         Raises
         ------
         RecordError
-            When it does not fit its type.
+            If the message does not fit its type.
         """
         try:
             return decoder.decode(raw.data)
@@ -339,12 +352,12 @@ class Recording:
             ) from error
 
     def entries(self, topics: Iterable[str] | None = None) -> Iterator[Entry]:
-        """Go through the messages in the order in which they were received.
+        """Yield the decoded messages in the order of receipt.
 
         Parameters
         ----------
         topics : iterable of str, optional
-            Only these; all when left out.
+            Topics to read; all by default.
 
         Yields
         ------
@@ -354,7 +367,7 @@ class Recording:
         Raises
         ------
         RecordError
-            When a topic is not in the recording or of an unknown type, or a message does not fit
+            If a topic is not in the recording or of an unknown type, or a message does not fit
             its type.
         """
         wanted = set(self.topics if topics is None else topics)
@@ -367,7 +380,7 @@ class Recording:
         for number, channel in self.channels.items():
             if channel.topic in wanted:
                 if number not in types:
-                    raise RecordError(f"{self.path}: the type of {channel.topic} is not known here")
+                    raise RecordError(f"{self.path}: unknown message type of {channel.topic}")
                 decoders[number] = msgspec.json.Decoder(types[number])
         for topic, raw, offset in self.raw():
             if raw.channel in decoders:
@@ -385,12 +398,12 @@ class Recording:
         Returns
         -------
         list of Message
-            In the order of receipt; empty when the topic is not in the recording.
+            In the order of receipt; empty if the topic is not in the recording.
 
         Raises
         ------
         RecordError
-            When a message does not fit its type.
+            If a message does not fit its type.
         """
         return [entry.message for entry in self.entries([topic])] if topic in self.topics else []
 
@@ -411,7 +424,7 @@ class Recording:
         Raises
         ------
         RecordError
-            When the topic is not in the recording or a message does not fit its type.
+            If the topic is not in the recording or a message does not fit its type.
         """
         import numpy as np
 
@@ -419,6 +432,6 @@ class Recording:
         found = {"log_time": np.array([entry.log_time for entry in entries], dtype=np.float64)}
         for field in msgspec.structs.fields(type(entries[0].message)):
             found[field.name] = np.array(
-                [plain_value(getattr(entry.message, field.name)) for entry in entries]
+                [column_value(getattr(entry.message, field.name)) for entry in entries]
             )
         return found

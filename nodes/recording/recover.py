@@ -1,7 +1,7 @@
-"""Copy recordings: the file of a killed logger into a complete one, telling what was saved and lost; or a part of one.
+"""Copy a recording: recover the file of a killed logger, or extract a part.
 
-Messages are copied as they stand, byte for byte. Chunks whose checksum does not match are left out
-and told; whatever is damaged around them, all chunks that are sound are found.
+Messages are copied byte for byte. Chunks whose checksum does not match are left out and reported;
+every sound chunk is found, whatever is damaged around it.
 """
 
 from __future__ import annotations
@@ -30,20 +30,19 @@ from nodes.recording.writer import RecordError, mcap_writer, written
 T = TypeVar("T")
 
 _U64 = struct.Struct("<Q")
-REJECTED = 1 << 16  # work that what looks like a chunk costs where its data are none [bytes]
+REJECTED = 1 << 16  # work charged for a false chunk [bytes]
 
 
 class Recovered(msgspec.Struct):
-    """What `recover` saved."""
+    """Result of `recover`."""
 
     messages: dict[str, int]  # messages copied per topic
-    # What was wrong with the source, with offsets; empty when it was complete and sound, so that
-    # nothing was lost.
+    # What was wrong with the source, with offsets; empty if it was complete and sound.
     problems: list[str]
 
 
 def _summary(data: mmap.mmap) -> Iterator[Record]:
-    """Find the records of the summary from the footer at the end of the file; none when that is not sound either."""
+    """Yield the records of the summary if the footer at the end of the file is sound."""
     footer = len(data) - len(mcap_walk.MAGIC) - 20
     end = footer - FRAME.size
     if end < 0 or data[end:footer] != FRAME.pack(mcap_walk.FOOTER, 20):
@@ -61,20 +60,20 @@ def _summary(data: mmap.mmap) -> Iterator[Record]:
 
 
 class _Budget:
-    """Work that a search may spend on what only looks like a chunk, so that a small file cannot cost minutes."""
+    """Limits the work spent on false chunks, so that a small file cannot cost minutes."""
 
     def __init__(self, size: int) -> None:
-        # [bytes]; twice of what any recording unpacks to
+        # Twice what any recording unpacks to [bytes].
         self._left = 32 * size + 16 * mcap_walk.MAX_CHUNK
 
     def spend(self, work: int) -> bool:
-        """Take some work [bytes]; whether it was there."""
+        """Subtract `work` from the budget [bytes]; return False once it is exhausted."""
         self._left -= work
         return self._left >= 0
 
 
 def _search(path: Path) -> Iterator[Record]:
-    """Find what is sound wherever it stands: the summary, then every chunk, by its header's pattern and its checksum."""
+    """Yield the sound records of a damaged file: its summary, and chunks with valid checksum."""
     mark = b"\x04\x00\x00\x00zstd"
     lead = FRAME.size + mcap_walk.CHUNK_HEAD.size
     with (
@@ -86,7 +85,7 @@ def _search(path: Path) -> Iterator[Record]:
         budget = _Budget(len(data))
         at = data.find(mark, lead)
         while at >= 0:
-            # Its opcode may be what is damaged, too: its content has a checksum.
+            # The opcode may be damaged too; the content has a checksum.
             start, following = at - lead, at + 1
             content = _chunk_at(view, start, budget)
             if content is None:
@@ -98,17 +97,17 @@ def _search(path: Path) -> Iterator[Record]:
 
 
 def _chunk_at(view: memoryview, start: int, budget: _Budget) -> bytes | None:
-    """Return what may be a chunk, empty if it is none, None once the budget is spent.
+    """Return what may be a chunk; empty if it is none, None once the budget is spent.
 
-    Both its lengths are read from its data: the record's own and the one inside may be what is
-    damaged, and stride over the next chunk.
+    The lengths are computed from the packed data, because the stored ones may be damaged and skip
+    the next chunk.
     """
     head = start + FRAME.size
     body = head + mcap_walk.CHUNK_HEAD.size + 8 + _U64.size
     (size,) = _U64.unpack_from(view, head + 2 * _U64.size)
     if size > mcap_walk.MAX_CHUNK:
         return b""
-    # What cannot be packed is stored as it is, with some bytes for each of its blocks.
+    # Incompressible data is stored as is, plus some bytes for each block.
     with view[body : body + size + size // 64 + 64] as packed:
         try:
             length = mcap_walk.frame_length(packed)
@@ -122,7 +121,7 @@ def _chunk_at(view: memoryview, start: int, budget: _Budget) -> bytes | None:
 
 
 def _problems(path: Path) -> list[str]:
-    """Tell all that is wrong with a file; nothing when it is complete and sound."""
+    """Return everything wrong with a file; empty if it is complete and sound."""
     found = []
     try:
         for record in mcap_walk.walk(path):
@@ -137,9 +136,9 @@ def _problems(path: Path) -> list[str]:
 
 
 def _salvage(path: Path, sound: bool) -> Iterator[Record]:
-    """Go through all that can be believed, chunks unpacked."""
-    # In a file that is not sound, records outside chunks have no checksum; metadata are taken while
-    # the walk goes well.
+    """Yield all trustworthy records of a file, chunks unpacked."""
+    # Records outside chunks have no checksum. Of a damaged file, only metadata before the damage
+    # is used.
     with contextlib.nullcontext() if sound else contextlib.suppress(RecordError):
         for record in mcap_walk.walk(path):
             if record.opcode == mcap_walk.CHUNK and sound:
@@ -153,7 +152,7 @@ def _salvage(path: Path, sound: bool) -> Iterator[Record]:
 def _sound(
     parse: Callable[[Path, Record], T], path: Path, record: Record, problems: list[str]
 ) -> T | None:
-    """Parse a record; note a damaged one."""
+    """Parse a record; on damage, append the error to `problems` and return None."""
     try:
         return parse(path, record)
     except RecordError as error:
@@ -162,7 +161,7 @@ def _sound(
 
 
 class Copy:
-    """The file being written: registers schemas and channels anew, each when its first message comes."""
+    """The output file; registers each schema and channel with its first message."""
 
     def __init__(
         self, writer: Any, schemas: dict[int, Schema], channels: dict[int, Channel]
@@ -170,14 +169,13 @@ class Copy:
         self.writer = writer
         self.counts: dict[str, int] = {}
         self.orphans = 0
-        # Names of the metadata that the parts before have, and how far their clock is from this
-        # one's, for both times [ns].
+        # Metadata names written so far, and the first part's clock offsets (log, publish) [ns].
         self._told: set[str] = set()
         self._clock: tuple[int, int] | None = None
         self.enter(schemas, channels)
 
     def enter(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-        """Begin with a part, which has numbers of its own."""
+        """Start a part, which has its own channel and schema numbers."""
         self.schemas, self.channels = schemas, channels
         self._new_schemas: dict[int, int] = {}
         self._new_channels: dict[int, int] = {}
@@ -213,12 +211,12 @@ class Copy:
         self.counts[channel.topic] = self.counts.get(channel.topic, 0) + 1
 
     def metadata(self, name: str, values: dict[str, str], problems: list[str]) -> None:
-        """Copy a metadata record, if it is sound; of several parts the first one's."""
+        """Copy a sound metadata record; of several parts only the first part's."""
         if name == CLOCK:
             try:
                 log, publish = read_offsets(values)
             except ValueError as error:
-                problems.append(f"{error}; times are those of the wall clock now")
+                problems.append(f"{error}; times now are wall-clock times")
                 return
             self._clock = self._clock or (log, publish)
             if name in self._earlier:
@@ -230,13 +228,13 @@ class Copy:
 
 def _refuse_source(out: Path, sources: Iterable[Path]) -> None:
     if out.exists() and any(out.samefile(source) for source in sources):
-        raise RecordError(f"{out}: is the recording itself; give another name")
+        raise RecordError(f"{out}: is the recording itself; choose another name")
 
 
 def _layout(
     path: Path, sound: bool, problems: list[str]
 ) -> tuple[dict[int, Schema], dict[int, Channel], int]:
-    """Find schemas, channels and how many messages there are: the summary may name a channel whose own chunk is lost."""
+    """Return schemas, channels and message count; the summary may name lost channels."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     messages = 0
@@ -254,7 +252,7 @@ def _layout(
 
 
 def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
-    """Copy everything sound in a recording, all its parts, into a new, complete file."""
+    """Copy everything sound in a recording, with all its parts, into a new complete file."""
     path, out = Path(path), Path(out)
     parts = parts_of(path)
     wrong = {part: _problems(part) for part in parts}
@@ -264,7 +262,7 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
     sound = {part: not texts for part, texts in wrong.items()}
     layouts = {part: _layout(part, sound[part], problems) for part in parts}
     if not any(messages for _, _, messages in layouts.values()):
-        raise RecordError("; ".join([f"{path}: holds no message that could be saved", *problems]))
+        raise RecordError("; ".join([f"{path}: no message could be recovered", *problems]))
     _refuse_source(out, parts)
     with written(out, overwrite) as output:
         copy = Copy(mcap_writer(output), {}, {})
@@ -280,9 +278,7 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
                 ):
                     copy.metadata(*metadata, problems)
         if copy.orphans:
-            problems.append(
-                f"{path}: {copy.orphans} messages on channels whose topic is not known any more"
-            )
+            problems.append(f"{path}: {copy.orphans} messages on channels whose topic is lost")
         if problems:
             copy.writer.add_metadata(
                 RECOVERY, {"source": str(path), "problems": "\n".join(problems)}
@@ -300,15 +296,15 @@ def extract(
     *,
     overwrite: bool = False,
 ) -> dict[str, int]:
-    """Copy the messages of some topics whose stamps lie in a while, in seconds from the first tick on; how many of each.
+    """Copy the messages of `topics` between two times; return the count per topic.
 
-    What came before the first tick belongs to a while that begins with it.
+    `start` and `stop` count from the first tick [s]; with `start` 0, earlier messages are included.
     """
     _refuse_source(out, recording.parts)
     zero = round(begin_of(recording) * 1e9)
     low = zero + round(start * 1e9) if start > 0.0 else -math.inf
     high = math.inf if math.isinf(stop) else zero + round(stop * 1e9)
-    # The nodes name themselves in full, so their topics stay so too.
+    # Statuses contain full node names, so topics keep their namespace.
     full = {
         n: channel._replace(topic=within(recording.namespace, channel.topic))
         for n, channel in recording.channels.items()

@@ -1,6 +1,6 @@
-"""Our messages as those of ROS 2, whatever defines the types: rosbags for a bag, rclpy or cyclonedds on a graph.
+"""Build ROS 2 messages from ours, with the types of rosbags, rclpy or cyclonedds.
 
-Positions are metres; frames follow REP 103 (x forward, y left, z up), which is ours.
+Positions are metres; frames follow REP 103 (x forward, y left, z up), as ours do.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ CUBE, SPHERE = 1, 2  # shapes of a marker
 
 
 class RosMessages:
-    """Builds messages; `look_up` gives the class of a type by its name, e.g. ``geometry_msgs/msg/PoseStamped``."""
+    """Builds ROS 2 messages.
+
+    `look_up` returns the class of a type by its name, e.g. ``geometry_msgs/msg/PoseStamped``.
+    """
 
     def __init__(self, look_up: Callable[[str], Any], frame: str = FRAME) -> None:
         self._type = look_up
@@ -36,27 +39,27 @@ class RosMessages:
         return self._type("geometry_msgs/msg/Vector3")(x=x, y=y, z=z)
 
     def place(self, position: Vector) -> Any:
-        """Build a pose that is not turned."""
+        """Build a pose without rotation."""
         x, y, z = position
         still = self._type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0)
         point = self._type("geometry_msgs/msg/Point")(x=x, y=y, z=z)
         return self._type("geometry_msgs/msg/Pose")(position=point, orientation=still)
 
     def pose(self, at: int, position: Vector) -> Any:
-        """Build a position with its time [ns]."""
+        """Build a stamped position; time in ns."""
         return self._type("geometry_msgs/msg/PoseStamped")(
             header=self.header(at), pose=self.place(position)
         )
 
     def wrench(self, at: int, force: Vector) -> Any:
-        """Build a force [N] with its time [ns]."""
+        """Build a stamped force [N]; time in ns."""
         wrench = self._type("geometry_msgs/msg/Wrench")(
             force=self.vector(*force), torque=self.vector(0.0, 0.0, 0.0)
         )
         return self._type("geometry_msgs/msg/WrenchStamped")(header=self.header(at), wrench=wrench)
 
     def joints(self, at: int, state: DeviceState) -> Any:
-        """Build the state of the axes."""
+        """Build a joint state from the device's axes."""
         import numpy as np
 
         values = {
@@ -69,7 +72,7 @@ class RosMessages:
         )
 
     def diagnostics(self, at: int, status: NodeStatus) -> Any:
-        """Build a node's status."""
+        """Build a diagnostic array from a node's status."""
         pair, kind = (
             self._type("diagnostic_msgs/msg/KeyValue"),
             self._type("diagnostic_msgs/msg/DiagnosticStatus"),
@@ -90,19 +93,19 @@ class RosMessages:
         )
 
     def text(self, text: str) -> Any:
-        """Build a text."""
+        """Build a string."""
         return self._type("std_msgs/msg/String")(data=text)
 
     def truth(self, value: bool) -> Any:
-        """Build a truth value."""
+        """Build a boolean."""
         return self._type("std_msgs/msg/Bool")(data=value)
 
     def clock(self, nanoseconds: int) -> Any:
-        """Build the simulated time."""
+        """Build a message of simulated time."""
         return self._type("rosgraph_msgs/msg/Clock")(clock=self.time(nanoseconds))
 
     def marker(self, at: int, shape: int, position: Vector, size: Vector) -> Any:
-        """Build a shape for RViz, half transparent."""
+        """Build a half-transparent shape for RViz."""
         color = self._type("std_msgs/msg/ColorRGBA")(r=0.3, g=0.5, b=0.8, a=0.5)
         seen: dict[str, Any] = {
             "type": shape,

@@ -1,8 +1,7 @@
-"""Recordings as lines that a picture can hold: read as a stream, in memory that does not grow with the length of the run.
+"""Recordings reduced to lines that a figure can draw, in bounded memory.
 
-Up to POINTS messages a line is what was recorded. A longer one keeps the smallest and the largest
-value of each of BINS stretches of time, so that no spike is lost and every extreme stands where it
-was, to the width of a line.
+Up to POINTS messages, a line contains every value. A longer one stores the smallest and largest
+value of each of BINS time intervals, so every extreme is drawn at its time, within a line's width.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from nodes.recording.writer import RecordError
 
 AnyArray = np.ndarray[Any, Any]
 
-POINTS = 4000  # longest line that is kept as it was recorded
-BINS = POINTS // 2  # stretches of time that a longer line is divided into; about two per pixel
+POINTS = 4000  # longest line stored unreduced
+BINS = POINTS // 2  # time intervals of a longer line; about two per pixel
 _BLOCK = 8192
 
 
 class Line:
-    """Values over time, as one line or several of the same times."""
+    """Values over time: one or more columns at the same times."""
 
     def __init__(self, start: float, stop: float, columns: int) -> None:
         self._start = start
@@ -36,7 +35,7 @@ class Line:
         self._folded: tuple[AnyArray, AnyArray] | None = None
 
     def add(self, time: float, *values: float) -> None:
-        """Take one value of each line."""
+        """Add one value per column."""
         self._rows.append((time, *values))
         if len(self._rows) >= _BLOCK:
             self._fold()
@@ -50,12 +49,12 @@ class Line:
         place = np.clip((rows[:, 0] - self._start) / self._width, 0, BINS - 1).astype(int)
         order = np.argsort(place, kind="stable")
         bins, first = np.unique(place[order], return_index=True)
-        # fmin and fmax pass over NaN.
+        # fmin and fmax ignore NaN.
         for held, smaller in zip(self._folded, (np.fmin, np.fmax), strict=True):
             held[bins] = smaller(held[bins], smaller.reduceat(rows[order, 1:], first, axis=0))
 
     def arrays(self) -> tuple[AnyArray, AnyArray]:
-        """Give the lines."""
+        """Return times, shape (N,), and values, shape (N, columns)."""
         if self._folded is None and len(self._rows) <= POINTS:
             rows = np.array(self._rows, dtype=np.float64).reshape(-1, 1 + self._columns)
             return rows[:, 0], rows[:, 1:]
@@ -70,7 +69,7 @@ class Line:
 
 
 class Spans:
-    """When something was the case, by name, to the width of a line."""
+    """Intervals during which named states were active, at the resolution of a line."""
 
     def __init__(self, start: float, stop: float) -> None:
         self._start = start
@@ -78,14 +77,14 @@ class Spans:
         self._seen: dict[str, bytearray] = {}
 
     def add(self, begin: float, end: float, name: str) -> None:
-        """Note that it was the case."""
+        """Mark `name` as active from `begin` to `end` [s]."""
         low, high = (
             min(max(int((time - self._start) / self._width), 0), BINS - 1) for time in (begin, end)
         )
         self._seen.setdefault(name, bytearray(BINS))[low : high + 1] = b"\1" * (high + 1 - low)
 
     def spans(self) -> Iterator[tuple[str, float, float]]:
-        """Go through the stretches of time."""
+        """Yield name, begin and end [s] of each interval."""
         for name, seen in self._seen.items():
             begin = seen.find(1)
             while begin >= 0:
@@ -96,7 +95,7 @@ class Spans:
 
 
 class Lines:
-    """What a picture of a run is drawn from; `start`, `stop`: from and up to which time after the first state [s]."""
+    """Data for the figure of a run, from `start` to `stop` after the first state [s]."""
 
     def __init__(self, recording: Recording, start: float = 0.0, stop: float = math.inf) -> None:
         recording.require_ticks()
@@ -106,9 +105,9 @@ class Lines:
                 f"{recording.path}: fewer than two messages on {DEVICE_STATE}; a plot needs at"
                 " least two"
             )
-        # stamp of the recording's first state: time 0 of the picture [s]
+        # Stamp of the recording's first state: time 0 of the figure [s].
         self.begin = figures.first_stamp
-        # The stretch, as stamps [s].
+        # Interval drawn, as stamps [s].
         self.start = max(self.begin + start, self.begin)
         self.stop = min(self.begin + stop, figures.last_stamp)
         if not self.start < self.stop and figures.first_stamp < figures.last_stamp:
@@ -117,22 +116,21 @@ class Lines:
                 f"{recording.path}: nothing between {start:g} and {stop:g} s; {lasts}"
             )
         ends = self.start, self.stop
-        # By axis: position [m], force handed to the device at the tick at which it was [N], force
-        # by the law before limits [N].
+        # Per axis: position [m], force handed to the device at its tick [N], force of the law
+        # before limits [N].
         self.position, self.force, self.asked = Line(*ends, 3), Line(*ends, 3), Line(*ends, 3)
-        # Energy given out, and the passivity guard's account [J]; response time of the ticks
-        # answered in time [s]; proxy, and surface where there is one that faces this axis [m].
+        # Energy given out and the passivity guard's account [J]; response time of ticks answered
+        # in time [s]; proxy, and surface where one faces the axis [m].
         self.energy, self.response, self.proxy = Line(*ends, 2), Line(*ends, 1), Line(*ends, 6)
         # Safety states other than active, and ticks that were not answered in time (named
         # ``missed``).
         self.safety, self.missed = Spans(*ends), Spans(*ends)
-        # Time and response time of every so many-th of them [s]: what is usual, where `response`
-        # tells the extremes.
+        # Every `_stride`-th (time, response) sample [s]; `response` holds the extremes.
         self.sampled: list[tuple[float, float]] = []
         self._stride = -(-figures.messages // POINTS)
-        # Where the surface faces: largest component seen of each axis, sign included, shape (3,).
+        # Largest normal component seen per axis, signed, shape (3,).
         self.normal = [0.0, 0.0, 0.0]
-        # the first 200 changes: stamp, action, and law from then on
+        # First 200 changes: stamp, action, and the law afterwards.
         self.receipts: list[tuple[float, str, str]] = []
         self.laws: list[str] = []  # laws that computed a force
         self._before: DeviceState | None = None
@@ -143,8 +141,7 @@ class Lines:
         wanted = [
             topic for topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) if topic in recording.topics
         ]
-        # Where ticks are recorded in their order, nothing comes after the first state behind the
-        # stretch.
+        # If ticks are recorded in order, the first state after the interval ends the reading.
         ordered = not recording.topics[DEVICE_STATE].back
         for entry in recording.entries(wanted):
             message: Any = entry.message
@@ -177,12 +174,12 @@ class Lines:
             self._named = message.seq
 
     def _take_outcome(self, state: DeviceState) -> None:
-        """Take what a state tells of the tick before it."""
+        """Add what a state reports about the tick before it."""
         before = self._before
         if before is None or before.stamp < self.start:
             return
         self.force.add(before.stamp, *state.force)
-        # Waiting for the first force is how every run begins.
+        # Every run begins waiting for the first force.
         if before.safety not in ("active", "waiting"):
             self.safety.add(before.stamp, state.stamp, before.safety)
         if state.response > 0.0:
@@ -204,14 +201,14 @@ class Lines:
 
     @property
     def axis(self) -> int:
-        """The axis to draw: the one that the surface faces, or else the one with the largest motion."""
+        """Return the axis to draw: the one the surface faces, else the one of largest motion."""
         if any(self.normal):
             return int(np.argmax(np.abs(self.normal)))
         motion = np.ptp(self.position.arrays()[1], axis=0)
         return int(np.argmax(motion)) if motion.any() else 2
 
     def rest(self) -> float:
-        """Tell when the device has come to rest for good: position within 1 %, force within 2 % of their ranges."""
+        """Return the time [s] after which position stays within 1 % of its range, force 2 %."""
         last = self.begin
         for line, share in ((self.position, 0.01), (self.force, 0.02)):
             time, values = line.arrays()

@@ -1,4 +1,4 @@
-"""The figures of a run, computed from its recording and from nothing else, so that a summary is true to the file."""
+"""Figures of a run, computed from its recording alone."""
 
 from __future__ import annotations
 
@@ -12,33 +12,31 @@ from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.recording.reader import Recording
 
-# which quantiles of the response time are given
+# Quantiles reported of the response time.
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 class Summary(msgspec.Struct):
-    """Figures of one run, as its driver recorded them."""
+    """Figures of a run as its driver recorded them."""
 
-    # Ticks whose outcome is recorded: each state tells how the tick before it went, the last one
-    # ends the run.
+    # Ticks whose outcome is recorded: each state reports the outcome of the tick before it.
     ticks: int
-    duration_s: float  # from the earliest state's stamp to the latest one's [s]
+    duration_s: float  # time from the earliest to the latest state's stamp [s]
     rate_hz: float  # mean rate while a driver ticked [1/s]; 0 for fewer than two ticks
-    # Ticks of the recording not answered in time, and ticks left out because the driver was late;
-    # None without states.
+    # Ticks not answered in time, and ticks left out because the driver was late; None without
+    # states.
     missed: int | None
     overruns: int | None
-    # p50, p99, p999 and max of the response time of the ticks answered in time [µs]; empty when
-    # there are none.
+    # p50, p99, p999 and max response time of the ticks answered in time [µs]; empty if none.
     response_us: dict[str, float]
-    age_ticks_max: int | None  # oldest force that was used [ticks]; None without states
-    # Position and force at the end [m, N]; empty when no state was recorded, shape (3,).
+    age_ticks_max: int | None  # age of the oldest force used [ticks]; None without states
+    # Final position [m] and force [N], shape (3,); empty if no state was recorded.
     position_m: list[float]
     force_n: list[float]
 
 
 def quantile(ordered: Sequence[float], fraction: float) -> float:
-    """Quantile with linear interpolation between the two nearest values (type 7 of Hyndman and Fan 1996)."""
+    """Return a quantile by linear interpolation (type 7 of Hyndman and Fan 1996)."""
     place = (len(ordered) - 1) * fraction
     low = int(place)
     high = min(low + 1, len(ordered) - 1)
@@ -55,10 +53,10 @@ def summarise(recording: Recording) -> Summary:
     for entry in recording.entries([DEVICE_STATE]):
         before, last = last, cast("DeviceState", entry.message)
         oldest = max(oldest, last.age)
-        # The tick after it holds a response; 0 says that there was none in time.
+        # A state holds the response time of the tick before; 0 if not answered in time.
         if last.response > 0.0:
             response_times.append(last.response * 1e6)
-        # A driver that was started again counts anew, and tells nothing of the tick before.
+        # A restarted driver counts from zero and reports nothing about the tick before.
         if before is not None and last.seq > before.seq:
             ticks += 1
             seqs += last.seq - before.seq

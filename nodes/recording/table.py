@@ -1,4 +1,4 @@
-"""A recording as one table: one row per tick, with what the driver, the environment and the coupling said of it."""
+"""A recording as one table: a row per tick with state, proxy and force."""
 
 from __future__ import annotations
 
@@ -99,19 +99,19 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
     ),
     "safety": ("", "what the driver does with forces", lambda r: r[0].safety),
 }
-"""Columns of the table: unit, meaning, and how a row has it.
+"""Columns of the table: unit, meaning, and the function that gets the value from a row.
 
-What answers a tick but was not recorded is NaN, an empty text, or −1 for a count.
+An answer that was not recorded is NaN, an empty text, or −1 for a count.
 """
 
 VECTORS = ("position", "force", "mean_force", "force_asked", "proxy", "normal", "target")
 """Columns of three numbers: x, y and z."""
 
-_WINDOW = 4096  # ticks that wait for what answers them: more than the driver ever looks back
+_WINDOW = 4096  # ticks that wait for their answers; more than the driver's history
 
 
 def rows(recording: Recording) -> Iterator[Row]:
-    """Go through the ticks.
+    """Yield the ticks of a recording.
 
     Parameters
     ----------
@@ -121,13 +121,13 @@ def rows(recording: Recording) -> Iterator[Row]:
     Yields
     ------
     tuple
-        State of the tick; the next tick's state, which tells how this one went (None when that is
-        not the next tick); proxy and force that answer the tick (None when not recorded).
+        State of the tick; the next tick's state, which reports the outcome of this one (None if
+        not consecutive); proxy and force that answer the tick (None if not recorded).
 
     Raises
     ------
     RecordError
-        When no state was recorded, or a message does not fit its type.
+        If no state was recorded, or a message does not fit its type.
     """
     recording.require_ticks()
     waiting: list[DeviceState] = []
@@ -144,7 +144,7 @@ def rows(recording: Recording) -> Iterator[Row]:
         message = entry.message
         if isinstance(message, DeviceState):
             if waiting and message.seq <= waiting[-1].seq:
-                # A driver that started again counts anew: nothing answers the old ticks any more.
+                # A restarted driver counts from zero; nothing will answer the old ticks.
                 yield from map(take, waiting, [*waiting[1:], None])
                 waiting.clear()
                 proxies.clear()
@@ -167,7 +167,7 @@ def rows(recording: Recording) -> Iterator[Row]:
 def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     """Read a recording as arrays, one row per tick.
 
-    ``run = read("recordings/floor_drop-….mcap")``, then for instance ``plt.plot(run["time"],
+    For example ``run = read("recordings/floor_drop-….mcap")``, then ``plt.plot(run["time"],
     run["position"][:, 2])``.
 
     Parameters
@@ -178,9 +178,9 @@ def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     Returns
     -------
     dict of str to numpy.ndarray
-        N rows by column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force``,
+        N rows per column, SI units, see `COLUMNS`. Of shape (N, 3): ``position`` [m], ``force``,
         ``mean_force`` and ``force_asked`` [N], ``proxy`` [m], ``normal``, ``target`` [m]. Of shape
-        (N,): ``time`` [s] from 0 on, ``seq``, ``stamp`` [s], ``changed_at`` [ticks], ``force_seq``,
+        (N,): ``time`` [s] from 0, ``seq``, ``stamp`` [s], ``changed_at`` [ticks], ``force_seq``,
         ``distance`` [m], ``contact``, ``law``, ``revision``, ``response`` [s], ``age`` and
         ``delay`` [ticks], ``lateness`` [s], ``missed``, ``overruns``, ``energy`` and ``guard`` [J],
         ``safety``.
@@ -188,7 +188,7 @@ def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     Raises
     ------
     RecordError
-        When it is no recording, is damaged, or holds no state.
+        If it is no recording, is damaged, or has no state.
     """
     import numpy as np
 

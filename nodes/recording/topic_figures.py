@@ -1,4 +1,4 @@
-"""What a recording holds of one topic: how many messages, of which ticks and times, and what is missing between them."""
+"""Figures of one topic in a recording: message count, gaps, ``seq`` and stamps."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ __all__ = ["TopicFigures"]
 
 
 class TopicFigures(msgspec.Struct):
-    """What a recording holds of one topic.
+    """Figures of one topic in a recording.
 
     Attributes
     ----------
     messages : int
-        How many.
+        Number of messages.
     gaps : int
-        How many ``seq`` are missing between the first and the last; 0 for topics that do not carry
-        one message a tick.
+        Number of ``seq`` missing between the first and the last; 0 for topics without one message
+        per tick.
     back : int
-        How often ``seq`` did not rise on a topic with one message a tick: repeated messages, or a
-        restarted driver.
+        Number of times that ``seq`` did not rise on a topic with one message per tick: repeated
+        messages, or a restarted driver.
     first_seq, last_seq : int
         First and last ``seq``.
     first_stamp, last_stamp : float
@@ -36,7 +36,7 @@ class TopicFigures(msgspec.Struct):
 
     @property
     def rate(self) -> float:
-        """Mean rate over the stamps [1/s]; 0 for fewer than two messages."""
+        """Return the mean rate over the stamps [1/s]; 0 for fewer than two messages."""
         span = self.last_stamp - self.first_stamp
         return (self.messages - 1) / span if span > 0.0 else 0.0
 
@@ -46,11 +46,11 @@ class TopicFigures(msgspec.Struct):
         Parameters
         ----------
         sequence : int
-            Its ``seq`` modulo 2³², as MCAP keeps it.
+            ``seq`` of the message modulo 2³², as stored by MCAP.
         stamp : float
-            Its stamp [s].
+            Stamp of the message [s].
         ticking : bool
-            Whether its topic carries one message a tick.
+            Whether the topic carries one message per tick.
         """
         self.messages += 1
         if self.messages == 1:
@@ -60,7 +60,7 @@ class TopicFigures(msgspec.Struct):
         self.first_stamp = min(self.first_stamp, stamp)
         self.last_stamp = max(self.last_stamp, stamp)
         if ticking:
-            # Differences are taken modulo 2³², too.
+            # The difference modulo 2³², between ±2³¹.
             step = (sequence - self.last_seq + 0x80000000) % 0x100000000 - 0x80000000
             if step > 0:
                 self.gaps += step - 1

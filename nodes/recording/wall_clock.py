@@ -1,8 +1,8 @@
-"""Wall-clock time in a recording: MCAP's times are dated for viewers, and taken back to the time of the run when read.
+"""Convert between the time of a run and MCAP's wall-clock times.
 
-The run's own time is the host's monotonic clock, or simulated time; it has no date. The metadata
-record ``clock`` holds how many whole nanoseconds were added, so that what is read is to the bit
-what was recorded. Earlier recordings have none.
+The run's own time is the host's monotonic clock or simulated time, without a date; viewers need
+dated times. The metadata record ``clock`` stores the integer offsets added [ns], so that reading
+restores the recorded times exactly. Earlier recordings have no such record.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from collections.abc import Mapping
 
 CLOCK = "clock"  # name of the metadata record
 LOG_OFFSET, PUBLISH_OFFSET = "log_time_offset_ns", "publish_time_offset_ns"
-"""What it holds: how far MCAP's times are ahead of the host's monotonic clock, and of the stamps [ns]."""
+"""Entries of the record: MCAP time minus monotonic clock, and minus stamp [ns]."""
 
 _LATEST = 1.8e10  # latest time that 64 bits of nanoseconds hold [s], rounded down
-LATEST_NS = (1 << 64) - 1  # what MCAP can hold
+LATEST_NS = (1 << 64) - 1  # latest time that MCAP can store
 
 
 def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
-    """Tell how far MCAP's times are ahead of the run's, so that viewers date a recording by the wall clock."""
+    """Return the offsets from the run's time to MCAP's log and publish times [ns]."""
     try:
         wall = float(manifest["wall_minus_monotonic_s"])
-        # Beyond what MCAP can hold it is no clock.
+        # Beyond MCAP's range it is no clock.
         offset = round(wall * 1e9) if abs(wall) < _LATEST else 0
     except (KeyError, ValueError):
         return 0, 0
@@ -30,7 +30,7 @@ def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
 
 
 def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
-    """Read the ``clock`` record of a recording."""
+    """Return both offsets of the ``clock`` record [ns]."""
     try:
         log, publish = (int(values[name]) for name in (LOG_OFFSET, PUBLISH_OFFSET))
     except (KeyError, ValueError) as error:
@@ -41,10 +41,10 @@ def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
 
 
 def record(log: int, publish: int) -> dict[str, str]:
-    """Write the content of the ``clock`` record."""
+    """Return the content of the ``clock`` record."""
     return {LOG_OFFSET: str(log), PUBLISH_OFFSET: str(publish)}
 
 
 def nanoseconds(seconds: float, offset: int) -> int:
-    """Give a time as MCAP counts it: unsigned, 64 bits."""
+    """Convert a time to MCAP's unsigned 64-bit nanoseconds."""
     return min(max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), LATEST_NS)

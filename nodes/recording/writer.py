@@ -1,8 +1,8 @@
-"""Write a recording: MCAP with one JSON channel per topic, readable up to the last flush whatever ends the writer.
+"""Write a recording: MCAP, one JSON channel per topic, readable up to the last flush.
 
-Every finished chunk goes straight to the operating system in one piece, so a killed writer leaves
-whole chunks and at most one cut record at the end, and a full disk leaves whole chunks only. No
-numpy here: a logger has to stay small.
+Every finished chunk goes to the operating system in one piece, so a killed writer leaves whole
+chunks and at most one cut record at the end, and a full disk leaves whole chunks only. No numpy
+here, to keep a logger small.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ CHUNK_SIZE = 65536  # uncompressed size at which a chunk is finished [bytes]
 MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
 """Names of the metadata records."""
 
-CHOSEN = "topics"  # what of the manifest lists the topics, where only some were to be recorded
+CHOSEN = "topics"  # manifest entry with the recorded topics, if not all
 
 _PACKAGES = ("haptic-nodes", "mcap", "msgspec", "pyzmq", "zstandard")
 
 
 class RecordError(HapticError):
-    """A recording cannot be written or read; the text names the file, the place in it and what to do."""
+    """A recording cannot be written or read; the text names file, place and remedy."""
 
 
 def versions() -> dict[str, str]:
-    """Tell what wrote a recording."""
+    """Return the versions of Python, system and packages that write a recording."""
     found = {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()}",
@@ -50,24 +50,24 @@ def versions() -> dict[str, str]:
 
 
 class Output:
-    """The file under the MCAP writer: each write goes whole to the operating system, or leaves no trace."""
+    """The file under the MCAP writer; each write is complete or leaves no trace."""
 
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
-        self.size = 0  # bytes handed over so far
+        self.size = 0  # bytes written so far
         flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
         try:
             self.descriptor = os.open(path, flags, 0o644)  # file descriptor; -1 once closed
             self._claim()
         except FileExistsError as error:
             raise RecordError(
-                f"{path}: exists already; give another name or ask for it to be overwritten"
+                f"{path}: already exists; choose another name or ask to overwrite it"
             ) from error
         except OSError as error:
             raise RecordError(f"{path}: cannot be created: {error.strerror}") from error
 
     def _claim(self) -> None:
-        """Be its only writer until it is closed, and empty it; RecordError while another process writes to it."""
+        """Lock and empty the file; raise RecordError while another process writes it."""
         if not stat.S_ISREG(os.fstat(self.descriptor).st_mode):
             return
         try:
@@ -75,22 +75,22 @@ class Output:
         except BlockingIOError as error:
             self.close()
             raise RecordError(
-                f"{self.path}: another process is writing it, and both would be lost; give another"
-                " name, or end that one first"
+                f"{self.path}: another process is writing it; choose another name, or stop that"
+                " process first"
             ) from error
         except OSError:
             pass  # a file system without locks
         os.ftruncate(self.descriptor, 0)
 
     def write(self, data: bytes) -> int:
-        """Hand over some bytes, all of them or none."""
+        """Write all of `data`, or nothing."""
         view = memoryview(data)
         try:
             while view:
                 view = view[os.write(self.descriptor, view) :]
         except OSError as error:
             left = len(view)
-            # A device or a pipe cannot be cut back, and has nothing to keep either.
+            # A device or a pipe cannot be truncated, and needs not.
             with contextlib.suppress(OSError):
                 os.ftruncate(self.descriptor, self.size)
             raise RecordError(
@@ -101,14 +101,14 @@ class Output:
         return len(data)
 
     def tell(self) -> int:
-        """Tell the position, as the MCAP writer asks for it."""
+        """Return the position, as the MCAP writer requires."""
         return self.size
 
     def flush(self) -> None:
-        """Do nothing: nothing is held back."""
+        """Do nothing: there is no buffer."""
 
     def close(self) -> None:
-        """Close the file; harmless when repeated."""
+        """Close the file; repeating it is harmless."""
         descriptor, self.descriptor = self.descriptor, -1
         if descriptor >= 0:
             try:
@@ -120,14 +120,14 @@ class Output:
 
 
 def discard(path: Path) -> None:
-    """Remove a file that could not be finished; devices, pipes and links to them stay."""
+    """Remove an unfinished file; devices, pipes and links stay."""
     if path.is_file() and not path.is_symlink():
         path.unlink()
 
 
 @contextlib.contextmanager
 def written(path: Path, overwrite: bool) -> Iterator[Output]:
-    """Open a file that is written whole, or not left there: what does not hold everything must not be taken for it."""
+    """Open a file for writing and remove it on failure, so that no partial file remains."""
     output = Output(path, overwrite)
     try:
         yield output
@@ -139,14 +139,14 @@ def written(path: Path, overwrite: bool) -> Iterator[Output]:
 
 
 def save(path: Path, data: bytes, overwrite: bool) -> None:
-    """Write a file whole, or leave none."""
+    """Write a complete file, or none."""
     with written(path, overwrite) as output:
         output.write(data)
 
 
 def mcap_writer(output: Output, library: str = "") -> Any:
-    """Start an MCAP writer the way this project writes: zstd, 64 KiB chunks, checksums over everything."""
-    # A launcher, which only checks a logger's parameters, does without it.
+    """Start an MCAP writer with this project's settings: zstd, 64 KiB chunks, checksums."""
+    # Imported here: a launcher only checks a logger's parameters and does not need it.
     from mcap.writer import CompressionType, Writer
 
     writer: Any = Writer(
@@ -162,25 +162,25 @@ def mcap_writer(output: Output, library: str = "") -> Any:
 
 
 class Ended(msgspec.Struct, frozen=True):
-    """What a launch knows of a recording that its logger did not finish, beside the file: a part is not taken for the whole."""
+    """A launch's facts about an unfinished recording, stored beside it."""
 
     ticks: int  # ticks of the whole run
     why: str  # how the logger ended
 
 
 def ended_beside(path: Path) -> Path:
-    """Name the file that tells it."""
+    """Return the path of the `Ended` file of a recording."""
     return path.with_name(f"{path.name}.ended.json")
 
 
 def write_ended(path: Path, ended: Ended) -> None:
-    """Write it beside the recording; on a disk that is full too, nothing is lost but this."""
+    """Write the `Ended` file; ignore errors, for example of a full disk."""
     with contextlib.suppress(OSError):
         ended_beside(path).write_bytes(msgspec.json.encode(ended))
 
 
 def read_ended(path: Path) -> Ended | None:
-    """Read it; None without such a file."""
+    """Read the `Ended` file; None without one."""
     try:
         return msgspec.json.decode(ended_beside(path).read_bytes(), type=Ended)
     except (OSError, msgspec.DecodeError):
@@ -188,7 +188,10 @@ def read_ended(path: Path) -> Ended | None:
 
 
 class RecordWriter:
-    """Write messages to one MCAP file; `manifest` identifies the run, `parameters` are those of each node, as text."""
+    """Writes messages to one MCAP file.
+
+    `manifest` identifies the run; `parameters` holds each node's parameters as JSON.
+    """
 
     def __init__(
         self,
@@ -223,7 +226,7 @@ class RecordWriter:
             raise
 
     def _open(self, topic: str, message_type: type[Message]) -> tuple[int, type[Message]]:
-        """Register the channel of a topic at its first message."""
+        """Register the channel of a topic for its first message."""
         if message_type not in self._schemas:
             self._schemas[message_type] = self._writer.register_schema(
                 f"haptic.{message_type.__name__}", "jsonschema", schema_json(message_type)
@@ -236,7 +239,7 @@ class RecordWriter:
     def _failure(self, error: RecordError) -> RecordError:
         self._failed = True
         return RecordError(
-            f"{error}; what was recorded before is kept, and completed by: haptic bag recover"
+            f"{error}; earlier messages are kept; complete the file with: haptic bag recover"
             f" {self.path}"
         )
 
@@ -246,10 +249,10 @@ class RecordWriter:
                 f"{self.path}: writing failed before; nothing more can be recorded in this file"
             )
         if self._output.descriptor < 0:
-            raise RecordError(f"{self.path}: closed already")
+            raise RecordError(f"{self.path}: already closed")
 
     def write(self, topic: str, message: Message, log_time_s: float) -> None:
-        """Add one message. Takes about 8 µs."""
+        """Add one message; takes about 8 µs."""
         self._usable()
         message_type = type(message)
         channel, expected = self._channels.get(topic) or self._open(topic, message_type)
@@ -278,7 +281,7 @@ class RecordWriter:
             raise self._failure(error) from error
 
     def flush(self) -> None:
-        """Hand the chunk to the operating system, every half second: then a kill loses nothing, though a power cut may."""
+        """Pass the chunk to the operating system: a kill then loses nothing, a power cut may."""
         self._usable()
         try:
             self._writer.flush()
@@ -286,7 +289,10 @@ class RecordWriter:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Write the summary and close the file. Harmless when repeated; after a failed write it only closes."""
+        """Write the summary and close the file; after a failed write, only close.
+
+        Repeating it is harmless.
+        """
         if self._output.descriptor < 0:
             return
         try:

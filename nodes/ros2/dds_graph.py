@@ -14,8 +14,8 @@ from typing import Any
 QUEUE = 10
 
 _LENIENT = (  # types with sequences match those of other vendors by name only
-    "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility></Domain>"
-    "</CycloneDDS>"
+    "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation>"
+    "</Compatibility></Domain></CycloneDDS>"
 )
 
 # as ROS vendors do: no multicast, which a loopback may lack, but every port polled

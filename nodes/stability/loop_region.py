@@ -36,7 +36,10 @@ class Disc:
     """Everything passive that a held, late force moves against one damper."""
 
     radius: float | Callable[[Reals], Reals]  # T/2b, or a function of ωT [m/N]
-    delay: float  # delay of the force, whole or fractional [ticks]
+    delay: float  # of the force, whole or fractional [ticks]
+    # Weights [1] and lags [rad] of ψ at each frequency, where aliases have discs of their own size;
+    # None: as of `lags`.
+    aliases: Callable[[Reals], list[tuple[Reals, Reals]]] | None = None
 
     @property
     def lags(self) -> tuple[tuple[int, float], ...]:
@@ -44,6 +47,19 @@ class Disc:
         whole = math.floor(self.delay)
         late = self.delay - whole
         return ((whole + 1, 1.0),) if late == 0.0 else ((whole + 1, 1.0 - late), (whole + 2, late))
+
+    def parts(self, theta: Reals) -> list[tuple[Reals, Reals]]:
+        """Return weights [1] and lags [rad] of which ψ is the sum at each frequency."""
+        if self.aliases is not None:
+            return self.aliases(theta)
+        return [(np.full(theta.shape, weight), lag * theta) for lag, weight in self.lags]
+
+    def turn(self, theta: Reals) -> Complexes:
+        """Return ψ, the centre of the disc over its radius."""
+        total = np.zeros(theta.shape, dtype=np.complex128)
+        for weight, lag in self.parts(theta):
+            total += weight * np.exp(-1j * lag)
+        return total
 
     def radii(self, theta: Reals) -> Reals:
         """Return the radius at each frequency [m/N]."""
@@ -71,7 +87,7 @@ class Region:
         known = np.zeros_like(w) if self.known is None else known_answer(self.known, theta)
         centre = known.copy()
         for disc in self.discs:
-            centre += disc.radii(theta) * sum(weight * w**lag for lag, weight in disc.lags)
+            centre += disc.radii(theta) * disc.turn(theta)
         turned = np.conj(step) * centre
         if self.any_world:
             # Re{D'/H} + Re centre − radius > 0, times |H|²
@@ -113,7 +129,7 @@ class Region:
         w = np.exp(-1j * theta)
         h = law.response(1.0 / w)
         step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)
-        psi = sum(weight * w**lag for lag, weight in disc.lags)
+        psi = disc.turn(theta)
         known = np.zeros_like(w) if self.known is None else known_answer(self.known, theta)
         near = (np.conj(psi) * (step / h + known)).real
         for one in self.discs:
@@ -160,7 +176,7 @@ def known_answer(plant: Plant, theta: Reals) -> Complexes:
 def _short_of_one(disc: Disc, theta: Reals) -> Reals:
     """Return 1 − Re ψ, as sines."""
     return np.asarray(
-        sum(2.0 * weight * np.sin(0.5 * lag * theta) ** 2 for lag, weight in disc.lags),
+        sum(2.0 * weight * np.sin(0.5 * lag) ** 2 for weight, lag in disc.parts(theta)),
         dtype=np.float64,
     )
 
@@ -168,7 +184,7 @@ def _short_of_one(disc: Disc, theta: Reals) -> Reals:
 def _apart(one: Disc, other: Disc, theta: Reals) -> Reals:
     """Return 1 − Re{ψ₁ ψ₂*} as sines: 0 if both have the same whole delay."""
     total = np.zeros_like(theta)
-    for lag, weight in one.lags:
-        for late, share in other.lags:
-            total += 2.0 * weight * share * np.sin(0.5 * (lag - late) * theta) ** 2
+    for weight, lag in one.parts(theta):
+        for share, late in other.parts(theta):
+            total += 2.0 * weight * share * np.sin(0.5 * (lag - late)) ** 2
     return total

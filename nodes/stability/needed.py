@@ -114,12 +114,28 @@ def needed_tool_damping(
     return _least_tool(law, plant, any_hand, unit, plant.damping)
 
 
-def needed_tool_mass(law: CompiledLaw, plant: Plant, any_hand: bool = False) -> float | None:
+def needed_tool_mass(
+    law: CompiledLaw, plant: Plant, any_hand: bool = False, steps: int = 1, delay: float = 0.0
+) -> float | None:
     """Return the least mass of a semi-implicit Euler tool that certifies a law [kg].
 
     None if none is enough, with implicit bodies behind the tool.
+
+    Parameters
+    ----------
+    law : CompiledLaw
+        The law.
+    plant : Plant
+        The device and its loop.
+    any_hand : bool
+        Whether every passive hand may hold the device; else the hand is that of the plant.
+    steps : int
+        Steps of the integrator in a tick, the force held.
+    delay : float
+        From the sample to the force that moves the tool, whole [ticks].
     """
-    return _least_tool(law, plant, any_hand, euler_disc(plant, 1.0), plant.mass)
+    unit = euler_disc(plant, 1.0, steps, 0.0, delay)
+    return _least_tool(law, plant, any_hand, unit, plant.mass)
 
 
 def _least_tool(

@@ -79,6 +79,9 @@ class SteppedTool:
     damping: float  # of the tool to ground [N s/m]
     # from the sample to the force that moves the tool; None: as late as on the device [ticks]
     delay: float | None = None
+    # Semi-implicit Euler steps a tick with all behind the tool implicit: a heavier tool is a remedy
+    # too. None: other steps, or springs that are not implicit.
+    steps: int | None = None
 
     def __post_init__(self) -> None:
         """Check damping and delay."""
@@ -101,18 +104,28 @@ class EulerTool:
     """A tool of known mass, stepped by semi-implicit Euler, implicit bodies behind it."""
 
     mass: float  # least mass of the tool [kg]
+    steps: int = 1  # of the integrator in a tick, the force held
+    damping: float = 0.0  # of the tool to the ground, solved implicitly [N s/m]
+    # from the sample to the force that moves the tool, to the nearest step [ticks]
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the mass."""
         if not (math.isfinite(self.mass) and self.mass > 0.0):
             raise ValueError(f"mass = {self.mass!r} kg: expected a finite value above 0")
+        _check_damped(self.damping, self.delay)
+        if self.steps < 1:
+            raise ValueError(f"steps = {self.steps!r}: expected at least 1")
 
     @property
     def about(self) -> str:
         """Description of these worlds."""
+        count = "one step" if self.steps == 1 else f"{self.steps} steps"
+        damped = f" and {self.damping:g} N s/m to the ground" if self.damping else ""
+        late = f", the force {self.delay:g} ticks late" if self.delay else ""
         return (
-            f"a tool of at least {self.mass:g} kg, one step of semi-implicit Euler a tick, "
-            "with any passive bodies behind it that are solved implicitly"
+            f"a tool of at least {self.mass:g} kg{damped}, {count} of semi-implicit Euler a"
+            f" tick{late}, with any passive bodies behind it that are solved implicitly"
         )
 
 
@@ -181,7 +194,8 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
     if isinstance(world, OtherDevice):
         return Region(plant.period, known, (*hands, held_disc(plant, world.damping, world.delay)))
     if isinstance(world, EulerTool):
-        return Region(plant.period, known, (*hands, euler_disc(plant, world.mass)))
+        disc = euler_disc(plant, world.mass, world.steps, world.damping, world.delay)
+        return Region(plant.period, known, (*hands, disc))
     raise ValueError("world: springs of a range are no region; use spring_window")
 
 
@@ -199,15 +213,41 @@ def held_disc(plant: Plant, damping: float, delay: float) -> Disc:
     return Disc(0.5 * plant.period / damping, delay)
 
 
-def euler_disc(plant: Plant, mass: float) -> Disc:
-    """Return the disc of a mass stepped by semi-implicit Euler, anything implicit attached."""
+def euler_disc(
+    plant: Plant, mass: float, steps: int = 1, damping: float = 0.0, delay: float = 0.0
+) -> Disc:
+    """Return the disc of a mass stepped by semi-implicit Euler, anything implicit attached.
+
+    In a step of h = T/n velocity over force is a point of the disc about 1/2g with radius 1/2g,
+    g = m (1 − cos θ_i)/h + b_t. A force that is held over n steps meets the n aliases
+    θ_i = (ωT + 2πi)/n with the weights sin²(ωT/2)/(n sin(θ_i/2))², whose sum is 1 (THEORY.md §18).
+    A force that comes some steps late turns each alias by its own angle.
+    """
+    step = plant.period / steps
+    late = round(delay * steps)
+
+    def sizes(theta: Reals) -> list[Reals]:
+        found = []
+        for i in range(steps):
+            sine = np.sin((0.5 * theta + math.pi * i) / steps) ** 2
+            own = 2.0 * mass * sine / step + damping
+            found.append(np.sin(0.5 * theta) ** 2 / (steps**2 * sine) / own)
+        return found
 
     def radius(theta: Reals) -> Reals:
-        return np.asarray(
-            plant.period**2 / (4.0 * mass * np.sin(0.5 * theta) ** 2), dtype=np.float64
-        )
+        return np.asarray(0.5 * plant.period * sum(sizes(theta)), dtype=np.float64)
 
-    return Disc(radius, 0.0)
+    def aliases(theta: Reals) -> list[tuple[Reals, Reals]]:
+        own = sizes(theta)
+        whole = sum(own)
+        return [
+            (size / whole, theta + late * (theta + 2.0 * math.pi * i) / steps)
+            for i, size in enumerate(own)
+        ]
+
+    if late % steps == 0:
+        return Disc(radius, float(late // steps))
+    return Disc(radius, late / steps, aliases)
 
 
 def world_k_max(

@@ -1,1 +1,1 @@
-"""The page: a scene that moves, plots, sliders, a map of stability and a hand to drag, in any browser on this machine."""
+"""The page: live scene, plots, sliders, stability map and a hand to drag, in a browser."""

@@ -1,16 +1,16 @@
-"""The one address at which a page is served; who only checks it does without the server."""
+"""The address at which a page is served, in a module that does not import the server."""
 
 from __future__ import annotations
 
 from nodes.parameters.store import ParameterError
 
-ADDRESS = "127.0.0.1"  # the one address that is bound
-# names under which a browser of this machine, or behind an ssh tunnel, asks for it
+ADDRESS = "127.0.0.1"  # the only address bound
+# Host names used by a browser on this machine or behind an ssh tunnel.
 LOCAL = ("127.0.0.1", "localhost")
 
 
 def check_address(address: str, port: int) -> None:
-    """Refuse every address but this machine's own: who reaches the page can command the loop."""
+    """Refuse any non-local address: whoever reaches the page can command the loop."""
     if address in LOCAL:
         return
     import getpass

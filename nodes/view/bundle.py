@@ -1,8 +1,8 @@
-"""The page's modules as one file: each answer costs a connection, and thirty of them cost a browser on one processor a second.
+"""Bundle the page's JavaScript modules into one file, to save a connection per module.
 
-The sources stay modules of their own, which a browser can load one by one as well. What is served
-as the first of them is that one and all that it imports, each in a function of its own, in the
-order in which they need each other.
+On one processor thirty requests cost a browser a second. The sources stay separate modules, which a
+browser can also load one by one. The bundle contains the first module and all its imports, each in
+its own function, in order of dependence.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ _OTHER = re.compile(r"^(?:import|export)\b.*", re.MULTILINE)
 
 
 def bundle(sources: Mapping[str, str], first: str) -> str:
-    """Put a module and all that it imports into one."""
+    """Return module `first` and all its imports as one script."""
     parts: list[str] = []
     done: set[str] = set()
 
     def add(name: str, above: tuple[str, ...]) -> None:
         if name in above:
-            raise ValueError(
-                f"modules of the page import each other in a circle: {' > '.join([*above, name])}"
-            )
+            raise ValueError(f"circular imports of page modules: {' > '.join([*above, name])}")
         if name in done:
             return
         done.add(name)
@@ -35,7 +33,7 @@ def bundle(sources: Mapping[str, str], first: str) -> str:
         body = _EXPORT.sub("", _IMPORT.sub(r"const { \1 } = $\2;", source))
         if left := _OTHER.search(body):
             raise ValueError(
-                f"{name}.js: only named imports and exports are put together, not {left[0]}"
+                f"{name}.js: only named imports and exports can be bundled, not {left[0]}"
             )
         parts.append(f"const ${name} = (() => {{\n{body}\nreturn {{ {exports} }};\n}})();\n")
 

@@ -1,13 +1,11 @@
-"""What a page may ask for: what ``haptic param`` and ``haptic law`` can, the end of the run, a recording, and undo.
+"""Requests of a page: parameters and laws as in ``haptic``, delay, undo, recording, stop.
 
-A virtual device can be given another delay; the coupling judges its law with that first. Where the
-launch file allows it (``pointer: {beyond: true}``) a page may also go past the edge of stability on
-such a device, and start the driver again when it has stopped the loop. The permission is read here
-from what the launch consists of.
+A page can also change the delay of a virtual device; the coupling first judges its law with the new
+delay. If the launch file allows it (``pointer: {beyond: true}``), a page may pass the stability
+limit on such a device, and restart a driver that stopped the loop.
 
-Each request becomes one control request to a node, which validates it as it does everybody's; its
-receipt or its refusal goes back to the page as it came. The page cannot name an operation, a file
-or a program.
+Each request becomes one control request to a node, which validates it as any other; its receipt or
+refusal goes back to the page unchanged. A page cannot name an operation, a file or a program.
 """
 
 from __future__ import annotations
@@ -32,24 +30,26 @@ from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
 
-TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
-# and for what is only read [s]: a node that is started again never answers what its predecessor was
-# asked
+TIMEOUT = 10.0  # time limit of a change: judging a law with thousands of taps takes seconds [s]
+# Time limit of a read: a restarted node never answers requests to its predecessor [s].
 READ_TIMEOUT = 2.0
-# changes of the same parameters in so short a time are one step of undo: a slider that is drawn [s]
+# Changes of the same parameters within this time are one undo step, as when dragging a slider [s].
 TOGETHER = 1.0
-STEPS = 100  # steps of undo that are kept
+STEPS = 100  # limit of undo steps stored
 
 
-JUDGES = ("stability", "fallback", "budget", "plant")  # a page cannot turn its own judge off
+JUDGES = ("stability", "fallback", "budget", "plant")  # parameters that a page cannot change
 
 
 class CommandError(HapticError):
-    """A request that was refused; the text is for the page."""
+    """A refused request; the text is for the page."""
 
 
 class Commander:
-    """Asks the nodes of a run on behalf of its pages. One thread uses it, but for `stop` and `end`."""
+    """Sends a page's requests to the nodes of a run.
+
+    One thread uses it, except for `stop` and `end`.
+    """
 
     def __init__(self, run: RunInfo, again: bool = False) -> None:
         self._run = run
@@ -60,10 +60,10 @@ class Commander:
         self._recordings = 0
         self._path = self._failure = ""
         known = roles(run)
-        # empty for a run without
+        # Node names; empty if the run has none.
         self.driver, self.coupling = known.get("driver", ""), known.get("coupling", "")
-        # Whether pages may go past the edge of stability, turn the device's delay, have the driver
-        # started again.
+        # Whether pages may pass the stability limit, change the device's delay, and restart the
+        # driver; and whether the device reports its masses.
         self.beyond = self.delays = self._tells_inertia = False
         if self.driver:
             driver = run.nodes[self.driver]
@@ -82,25 +82,25 @@ class Commander:
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
             raise CommandError(
-                f"{self._run.run}: no node is named {node!r}; there is:"
+                f"{self._run.run}: no node is named {node!r}; available:"
                 f" {', '.join(self._run.nodes)}"
             )
         return self._run.nodes[node].control
 
     def ask(self, node: str, op: str, timeout: float = TIMEOUT, /, **args: object) -> Any:
-        """Ask one node."""
+        """Send one request to a node and return its answer."""
         endpoint = self._endpoint(node)
         if node not in self._lines:
             self._lines[node] = Connection(self._context, endpoint)
         try:
             return self._lines[node].call(op, timeout, **args)
         except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
-            # Beside refusals: an endpoint or key that cannot be used, a value that no message can
-            # carry, the end.
+            # Refusals; also unusable endpoints or keys, values that cannot be encoded, and the
+            # end of the context.
             raise CommandError(str(error)) from error
 
     def do(self, request: Mapping[str, Any]) -> Any:
-        """Do what a page asks."""
+        """Execute a page's request."""
         known: dict[str, Callable[..., Any]] = {
             "set": self._set,
             "law": self._set_law,
@@ -134,13 +134,13 @@ class Commander:
         for name in values:
             if name.partition(".")[0] in JUDGES:
                 raise CommandError(
-                    f"{node}.{name}: judges what is set here, so it is not set from a page; use:"
-                    f" haptic param set {node} {name}"
+                    f"{node}.{name}: a page cannot change it, because it limits the page's own"
+                    f" changes; use: haptic param set {node} {name}"
                 )
             try:
                 before[name] = self.ask(node, "param.get", name=name)
             except CommandError:
-                # Not stated so far: its branch is what undo puts back.
+                # Not set so far: undo restores the group that contains it.
                 upper = name.rpartition(".")[0]
                 before[upper] = self.ask(node, "param.get", name=upper)
         receipt: dict[str, Any] = self.ask(node, "param.set", values=values, **args)
@@ -150,16 +150,15 @@ class Commander:
     def _set_law(
         self, field: str, value: Any, beyond: bool = False, law: str = ""
     ) -> dict[str, Any]:
-        """Change one parameter of the active law; a preset that is used as it stands becomes a law of that name.
+        """Change one parameter of the active law; an unmodified preset is stored as a law.
 
-        `law`: the one that the page has its control for; where another renders by now, nothing is
-        changed.
+        `law` names the law whose control the page shows; if another law is active, nothing changes.
         """
         force = self._forced(beyond)
         name = self.ask(self.coupling, "law.list")["active"]
         if law not in ("", name):
             raise CommandError(
-                f"view: law: {name} renders by now, not {law}; {law}.{field} stays as it is"
+                f"view: law: {name} is now active, not {law}; {law}.{field} is unchanged"
             )
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
@@ -167,28 +166,27 @@ class Commander:
         return self._change(self.coupling, {f"laws.{name}": {"kind": name, field: value}}, **force)
 
     def _forced(self, beyond: bool) -> dict[str, Any]:
-        """Add what a change past the edge of stability is asked with."""
+        """Return the option for a change past the stability limit; refuse it if not allowed."""
         if beyond and not self.beyond:
             raise CommandError(
-                f"view: beyond: {self.driver} may not be driven past the edge of stability; only a"
-                " virtual device may, and only where its launch file says pointer: {beyond:"
-                " true}"
+                f"view: beyond: {self.driver} may not pass the stability limit; only a virtual"
+                " device may, if its launch file has pointer: {beyond: true}"
             )
         return {"force": True} if beyond else {}
 
     def inertia(self) -> dict[str, Any] | None:
-        """Ask the masses of a device that knows them, over the poses that it was in; None for any other."""
+        """Return the masses that a device reports for its poses so far; None if it reports none."""
         if not self._tells_inertia:
             return None
         try:
             found: dict[str, Any] | None = self.ask(self.driver, "inertia")
         except CommandError:
-            # A driver that is being started again: the map is drawn again soon.
+            # The driver is restarting; the map will be redrawn soon.
             return None
         return found
 
     def device_delay(self) -> float | None:
-        """Ask how late the device answers [ticks]; None for one that nobody can tell."""
+        """Return the device's delay [ticks]; None for a device that is not virtual."""
         if not self.delays:
             return None
         return float(self.ask(self.driver, "param.get", READ_TIMEOUT, name="device.delay"))
@@ -197,15 +195,15 @@ class Commander:
         before = self.device_delay()
         if before is None:
             raise CommandError(
-                f"view: delay: {self.driver} is no virtual device in real time, so its delay is"
-                " what it is"
+                f"view: delay: {self.driver} is not a virtual device in real time, so its delay"
+                " cannot be changed"
             )
         receipt = self._answer_later(ticks, before, self._forced(beyond))
         self._remember(self.driver, {"delay": before}, {"delay": ticks})
         return {"node": self.driver, "values": {"delay": ticks}, "receipt": receipt}
 
     def _answer_later(self, ticks: float, before: float, force: dict[str, Any]) -> Any:
-        """Have a virtual device answer later or sooner: first the coupling judges its law with that."""
+        """Change a virtual device's delay, after the coupling judged its law with it."""
         path, plant = "plant.device_delay", self.ask(self.coupling, "param.get", name="plant")
         declared = plant and plant["device_delay"]
         if plant is not None:
@@ -220,16 +218,15 @@ class Commander:
         return receipt
 
     def _start_again(self, stiffness: float) -> dict[str, Any]:
-        """Have a virtual driver that has stopped the loop started again, with a wall that is stable."""
+        """Restart a virtual driver that stopped the loop, with a stable wall."""
         if not self.again:
             raise CommandError(
-                "view: again: this run's launcher does not start the driver again; launch again"
+                "view: again: this launch does not restart its driver; start a new launch"
             )
         if self.ask(self.driver, "progress")["safety"] != "stopped":
             raise CommandError(f"view: again: {self.driver} has not stopped the loop")
         changed = self._set_law("stiffness", stiffness)
-        # A stopped driver hands over no force, and the device is made up: nothing is lost with the
-        # process.
+        # A stopped driver renders no force and the device is virtual, so killing it is safe.
         os.kill(int(self.ask(self.driver, "status")["pid"]), signal.SIGKILL)
         return changed
 
@@ -264,7 +261,7 @@ class Commander:
         return {"node": node, "undone": values, "values": before, "receipt": receipt}
 
     def stop(self) -> dict[str, Any]:
-        """End the run as its own end would; on a thread of its own it waits for no other answer."""
+        """Stop the run. Called on its own thread, so that it waits for no other request."""
         try:
             call(self._context, self._endpoint(self.driver), "stop", TIMEOUT)
         except (HapticError, zmq.ZMQError) as error:
@@ -291,11 +288,11 @@ class Commander:
 
     @property
     def records(self) -> bool:
-        """Whether a recording that a page has begun is under way, as far as is known."""
+        """Whether a recording started by a page is running, as far as known."""
         return self._recorder is not None
 
     def recording(self) -> dict[str, Any]:
-        """Tell how the recording stands; one that has ended by itself, as on a full disk, is over, and why is told."""
+        """Return the state of the recording; if it ended by itself, also the reason."""
         if self._recorder is not None and self._recorder.poll() is not None:
             self._end_recorder()
         return {"recording": self._recorder is not None, "path": self._path, "error": self._failure}
@@ -309,13 +306,13 @@ class Commander:
             answered, said = recorder.communicate(timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
             self._failure = (
-                f"recording: {self._path} is not complete {TIMEOUT:g} s after it was asked to end"
+                f"recording: {self._path} is not complete {TIMEOUT:g} s after the request to end"
             )
             return
         self._recorder, self._failure = None, ""
         if recorder.returncode == -signal.SIGINT:
             # Its interpreter was still starting.
-            self._failure = "recording: it was ended before it had begun"
+            self._failure = "recording: stopped before it began"
         elif recorder.returncode not in (0, 130):
             why = _error_of(answered) or " ".join(said.decode(errors="replace").split())[-500:]
             self._failure = (
@@ -323,18 +320,18 @@ class Commander:
             )
 
     def end(self) -> None:
-        """Give up what is waited for; returns after `close`, on another thread."""
+        """Cancel all pending requests; returns after `close` on another thread."""
         self._context.term()
 
     def close(self) -> None:
-        """Complete a recording that is under way, and close the connections."""
+        """Complete a running recording and close the connections."""
         self._end_recorder()
         for line in self._lines.values():
             line.drop()
 
 
 def _error_of(answer: bytes) -> str:
-    """Return the error of a command's ``--json`` answer; empty where it gave none."""
+    """Return the error of a command's ``--json`` answer; empty if there is none."""
     try:
         return str(msgspec.json.decode(answer, type=dict[str, Any]).get("error", ""))[-500:]
     except msgspec.DecodeError:

@@ -1,9 +1,9 @@
-"""A | B: the hand of a running launch on another law too, played beside it.
+"""A | B comparison: simulate the running launch's hand with another law, B.
 
-What plays it is registered for the launch's kind of driver (entry points ``haptic.beside``). It
-runs in a process of its own off the loop's processors, so the loop does not notice. The hand's
-targets are those that the driver told; the delay is the one measured. Whenever neither of the two
-is in contact, B starts again from where A is: differences do not pile up.
+The player is registered for the launch's kind of driver (entry points ``haptic.beside``). It runs
+in a process of its own off the loop's processors, so it does not disturb the loop. It uses the hand
+targets that the driver reports and the measured delay. Whenever A and B are both out of contact, B
+restarts from A's state, so differences do not accumulate.
 """
 
 from __future__ import annotations
@@ -25,16 +25,19 @@ PLAYERS = Registry(
     "player",
     lambda _, found: "" if callable(found) else f"{found!r} cannot be called",
 )
-"""By kind of driver: position and force from the nodes, a law, the targets of the hand, its beginning and a delay."""
+"""Player per kind of driver.
 
-PERIOD = 0.05  # how often B is played on [s]
-FREE = 0.4  # both free for so long, B starts again from where A is [s]
-LONGEST = 30.0  # after so long it does so in any case [s]
-SHOWN = 1.0  # how much of B each message holds: a page that is slow loses none [s]
+It computes position and force from nodes, law, hand targets, initial state and delay.
+"""
+
+PLAY_PERIOD = 0.05  # time between two continuations of B [s]
+FREE = 0.4  # time without contact of both after which B restarts from A's state [s]
+RESTART_AFTER = 30.0  # time after which it restarts in any case [s]
+SHOWN = 1.0  # duration of B that each message contains, so that slow pages miss nothing [s]
 
 
 class Comparison:
-    """Plays B. The pages' thread uses it."""
+    """Simulates law B; used by the pages' thread."""
 
     def __init__(
         self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]
@@ -45,8 +48,7 @@ class Comparison:
         self._period = setup.period if setup else 1.0
         self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
         self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
-        # Whether this launch can be compared: a virtual device on one axis, at a surface and not at
-        # a body.
+        # Whether this launch can be compared: a virtual device on one axis, without moving bodies.
         self.there = self._kind in PLAYERS.names() and all(
             one.kind != "world" for one in run.nodes.values()
         )
@@ -58,23 +60,23 @@ class Comparison:
         self._job: asyncio.Task[None] | None = None
         self._played_at = 0.0
         self.law = ""  # name of B; empty for none
-        # how much later the device answers by now than the launch file says [ticks]
+        # Present delay of the device minus that of the launch file [ticks].
         self.later = 0.0
 
     def choose(self, law: str, described: Mapping[str, Any]) -> None:
-        """Play another law beside the launch, or none."""
+        """Start simulating law `law`; an empty name stops."""
         self.law, self._described = law, described
         self._restart()
         self._put("beside", {"law": law})
 
     def follow(self, laws: Mapping[str, Any]) -> None:
-        """Take B's parameters as they are by now: changed, it begins anew."""
+        """Update B's parameters; if they changed, restart B."""
         described = laws.get(self.law, self._described)
         if self.law and described != self._described:
             self.choose(self.law, described)
 
     def delayed(self, ticks: float) -> None:
-        """Take how late the device answers by now: with another delay B begins anew."""
+        """Set the device's present delay [ticks]; if it changed, restart B."""
         later = ticks - float(self._setups[self._driver].parameters["device"].get("delay", 0.0))
         if later != self.later:
             self.later = later
@@ -88,7 +90,7 @@ class Comparison:
         self._b_is_free = False
 
     def take(self, topic: str, message: Message) -> None:
-        """Take what the driver tells of its hand."""
+        """Add the hand target of a state."""
         del topic
         if not self.law or not isinstance(message, DeviceState):
             return
@@ -96,24 +98,24 @@ class Comparison:
         if before is None or message.seq <= before.seq:
             return
         axis, ticks = self._axis, message.seq - before.seq
-        # Without contact for both: nothing is in anybody's history.
+        # Without contact, the histories of both laws are empty.
         self._free = self._free + ticks if message.force[axis] == 0.0 == before.force[axis] else 0
-        longest = len(self._targets) * self._period > LONGEST
+        longest = len(self._targets) * self._period > RESTART_AFTER
         if not self._targets or longest or (self._free * self._period > FREE and self._b_is_free):
             self._restart()
             x, old = message.position[axis], before.position[axis]
             self._begin, self._from = (x, (x - old) / (ticks * self._period)), message.seq
             self._b_is_free = False
         else:
-            # A state that was lost on the way: the hand went straight.
+            # Interpolate targets of lost states linearly.
             last, now = self._targets[-1], message.target[axis]
             self._targets += [last + (now - last) * k / ticks for k in range(1, ticks)]
         self._targets.append(message.target[axis])
 
     def step(self, now: float, delay: float) -> None:
-        """Play on when it is due and nothing is under way."""
+        """Continue the simulation when due and idle."""
         busy = self._job is not None and not self._job.done()
-        if self.law and self._targets and not busy and now - self._played_at > PERIOD:
+        if self.law and self._targets and not busy and now - self._played_at > PLAY_PERIOD:
             self._played_at = now
             self._job = asyncio.get_running_loop().create_task(
                 self._play_on(round(max(0.0, delay - self._late) + self.later, 2))
@@ -148,7 +150,7 @@ class Comparison:
         self._put("beside", document)
 
     async def close(self) -> None:
-        """End the process that plays."""
+        """Stop the simulation process."""
         self.law = ""
         if self._job is not None:
             self._job.cancel()
@@ -157,5 +159,5 @@ class Comparison:
 
 
 def _play(kind: str, *words: Any) -> Any:
-    """Import what plays where it plays: the view itself stays small."""
+    """Import and call the player in the worker, so that the view itself stays small."""
     return PLAYERS.load(kind)(*words)

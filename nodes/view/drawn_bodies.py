@@ -1,4 +1,4 @@
-"""Where the bodies of a scene are, for a page: read from a running environment, or found by stepping a recording's scene."""
+"""Poses of moving bodies for a page: read from a running environment, or recomputed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ from nodes.view.shape import bodies_of
 
 
 class RunningBodies:
-    """The bodies of a running environment, which may start later than this; OSError when they are on another machine."""
+    """Bodies of a running environment; OSError if it is on another machine.
+
+    The environment may start later than this.
+    """
 
     def __init__(self, setup: Setup, given_up: Callable[[], bool]) -> None:
         parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
@@ -30,16 +33,16 @@ class RunningBodies:
         self._poses = Poses(
             awaited(poses_file(setup.run_dir, setup.name), file_size(count), setup, given_up), count
         )
-        self.shape = bodies_of(world)  # what they look like
+        self.shape = bodies_of(world)  # their triangles
 
     def news(self) -> dict[str, Any] | None:
-        """Tell where they are; None when nobody knows yet."""
+        """Return the present poses; None if not known yet."""
         found = self._poses.read()
         return None if found is None else {"poses": np.round(found, 6).tolist()}
 
 
 def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None:
-    """Tell the ticks whose position reached the environment, by what it answered; None where no answer was recorded."""
+    """Return the ticks that the environment answered; None if no answers were recorded."""
     return (
         {message.seq for message in recording.messages(topic)}
         if topic in recording.topics
@@ -48,7 +51,10 @@ def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None
 
 
 class RecordedBodies:
-    """The bodies of a recording: its scene stepped again as the node stepped it, by the ticks that it `met` (`met_ticks`)."""
+    """Bodies of a recording, found by stepping its scene as the node did.
+
+    Only the ticks in `met` (see `met_ticks`) step the scene.
+    """
 
     def __init__(
         self,
@@ -62,11 +68,11 @@ class RecordedBodies:
         self.world: MovingScene = load_world(
             convert(parameters, MujocoParameters, name), period, name
         )
-        # Whether it has been given a tick, and followed one.
+        # Whether a tick was passed to `follow`, and whether one was stepped.
         self.asked = self._begun = False
 
     def follow(self, state: DeviceState) -> None:
-        """Step the scene to a tick."""
+        """Step the scene to a state's tick."""
         self.asked = True
         if state.safety == "fault" or (self._met is not None and state.seq not in self._met):
             return
@@ -81,5 +87,5 @@ class RecordedBodies:
         self._begun = True
 
     def poses(self) -> NDArray[np.float64]:
-        """Tell where they are."""
+        """Return the present poses: position and rotation matrix per geom."""
         return np.hstack([self.world.data.geom_xpos, self.world.data.geom_xmat])

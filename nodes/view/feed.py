@@ -1,8 +1,7 @@
-"""What a page draws: the loop's messages in bins of one or a few ticks, each with its least and largest value.
+"""Bin the loop's messages for a page: smallest and largest value per bin of some ticks.
 
-A spike of one tick is never lost, however many ticks a bin holds. The bins of the last minute are
-kept, so a page that opens late sees what was, and one that is slow takes more at a time; older ones
-are gone, so memory is bounded whatever a page does.
+A spike of one tick is never lost, whatever the bin size. The bins of the last minute are stored, so
+a page opened late sees the past and a slow page catches up; memory is bounded whatever a page does.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from messages import topics
 from messages.types import DeviceState, Force, Message, Proxy, Vector
 from nodes.base.setup import AXIS_INDEX
 
-# most bins in a second of the run: more than a screen has columns in the shortest useful span
+# Limit of bins per second of the run: more than a screen's columns in the shortest useful span.
 BINS_PER_SECOND = 500.0
-GRACE = 0.06  # how long a bin waits for messages that are still on their way [s]
-# kind 1, bins, series, 1 when earlier bins are void; the scene now: `Feed.now`
+GRACE = 0.06  # time that a bin waits for messages in flight [s]
+# Kind (1), number of bins, of series, 1 if earlier bins are void; then `Feed.now`.
 HEAD = struct.Struct("<4I22d")
 _FIELDS = ("position", "proxy", "target", "law_force", "force")
 _SCALARS = ("energy", "response")
@@ -39,7 +38,7 @@ class Feed:
         seconds: float = 60.0,
         bins_per_second: float = BINS_PER_SECOND,
     ) -> None:
-        # what is plotted
+        # Names of the series.
         self.names = [*(f"{field}.{axis}" for field in _FIELDS for axis in axes), *_SCALARS]
         self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))  # ticks in a bin
         self._period = period
@@ -57,18 +56,18 @@ class Feed:
         self._newest: dict[str, int] = dict.fromkeys(topics.LOOP, -1)
         self.head = 0  # bins filed so far; the newest is number ``head`` − 1
         self.late = 0  # messages that came after their bin was filed
-        # The latest ones.
+        # Latest messages.
         self.state: DeviceState | None = None
         self.proxy: Proxy | None = None
         self.force: Force | None = None
-        self.force_before: Force | None = None  # the one before
+        self.force_before: Force | None = None  # force before the latest
         width = len(axes)
         self._at = {field: i * width for i, field in enumerate(_FIELDS)}
         self._energy = len(_FIELDS) * width
         self._response = self._energy + 1
 
     def take(self, topic: str, message: Message) -> None:
-        """Take one message of the loop into its bin."""
+        """Add a message of the loop to its bin."""
         number = message.seq // self.per_bin
         if isinstance(message, DeviceState):
             self.state = message
@@ -111,9 +110,9 @@ class Feed:
             row[at] = value
 
     def file(self, all_of_them: bool = False) -> None:
-        """File the bins to which no more messages can come."""
+        """Finish the bins for which no more messages are expected."""
         newest = self._newest.values()
-        # Complete when every topic is past it; or given up when the newest one is well past it.
+        # A bin is complete when every topic is past it, or when the newest one is well past it.
         until = max(min(newest) - 1, max(newest) - self._grace)
         if all_of_them:
             until = max(newest)
@@ -123,20 +122,20 @@ class Feed:
             self._times[slot] = number * self.per_bin * self._period
             values = np.array(row)
             values[np.isinf(values)] = np.nan
-            # What is beyond float32 is drawn at its edge: a loop that explodes is still a picture.
+            # Clip to float32, so that a diverging loop can still be drawn.
             self._values[:, slot] = np.clip(values, -3e38, 3e38)
             self._filed = number
             self.head += 1
 
     def oldest(self, seconds: float = math.inf) -> int:
-        """Tell the number of the oldest bin that is kept."""
+        """Return the number of the oldest stored bin, at most `seconds` back."""
         kept = max(0, self.head - self._size)
         if math.isinf(seconds):
             return kept
         return max(kept, self.head - math.ceil(seconds / (self.per_bin * self._period)))
 
     def until(self, time: float) -> int:
-        """Find the number of the first bin after a time."""
+        """Return the number of the first bin after `time` [s]."""
         kept = range(self.oldest(), self.head)
         return kept.start + bisect_right(
             kept, time, key=lambda number: self._times[number % self._size]
@@ -145,7 +144,11 @@ class Feed:
     def frame(
         self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None
     ) -> bytes:
-        """Encode bins for the page: little endian, times as float64, then each series' least and largest values as float32."""
+        """Encode bins for the page, little endian.
+
+        After the head come the times as float64, then each series' smallest and largest values as
+        float32.
+        """
         first = max(first, self.oldest())
         slots = np.arange(first, max(end, first)) % self._size
         head = HEAD.pack(
@@ -154,7 +157,7 @@ class Feed:
         return b"".join((head, self._times[slots].tobytes(), self._values[:, slots].tobytes()))
 
     def now(self) -> tuple[float, ...]:
-        """Tell what the scene shows now."""
+        """Return the present state of the scene, 22 numbers; NaN if unknown."""
         nowhere = (math.nan, math.nan, math.nan)
         state, proxy, force = self.state, self.proxy, self.force
         return (

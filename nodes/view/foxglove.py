@@ -1,11 +1,11 @@
-"""Foxglove and Lichtblick, live: topics with their schemas (at most 60 messages a second each), the scene, and parameters.
+"""Live bridge to Foxglove and Lichtblick: topics with schemas, the scene, and parameters.
 
-The scene in three dimensions is topic ``/scene``, of Foxglove's own type: its shape once for each
-who subscribes, then poses.
+At most 60 messages a second per topic. The 3D scene is the topic ``/scene`` of Foxglove's own type:
+its shape is sent once per subscriber, then poses.
 
-An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off unless asked for, because
-Foxglove's protocol knows no token, and its library does not tell the Origin: any page in a browser
-of this machine could connect to the port. So nothing can be set there.
+An optional extra: ``pip install 'haptic-nodes[foxglove]'``. It is off by default, because
+Foxglove's protocol has no token and its library does not report the Origin: any page in a browser
+of this machine could connect to the port. Therefore it is read-only.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from nodes.parameters.store import ParameterError
 from nodes.view.commands import CommandError
 from nodes.view.foxglove_scene import SCENE, SCHEMA, DrawnScene
 
-MOST = 60.0  # most messages per second and topic: Lichtblick warns beyond
+RATE_LIMIT = 60.0  # messages per second and topic; Lichtblick warns above [1/s]
 
 
 def load() -> Any:
-    """Import Foxglove's own library."""
+    """Import the foxglove library."""
     try:
         import foxglove
     except ImportError as error:
@@ -39,7 +39,10 @@ def load() -> Any:
 
 
 class Bridge:
-    """Publishes a run to clients of Foxglove's protocol on 127.0.0.1; `do` asks a node on a thread of its own."""
+    """Publishes a run to Foxglove clients on 127.0.0.1.
+
+    `do` sends requests to nodes on a thread of its own.
+    """
 
     def __init__(self, run: RunInfo, do: Callable[..., Any], port: int) -> None:
         self._library = library = load()
@@ -54,7 +57,7 @@ class Bridge:
         schema = library.Schema(
             name=SCHEMA["title"], encoding="jsonschema", data=msgspec.json.encode(SCHEMA)
         )
-        # Advertised from the beginning: who subscribes is told the shape, which is not sent again.
+        # Advertised at once, so that every subscriber is noticed and gets the shape.
         self._drawn = library.Channel(
             SCENE, schema=schema, message_encoding="json", context=self._context
         )
@@ -62,7 +65,7 @@ class Bridge:
         bridge = self
 
         class Listener(library.ServerListener):  # type: ignore[misc, name-defined]
-            """Answers what a client asks, on the library's thread."""
+            """Answers requests of clients, on the library's thread."""
 
             def on_subscribe(self, client: Any, channel: Any) -> None:
                 del client
@@ -91,13 +94,13 @@ class Bridge:
                 context=self._context,
                 session_id=run.run,
             )
-        except Exception as error:  # the library raises types of its own
+        except Exception as error:  # the library raises its own types
             raise ParameterError(f"view.foxglove: port {port}: {error}") from error
         self.port: int = self._server.port  # where it is served
 
     def subscribed(self, topic: str) -> None:
-        """Have the shape sent again for one who sees the scene from now on."""
-        # On the library's thread: what is drawn meanwhile must not be asked for again.
+        """Send the shape again for a new subscriber of the scene."""
+        # Runs on the library's thread; `_draw` resets the flag before it sends.
         if topic == SCENE:
             self._asked = True
 
@@ -116,14 +119,16 @@ class Bridge:
         return max(0, round((message.stamp + self._run.wall_minus_monotonic) * 1e9))
 
     def take(self, topic: str, message: Message) -> None:
-        """Pass a message on, unless the topic has had its share."""
+        """Forward a message, within the topic's rate limit."""
         if isinstance(message, DeviceState | Proxy):
             self._draw(topic, message)
         now = time.monotonic()
         if now < self._next.get(topic, 0.0):
             return
-        # Evenly spaced where there is one a tick; what is rare goes at once.
-        self._next[topic] = now + 1.0 / MOST if topic in LOOP else now + 1.0 / MOST / 4.0
+        # Even spacing for topics with a message per tick; rare messages pass at once.
+        self._next[topic] = (
+            now + 1.0 / RATE_LIMIT if topic in LOOP else now + 1.0 / RATE_LIMIT / 4.0
+        )
         channel = self._channels.get(topic)
         if channel is None:
             kind = type(message)
@@ -137,13 +142,13 @@ class Bridge:
         self.sent += 1
 
     def parameters(self, wanted: list[str]) -> list[Any]:
-        """Read parameters of all nodes."""
+        """Return the wanted parameters of all nodes; all if `wanted` is empty."""
         found = []
         for node in self._run.nodes:
             try:
                 values = self._do("ask", node, "param.list")
             except CommandError:
-                # A node that is gone has no parameters.
+                # A node that has ended has no parameters.
                 continue
             for path, value in values.items():
                 if value is not None and (not wanted or f"{node}.{path}" in wanted):
@@ -156,16 +161,16 @@ class Bridge:
         return found
 
     def refuse(self, names: list[str]) -> list[Any]:
-        """Tell the clients that nothing is set here, and how it is; the parameters as they are."""
+        """Report to the clients that parameters are read-only, and return them unchanged."""
         reason = (
-            f"{', '.join(names)[:1000]}: anybody may open this port, so nothing is set here; use"
-            " haptic param set"
+            f"{', '.join(names)[:1000]}: this port is open to any local program, so parameters are"
+            " read-only; use haptic param set"
         )
         self._server.publish_status(reason, self._library.websocket.StatusLevel.Error)
         return self.parameters(names)
 
     def tell_parameters(self) -> None:
-        """Tell all clients the parameters as they are now."""
+        """Send the present parameters to all clients."""
         self._server.publish_parameter_values(self.parameters([]))
 
     def close(self) -> None:

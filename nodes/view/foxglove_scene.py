@@ -1,9 +1,8 @@
-"""The scene in three dimensions for Foxglove and Lichtblick, live (nodes/view/foxglove.py) and as a recording with ``/scene``.
+"""The 3D scene for Foxglove and Lichtblick, live or in a recording with ``/scene``.
 
-The scene is of Foxglove's own type, ``foxglove.SceneUpdate`` as JSON: what is touched once, as
-triangles, then device, proxy and force as they move, at most 60 times a second. Bodies that move
-are no part of a recording: their scene is stepped again by what was recorded, as the node stepped
-it, where MuJoCo and the file are there.
+The scene is Foxglove's ``foxglove.SceneUpdate`` as JSON: the surface once, as triangles, then
+device, proxy and force, at most 60 times a second. A recording does not contain moving bodies:
+their scene is stepped again as the node did, if MuJoCo and the scene file are available.
 """
 
 from __future__ import annotations
@@ -27,12 +26,11 @@ from nodes.view.shape import shape_of
 
 SCENE, FRAME = "/scene", "haptic"
 
-MOST = 60.0  # updates of the scene per second of the run
-# ticks that bodies which move may have been at before they are first seen: a hand has not reached
-# them
+RATE_LIMIT = 60.0  # scene updates per second of the run [1/s]
+# Ticks that may be missed before moving bodies are first stepped: no hand has reached them yet.
 LATE = 50
-USUAL = 0.002  # sampling period where the manifest tells none [s]
-PER_NEWTON = 0.01  # length at which a force of 1 N is drawn [m]
+DEFAULT_PERIOD = 0.002  # sampling period if the manifest has none [s]
+PER_NEWTON = 0.01  # drawn length of a force [m/N]
 _SMALLEST = 0.001
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 _LISTS = (
@@ -73,8 +71,7 @@ SCHEMA: dict[str, Any] = {  # the part of Foxglove's schema that is used here
 _STATE: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(DeviceState)
 _PROXY: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(Proxy)
 
-# Okabe and Ito's blue, orange, green and grey: they are told apart by all eyes, as in the project's
-# figures.
+# Okabe and Ito's sky blue, orange, green, and grey: colour-blind safe, as in the figures.
 _SURFACE = {"r": 0.34, "g": 0.71, "b": 0.91, "a": 0.6}
 _DEVICE = {"r": 0.3, "g": 0.3, "b": 0.3, "a": 1.0}
 _TOOL = {"r": 0.9, "g": 0.62, "b": 0.0, "a": 1.0}
@@ -96,7 +93,7 @@ def _pose(place: Any, turn: Any = _NO_TURN) -> dict[str, Any]:
 def _entity(at: int, name: str, **primitives: list[dict[str, Any]]) -> dict[str, Any]:
     stamp = {"sec": at // 10**9, "nsec": at % 10**9}
     none: dict[str, list[dict[str, Any]]] = {kind: [] for kind in _LISTS}
-    # A lifetime of nothing: until another entity of this name comes.
+    # A lifetime of 0 lasts until the next entity with this name.
     whole = {
         "timestamp": stamp,
         "frame_id": FRAME,
@@ -128,10 +125,10 @@ def _surface(at: int, name: str, triangles: list[float]) -> dict[str, Any]:
 
 
 class _Bodies(RecordedBodies):
-    """The geoms of a scene in which things move, for Foxglove."""
+    """Geoms of a scene with moving bodies, for Foxglove."""
 
     def entity(self, at: int, name: str) -> dict[str, Any]:
-        """Draw all geoms of a simple kind."""
+        """Return an entity with all geoms of simple kinds."""
         import mujoco
 
         model, data, kinds = self.world.model, self.world.data, mujoco.mjtGeom
@@ -161,7 +158,10 @@ class _Bodies(RecordedBodies):
 
 
 class DrawnScene:
-    """What is drawn of the chains of a run, recorded or live; of a recording it is known which positions moved its bodies."""
+    """Builds the scene's entities for all chains of a run, live or recorded.
+
+    For a recording, only positions that reached the environment step its bodies.
+    """
 
     def __init__(
         self,
@@ -191,7 +191,7 @@ class DrawnScene:
                 self.left_out.append(f"{node}: {error}")
 
     def still(self, at: int) -> list[dict[str, Any]]:
-        """Draw what does not move, and say what is left out, at a time [ns]."""
+        """Return the static entities and the text about omissions, at a time [ns]."""
         drawn = [_surface(at, node, found) for node, found in self._surfaces.items() if found]
         return [*drawn, *self._words(at)]
 
@@ -203,7 +203,7 @@ class DrawnScene:
         )
 
     def moving(self, topic: str, message: DeviceState | Proxy, at: int) -> Iterator[dict[str, Any]]:
-        """Turn a message at a time [ns] into what moves in the scene, as often as it is due; each state must come by."""
+        """Yield the moving entities due for a message at a time [ns]; needs every state."""
         chain = topic.removesuffix(DEVICE_STATE).removesuffix(PROXY).strip("/")
         before = f"{chain}/" if chain else ""
         if isinstance(message, Proxy):
@@ -225,25 +225,25 @@ class DrawnScene:
                 yield bodies.entity(at, f"{before}bodies")
 
     def _follow(self, chain: str, state: DeviceState) -> _Bodies | None:
-        """Step the bodies of a chain; who has not seen its first ticks does not know where they are."""
+        """Step the bodies of a chain; drop them if the first ticks were missed."""
         bodies = self._bodies.get(chain)
         if bodies is None:
             return None
         if not bodies.asked and state.seq > LATE:
             del self._bodies[chain]
             self.left_out.append(
-                f"{chain or 'bodies'}: only a page that was launched with the run knows where they"
-                " are: launch it with --view"
+                f"{chain or 'bodies'}: poses are known only to a view started with the run;"
+                " launch it with --view"
             )
             return None
         bodies.follow(state)
         return bodies
 
     def _is_due(self, topic: str, stamp: float) -> bool:
-        """Tell whether a topic has not had its share."""
+        """Whether the topic's rate limit allows a message now."""
         if stamp < self._next.get(topic, stamp):
             return False
-        self._next[topic] = stamp + 1.0 / MOST - 1e-9
+        self._next[topic] = stamp + 1.0 / RATE_LIMIT - 1e-9
         return True
 
 
@@ -269,11 +269,14 @@ def _line(begin: Vector, force: Vector) -> dict[str, Any]:
 def export_foxglove(
     recording: Recording, out: str | Path, *, overwrite: bool = False
 ) -> list[Path]:
-    """Write the recording once more, with its scene; one without a surface or bodies has device, proxy and force in it."""
+    """Write a copy of the recording with its scene.
+
+    Without a surface or bodies the scene contains device, proxy and force.
+    """
     out = Path(out)
     if out.exists() and out.samefile(recording.path):
-        raise RecordError(f"{out}: is the recording itself; give another name")
-    period = period_of(recording) if "rate_hz" in recording.manifest else USUAL
+        raise RecordError(f"{out}: is the recording itself; choose another name")
+    period = period_of(recording) if "rate_hz" in recording.manifest else DEFAULT_PERIOD
     scene = DrawnScene(parameters_of(recording), period, recording)
     begun = False
     with written(out, overwrite) as output:

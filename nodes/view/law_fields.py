@@ -1,6 +1,6 @@
-"""What a law's parameters are, for a page that draws a slider for each: from the law's own types, limits and docstring.
+"""Describe a law's parameters for the page's sliders: types, limits and meaning.
 
-Nothing here knows any law: a new one gets its sliders by being registered.
+No law is named here: a newly registered law gets its sliders automatically.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LIMITS = ("gt", "ge", "lt", "le")
 
 
 def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
-    """Describe one type; None for what no page can edit."""
+    """Return the description of a type; None if a page cannot edit it."""
     limits = {name: value for name in _LIMITS if (value := getattr(info, name, None)) is not None}
     if isinstance(info, inspect.FloatType):
         return {"type": "number", **limits}
@@ -32,7 +32,7 @@ def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
         return {"type": "choice", "choices": list(info.values)}
     if isinstance(info, inspect.StrType):
         group = _GROUP.search(meaning)
-        # A registered name can only be one that is installed.
+        # The choices of a registered name are the installed ones.
         return {"type": "choice", "choices": Registry(group[1], "name").names()} if group else None
     if isinstance(info, inspect.UnionType):
         usual = [kind for kind in info.types if not isinstance(kind, inspect.NoneType)]
@@ -72,12 +72,12 @@ def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
 
 
 def law_fields(law: type[Law]) -> list[dict[str, Any]]:
-    """Describe the parameters of a law."""
+    """Return the descriptions of a law's parameters."""
     info = inspect.type_info(law)
     assert isinstance(info, inspect.StructType)  # noqa: S101  # every Law is a struct
     return _fields(info)
 
 
 def all_law_fields() -> dict[str, list[dict[str, Any]]]:
-    """Describe the parameters of all installed laws."""
+    """Return the parameter descriptions of all installed laws."""
     return {kind: law_fields(law) for kind, law in law_kinds().items()}

@@ -1,4 +1,4 @@
-"""A running launch as pages see it: bins and scene, receipts and events, and a status that says why there is no force."""
+"""State of a running launch for pages: bins, scene, log, and why there is no force."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.ringing import Ring, Ringing
 
-STATUS_PERIOD = 0.2  # how often pages get the status [s]
-RECENT = 5.0  # how far back percentiles go [s]
-# a node that has said nothing for so long is shown as silent: it sends its status twice a second
-# [s]
+STATUS_PERIOD = 0.2  # time between status updates [s]
+RECENT = 5.0  # time span of the response-time percentiles [s]
+# Time without a status after which a node is shown as silent; it sends two per second [s].
 SILENT_NODE = 1.5
-LATELY = 10.0  # ticks missed within so long are a present trouble; older ones are history [s]
-HISTORY = 30.0  # how much a page that opens sees of what was before [s]
-KEPT = 60.0  # how much is kept for pages that are slow [s]
-LOGGED = 500  # entries of the log that a page which opens later still sees
+LATELY = 10.0  # time span in which missed ticks count as a present problem [s]
+HISTORY = 30.0  # time span of the past that a newly opened page shows [s]
+KEPT = 60.0  # time span stored for slow pages [s]
+LOGGED = 500  # log entries that a newly opened page gets
 
 
 class Board:
-    """What pages get beside the bins: documents by name, of which only the newest counts, and the log. One thread uses it."""
+    """Documents by name (only the newest counts) and the log; used by one thread."""
 
     def __init__(self) -> None:
         self._documents: dict[str, tuple[int, str]] = {}
@@ -40,19 +39,19 @@ class Board:
         self.logged = 0  # entries of the log so far
 
     def put(self, kind: str, content: dict[str, Any]) -> None:
-        """Replace a document; one that has not changed is not sent again."""
+        """Replace a document; an unchanged one is not sent again."""
         text = msgspec.json.encode({"type": kind, **content}).decode()
         if kind not in self._documents or self._documents[kind][1] != text:
             self._version += 1
             self._documents[kind] = (self._version, text)
 
     def log(self, content: dict[str, Any]) -> None:
-        """Add to the log."""
+        """Append to the log."""
         self._log.append(msgspec.json.encode({"type": "log", **content}).decode())
         self.logged += 1
 
     def since(self, version: int, logged: int) -> tuple[list[str], int, int]:
-        """List what is new."""
+        """Return new documents and log entries, and the new version and log count."""
         new = sorted(entry for entry in self._documents.values() if entry[0] > version)
         count = min(self.logged - logged, len(self._log))
         entries = list(self._log)[len(self._log) - count :] if count else []
@@ -60,7 +59,7 @@ class Board:
 
 
 def quantiles_us(responses: deque[float]) -> dict[str, float]:
-    """Percentiles of response times."""
+    """Return p50, p99 and max of the response times [µs]."""
     ordered = sorted(responses)
     if not ordered:
         return {}
@@ -71,9 +70,9 @@ def quantiles_us(responses: deque[float]) -> dict[str, float]:
 
 
 class Facts(NamedTuple):
-    """What does not change about a run."""
+    """Constant facts of a run."""
 
-    # Its name, that of its launch file, and what that shows.
+    # Name of the run, name and summary of its launch file.
     run: str
     scenario: str
     summary: str
@@ -83,12 +82,12 @@ class Facts(NamedTuple):
     apply: str
     axes: list[str]  # axes that the scene computes
     driver: str  # name of the driver node
-    run_dir: str = ""  # where the launcher says why it ends; empty for a recording
-    # largest force that the driver hands over, where the launch says it [N]
+    run_dir: str = ""  # directory where the launcher writes why it ends; empty for a recording
+    # Limit of the force that the driver hands over, if the launch has one [N].
     peak: float | None = None
 
     def hello(self) -> dict[str, Any]:
-        """Tell a page what run this is."""
+        """Return the facts that a page gets first."""
         return {
             "run": self.run,
             "scenario": self.scenario,
@@ -102,7 +101,7 @@ class Facts(NamedTuple):
 
 
 def facts_of(run: RunInfo, driver: str) -> Facts:
-    """Tell what does not change about a launch."""
+    """Return the constant facts of a launch."""
     setup = next(iter(run.nodes.values()))
     summary = run.manifest.get("summary", "")
     axes: list[str] = list(setup.axes)
@@ -127,7 +126,7 @@ def facts_of(run: RunInfo, driver: str) -> Facts:
 
 
 class LiveRun:
-    """Takes a run's messages and keeps what pages are told. One thread uses it."""
+    """Collects the messages of a run for pages; used by one thread."""
 
     def __init__(
         self, facts: Facts, kept: float = KEPT, bins_per_second: float = BINS_PER_SECOND
@@ -135,23 +134,22 @@ class LiveRun:
         self._period = facts.period
         self._run_dir = facts.run_dir
         self._driver, self._driver_status = facts.driver, f"/{facts.driver}/status"
-        # the bins
         self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))
         self.board = Board()  # everything else
-        # Measured delay of the loop, a mean over some 64 ticks [ticks].
+        # Measured delay of the loop, smoothed over 64 ticks [ticks].
         self.delay = 1.0 if facts.apply == "next_tick" else 0.0
-        # whether a receipt asks for the laws to be read again; who does that sets it back
+        # Whether the laws must be read again after a receipt; reset by the reader.
         self.changed = True
         self._end = RunEnd()
-        self.ended = ""  # why the run is over; empty while it goes on
-        self.refused = 0  # messages that were not of the protocol
+        self.ended = ""  # why the run ended; empty while it runs
+        self.refused = 0  # messages that do not follow the protocol
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
         self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
         self._why = self._device = self._failed = ""
         self._missed: deque[tuple[float, int]] = deque()
-        # It may ring along any axis; the size of the force would turn back twice as often.
+        # One detector per axis: the force's magnitude would reverse twice as often.
         self._ringing = {AXIS_INDEX[axis]: Ringing() for axis in facts.axes}
         self._stop: dict[str, float] = {}
         self._status_at = -1.0
@@ -159,10 +157,10 @@ class LiveRun:
         self._rate_hz = 0.0
 
     def take(self, frames: tuple[bytes, bytes], now: float) -> tuple[str, Message] | None:
-        """Take one message."""
+        """Decode and store a message; return its topic and content, or None if refused."""
         known = self._decoders.get(frames[0])
         if known is None:
-            # A page shows one chain, and names topics as inside it.
+            # A page shows one chain, so topics are named without the namespace.
             name = split(frames[0].decode("utf-8", errors="replace"))[1]
             kind = message_type(name)
             if kind is None:
@@ -178,12 +176,12 @@ class LiveRun:
         return known[0], message
 
     def rings(self) -> Ring | None:
-        """Tell how the loop rings, along the axis where it does so most; None when it does not."""
+        """Return the strongest ringing of all axes; None if there is none."""
         found = filter(None, (ringing.ring() for ringing in self._ringing.values()))
         return max(found, key=lambda ring: ring.force, default=None)
 
     def keep(self, topic: str, message: Message, now: float) -> None:
-        """Keep what pages need of a message."""
+        """Store a decoded message."""
         if isinstance(message, DeviceState):
             self._state_at = now
             if message.response > 0.0:
@@ -194,8 +192,7 @@ class LiveRun:
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
             if topic == self._driver_status:
-                # One that failed may be started again: whether the run is over then, its launcher
-                # knows.
+                # A failed driver may be restarted; only the launcher decides whether the run ends.
                 self._failed = (
                     (message.reason or message.state) if message.state == "failed" else ""
                 )
@@ -211,7 +208,7 @@ class LiveRun:
         elif isinstance(message, Event):
             if message.kind in ("device_force", "device_force_back"):
                 self._device = message.reason if message.kind == "device_force" else ""
-            # What the map is drawn for.
+            # The map depends on the delay.
             self.changed |= message.kind == "delay"
             if message.kind in ("safety", "stopped"):
                 self._why = cause_of(message)
@@ -230,9 +227,9 @@ class LiveRun:
         self.feed.take(topic, message)
 
     def end(self, reason: str) -> None:
-        """Note that the run is over, and why: the launcher knows better than a driver that was told to end."""
+        """Mark the run as ended; the launcher's reason takes precedence over `reason`."""
         told = end_of(self._run_dir)
-        # Beside a launch whose directory has gone, only a driver's own status says what failed.
+        # If the launch's directory is gone, only the driver's status says what failed.
         self._end = (
             told
             if told.reason
@@ -241,10 +238,10 @@ class LiveRun:
         self.ended = self._end.reason
 
     def _missed_lately(self, now: float, missed: int) -> int:
-        """Count the ticks missed of late."""
+        """Count the ticks missed in the last LATELY seconds."""
         kept = self._missed
         if kept and missed < kept[-1][1]:
-            # The driver was started again, and counts anew.
+            # A restarted driver counts from zero.
             kept.clear()
         kept.append((now, missed))
         while now - kept[0][0] > LATELY:
@@ -252,7 +249,7 @@ class LiveRun:
         return missed - kept[0][1]
 
     def tick(self, now: float) -> None:
-        """File bins and tell the status when it is time."""
+        """File bins, and update the status when due."""
         if self._failed and not self.ended and end_of(self._run_dir).reason:
             self.end(self._failed)
         self.feed.file(bool(self.ended))
@@ -261,11 +258,11 @@ class LiveRun:
             self.board.put("status", self.status(now))
 
     def status(self, now: float) -> dict[str, Any]:
-        """Tell how the run stands."""
+        """Return the status document."""
         state, force = self.feed.state, self.feed.force
         before = self.feed.force_before
         if state is not None and before is not None and before.seq == state.force_seq:
-            # What the law asked for when the state's force was handed over.
+            # The force that the law requested when the state's force was handed over.
             force = before
         silent = now - self._state_at
         nodes = {
@@ -285,7 +282,7 @@ class LiveRun:
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():
-                # Who is named was the reason; the others were ended with it.
+                # The named node caused the end; the others were stopped because of it.
                 found |= {"silent_s": 0.0, "state": "failed" if name == self._end.node else "ended"}
         ticks = state.seq if state else 0
         missed = state.missed if state else 0
@@ -316,7 +313,7 @@ class LiveRun:
 
 
 def _receipt_facts(receipt: Receipt) -> dict[str, Any]:
-    """Tell a receipt by what changed."""
+    """Return the facts of a receipt: what changed, and from which to which law."""
     before, after = _law(receipt.before), _law(receipt.after)
     law, switched = after.get("law", ""), before.get("law") != after.get("law")
     changed = [
@@ -324,7 +321,7 @@ def _receipt_facts(receipt: Receipt) -> dict[str, Any]:
         for name, value in after.items()
         if name not in ("law", "kind") and before.get(name) != value
     ]
-    text = f"{law}: {', '.join(changed) or 'as it was; another parameter was set'}"
+    text = f"{law}: {', '.join(changed) or 'unchanged; another parameter was set'}"
     told = {
         "action": receipt.action,
         "ramp": receipt.ramp,

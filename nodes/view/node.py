@@ -1,4 +1,7 @@
-"""The view node: one page over the run, in a process of its own, off the chain's core. It only listens."""
+"""The view node: serves a page of the run in its own process, off the chain's core.
+
+It only subscribes and sends requests; the loop does not depend on it.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +26,11 @@ class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Parameters of a view node.
 
     address: Where the page is served: 127.0.0.1, and nothing else.
-    port: Port; 0 takes a free one.
-    foxglove: Port on which Foxglove and Lichtblick find the run live (nodes/view/foxglove.py); None
-        for no such port.
-    again: Whether a page may have a virtual driver that has stopped the loop started again, because
-        the launcher respawns it; ``launch --view`` says so.
+    port: Port; 0 for any free one.
+    foxglove: Port of the live bridge to Foxglove and Lichtblick (nodes/view/foxglove.py); None for
+        none.
+    again: Whether a page may restart a virtual driver that stopped the loop; set by ``launch
+        --view`` if the launcher respawns the driver.
     """
 
     address: str = ADDRESS
@@ -37,21 +40,21 @@ class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a run's page is: ``NAME.page.json`` in the run's private directory."""
+    """URL of a run's page, stored as ``NAME.page.json`` in the run's private directory."""
 
-    url: str  # what to open, token included
-    port: int  # port
-    # what the URL must hold: kept when the node is started again, so that an open page finds it
+    url: str  # URL with the token
+    port: int
+    # Token in the URL; a restarted node uses it again, so that open pages reconnect.
     token: str
 
 
 def place_file(run_dir: str | Path, name: str) -> Path:
-    """File that tells where a run's page is."""
+    """Return the path of the file with the page's URL."""
     return Path(run_dir) / f"{name}.page.json"
 
 
 def read_place(run_dir: str | Path, name: str) -> Place | None:
-    """Read where a run's page is."""
+    """Read the page's URL; None without the file."""
     try:
         return msgspec.json.decode(place_file(run_dir, name).read_bytes(), type=Place)
     except FileNotFoundError:
@@ -67,7 +70,7 @@ class View(Node):
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Refuse any address but this machine's own."""
+        """Refuse any non-local address."""
         parameters: ViewParameters = convert(setup.parameters, ViewParameters, setup.name)
         check_address(parameters.address, parameters.port)
         if parameters.foxglove is not None:
@@ -76,7 +79,7 @@ class View(Node):
             load()
 
     def configure(self) -> None:
-        """Import what serves: numpy and asyncio take 0.2 s, which a launcher that only checks the parameters does without."""
+        """Import the server here: numpy and asyncio take 0.2 s, which a launcher can save."""
         from nodes.view import run_pages
 
         self._make_pages = run_pages.RunPages
@@ -101,7 +104,7 @@ class View(Node):
         server = pages.server
         if parameters.foxglove is not None:
             self.events.log(
-                "Foxglove and Lichtblick find the run at"
+                "Foxglove and Lichtblick can connect to"
                 f" ws://{ADDRESS}:{pages.bridge(parameters.foxglove)}"
             )
         place = Place(url=server.url, port=server.port, token=server.token)
@@ -113,5 +116,5 @@ class View(Node):
         self.between_ticks(0)
 
     def report(self) -> dict[str, Any]:
-        """Tell what was served."""
+        """Return the number of requests turned away."""
         return {"turned_away": self._pages.server.turned_away} if hasattr(self, "_pages") else {}

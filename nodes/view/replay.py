@@ -1,7 +1,7 @@
-"""Pages over a recording: the same page as over a running launch, with a time slider.
+"""Pages of a recording: the page of a running launch, with a time slider.
 
-The recording is played once through the very code that watches a running launch, and what a page
-would have been told is kept with its time. Each page then has its own place in it.
+The recording is played once through the code that serves a running launch, and the output is stored
+with its time. Each page then has its own position in time.
 """
 
 from __future__ import annotations
@@ -44,37 +44,37 @@ from nodes.view.stability_map import drawn_map
 if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RecordedBodies
 
-# how far past its place a page's plots go, so that a moment still to come can be picked [s]
+# Time span of the plots after the present position, so that a later moment can be picked [s].
 AHEAD = 30.0
-OVER = 20_000  # most points of another recording that is drawn over this one
-SCENES = 60.0  # pictures of the scene that are kept per second of the run
-# of a recording; of a longer one each holds more ticks
-MOST_BINS, MOST_SCENES = 400_000.0, 40_000.0
-FOREVER = 1e9  # no recording is so long [s]
-IDLE = 0.05  # how often the server looks whether to end [s]
+OVER = 20_000  # limit of points of another recording drawn over this one
+SCENES = 60.0  # scene snapshots stored per second of the run
+# Limits for a whole recording; in a longer one each covers more ticks.
+BIN_LIMIT, SCENE_LIMIT = 400_000.0, 40_000.0
+FOREVER = 1e9  # longer than any recording [s]
+IDLE = 0.05  # time between checks whether to stop [s]
 
 
 class Timeline:
-    """What pages get, each with the time since tick 0 from which it holds [s]."""
+    """Items for pages, each with the time since tick 0 from which it is valid [s]."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
         self.items: list[Any] = []
 
     def add(self, at: float, item: Any) -> None:
-        """Add the next one."""
+        """Append an item."""
         self.times.append(max(at, self.times[-1]) if self.times else at)
         self.items.append(item)
 
     def until(self, at: float) -> int:
-        """Count what has come by a time."""
+        """Count the items valid at a time."""
         return bisect_right(self.times, at)
 
 
 def _facts(recording: Recording) -> Facts:
     manifest, period, axes = recording.manifest, period_of(recording), axes_of(recording)
     published = publishers_of(recording)
-    # Of an older recording nobody knows it but by its usual name.
+    # Older recordings do not list publishers; assume the usual name.
     driver = next((name for name, topics in published.items() if DEVICE_STATE in topics), "driver")
     summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
     return Facts(
@@ -90,9 +90,10 @@ def _facts(recording: Recording) -> Facts:
 
 
 class ReplayPages:
-    """A recording behind pages, and `over` it another one, from their first ticks on; RecordError when it has no ticks.
+    """Serves a recording, optionally with another one drawn `over` it.
 
-    `progress` hears what share of it is read: an hour of it takes minutes.
+    Both start at their first ticks; RecordError without ticks. `progress` gets the share read so
+    far: an hour of recording takes minutes.
     """
 
     def __init__(
@@ -106,11 +107,11 @@ class ReplayPages:
         self._facts = _facts(recording)
         span = recording.topics[DEVICE_STATE]
         ticks = span.last_seq - span.first_seq + 1
-        # First tick's time since tick 0, and from there to the last one [s].
+        # Time of the first tick since tick 0, and from the first to the last tick [s].
         self.begin = span.first_seq * self._facts.period
         self.duration = (ticks - 1) * self._facts.period
-        self._scene_period = max(1.0 / SCENES, self.duration / MOST_SCENES)
-        self.live = LiveRun(self._facts, self.duration + 10.0, MOST_BINS / max(self.duration, 1.0))
+        self._scene_period = max(1.0 / SCENES, self.duration / SCENE_LIMIT)
+        self.live = LiveRun(self._facts, self.duration + 10.0, BIN_LIMIT / max(self.duration, 1.0))
         self.scenes, self.statuses, self.log, self.laws = (
             Timeline(),
             Timeline(),
@@ -147,7 +148,7 @@ class ReplayPages:
         self._maps: dict[str, dict[str, Any]] = {}
 
     def _read(self, recording: Recording, progress: Callable[[float], None]) -> list[str]:
-        """Play it once; return what a page is to say about it."""
+        """Play the recording once; return notices for the page."""
         notices = self._read_parameters(recording)
         live, period = self.live, self._facts.period
         known = [
@@ -189,8 +190,8 @@ class ReplayPages:
         self._delay = delays / states if states else 0.0
         if unknown_delay:
             notices.append(
-                "The device's delay was changed, by how much this older recording holds as text"
-                " only: the map shows the delay of the start."
+                "The device's delay was changed, but this older recording has no value for it: the"
+                " map shows the initial delay."
             )
         return notices
 
@@ -209,7 +210,7 @@ class ReplayPages:
         return msgspec.json.encode({"type": "over", "name": path.stem, **document}).decode()
 
     def _read_parameters(self, recording: Recording) -> list[str]:
-        """Read the laws that the run began with, and its scene; return why a scene is not drawn."""
+        """Read the initial laws and the scene; return why a scene is not drawn."""
         notices: list[str] = []
         for name, parameters in parameters_of(recording).items():
             if "law" in parameters:
@@ -228,8 +229,7 @@ class ReplayPages:
         from nodes.view.drawn_bodies import RecordedBodies, met_ticks
         from nodes.view.shape import bodies_of, shape_of
 
-        # A shape that is not installed here, or a file that has gone or is not opened: the flat
-        # views remain.
+        # Without the shape's package or file, the flat views remain.
         try:
             refuse_foreign_files(recording, parameters, name)
             if "scene" in parameters:
@@ -249,7 +249,7 @@ class ReplayPages:
             book = LawBook(name, self._facts.period)
             laws = {law: book.description(coupling, law) for law in book.names(coupling)}
         except ParameterError:
-            # Recorded with a law that is not installed here: it is shown by what its receipts tell.
+            # The law is not installed here; its receipts still show its parameters.
             return
         self._plant = parameters.get("plant")
         document = {
@@ -276,14 +276,14 @@ class ReplayPages:
         self.laws.add(receipt.seq * self._facts.period, {**before, "active": law, "laws": laws})
 
     def _read_delay(self, event: Event) -> None:
-        """Apply the delay of the virtual device from an event on: the map of stability is another one."""
+        """Apply a change of the virtual device's delay, which changes the stability map."""
         if (ticks := event.data.get("delay_ticks")) is not None and self.laws.items:
             self.laws.add(
                 event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks}
             )
 
     async def run(self, stopping: Callable[[], bool]) -> None:
-        """Serve until told to stop; the server is started by the caller."""
+        """Serve until told to stop; the caller starts the server."""
         try:
             while not stopping():
                 await asyncio.sleep(IDLE)
@@ -292,7 +292,7 @@ class ReplayPages:
             self._mapping.shutdown(cancel_futures=True)
 
     def map_of(self, laws: dict[str, Any], tell: Callable[[str], None]) -> None:
-        """Have the map of the active law drawn, and told when it is there."""
+        """Start drawing the map of the active law; pass it to `tell` when ready."""
         active = laws["active"]
         described = laws["laws"].get(active)
         if described is None:
@@ -316,7 +316,7 @@ class ReplayPages:
         self._job = asyncio.get_running_loop().create_task(draw())
 
     def _with(self, later: float | None) -> tuple[Any, dict[str, Any]]:
-        """Give what a map is drawn for when the device answers so many ticks later than it is."""
+        """Return plant and driver parameters with another delay of the device [ticks]."""
         plant, driver = self._plant, self._driver
         device = group(driver, "device")
         if later is None or not device:
@@ -331,7 +331,7 @@ class ReplayPages:
 
 
 class ReplayPage:
-    """One open page over a recording, with its own place in time."""
+    """An open page of a recording, with its own position in time."""
 
     def __init__(self, pages: ReplayPages) -> None:
         self._pages = pages
@@ -347,7 +347,7 @@ class ReplayPage:
         self._go(pages.begin)
 
     def _go(self, at: float) -> None:
-        """Go to a time; bins that the page has already stay, so that it can be pulled through them."""
+        """Jump to a time; bins already sent stay valid, so that dragging the slider is cheap."""
         self._at, self._since = min(max(at, self._pages.begin), self._end), time.monotonic()
         feed = self._pages.live.feed
         first = feed.until(self._at - HISTORY)
@@ -366,7 +366,7 @@ class ReplayPage:
         return self._at
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet."""
+        """Return everything not sent yet."""
         pages, at = self._pages, self._time()
         found, self._outbox = self._outbox, []
         logged = pages.log.until(at)
@@ -389,17 +389,17 @@ class ReplayPage:
                 found.append(msgspec.json.encode({"type": "poses", "poses": placed}).decode())
             end = max(end, self._cursor)
             found.append(pages.live.feed.frame(self._cursor, end, self._void, now))
-            # What the page's ring has room for.
+            # The capacity of the page's ring buffer.
             self._first = max(self._first, pages.live.feed.until(at - HISTORY))
             self._cursor, self._void, self._shown = end, False, at
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Refuse the hand: what was is past."""
+        """Refuse the hand: this is a recording."""
         return "" if target is None else "hand: this is a recording"
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Move in time."""
+        """Play, pause, seek or change the speed."""
         op = request.get("op")
         self._time()
         if op == "play":
@@ -422,10 +422,9 @@ class ReplayPage:
             self._speed = float(request["factor"])
         else:
             raise CommandError(
-                f"view: {op!r} is refused: this is a recording; it can play, pause, seek and change"
-                " speed"
+                f"view: {op!r} is refused: a recording can only play, pause, seek and change speed"
             )
         return {"t": self._at, "playing": self._playing}
 
     def close(self) -> None:
-        """Forget it; there is nothing to let go of."""
+        """Do nothing: there is nothing to release."""

@@ -1,42 +1,42 @@
-"""Whether a loop rings: the force goes to and fro faster than any hand."""
+"""Detect ringing: a force that oscillates faster than any hand moves."""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import NamedTuple
 
-WINDOW = 0.3  # of a force that may ring so much is looked at [s]
-# a hand, and a contact that settles, turn the force back less often than so in the window
+WINDOW = 0.3  # time span analysed [s]
+# Reversals within the window that count as ringing; a hand or a settling contact has fewer.
 TURNS = 10
-# what counts as turning back: by so much [N], and by such a part of the strongest force of late
-LEAST, SHARE = 0.1, 0.25
+# Smallest reversal counted: absolute [N], and relative to the largest force in the window.
+SMALLEST_REVERSAL, REVERSAL_SHARE = 0.1, 0.25
 
 
 class Ring(NamedTuple):
-    """How a loop rings."""
+    """Frequency and amplitude of ringing."""
 
-    frequency: float  # how often the force goes to and fro [Hz]
-    force: float  # its largest magnitude [N]
+    frequency: float  # frequency of the oscillation [Hz]
+    force: float  # largest magnitude of the force [N]
 
     def __str__(self) -> str:
-        return f"It rings, {self.frequency:.0f} times a second and up to {self.force:.1f} N"
+        return f"It rings at {self.frequency:.0f} Hz, up to {self.force:.1f} N"
 
 
 class Ringing:
-    """Watches the force of a run, tick by tick."""
+    """Detects ringing in the force of a run, tick by tick."""
 
     def __init__(self) -> None:
         self._turns: deque[float] = deque()
-        # Falling in force, so that the first one is the largest of the window.
+        # Monotonically decreasing, so that the first entry is the window's maximum.
         self._peaks: deque[tuple[float, float]] = deque()
         self._extreme = 0.0
         self._rising = True
 
     def take(self, time: float, force: float) -> None:
-        """Add the force of one tick [N], at a time [s]."""
+        """Add the force of a tick [N] at a time [s]."""
         turns, peaks = self._turns, self._peaks
         if peaks and time < peaks[-1][0]:
-            # The past again, in a recording.
+            # Time jumped back in a recording.
             turns.clear()
             peaks.clear()
         while peaks and peaks[-1][1] <= abs(force):
@@ -44,7 +44,7 @@ class Ringing:
         peaks.append((time, abs(force)))
         while time - peaks[0][0] > WINDOW:
             peaks.popleft()
-        back = max(LEAST, SHARE * peaks[0][1])
+        back = max(SMALLEST_REVERSAL, REVERSAL_SHARE * peaks[0][1])
         change = force - self._extreme if self._rising else self._extreme - force
         if change >= 0.0:
             self._extreme = force
@@ -55,7 +55,7 @@ class Ringing:
             turns.popleft()
 
     def ring(self) -> Ring | None:
-        """Return how the force rings; None when it does not."""
+        """Return the present ringing; None if there is none."""
         if len(self._turns) < TURNS:
             return None
         span = self._turns[-1] - self._turns[0]

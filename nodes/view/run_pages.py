@@ -1,4 +1,4 @@
-"""Pages over a running launch: messages in, bins and documents out, requests to the nodes, the hand's target to the driver."""
+"""Pages of a running launch: messages in, bins and documents out, requests to the nodes."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RunningBodies
     from nodes.view.foxglove import Bridge
 
-# a screen's: being woken for each message would cost the machine more [s]
+# A screen's refresh period: waking for each message would cost more processor time [s].
 DRAIN_PERIOD = 1.0 / 60.0
-AT_ONCE = 5000  # most messages that are taken in before pages have their turn
-MAP_PERIOD = 0.25  # shortest time between two maps of stability [s]
-# the first page draws so long before the slow first map: they may share a processor [s]
+AT_ONCE = 5000  # messages processed before pages get their turn
+MAP_PERIOD = 0.25  # shortest time between two stability maps [s]
+# Delay of the slow first map, so that the first page draws before it on a shared processor [s].
 PICTURE_FIRST = 0.5
-ASK_AGAIN = 0.2  # how soon nodes that did not answer are asked for their laws again [s]
-FINAL = 0.5  # how long pages may take to receive the end of a run [s]
+ASK_AGAIN = 0.2  # time until nodes that did not answer are asked again [s]
+FINAL = 0.5  # time that pages have to receive the end of a run [s]
 
 
 class RunPage:
-    """One open page over a running launch."""
+    """An open page of a running launch."""
 
     def __init__(self, pages: RunPages) -> None:
         self._pages = pages
@@ -52,7 +52,7 @@ class RunPage:
         self._refused = False
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet."""
+        """Return everything not sent yet."""
         texts, self._version, self._logged = self._pages.live.board.since(
             self._version, self._logged
         )
@@ -64,22 +64,25 @@ class RunPage:
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target; a page that goes on asking while it is refused is told once, until it lets go."""
+        """Move the hand's target; report repeated refusals once, until the page lets go."""
         refused = self._pages.hand.move(id(self), target)
         document, self._refused = self._refused, bool(refused)
         return "" if document else refused
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Do what it asks."""
+        """Execute a request of the page."""
         return await self._pages.command(request)
 
     def close(self) -> None:
-        """Let go of the hand."""
+        """Release the hand."""
         self._pages.hand.move(id(self), None)
 
 
 class RunPages:
-    """Everything behind the pages of one run; `again`: the launcher starts a virtual driver again that stopped the loop."""
+    """Everything behind the pages of one run.
+
+    `again` tells that the launcher restarts a virtual driver that stopped the loop.
+    """
 
     def __init__(
         self,
@@ -95,14 +98,14 @@ class RunPages:
         facts = facts_of(run, self._commander.driver)
         self._period = facts.period
         self._axis = AXIS_INDEX[facts.axes[0]]
-        self.live = LiveRun(facts)  # what the run tells
-        # the hand's target
+        self.live = LiveRun(facts)  # state of the run
+        # Target of the simulated hand.
         self.hand = SharedHand(awaited_pointer(run.nodes[self._commander.driver], stopping))
         self.server = PageServer(self._open_page, token)  # serves the pages
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
-        # Each is called with topic and message of all that comes in.
+        # Called with topic and content of every message.
         self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]
-        # One thread asks the nodes, one computes maps: neither holds up the pages.
+        # One thread for requests, one for maps, so that neither blocks the pages.
         self._asking = ThreadPoolExecutor(1, "ask")
         self._mapping = ThreadPoolExecutor(1, "map")
         self._laws: dict[str, Any] = {}
@@ -127,7 +130,7 @@ class RunPages:
         self.live.board.put("hello", {**facts.hello(), **document, "fields": all_law_fields()})
 
     def _shape(self, stopping: Callable[[], bool]) -> dict[str, Any]:
-        """Describe what a scene of several axes looks like; once, for it stays."""
+        """Return the static shape of a scene with several axes; empty for one axis."""
         name = roles(self._run).get("environment", "")
         if not name or len(self._run.nodes[name].axes) < 2:
             return {}
@@ -135,7 +138,7 @@ class RunPages:
         if "scene" in environment.parameters:
             from nodes.view.drawn_bodies import RunningBodies
 
-            # On another machine nobody can look: the flat views remain, as they do without MuJoCo.
+            # On another machine or without MuJoCo, the flat views remain.
             with contextlib.suppress(OSError, ParameterError):
                 self._bodies = RunningBodies(environment, stopping)
                 return self._bodies.shape
@@ -149,12 +152,12 @@ class RunPages:
         return RunPage(self)
 
     async def command(self, request: dict[str, Any]) -> Any:
-        """Do what a page asks, off the pages' thread."""
+        """Execute a page's request off the pages' thread."""
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
             return self._compare(request.get("law"))
-        # Who stops the run does not stand in line behind a node that does not answer.
+        # A stop request must not queue behind a node that does not answer.
         thread = None if request.get("op") == "stop" else self._asking
         result = await asyncio.get_running_loop().run_in_executor(
             thread, self._commander.do, request
@@ -165,26 +168,25 @@ class RunPages:
         return result
 
     def _compare(self, law: Any) -> dict[str, Any]:
-        """Choose the law that is played beside the launch; an empty name for none."""
+        """Choose the law simulated beside the launch; an empty name stops."""
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
             raise CommandError(
-                "view: compare: only a launch of a virtual device on one axis can be played beside"
-                " itself"
+                "view: compare: only a launch with a virtual device on one axis can be compared"
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(
-                f"view: compare: no law is named {str(law)[:100]!r}; there is: {', '.join(laws)}"
+                f"view: compare: no law is named {str(law)[:100]!r}; available: {', '.join(laws)}"
             )
         self._comparison.choose(law, laws.get(law, {}))
         return {"law": law}
 
     def bridge(self, port: int) -> int:
-        """Let Foxglove and Lichtblick connect too."""
+        """Serve Foxglove and Lichtblick too; return the port."""
         from nodes.view.foxglove import Bridge
 
         def do(method: str, *words: Any) -> Any:
-            # On the library's thread; the sockets belong to the one that asks.
+            # Called on the library's thread; the sockets belong to the asking thread.
             return self._asking.submit(getattr(self._commander, method), *words).result(
                 timeout=30.0
             )
@@ -194,7 +196,7 @@ class RunPages:
         return self._bridge.port
 
     async def run(self, stopping: Callable[[], bool], between: Callable[[], None]) -> None:
-        """Take in messages and look after laws and map until told to stop; the server is started by the caller."""
+        """Process messages, laws and map until told to stop; the caller starts the server."""
         try:
             while not stopping():
                 await self._drain()
@@ -254,21 +256,21 @@ class RunPages:
         return taken
 
     async def _finish(self) -> None:
-        """Take in what is still under way, and let the pages have it."""
-        # Of a run that goes on without its view there is always more.
+        """Process messages in flight and wait until pages have received the end."""
+        # A run that continues without its view keeps sending, hence the deadline.
         deadline = time.monotonic() + FINAL
         while await self._drain() and time.monotonic() < deadline:
             await asyncio.sleep(DRAIN_PERIOD)
         if not self.live.ended:
             self.live.end("the view was stopped")
-        # The environment has ended before this: where the bodies are they stay.
+        # The environment has ended, so these poses are final.
         self._show_bodies()
         self.live.tick(time.monotonic())
         if self.server.pages:
             await asyncio.sleep(FINAL)
 
     def _refresh(self) -> None:
-        """Start what is due and not under way."""
+        """Start due jobs that are not running: reading laws, drawing the map."""
         live = self.live
         if live.ended or not self._commander.coupling:
             return
@@ -285,14 +287,14 @@ class RunPages:
         if self.server.pages and described is not None and rested:
             judged = (wanted, described, self._laws.get("plant"), self._laws.get("device_delay"))
             key, delay = repr(judged), self._mapped[1]
-            # A delay that merely trembles draws no new map.
+            # Small changes of the delay do not redraw the map.
             if key != self._mapped[0] or abs(live.delay - delay) > 0.02 + 0.05 * delay:
                 self._mapped, self._mapped_at = (key, live.delay), now
                 self._start("map", self._draw_map)
 
     def _start(self, name: str, job: Callable[[], Any]) -> None:
         if name in self._busy:
-            # Once more when it is done.
+            # Repeat when the present one is done.
             if name == "map":
                 self._mapped = ("", -1.0)
             return
@@ -313,8 +315,7 @@ class RunPages:
     async def _read_laws(self) -> None:
         def ask() -> dict[str, Any]:
             node = self._commander.coupling
-            # First: the plant is set before it, so that a new delay never stands beside the plant
-            # of an old one.
+            # Read the delay first: the plant is changed before it, so the plant is never older.
             delay = self._commander.device_delay()
             parameters = self._commander.ask(node, "param.dump")
             chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
@@ -336,12 +337,12 @@ class RunPages:
             if self._bridge is not None:
                 await asyncio.get_running_loop().run_in_executor(None, self._bridge.tell_parameters)
         except CommandError:
-            # A coupling or driver that is being started again does not answer yet.
+            # A restarting coupling or driver does not answer yet.
             await asyncio.sleep(ASK_AGAIN)
             self.live.changed = True
 
     async def _look_at_recorder(self) -> None:
-        """Tell the pages when a recording ends by itself."""
+        """Inform the pages when a recording ends by itself."""
         self.live.board.put(
             "record",
             await asyncio.get_running_loop().run_in_executor(

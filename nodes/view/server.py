@@ -1,8 +1,9 @@
-"""Serves the page and its stream on one port of this machine: plain files, one WebSocket, a token in the URL, same origin only.
+"""Serve the page and its stream on one local port: files, a WebSocket, token, same origin.
 
-The URL is ``http://127.0.0.1:PORT/TOKEN/``; everything the page loads lies below it, so nothing is
-found without the token. A browser that is slow holds up nobody: what it is sent next is made when
-it has taken what came before.
+The URL is ``http:
+
+127.0.0.1:PORT/TOKEN/``; everything the page loads is below it, so nothing can be reached without
+the token. A slow browser delays nobody: its next data is built only after it received the previous.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from nodes.view.bundle import bundle
 from nodes.view.commands import CommandError
 
 SEND_PERIOD = 1.0 / 50.0  # pause between two messages to a page [s]
-FAR = 1e6  # no target of a hand is so far away [m]
-MAX_REQUEST = 1 << 18  # longest request of a page [bytes]: a law of thousands of taps fits
-MAX_PAGES = 16  # most pages that are served at once
-MAX_WAITING = 8  # most requests of one page that wait for their answers
+FAR = 1e6  # limit of a hand's target [m]
+MAX_REQUEST = 1 << 18  # limit of a request: a law of thousands of taps fits [bytes]
+MAX_PAGES = 16  # limit of open pages
+MAX_WAITING = 8  # limit of pending requests per page
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -44,29 +45,29 @@ _HEADERS = {
 
 
 class Page(Protocol):
-    """What one open page is shown, and what it asks."""
+    """Interface of an open page: data to send, and requests."""
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet."""
+        """Return everything not sent yet."""
 
     def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target."""
+        """Move the hand's target; return an error or an empty string."""
 
     async def ask(self, request: dict[str, Any]) -> Any:
-        """Do what it asks."""
+        """Execute a request."""
 
     def close(self) -> None:
-        """Forget it."""
+        """Release the page's resources."""
 
 
 def _one(request: Request, name: str) -> str | None:
-    """Value of a header; of one that stands there several times, what is no name and no origin."""
+    """Return a header's value; ``"several"``, never a valid host or origin, if repeated."""
     found = request.headers.get_all(name)
     return found[0] if len(found) == 1 else "several" if found else None
 
 
 def _hostname(host: str) -> str:
-    """Name in a Host header; empty for what is none."""
+    """Return the name in a Host header; empty if invalid."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
@@ -74,7 +75,7 @@ def _hostname(host: str) -> str:
 
 
 def _files() -> dict[str, tuple[str, bytes]]:
-    """Read the page's files: a few, and small; those of its first screen in as few as can be, for each costs a connection."""
+    """Read the page's files; scripts are bundled, because each file costs a connection."""
     web = Path(__file__).with_name("web")
     found: dict[str, tuple[str, bytes]] = {}
     for path in filter(Path.is_file, web.rglob("*")):
@@ -98,12 +99,12 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
 
 
 class PageServer:
-    """Serves pages; `token`: what the URL must hold, empty for a new one."""
+    """Serves pages; `token` is the URL's token, empty for a new one."""
 
     def __init__(self, open_page: Callable[[], Page], token: str = "") -> None:
-        self.token = token or secrets.token_urlsafe(12)  # what the URL must hold
-        self.port = 0  # where it is served, once started
-        self.pages = 0  # pages that are open
+        self.token = token or secrets.token_urlsafe(12)  # token in the URL
+        self.port = 0  # port once started
+        self.pages = 0  # open pages
         self.turned_away = 0  # requests without the token, or from another origin
         self._open_page = open_page
         self._files = _files()
@@ -111,13 +112,13 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """What to open."""
+        """Return the URL of the page."""
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
     async def start(self, port: int = 0) -> None:
-        """Begin to serve."""
+        """Start serving."""
         quiet = logging.getLogger("nodes.view.server")
-        # A browser opens connections ahead and never uses them: no news to anybody.
+        # Browsers open connections that they never use; do not log them.
         quiet.addHandler(logging.NullHandler())
         quiet.propagate = False
         self._server = await serve(
@@ -148,12 +149,12 @@ class PageServer:
         token, slash, name = request.path.partition("?")[0].lstrip("/").partition("/")
         refused = ""
         if _hostname(host) not in LOCAL:
-            # A name of somebody else's that leads here: DNS rebinding.
+            # A foreign name that resolves to this address: DNS rebinding.
             refused = f"haptic view is served to {ADDRESS} only, not to {host[:100]}\n"
         elif origin is not None and origin != f"http://{host}":
-            refused = f"haptic view takes no requests from {origin[:100]}\n"
+            refused = f"haptic view accepts no requests from {origin[:100]}\n"
         elif not secrets.compare_digest(token.encode(), self.token.encode()):
-            refused = "Wrong or missing token: open the whole URL that haptic has printed.\n"
+            refused = "Wrong or missing token: open the complete URL that haptic printed.\n"
         if refused:
             self.turned_away += 1
             return _text(HTTPStatus.FORBIDDEN, refused)
@@ -165,7 +166,7 @@ class PageServer:
             if self.pages >= MAX_PAGES:
                 return _text(
                     HTTPStatus.SERVICE_UNAVAILABLE,
-                    f"{MAX_PAGES} pages are open already; close one.\n",
+                    f"{MAX_PAGES} pages are already open; close one.\n",
                 )
             return None
         found = self._files.get(name or "index.html")
@@ -191,14 +192,14 @@ class PageServer:
                     await _answer(
                         connection,
                         request,
-                        error=f"view: {MAX_WAITING} requests wait already; try again",
+                        error=f"view: {MAX_WAITING} requests are already waiting; try again",
                     )
                 else:
                     task = asyncio.create_task(_do(connection, page, request))
                     waiting.add(task)
                     task.add_done_callback(waiting.discard)
         except ConnectionClosed:
-            # Gone without a word, as browsers go.
+            # Browsers close connections without notice.
             pass
         finally:
             sender.cancel()

@@ -1,4 +1,4 @@
-"""What a scene looks like in three dimensions: triangles of its surface, sent once; what moves comes with every frame."""
+"""Shape of a scene in 3D: triangles of its surface, sent once; poses come per frame."""
 
 from __future__ import annotations
 
@@ -19,27 +19,30 @@ if TYPE_CHECKING:
 
 Points = NDArray[np.float64]
 
-AROUND, ACROSS = 28, 14  # a round shape in parts around its axis, and from pole to pole
-REACH = 0.08  # a plane has no end; so much of it is drawn on each side [m]
+AROUND, ACROSS = 28, 14  # segments of a round shape around its axis, and from pole to pole
+REACH = 0.08  # half side of the drawn part of an infinite plane [m]
 _UP = np.array([0.0, 0.0, 1.0])
-MOST = 20_000  # triangles that are sent: of a finer mesh, every so many-th
+TRIANGLE_LIMIT = 20_000  # approximate limit of triangles sent; a finer mesh is thinned
 
 
 def _grid(points: Points) -> Points:
-    """Triangles of a surface, two for each cell of a grid of points, shape (m, n, 3)."""
+    """Return the triangles of a grid of points, shape (m, n, 3), two per cell."""
     a, b, c, d = points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]
     return np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3, 3)
 
 
 def _frame(axis: Points) -> tuple[Points, Points]:
-    """Two directions across another one."""
+    """Return two directions perpendicular to `axis` and each other."""
     first = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0))
     first /= np.linalg.norm(first)
     return first, np.cross(axis, first)
 
 
 def _round(outline: Points, centre: Points, axis: Points, around: int = AROUND) -> Points:
-    """Triangles of what is round about an axis; each point of its outline: how far along it and how far from it [m]."""
+    """Return the triangles of a surface of revolution about `axis`.
+
+    `outline` has rows of (position along the axis, distance from it) [m].
+    """
     first, second = _frame(axis)
     turn = np.linspace(0.0, 2.0 * np.pi, around + 1)[:, None]
     circle = np.cos(turn) * first + np.sin(turn) * second
@@ -53,14 +56,14 @@ def _plane(point: Points, normal: Points, reach: float = REACH) -> Points:
 
 
 def _capsule(length: float, radius: float, across: int = ACROSS) -> Points:
-    """Outline of a capsule that begins at the centre of its lower end; of a ball, without a length."""
+    """Return the outline of a capsule that starts at its lower end's centre; length 0: a ball."""
     turn = np.linspace(0.0, np.pi, across + 1)
     ends = np.where(np.arange(across + 1) > across // 2, length, 0.0)
     return np.stack([ends - radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 
 def _cylinder(half: float, radius: float) -> Points:
-    """Outline of a cylinder: two discs and what is between them."""
+    """Return the outline of a cylinder with its end discs."""
     return np.array([(-half, 0.0), (-half, radius), (half, radius), (half, 0.0)])
 
 
@@ -89,11 +92,14 @@ def _triangles(solid: Solid) -> Points:
         return _box(n[:3], n[3:12].reshape(3, 3), n[12:15])
     assert solid.mesh is not None  # noqa: S101  # what is left is a mesh
     corners = np.asarray(solid.mesh.corners)
-    return corners[:: 1 + len(corners) // MOST]
+    return corners[:: 1 + len(corners) // TRIANGLE_LIMIT]
 
 
 def shape_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Describe what an environment's surface looks like: triangles [m], nine numbers each; empty for nothing to see."""
+    """Return the shape of an environment's surface; empty if nothing is visible.
+
+    ``triangles``: nine numbers per triangle [m].
+    """
     surface = parse_surface(parameters.get("surface", {"kind": "free"}), "surface")
     if isinstance(surface, Touchable):
         found = [_triangles(solid) for solid in surface.solids("surface")]
@@ -118,7 +124,7 @@ def shape_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def bodies_of(world: MovingScene) -> dict[str, Any]:
-    """Describe a scene in which things move: triangles of each geom in its own frame [m]; its poses come later."""
+    """Return the triangles of each geom in its own frame [m]; poses come per frame."""
     import mujoco
 
     model = world.model
@@ -139,7 +145,7 @@ def bodies_of(world: MovingScene) -> dict[str, Any]:
 
 
 def _geom(model: Any, i: int, kinds: Any) -> Points:
-    """Triangles of a geom; none for a kind that has no outline of a few numbers."""
+    """Return the triangles of a geom; empty for unsupported kinds."""
     kind, (a, b, c) = kinds(int(model.geom_type[i])), model.geom_size[i].tolist()
     centre = np.zeros(3)
     if kind == kinds.mjGEOM_PLANE:
@@ -158,6 +164,6 @@ def _geom(model: Any, i: int, kinds: Any) -> Points:
         mesh = int(model.geom_dataid[i])
         first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
         start = int(model.mesh_vertadr[mesh])
-        faces = model.mesh_face[first : first + count : 1 + count // MOST]
+        faces = model.mesh_face[first : first + count : 1 + count // TRIANGLE_LIMIT]
         return np.asarray(model.mesh_vert[start + faces], dtype=np.float64)
     return np.zeros((0, 3, 3))

@@ -1,9 +1,8 @@
-"""The hand's target among several pages: one of all views has it at a time, it never jumps, and until it is taken it taps.
+"""Share the hand's target among pages: one owner at a time, no jumps, taps while unowned.
 
-A page that falls silent with its socket open is a browser that is busy, with somebody's finger
-still on the mouse: the target stays for a while, then goes home slowly; when the page is heard
-again, it comes back as slowly. A page that is closed, or lets go, gives the hand back to its path
-at once.
+If a page falls silent with its socket open, its browser is busy and the finger may still be on the
+mouse: the target stays for a while, then returns home slowly; when the page is heard again, it
+comes back equally slowly. If a page closes or lets go, the hand returns to its path at once.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from pathlib import Path
 from messages.types import ZERO, Vector
 from nodes.driver.pointer import PointerWriter
 
-PATIENCE = 2.0  # how long the target stays where a page that has fallen silent held it [s]
-SLOWLY = 0.05  # how fast the target goes home then, and comes back [m/s]
-EVERY, PRESS, DEPTH = 3.0, 0.9, 0.004  # a hand nobody has taps so often, so long [s], so deep [m]
-REST = 1.0  # it begins when its path has come to rest for so long [s]
+SILENCE_LIMIT = 2.0  # time that the target of a silent page stays [s]
+SLOWLY = 0.05  # speed at which it then returns home, and comes back [m/s]
+EVERY, PRESS, DEPTH = 3.0, 0.9, 0.004  # taps of an unowned hand: period, duration [s], depth [m]
+REST = 1.0  # time that its path must be at rest before the first tap [s]
 
 
 def _towards(here: Vector, there: Vector, way: float) -> Vector:
@@ -31,14 +30,14 @@ def _towards(here: Vector, there: Vector, way: float) -> Vector:
 
 
 class SharedHand:
-    """The hand's target among several pages. One thread uses it."""
+    """Target of the hand, shared among pages; used by one thread."""
 
     def __init__(self, path: Path) -> None:
         try:
             self._writer: PointerWriter | None = PointerWriter(path)
         except FileNotFoundError:
             self._writer = None
-        self.there = self._writer is not None  # whether there is a hand that can be dragged
+        self.there = self._writer is not None  # whether the launch has a hand to drag
         self.taken = False  # whether any page has taken it so far
         self._owner = 0
         self._lapsed = 0
@@ -49,9 +48,9 @@ class SharedHand:
         self._taps = -math.inf
 
     def move(self, owner: int, target: Sequence[float] | None) -> str:
-        """Move the target, or let go of it."""
+        """Move the target for page `owner`, or release it (None); return an error or ""."""
         if self._writer is None:
-            none = "hand: nothing can be dragged here; haptic launch touch_wall --view has a hand"
+            none = "hand: this launch has none; try haptic launch touch_wall --view"
             return "" if target is None else none
         if target is None:
             if self._owner == owner:
@@ -72,7 +71,7 @@ class SharedHand:
                 return "hand: another page holds it"
             self._owner, self.taken = owner, True
             self._home = self._at = self._present
-            # Back after a silence: the finger was on the mouse all the time.
+            # Back after a silence: the finger may have been on the mouse all the time.
             self._slow = self._lapsed == owner
         self._lapsed = 0
         self._wanted, self._heard = wanted, time.monotonic()
@@ -82,7 +81,7 @@ class SharedHand:
         return ""
 
     def step(self, present: Vector) -> None:
-        """Renew the target, from where the driver tells it to be; called as often as a screen shows it."""
+        """Renew the target, starting at the `present` one; called once per screen refresh."""
         now, before = time.monotonic(), self._stepped
         self._stepped = now
         if present != self._present or math.isinf(self._still):
@@ -90,7 +89,7 @@ class SharedHand:
         if self._writer is None or not self._owner:
             return
         way = SLOWLY * min(0.1, now - before)
-        if now - self._heard < PATIENCE:
+        if now - self._heard < SILENCE_LIMIT:
             if self._slow:
                 self._at = _towards(self._at, self._wanted, way)
                 self._slow = self._at != self._wanted
@@ -104,12 +103,12 @@ class SharedHand:
         self._writer.write(self._at)
 
     def tap(self, axis: int, surface: float | None, side: float) -> None:
-        """Touch the surface by itself now and then, while no page has taken the hand."""
+        """Tap the surface now and then while no page has taken the hand."""
         now, writer = time.monotonic(), self._writer
         if writer is None or self.taken or surface is None:
             return
         if not writer.take():
-            # A page of another view has it.
+            # A page of another view owns the hand.
             self.taken = True
             return
         self._tap(writer, now, axis, surface - side * DEPTH)
@@ -126,7 +125,7 @@ class SharedHand:
                 writer.let_go()
                 self._at = self._home
             return
-        # Up and down as a finger does: soft at both ends, a while inside.
+        # Down and up like a finger: smooth at both ends, with a pause inside.
         share = min(1.0, 1.6 * math.sin(math.pi * done) ** 2)
         target = list(self._home)
         target[axis] += share * (deepest - target[axis])
@@ -139,6 +138,6 @@ class SharedHand:
         self._owner, self._slow = 0, False
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the pointer file."""
         if self._writer is not None:
             self._writer.close()

@@ -1,8 +1,8 @@
-"""The map of stability beside the sliders: which K and B of the present kind of law the loop bears, and how far the edge is.
+"""Stability map beside the sliders: stable K and B of the active law, and its margins.
 
-Computed with the project's own exact methods (sim/THEORY.md §3), for the device as declared and the
-delay as measured. It runs in the view's process, off the chain's core: a map takes some 0.1 s, and
-the first one, which imports scipy, 0.5 s.
+Computed with the project's exact methods (sim/THEORY.md §3), for the declared device and the
+measured delay. It runs in the view's process, off the chain's core: a map takes 0.1 s, the first
+one, which imports scipy, 0.5 s.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, SteppedTool, WorldKind, world_k_max
+from nodes.stability.worlds import AnyWorld, EulerTool, SteppedTool, WorldKind, world_k_max
 
-NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then in equal ratios
-FARTHEST = 4096.0  # how far beyond the near part the far end is looked for, as a ratio
-MOST_DELAY = 20.0  # longest delay that the margin is looked for [ticks]
+NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then geometrically
+FARTHEST = 4096.0  # search limit of the far end, relative to the near part
+DELAY_LIMIT = 20.0  # search limit of the delay margin [ticks]
 DELAYS = 25  # points of the edge over the delay
-# points of the edge for any world, over the gain and over the delay: 8 ms each
+# Points of the edge for any world, over the gain and over the delay; 8 ms each.
 ANY_NEAR, ANY_DELAYS = 13, 9
 
 
 def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None:
-    """Find the device that a map is drawn for."""
+    """Return the device that a map is drawn for; None if it is not declared."""
     if declared is not None:
         return msgspec.convert(declared, PlantParameters)
     device = driver.get("device")
@@ -57,7 +57,7 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
 
 
 def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
-    """Least and largest K that every one of these devices bears, in the first stretch of each; None for no such K."""
+    """Return the first interval of K that is stable with all devices; None if there is none."""
     low, high = -math.inf, math.inf
     for device in devices:
         edge = k_max(without_spring(law, device.period), device)
@@ -68,21 +68,38 @@ def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
 
 
 def _moving(plant: PlantParameters) -> WorldKind | None:
-    """Return the worlds that move for which the map has a dashed line; None where two devices share the law."""
+    """Return the moving worlds of the map's dashed line; None if two devices share the law."""
     if plant.partner_mass is not None:
         return None
     stepped = plant.tool_mass is not None and plant.tool_lag != 0.0
     return SteppedTool(plant.tool_damping) if stepped else AnyWorld()
 
 
-def _certified(law: Law, devices: Sequence[Plant], world: WorldKind) -> float | None:
-    """Return the largest K that is certified on all devices for worlds that move (THEORY.md §18); None for none."""
+def _heavy(plant: PlantParameters, device: Plant) -> EulerTool | None:
+    """Return the tool of known mass, or None if its steps are not known."""
+    if plant.tool_mass is None or plant.tool_step is None:
+        return None
+    steps = max(1, math.ceil(device.period / plant.tool_step - 1e-9))
+    late = max(device.delay - plant.device_delay, 0.0)
+    return EulerTool(plant.tool_mass, steps, plant.tool_damping, late)
+
+
+def _certified(
+    law: Law, devices: Sequence[Plant], world: WorldKind, plant: PlantParameters
+) -> float | None:
+    """Return the largest K certified on all devices for moving worlds (THEORY.md §18)."""
     least = math.inf
     for device in devices:
-        found = world_k_max(without_spring(law, device.period), device, world)
-        if found.k_max_n_per_m is None:
+        heavy = _heavy(plant, device) if isinstance(world, SteppedTool) else None
+        edges = [
+            world_k_max(without_spring(law, device.period), device, kind).k_max_n_per_m
+            for kind in (world, heavy)
+            if kind is not None
+        ]
+        certified = [edge for edge in edges if edge is not None]
+        if not certified:
             return None
-        least = min(least, found.k_max_n_per_m)
+        least = min(least, max(certified))
     return least if math.isfinite(least) else None
 
 
@@ -99,7 +116,7 @@ def _bounds(law: Law, devices: Sequence[Plant], dampings: list[float]) -> list[l
 
 
 def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
-    """Largest B with any stable K, from `near` on; at most so many times as far."""
+    """Return the largest B with any stable K, searched from `near` to `near` · FARTHEST."""
     inside = near
     while inside < near * FARTHEST:
         outside = 2.0 * inside
@@ -112,7 +129,7 @@ def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
 
 
 def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
-    """How much longer the loop's delay may get until a loop that is stable with all these devices is so no longer."""
+    """Return the extra delay at which the loop becomes unstable with a device [ticks]."""
     compiled, begin = law.compile(devices[0].period), devices[0].delay
 
     def stable(delay: float) -> bool:
@@ -121,7 +138,7 @@ def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
     if not stable(begin):
         return 0.0
     inside = begin
-    for delay in np.arange(1, round(MOST_DELAY / 0.1) + 1) * 0.1 + begin:
+    for delay in np.arange(1, round(DELAY_LIMIT / 0.1) + 1) * 0.1 + begin:
         if not stable(float(delay)):
             return last_inside(stable, inside, float(delay), 30) - begin
         inside = float(delay)
@@ -131,10 +148,10 @@ def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
 def _over_delay(
     law: Law, devices: Sequence[Plant], margin: float | None
 ) -> list[list[float | None]]:
-    """Give the edge over the delay, to beyond where the present stiffness meets it: rows of delay, least and largest K."""
-    meets = devices[0].delay + (MOST_DELAY if margin is None else margin)
-    # In powers of two, as with B.
-    far = min(MOST_DELAY, 2.0 ** math.ceil(math.log2(max(1.1 * meets, 2.0))))
+    """Return rows of delay, smallest and largest stable K, to beyond the present margin."""
+    meets = devices[0].delay + (DELAY_LIMIT if margin is None else margin)
+    # A power of two, as for B.
+    far = min(DELAY_LIMIT, 2.0 ** math.ceil(math.log2(max(1.1 * meets, 2.0))))
     found: list[list[float | None]] = []
     for delay in np.linspace(0.0, far, DELAYS).tolist():
         late = [replace(device, delay=delay) for device in devices]
@@ -146,10 +163,10 @@ def _over_delay(
 def with_inertia(
     declared: PlantParameters | None, seen: Mapping[str, Any] | None
 ) -> PlantParameters | None:
-    """Return the plant with the masses that a device itself tells, over the poses it was in; a hand's is not among them.
+    """Return the plant with the masses that a device reports for its poses, without the hand.
 
-    The device tells what the scene moves; the plant has its own masses, those times the square of
-    the scale.
+    The device reports the mass that the scene moves; the plant's own masses are those times the
+    square of the scale.
     """
     if seen is None:
         return declared
@@ -165,14 +182,14 @@ def with_inertia(
 
 
 def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
-    """Draw the (B, K) plane of a law's kind: what is stable with every mass that the device has."""
+    """Compute the stable region of the (B, K) plane for every mass of the device."""
     compiled = law.compile(period)
     if compiled.evaluate is not None:
-        raise ValueError("the law has code of its own beside its taps, and so no poles.")
+        raise ValueError("the law has code beside its taps, so it has no poles.")
     devices = plant.over_workspace(period, delay)
     radii = [pole_radius(compiled, device) for device in devices]
     ends = [_edges(law, [device]) for device in devices]
-    # The worst mass: unstable before stable, then by its edge.
+    # The worst mass: unstable before stable, then by the lowest edge.
     worst = max(
         range(len(devices)),
         key=lambda i: (radii[i] >= 1.0, -(0.0 if (end := ends[i]) is None else end[1])),
@@ -192,7 +209,7 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     b = getattr(law, "damping", None)
     if not isinstance(b, float) or not hasattr(law, "stiffness"):
         return found
-    # In powers of two, so that the picture stays where it is while a slider moves within it.
+    # A power of two, so that the axis stays fixed while a slider moves within it.
     near = 2.0 ** math.ceil(math.log2(max(2.0 * b, plant.damping, 1e-3)))
     rows = _bounds(law, devices, np.linspace(0.0, near, NEAR).tolist())
     end = _end(law, devices, near)
@@ -203,18 +220,22 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     world = _moving(plant)
     if world is None:
         return drawn
-    # The device itself, without the tool that the coupling holds it to: the tool is part of the
-    # world.
+    # The device alone: the tool coupled to it is part of the world.
     some = [replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})]
     gains = np.linspace(0.0, near, ANY_NEAR).tolist()
-    # it falls fastest at first
+    # The limit falls fastest at small delays.
     delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()
+    heavy = _heavy(plant, some[0]) if isinstance(world, SteppedTool) else None
+    about = world.about if heavy is None else f"{world.about}, or {heavy.about}"
     return drawn | {
-        "world": world.about,
-        "k_max_any_world_n_per_m": _certified(law, some, world),
-        "any_world": [[gain, _certified(_at(law, gain), some, world)] for gain in gains],
+        "world": about,
+        "k_max_any_world_n_per_m": _certified(law, some, world, plant),
+        "any_world": [[gain, _certified(_at(law, gain), some, world, plant)] for gain in gains],
         "any_world_over_delay": [
-            [delay, _certified(law, [replace(device, delay=delay) for device in some], world)]
+            [
+                delay,
+                _certified(law, [replace(device, delay=delay) for device in some], world, plant),
+            ]
             for delay in delays
         ],
     }
@@ -228,13 +249,13 @@ def drawn_map(
     delay: float,
     inertia: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Draw the map for a page, or say why there is none; `inertia` is what a device tells of its own masses."""
+    """Return the map for a page, or why there is none; `inertia` holds the device's masses."""
     try:
         plant = with_inertia(plant_of(declared, driver), inertia)
         if plant is None:
             return {
                 "why": (
-                    "No map: the device is not declared. Give the coupling its plant in the launch"
+                    "No map: the device is not declared. Set plant of the coupling in the launch"
                     " file, for example plant: {mass: 0.1, damping: 1.0}."
                 )
             }

@@ -1,9 +1,9 @@
-"""Laws on a device, without starting a process: stability, the drop, and launch files played in one process."""
+"""Laws on a device, without starting a process: how stiff they may get, and their poles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,16 +11,14 @@ from nodes.stability import k_max as stability
 from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
 from nodes.stability.worlds import hand_text, world_k_max
-from sim.api.laws import LawLike, compiled, plain
+from sim.api.laws import LawLike, compiled
 from sim.api.laws import law as made
 from sim.api.named_worlds import read_world
-from sim.api.notebook_results import Result, new_figure
 from sim.arrays import Array
+from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from sim.play.one_axis import Trace
 
 
 _SHOWN = 41
@@ -82,34 +80,6 @@ class Poles(Result):
         axes.set(
             xlabel="Re z", ylabel="Im z", aspect="equal", title=f"pole radius {self.radius:.5g}"
         )
-        return figure
-
-
-@dataclass(frozen=True, repr=False)
-class Played(Result):
-    """A run in one process, one value per tick."""
-
-    name: str  # what was played
-    rate_hz: float  # of the loop [Hz]
-    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing
-    # falls, or not for long.
-    settled: bool | None
-    peak_force_n: float  # largest force [N]
-    final_position_m: float  # where the device ended [m]
-    time_s: Array
-    position_m: Array
-    velocity_m_per_s: Array
-    measured_m: Array  # what the encoder read
-    deflection_m: Array
-    force_n: Array
-
-    def plot(self) -> Figure:
-        """Draw position and force over time."""
-        figure, (top, below) = new_figure(2, height=2.2)
-        top.plot(self.time_s, self.position_m * 1e3)
-        top.set(ylabel="position [mm]", title=self.name)
-        below.step(self.time_s, self.force_n, where="post")
-        below.set(ylabel="force [N]", xlabel="time [s]")
         return figure
 
 
@@ -212,119 +182,3 @@ def poles(law: LawLike, plant: Plant) -> Poles:
     found = found[np.argsort(-np.abs(found))]
     radius = pole_radius(taps, plant)
     return Poles(radius, radius < 1.0, found.real.copy(), found.imag.copy())
-
-
-def drop(
-    law: LawLike,
-    plant: Plant,
-    height: float = 0.01,
-    ticks: int = 1500,
-    history: Literal["penetration", "position"] = "penetration",
-    clamp: bool = True,
-) -> Played:
-    """Drop a mass on a virtual floor, the experiment of the paper, as a launch and ``haptic study kmax`` drop it.
-
-    Parameters
-    ----------
-    law : str, mapping, sequence of float, Law or CompiledLaw
-        The law.
-    plant : Plant
-        Period [s], mass [kg], damping [N s/m] and delay [ticks]; nobody holds what is dropped.
-    height : float
-        Of the fall [m].
-    ticks : int
-        How long [ticks].
-    history : str
-        What feeds the law outside contact: ``penetration`` (zero) or ``position`` (the raw
-        distance).
-    clamp : bool
-        Whether a force into the wall is set to zero, as the coupling does. A wall that may pull
-        settles at up to 25 % more stiffness (PD, B = 40 N s/m: 18 000 N/m, against 14 400).
-
-    Returns
-    -------
-    Played
-        The run, and whether it settled.
-
-    Raises
-    ------
-    ValueError
-        When the plant has a hand: nobody holds what is dropped; when the height is below 0; when
-        the history is neither of the two.
-
-    Examples
-    --------
-    >>> drop({"kind": "pd", "stiffness": 1000, "damping": 3}, Plant(0.002, 0.1, 1.0)).settled
-    True
-    """
-    from sim.experiments.drop import Convention, dropped, held
-
-    if history not in ("penetration", "position"):
-        raise ValueError(f"history is {history!r}, expected 'penetration' or 'position'")
-    if plant.stiffness:
-        raise ValueError(
-            f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass"
-        )
-    if plant.partner is not None:
-        raise ValueError(
-            "plant.partner: a mass is dropped on a floor, which does not move; leave the"
-            " partner out"
-        )
-    if not 0.0 <= height < np.inf:
-        raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
-    convention = Convention(history == "position", clamp)
-    trace, rested = dropped(
-        held(plant), compiled(law, plant.period), plant.period, ticks, convention, height
-    )
-    return _played(f"drop from {height * 1e3:g} mm", 1.0 / plant.period, trace, rested)
-
-
-def _played(name: str, rate: float, trace: Trace, rested: bool | None) -> Played:
-    peak, columns = (
-        float(np.max(np.abs(trace.force))),
-        (trace.time, trace.position, trace.velocity, trace.measured),
-    )
-    return Played(name, rate, rested, peak, trace.final[0], *columns, trace.deflection, trace.force)
-
-
-def play(scenario: str, **arguments: Any) -> Played:
-    """Play a scenario's launch file in one process: the bits of its lockstep run, thousands of times faster.
-
-    Parameters
-    ----------
-    scenario : str
-        Name or path of a launch file; ``haptic.scenarios()`` lists them.
-    **arguments : object
-        Arguments of the launch file, e.g. ``stiffness=1500``.
-
-    Returns
-    -------
-    Played
-        The run.
-
-    Raises
-    ------
-    nodes.parameters.store.ParameterError
-        When the launch file refuses an argument, or holds what one process does not play.
-
-    Examples
-    --------
-    >>> round(play("floor_drop", stiffness=1500).final_position_m, 9)
-    -0.000654
-    """
-    from nodes.launcher import launch_file
-    from sim.experiments.drop import SHORTEST, Criterion, settled
-    from sim.play.launched import from_launch
-
-    launch = launch_file.read(scenario, plain(arguments))
-    launched = from_launch(launch)
-    scene, trace = launched.scene, launched.play()
-    falls = (
-        bool(scene.device.gravity) and scene.device.hand is None and scene.surface.kind == "plane"
-    )
-    rested = None
-    if falls and launched.ticks >= SHORTEST:
-        rested = settled(
-            scene, launched.last_law, trace.position, trace.force, Criterion(launched.ticks)
-        )
-    return _played(launch.scenario, launch.run.rate, trace, rested)

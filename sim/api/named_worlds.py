@@ -43,9 +43,11 @@ def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
         low, high = _numbers("springs", options["springs"], 2)
         return Springs(low, high), any_hand
     if name in ("tool", "any_hand_tool"):
-        return SteppedTool(*_numbers("tool_damping", options["tool_damping"])), any_hand
+        (damping,) = _numbers("tool_damping", options["tool_damping"])
+        return SteppedTool(damping), any_hand
     if name == "euler_tool":
-        return EulerTool(*_numbers("tool_mass", options["tool_mass"])), any_hand
+        (mass,) = _numbers("tool_mass", options["tool_mass"])
+        return EulerTool(mass), any_hand
     if name == "two_hands":
         other = options["other"]
         if not isinstance(other, Plant):

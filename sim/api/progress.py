@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from nodes.parameters.options import ProgressOf, ProgressStep
+
 _WIDE = 40
 
 
@@ -27,6 +29,24 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
     finally:
         if terminal:
             sys.stderr.write("\r\033[K")
+
+
+@contextlib.contextmanager
+def bars_of(title: str) -> Iterator[ProgressOf]:
+    """Show a bar for each job that begins in the block; the block gives its functions what begins one."""
+    with contextlib.ExitStack() as shown:
+
+        def begin(total: int) -> ProgressStep:
+            show, done = shown.enter_context(progress(title, total)), 0
+
+            def step(_what: str, count: int = 1) -> None:
+                nonlocal done
+                done += count
+                show(done)
+
+            return step
+
+        yield begin
 
 
 def _notebook_handle(title: str) -> Any:

@@ -7,25 +7,22 @@ the notebook's cell ends, nothing is left behind.
 import contextlib
 import json
 import shutil
-import signal
-import subprocess
-import tempfile
-import threading
 import time
 import weakref
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any, Self
 
 from messages.errors import HapticError
 from nodes.client import launches
-from nodes.launcher.runs import RunInfo, alive, runs
+from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
 from sim.api.laws import plain
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
-from sim.measure.measured_launch import HAPTIC, beside, end
+from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
+from sim.measure.interrupts import deferred
+from sim.measure.started_launch import StartedLaunch
 
 STARTS_WITHIN = 60.0  # when a launch that has not ticked is given up [s]
 
@@ -41,10 +38,8 @@ class Run:
     ----------
     info : RunInfo
         Its nodes.
-    process : subprocess.Popen, optional
-        The launcher, when this program started it; the end of a ``with`` block ends it.
-    folder : Path, optional
-        What the launcher writes to; removed with the run.
+    started : StartedLaunch, optional
+        The launch, when this program started it; the end of a ``with`` block ends it.
 
     Attributes
     ----------
@@ -63,19 +58,13 @@ class Run:
     'pd'
     """
 
-    def __init__(
-        self,
-        info: RunInfo,
-        process: subprocess.Popen[bytes] | None = None,
-        folder: Path | None = None,
-    ) -> None:
+    def __init__(self, info: RunInfo, started: StartedLaunch | None = None) -> None:
         self.info = info
         self.param = Parameters(self.ask, self.nodes)
         self.law = Laws(lambda op, **args: self.ask(self.role("coupling"), op, **args))
-        self._process = process
-        self._folder = folder
-        if folder is not None:
-            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._started = started
+        if started is not None:
+            weakref.finalize(self, shutil.rmtree, started.output, ignore_errors=True)
         self._summary: RunSummary | None = None
 
     def __enter__(self) -> Self:
@@ -89,7 +78,7 @@ class Run:
         trace: TracebackType | None,
     ) -> None:
         """End a launch that this program started; leave any other alone."""
-        if self._process is not None:
+        if self._started is not None:
             self.stop()
 
     def __repr__(self) -> str:
@@ -106,8 +95,8 @@ class Run:
     @property
     def running(self) -> bool:
         """Whether it goes on."""
-        if self._process is not None:
-            return self._process.poll() is None
+        if self._started is not None:
+            return not self._started.ended
         return alive(self.info.launcher, self.info.launcher_started)
 
     def role(self, part: str) -> str:
@@ -147,13 +136,13 @@ class Run:
         object
             The answer.
         """
-        with whole():
+        with deferred():
             return launches.ask(self.info, node, op, **args)
 
     @property
     def url(self) -> str:
         """URL of the page, for a launch with ``view=True``."""
-        lines = [] if self._folder is None else _lines(self._folder)
+        lines = [] if self._started is None else self._started.lines
         if not lines or "url" not in (printed := json.loads(lines[0])):
             raise LaunchError(f"{self.info.run}: no page; launch with view=True")
         return str(printed["url"])
@@ -183,28 +172,11 @@ class Run:
             if out is not None
             else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
         )
-        words = [
-            "bag",
-            "record",
-            "--run",
-            self.info.chosen,
-            "--duration",
-            str(duration),
-            "--out",
-            str(path),
-            "--json",
-        ]
-        process = beside(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        words = ["--run", self.info.chosen, "--duration", str(duration), "--out", str(path)]
         try:
-            printed = process.communicate()[1]
-        except BaseException:
-            # What is recorded so far is complete.
-            end(process)
-            raise
-        if process.returncode:
-            raise LaunchError(
-                f"bag record ended with exit code {process.returncode}: {printed.strip()}"
-            )
+            run_beside("bag", "record", *words, "--json")
+        except MeasurementError as error:
+            raise LaunchError(str(error)) from error
         return read(path)
 
     def wait(self, timeout: float | None = None) -> RunSummary:
@@ -225,21 +197,20 @@ class Run:
         LaunchError
             When it failed, or takes longer.
         """
-        process = self._started_here("wait for")
+        started = self._started_here("wait for")
         until = None if timeout is None else time.monotonic() + timeout
         # Of several chains the first stands for all.
         driver = next(iter(self.info.drivers()), None)
         total = self.info.nodes[driver].ticks if driver else None
         try:
-            with whole() as came, progress(self.info.scenario, total) as step:
-                while process.poll() is None and not came:
+            with deferred() as came, progress(self.info.scenario, total) as step:
+                while not started.ended and not came:
                     if until is not None and time.monotonic() > until:
                         raise LaunchError(f"{self.info.run}: still running after {timeout:g} s")
                     if driver:
                         with contextlib.suppress(HapticError):
                             step(int(self.ask(driver, "status", timeout=1.0)["ticks"]))
-                    with contextlib.suppress(subprocess.TimeoutExpired):
-                        process.wait(0.1)
+                    started.wait(0.1)
         except KeyboardInterrupt:
             self.stop()
             raise
@@ -247,21 +218,20 @@ class Run:
 
     def stop(self) -> None:
         """End it as Ctrl-C does: force to zero first, recordings complete."""
-        if self._process is not None:
-            end(self._process)
+        if self._started is not None:
+            self._started.interrupt()
             return
-        done = subprocess.run(
-            [*HAPTIC, "stop", self.info.run], capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise LaunchError(done.stderr.strip())
+        try:
+            haptic(Path.cwd(), "stop", self.info.run)
+        except MeasurementError as error:
+            raise LaunchError(str(error)) from error
 
-    def _started_here(self, what: str) -> subprocess.Popen[bytes]:
-        if self._process is None:
+    def _started_here(self, what: str) -> StartedLaunch:
+        if self._started is None:
             raise LaunchError(
                 f"{self.info.run}: started elsewhere; only its own launcher can {what} its end"
             )
-        return self._process
+        return self._started
 
     @property
     def summary(self) -> RunSummary:
@@ -272,18 +242,14 @@ class Run:
         LaunchError
             When it goes on, failed, or was started elsewhere.
         """
-        process = self._started_here("report")
+        started = self._started_here("report")
         if self._summary is None:
-            if process.poll() is None:
+            if not started.ended:
                 raise LaunchError(f"{self.info.run}: still running; wait() or stop() first")
-            assert self._folder is not None  # noqa: S101  # a process has one
-            lines = _lines(self._folder)
-            printed = json.loads(lines[-1]) if lines else {}
+            printed = started.figures
             # Of one that was killed the URL of its page may be all that it printed.
-            if process.returncode == 1 or "exit_reason" not in printed:
-                raise LaunchError(
-                    f"{self.info.run}: exit code {process.returncode}: {_errors(self._folder)}"
-                )
+            if started.exit_code == 1 or "exit_reason" not in printed:
+                raise LaunchError(started.failure())
             keys = (
                 "scenario",
                 "exit_reason",
@@ -310,37 +276,6 @@ class Run:
         if path is None or not Path(path).exists():
             raise LaunchError(f"{self.info.run}: no recording on this machine ({path})")
         return read(path)
-
-
-@contextlib.contextmanager
-def whole() -> Iterator[Sequence[object]]:
-    """Do this block to its end; an interrupt that comes meanwhile is one at its end, and stands in the sequence until then.
-
-    A ``KeyboardInterrupt`` that is raised inside a finaliser, as sockets and Python's locks of
-    imports have one, is printed and forgotten, and the cell would go on.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    # Only the main thread is interrupted; SIG_IGN and SIG_DFL run no Python.
-    if threading.current_thread() is not threading.main_thread() or not callable(before):
-        yield ()
-        return
-    came: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if came:
-            before(*came[0])
-
-
-def _lines(folder: Path) -> list[str]:
-    return (folder / "stdout.txt").read_text(encoding="utf-8").splitlines()
-
-
-def _errors(folder: Path) -> str:
-    text = (folder / "stderr.txt").read_text(encoding="utf-8", errors="replace")
-    return text.strip()[-2000:]
 
 
 def connect(name: str | None = None) -> Run:
@@ -410,54 +345,23 @@ def launch(
         words.append("--view")
     if out_dir is not None:
         words += ["--out-dir", str(out_dir)]
-    folder = Path(tempfile.mkdtemp(prefix="haptic-"))
-    with open(folder / "stdout.txt", "wb") as out, open(folder / "stderr.txt", "wb") as errors:
-        process = beside(
-            "launch", scenario, *words, "--json", "--no-plot", stdout=out, stderr=errors
-        )
+    started = StartedLaunch(scenario, *words)
     try:
-        with whole() as came:
-            info = _appeared(process, folder, came)
-        return Run(info, process, folder)
+        with deferred() as came:
+            started.await_tick(longest=STARTS_WITHIN, interrupts=came)
+        info = started.info()
+        if info is None:
+            printed = started.figures
+            info = RunInfo(
+                run=printed["run"],
+                scenario=printed["scenario"],
+                launcher=started.process.pid,
+                nodes={},
+            )
+        return Run(info, started)
+    except MeasurementError as error:
+        started.close()
+        raise LaunchError(str(error)) from error
     except BaseException:
-        end(process)
-        shutil.rmtree(folder, ignore_errors=True)
+        started.close()
         raise
-
-
-def _appeared(
-    process: subprocess.Popen[bytes], folder: Path, interrupts: Sequence[object]
-) -> RunInfo:
-    until = time.monotonic() + STARTS_WITHIN
-    while time.monotonic() < until:
-        if interrupts:
-            raise KeyboardInterrupt
-        info = next((info for info in runs().values() if info.launcher == process.pid), None)
-        ended = process.poll() is not None
-        if info is not None and (ended or _ticks(info)):
-            return info
-        if ended and process.returncode == 0:
-            # In lockstep a short one is over before anybody looks.
-            printed = json.loads(_lines(folder)[-1])
-            return RunInfo(
-                run=printed["run"], scenario=printed["scenario"], launcher=process.pid, nodes={}
-            )
-        if ended:
-            refused = process.returncode == 2
-            said = _errors(folder)
-            raise LaunchError(
-                said.removeprefix("haptic: ")
-                if refused
-                else f"exit code {process.returncode}: {said}"
-            )
-        time.sleep(0.01)
-    raise LaunchError(f"haptic launch: no tick within {STARTS_WITHIN:g} s: {_errors(folder)}")
-
-
-def _ticks(info: RunInfo) -> bool:
-    with contextlib.suppress(HapticError):
-        return all(
-            launches.ask(info, driver, "status", timeout=1.0)["ticks"] > 0
-            for driver in info.drivers()
-        )
-    return False

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from sim.api.notebook_results import Result, bars, new_figure
+from sim.studies.notebook_results import Result, bars, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -134,7 +134,7 @@ def plot(what: Result | str | Path) -> Figure:
 
     Examples
     --------
-    >>> from sim.api.loops import play
+    >>> from sim.api.played import play
     >>> plot(play("floor_drop")).savefig("drop.pdf")
     """
     return what.plot() if isinstance(what, Result) else read(what).plot()

@@ -11,10 +11,10 @@ import numpy as np
 from nodes.stability.plant import Plant
 from sim.api.laws import LawLike, compiled
 from sim.api.laws import law as made
-from sim.api.notebook_results import Result, new_figure
 from sim.arrays import Array
 from sim.experiments.rendered import LOWEST, POINTS, ZWidth, frequencies, rendered
 from sim.experiments.rendered import z_width as plane
+from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,149 +1,46 @@
-"""From a device to its law, from Python: the command line's own verbs, run beside the notebook, with their figures back.
+"""From a device to its law, from Python: the functions behind the command line, with their objects back.
 
-A verb runs as a process of its own, so that an interrupted cell ends it as Ctrl-C does: the device
-safe, what is known written.
+They run in this process: an interrupted cell stops them where they are, and what they had written
+stays.
 """
 
 from __future__ import annotations
 
-import collections
-import json
-import re
-import subprocess
-import threading
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
+from nodes.parameters.installed import points
+from nodes.parameters.options import options_of
+from nodes.parameters.refusals import choices
 from sim.api.laws import plain
-from sim.api.notebook_results import Result, bars, new_figure, pandas
-from sim.api.progress import progress
+from sim.api.progress import bars_of
 from sim.api.python_runs import LaunchError
-from sim.measure.measured_launch import beside, end
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-# Names under which studies tell their rows.
-_TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "parameters")
-_ON_OR_OFF = ("land",)  # options that are on unless they are switched off
-# how argparse begins what it says of an option that there is not
-_USAGE = re.compile(r"^usage: .*\n(?: .*\n)*", re.MULTILINE)
-# how a verb says how far it is, where nobody looks at a terminal (sim/measure/stopwatch.py)
-_SHARE = re.compile(r"^(\d+) % ")
+    from sim.studies.result import StudyResult
+    from sim.tune.tune import TuneResult
 
 
-@dataclass(frozen=True, repr=False)
-class Answer(Result):
-    """The figures of a verb: what ``--json`` prints, by name."""
-
-    command: str  # what was run
-    answer: dict[str, Any]  # its figures; ``result["name"]`` reads one
-    held: bool = True  # whether its verdict is yes: its exit code is 0
-
-    def figures(self) -> dict[str, Any]:
-        """List the figures."""
-        return self.answer
-
-    def to_pandas(self) -> Any:
-        """Turn it into a table: the rows of a study that has some, else its figures in one row."""
-        rows = next(
-            (value for name, value in self.answer.items() if name in _TABLES and value), None
+def _called(name: str, words: Sequence[Any], given: dict[str, Any]) -> StudyResult:
+    """Call what is registered as a sub-verb, with options as Python has them."""
+    found = points("haptic.verbs")
+    if name not in found:
+        kind, _, asked = name.partition(".")
+        known = [one.partition(".")[2] for one in found if one.startswith(f"{kind}.")]
+        moved = f"; haptic.lab({asked!r}) is it now" if f"lab.{asked}" in found else ""
+        raise LaunchError(f"{kind} {asked!r}: {choices(asked, known)}{moved}")
+    function: Any = found[name].load()
+    options = plain({key: value for key, value in given.items() if key != "progress"})
+    with bars_of(name.replace(".", " ")) as shown:
+        progress = given.get("progress") or shown
+        result: StudyResult = function(
+            options_of(function).of(*words, **options, progress=progress)
         )
-        return pandas().DataFrame([self.answer] if rows is None else rows)
-
-    def plot(self) -> Figure:
-        """Draw it: the picture that the verb drew, or its figures beside each other."""
-        picture = self.answer.get("plot")
-        if not isinstance(picture, str) or not Path(picture).exists():
-            return bars(_flat(self.answer), "as their names say", self.command)
-        from matplotlib.image import imread
-
-        drawn = imread(picture)
-        figure, (axes,) = new_figure(width=drawn.shape[1] / 150.0, height=drawn.shape[0] / 150.0)
-        axes.imshow(drawn)
-        axes.set_axis_off()
-        return figure
-
-    def __getitem__(self, name: str) -> Any:
-        """Read one figure."""
-        if name not in self.answer:
-            raise KeyError(
-                f"{name!r} is no figure of {self.command}; there are {', '.join(self.answer)}"
-            )
-        return self.answer[name]
-
-    def _ipython_key_completions_(self) -> list[str]:
-        return list(self.answer)
+    return result
 
 
-def _flat(said: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Name every number of an answer by its path."""
-    found: dict[str, Any] = {}
-    for name, value in said.items():
-        found |= (
-            _flat(value, f"{before}{name}.")
-            if isinstance(value, Mapping)
-            else {f"{before}{name}": value}
-        )
-    return found
-
-
-def _words(options: dict[str, Any]) -> list[str]:
-    """Write keyword arguments as options: ``taps=4`` is ``--taps 4``, ``land=True`` is ``--land``."""
-    words = []
-    for name, value in plain(options).items():
-        option = f"--{name.replace('_', '-')}"
-        if isinstance(value, bool):
-            # Off is said only where it can be; other options are off when they are left out.
-            words += [option] if value else [f"--no-{name}"] if name in _ON_OR_OFF else []
-        elif isinstance(value, tuple | list):
-            words += [option, *map(str, value)]
-        elif value is not None:
-            words += [option, str(value)]
-    return words
-
-
-def _run(*words: str) -> Answer:
-    command = " ".join(("haptic", *words))
-    process = beside(*words, "--json", stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    out_pipe, error_pipe = process.stdout, process.stderr
-    assert out_pipe is not None  # noqa: S101  # it is a pipe
-    assert error_pipe is not None  # noqa: S101
-    said: collections.deque[str] = collections.deque(maxlen=20)
-    try:
-        with progress(command, 100) as step:
-            reader = threading.Thread(target=_collect, args=(error_pipe, said, step), daemon=True)
-            reader.start()
-            out = out_pipe.read()
-            process.wait()
-            reader.join(1.0)
-    except KeyboardInterrupt:
-        end(process)
-        raise
-    finally:
-        out_pipe.close()
-    lines = out.splitlines()
-    if process.returncode not in (0, 1) or not lines:
-        raise LaunchError(f"{command}: exit code {process.returncode}: {_refusal(said)}")
-    return Answer(command, json.loads(lines[-1]), process.returncode == 0)
-
-
-def _refusal(said: Iterable[str]) -> str:
-    """Take the refusal from what a verb wrote; how it is used is told by ``haptic ... --help``."""
-    return _USAGE.sub("", "".join(said)).strip()
-
-
-def _collect(stream: IO[str], said: collections.deque[str], step: Any) -> None:
-    with stream:
-        for line in stream:
-            said.append(line)
-            if (share := _SHARE.match(line)) is not None:
-                step(int(share[1]))
-
-
-def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
+def study(name: str, *words: str, client: Any = None, **options: Any) -> StudyResult:
     """Run a study: ``haptic study NAME``; one that sweeps runs on the workers of a Dask client where one is given.
 
     Parameters
@@ -155,16 +52,18 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
     client : distributed.Client, optional
         Whose workers do the jobs; same figures to the bit.
     **options : object
-        The study's options: ``gain="1..40"``, ``points=41``; ``haptic study kmax --help``.
+        The study's options: ``gain=(1, 40)`` or ``gain="1..40"``, ``points=41``; ``progress``, a
+        function of the number of parts that returns what is called with each; ``haptic study kmax
+        --help`` lists them.
 
     Returns
     -------
-    Answer
-        Its figures; ``.held`` says whether its verdict is yes.
+    StudyResult
+        What it found: ``result["NAME"]`` is a figure, ``.held`` whether its verdict is yes.
 
     Raises
     ------
-    LaunchError
+    HapticError
         When it refuses; the text says why.
 
     Examples
@@ -172,10 +71,10 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
     >>> study("kmax", law="pd", gain=3)["k_max_n_per_m"]
     3781.8664...
     """
-    return _run("study", name, *words, *_words(options | _cluster(client)))
+    return _called(f"study.{name}", words, options | _cluster(client))
 
 
-def lab(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
+def lab(name: str, *words: str, client: Any = None, **options: Any) -> StudyResult:
     """Run an experiment that checks a claim of this project: ``haptic lab NAME``.
 
     Parameters
@@ -191,12 +90,12 @@ def lab(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
 
     Returns
     -------
-    Answer
-        Its figures; ``.held`` says whether its verdict is yes.
+    StudyResult
+        What it found: ``result["NAME"]`` is a figure, ``.held`` whether its verdict is yes.
 
     Raises
     ------
-    LaunchError
+    HapticError
         When it refuses; the text says why.
 
     Examples
@@ -204,7 +103,7 @@ def lab(name: str, *words: str, client: Any = None, **options: Any) -> Answer:
     >>> lab("fig2", taps=4)["taps"]
     4
     """
-    return _run("lab", name, *words, *_words(options | _cluster(client)))
+    return _called(f"lab.{name}", words, options | _cluster(client))
 
 
 def _cluster(client: Any) -> dict[str, Any]:
@@ -231,7 +130,7 @@ def _cluster(client: Any) -> dict[str, Any]:
     return {"cluster": address, **files}
 
 
-def design(**options: Any) -> Answer:
+def design(**options: Any) -> StudyResult:
     """Search the taps that bear the stiffest wall on a range of devices: ``haptic study design``.
 
     Parameters
@@ -242,12 +141,12 @@ def design(**options: Any) -> Answer:
 
     Returns
     -------
-    Answer
+    StudyResult
         Its figures.
 
     Raises
     ------
-    LaunchError
+    HapticError
         When it refuses; the text says why.
 
     Examples
@@ -255,10 +154,10 @@ def design(**options: Any) -> Answer:
     >>> design(mass="0.05..0.2", taps=2, land=False)["designed"]["h1_n_per_m"]
     1866...
     """
-    return _run("study", "design", *_words(options))
+    return _called("study.design", (), options)
 
 
-def identify(recording: str | Path, **options: Any) -> Answer:
+def identify(recording: str | Path, **options: Any) -> StudyResult:
     """Identify the device of a recording: ``haptic study identify``.
 
     Parameters
@@ -270,19 +169,19 @@ def identify(recording: str | Path, **options: Any) -> Answer:
 
     Returns
     -------
-    Answer
+    StudyResult
         Mass, damping, friction, delay and encoder, each with its 95 % interval.
 
     Raises
     ------
-    LaunchError
+    HapticError
         When it refuses; the text says why.
 
     Examples
     --------
     >>> identify("identify.mcap")["mass_kg"]  # doctest: +SKIP
     """
-    return _run("study", "identify", str(recording), *_words(options))
+    return _called("study.identify", (recording,), options)
 
 
 def tune(
@@ -291,7 +190,7 @@ def tune(
     *,
     arguments: dict[str, Any] | None = None,
     **options: Any,
-) -> Answer:
+) -> TuneResult:
     """From a device to its law: identify, design, predict, verify, apply: ``haptic tune``.
 
     Parameters
@@ -307,7 +206,7 @@ def tune(
 
     Returns
     -------
-    Answer
+    TuneResult
         What was identified, designed and measured.
 
     Raises
@@ -319,8 +218,11 @@ def tune(
     --------
     >>> tune("identify", arguments={"pace": "lockstep"})  # doctest: +SKIP
     """
+    from sim.tune.tune import tune as function
+    from sim.tune.tune_options import TuneOptions
+
     given = [f"{name}:={value}" for name, value in plain(arguments or {}).items()]
-    found = _run("tune", scenario, *given, "--out", str(out), *_words(options))
-    if "refused" in found.answer:
-        raise LaunchError(f"{found.command}: {found['refused']}")
+    found = function(TuneOptions.of(scenario, *given, out=out, **plain(options)))
+    if found.refused:
+        raise LaunchError(f"tune {scenario}: {found.refused}")
     return found

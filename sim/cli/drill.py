@@ -9,7 +9,7 @@ import msgspec
 
 from messages.errors import UsageError
 from nodes.cli.main import coloured
-from nodes.cli.quantities import not_negative, positive, whole
+from nodes.parameters.quantities import not_negative, positive, whole
 from sim.cli.answers import add_answer, report
 from sim.drill.drill import HOLD, LIMIT, RATE, DrillOutcome, drill
 from sim.drill.faults import faults
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     unknown = [name for name in arguments.faults if name not in known]
     if unknown:
-        raise UsageError(f"no fault is named {unknown[0]!r}; there is: {', '.join(known)}")
+        raise UsageError(f"no fault is named {unknown[0]!r}; available: {', '.join(known)}")
     outcomes = []
     for name in arguments.faults or known:
         print(f"[drill] {name}", file=sys.stderr, flush=True)

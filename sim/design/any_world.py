@@ -89,7 +89,7 @@ class WorldDesign:
     """The stiffest law of a family for any world."""
 
     taps: Array  # numerator h_0 … h_n [N/m], shape (n + 1,)
-    pole: float  # of 1/(1 − pole·w) behind them; 0 for taps alone
+    bottom: Array  # denominator in w behind them, 1 for taps alone, shape (1,) to (3,)
     parameters: Array  # weights of the family's basis, shape (p,)
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
@@ -101,50 +101,68 @@ class WorldDesign:
     @property
     def law(self) -> CompiledLaw:
         """The law as the coupling renders it."""
-        return with_pole(self.taps, self.pole)
+        return over(self.taps, self.bottom)
 
 
-def with_pole(taps: Array, pole: float) -> CompiledLaw:
-    """Compile h_0 … h_n over 1 − pole·w: taps, and one section for what is left of the quotient."""
-    if pole == 0.0:
+def behind_poles(*poles: complex) -> Array:
+    """Return the denominator in w of up to two poles, real ones or a conjugate pair: Π (1 − pole·w)."""
+    return np.trim_zeros(np.real(np.poly(poles)), "b") if poles else np.ones(1)
+
+
+def over(taps: Array, bottom: Array) -> CompiledLaw:
+    """Compile h_0 … h_n over 1 + a1·w + a2·w²: taps, and one section for what is left of the quotient.
+
+    Parameters
+    ----------
+    taps : ndarray, shape (n + 1,)
+        The numerator in w [N/m].
+    bottom : ndarray, shape (1,) to (3,)
+        The denominator in w, its first number 1.
+    """
+    bottom = np.trim_zeros(bottom, "b")
+    if len(bottom) == 1:
         return CompiledLaw(tuple(taps.tolist()))
-    # N(w) = (1 − pole w) Q(w) + N(1/pole): the remainder is the section's gain.
-    quotient, left = [], np.zeros(len(taps))
-    left[:] = taps
-    for k in range(len(taps) - 1, 0, -1):
-        quotient.append(-left[k] / pole)
-        left[k - 1] += left[k] / pole
-    newest = quotient[::-1] or [0.0]
-    return CompiledLaw(tuple(float(one) for one in newest), ((float(left[0]), 0.0, -pole, 0.0),))
+    # N(w) = P(w) Q(w) + R(w): the remainder is the section's numerator.
+    quotient, left = np.polydiv(taps[::-1], bottom[::-1])
+    b0, b1 = (*left[::-1].tolist(), 0.0)[:2]
+    a1, a2 = (*bottom[1:].tolist(), 0.0)[:2]
+    newest = quotient[::-1] if len(taps) >= len(bottom) else np.zeros(1)
+    return CompiledLaw(tuple(newest.tolist()), ((b0, b1, a1, a2),))
 
 
 def stiffest_for_any_world(
-    surroundings: Surroundings, basis: Array, free: bool = True, pole: float = 0.0, masses: int = 7
+    surroundings: Surroundings,
+    basis: Array,
+    free: bool = True,
+    bottom: Array | None = None,
+    masses: int = 7,
 ) -> WorldDesign | None:
     """Find the member of a family with the largest H(1) that is stable for any world; None where none is.
 
     `basis`: rows whose sum, weighted by the parameters, is the numerator, shape (p, n + 1) [N/m per
-    parameter]. `free`: whether parameters may be negative. `pole`: of a section behind them.
+    parameter]. `free`: whether parameters may be negative. `bottom`: denominator of a section behind
+    them (`behind_poles`).
     `masses`: of a range that are kept.
     """
     conditions = surroundings.conditions(masses)
+    below = np.ones(1) if bottom is None else bottom
     if surroundings.mass is None:
-        return _convex(surroundings, conditions, basis, free, pole)
-    return _for_device(surroundings, conditions, basis, free, pole)
+        return _convex(surroundings, conditions, basis, free, below)
+    return _for_device(surroundings, conditions, basis, free, below)
 
 
 class _Table:
     """The parts of all conditions over a grid of angles, linear in the parameters of a family."""
 
     def __init__(
-        self, conditions: Sequence[Requirement], basis: Array, pole: float, fineness: int = 64
+        self, conditions: Sequence[Requirement], basis: Array, bottom: Array, fineness: int = 64
     ) -> None:
         size = fineness * (basis.shape[1] + 4)
         theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, size))
-        bottom = Laurent(np.array([1.0, -pole])) if pole else Laurent(np.array([1.0]))
+        below = Laurent(bottom)
         rows = [Laurent(row) for row in basis]
         linear = np.array(
-            [values((row * bottom.conjugate).real_over_one_less_w(), theta) for row in rows]
+            [values((row * below.conjugate).real_over_one_less_w(), theta) for row in rows]
         ).T
         self.response = np.array([row.at(theta) for row in rows]).T  # of the numerator, (t, p)
         period = conditions[0].period
@@ -169,16 +187,16 @@ def _convex(
     conditions: Sequence[Requirement],
     basis: Array,
     free: bool,
-    pole: float,
+    bottom: Array,
 ) -> WorldDesign | None:
     """Cutting planes for any hand, where the condition is convex: the rest is ≤ 0."""
     from scipy.optimize import linprog
 
-    table = _Table(conditions, basis, pole)
+    table = _Table(conditions, basis, bottom)
     unit = surroundings.damping / surroundings.period
     gain, noise = (
-        basis.sum(axis=1) / (1.0 - pole),
-        basis @ alternating(basis.shape[1]) / (1.0 + pole),
+        basis.sum(axis=1) / bottom.sum(),
+        basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom))),
     )
     # of a parameter, so that its taps are about b/T
     scale = unit / np.maximum(np.abs(basis).max(axis=1), 1e-300)
@@ -214,7 +232,7 @@ def _convex(
         # linear + square(here) + slopes (p − here) ≥ 0, and square(p) ≤ its tangent.
         rows += list(-(table.linear[peaks] + slopes[peaks]) * scale)
         limits += list(square[peaks] - slopes[peaks] @ here)
-    return None if best is None else _finished(surroundings, best, basis, pole, bound)
+    return None if best is None else _finished(surroundings, best, basis, bottom, bound)
 
 
 def _for_device(
@@ -222,15 +240,15 @@ def _for_device(
     conditions: Sequence[Requirement],
     basis: Array,
     free: bool,
-    pole: float,
+    bottom: Array,
 ) -> WorldDesign | None:
     """Search the shapes of a family of which each has a stiffest scale in closed form; H(1) = 1 for a shape."""
     from scipy.optimize import differential_evolution, minimize
 
-    coarse, table = _Table(conditions, basis, pole, 8), _Table(conditions, basis, pole)
+    coarse, table = _Table(conditions, basis, bottom, 8), _Table(conditions, basis, bottom)
     gain, noise = (
-        basis.sum(axis=1) / (1.0 - pole),
-        basis @ alternating(basis.shape[1]) / (1.0 + pole),
+        basis.sum(axis=1) / bottom.sum(),
+        basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom))),
     )
     size = np.maximum(np.abs(basis).max(axis=1), 1e-300)
 
@@ -246,7 +264,7 @@ def _for_device(
             return 1.0
         stiffest, shortfall = _largest_scale(grid, parameters)
         stiffest = min(stiffest, surroundings.nyquist / max(abs(float(noise @ parameters)), 1e-300))
-        if shortfall > 0.0 or not zeros_inside(with_pole(parameters @ basis, pole)):
+        if shortfall > 0.0 or not zeros_inside(over(parameters @ basis, bottom)):
             return 1.0 + min(shortfall, 1e3)
         return -stiffest / surroundings.limit
 
@@ -272,7 +290,7 @@ def _for_device(
     value, parameters = less_stiffness(best, table), shape(best)
     if value >= 0.0 or parameters is None:
         return None
-    return _finished(surroundings, parameters * -value * surroundings.limit, basis, pole, None)
+    return _finished(surroundings, parameters * -value * surroundings.limit, basis, bottom, None)
 
 
 def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
@@ -294,20 +312,22 @@ def zeros_inside(law: CompiledLaw) -> bool:
 
 
 def _finished(
-    surroundings: Surroundings, parameters: Array, basis: Array, pole: float, bound: float | None
+    surroundings: Surroundings, parameters: Array, basis: Array, bottom: Array, bound: float | None
 ) -> WorldDesign | None:
     """Step inside by what rounding may need, and prove the result at every frequency."""
     inside, proven = parameters, False
     for shrink in (_INSIDE, 1e-5, 1e-4, 1e-3):
         inside = parameters * (1.0 - shrink)
-        proven = keeps(surroundings, with_pole(inside @ basis, pole))
+        proven = keeps(surroundings, over(inside @ basis, bottom))
         if proven:
             break
     taps = inside @ basis
-    law = with_pole(taps, pole)
+    law = over(taps, bottom)
     if not law.h1 > 0.0:
         return None
-    return WorldDesign(taps, pole, inside, law.h1, law.h_nyquist, surroundings.limit, bound, proven)
+    return WorldDesign(
+        taps, bottom, inside, law.h1, law.h_nyquist, surroundings.limit, bound, proven
+    )
 
 
 def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> bool:

@@ -9,10 +9,12 @@ import numpy as np
 
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
-from sim.design.any_world import Surroundings, WorldDesign, stiffest_for_any_world
+from sim.arrays import Array
+from sim.design.any_world import Surroundings, WorldDesign, behind_poles, stiffest_for_any_world
 
 # at which PDα is tuned before the best is refined
 ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))
+MOST_POLE = 0.995  # largest radius of a pole
 POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)  # of the section, before the best is refined
 
 
@@ -20,15 +22,21 @@ POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)  # of the section, before the 
 class Member:
     """The stiffest member of a family."""
 
-    family: str  # ``pd``, ``pd_alpha``, ``paper_optimum``, ``taps`` or ``one_pole``
+    # ``pd``, ``pd_alpha``, ``paper_optimum``, ``taps``, ``one_pole``, ``taps_over_pole`` or ``two_poles``
+    family: str
     # Its description, as `nodes.laws.parse.parse_law` reads it; None when none is stable for every
     # world.
     law: dict[str, Any] | None
     design: WorldDesign | None  # its figures
 
 
-def stiffest_members(surroundings: Surroundings, taps: int) -> Iterator[Member]:
-    """Yield the stiffest member of each family, PD first; of `taps` taps where a family has a choice."""
+def stiffest_members(
+    surroundings: Surroundings, taps: int, sections: bool = False
+) -> Iterator[Member]:
+    """Yield the stiffest member of each family, PD first; of `taps` taps where a family has a choice.
+
+    `sections`: whether more taps over a pole and two poles are searched as well, half a minute each.
+    """
     yield stiffest_pd(surroundings)
     yield stiffest_pd_alpha(surroundings, taps)
     yield stiffest_linear(
@@ -36,6 +44,9 @@ def stiffest_members(surroundings: Surroundings, taps: int) -> Iterator[Member]:
     )
     yield stiffest_taps(surroundings, taps)
     yield stiffest_one_pole(surroundings)
+    if sections:
+        yield stiffest_over_pole(surroundings, taps)
+        yield stiffest_two_poles(surroundings)
 
 
 def stiffest_pd(surroundings: Surroundings) -> Member:
@@ -76,12 +87,49 @@ def stiffest_one_pole(surroundings: Surroundings) -> Member:
     """Design two taps over one pole, anywhere inside the unit circle."""
 
     def at(pole: float) -> Member:
-        design = stiffest_for_any_world(surroundings, np.eye(2), pole=pole)
-        return Member(
-            "one_pole", None if design is None else _fir(design, surroundings.period), design
-        )
+        return _behind("one_pole", surroundings, 2, behind_poles(pole))
 
     return _refined(at, POLES, 0.05, (-0.995, 0.995))
+
+
+def stiffest_over_pole(surroundings: Surroundings, taps: int) -> Member:
+    """Design so many taps over one pole, anywhere inside the unit circle."""
+
+    def at(pole: float) -> Member:
+        return _behind("taps_over_pole", surroundings, taps, behind_poles(pole))
+
+    return _refined(at, POLES, 0.05, (-0.995, 0.995))
+
+
+def stiffest_two_poles(surroundings: Surroundings, taps: int = 3) -> Member:
+    """Design taps over a section of second order: two poles anywhere inside the unit circle, by steps that halve.
+
+    The numbers a1, a2 of 1 + a1·w + a2·w² lie in a triangle: |a2| < 1, |a1| < 1 + a2.
+    """
+
+    def at(a1: float, a2: float) -> Member:
+        if not (abs(a2) < MOST_POLE**2 and abs(a1) < MOST_POLE * (1.0 + a2)):
+            return Member("two_poles", None, None)
+        return _behind("two_poles", surroundings, taps, np.array([1.0, a1, a2]))
+
+    tried = {
+        (share * (1.0 + a2), a2): at(share * (1.0 + a2), a2)
+        for a2 in (-0.5, 0.0, 0.5, 0.9)
+        for share in (-0.6, 0.0, 0.5, 0.9)
+    }
+    step = 0.2
+    while step > 0.01:
+        a1, a2 = max(tried, key=lambda one: stiffness(tried[one]))
+        around = [(a1 + step, a2), (a1 - step, a2), (a1, a2 + step), (a1, a2 - step)]
+        tried |= {one: at(*one) for one in around if one not in tried}
+        if max(tried, key=lambda one: stiffness(tried[one])) == (a1, a2):
+            step *= 0.5
+    return max(tried.values(), key=stiffness)
+
+
+def _behind(family: str, surroundings: Surroundings, taps: int, bottom: Array) -> Member:
+    design = stiffest_for_any_world(surroundings, np.eye(taps), bottom=bottom)
+    return Member(family, None if design is None else _fir(design, surroundings.period), design)
 
 
 def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundings) -> Member:

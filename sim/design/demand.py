@@ -1,6 +1,6 @@
-"""What a designed law must keep, the law that was found, and the loop at all cases that it is searched and verified on.
+"""Specification of a designed law, the law found, and the closed loop over all cases.
 
-A case is a mass, a delay, a hand and a damping of the ranges.
+A case is one mass, delay, hand stiffness and damping from the specified ranges.
 """
 
 import itertools
@@ -17,40 +17,40 @@ from nodes.stability.plant import Plant, held_plant
 from nodes.stability.roots import largest_roots
 from sim.arrays import Array
 
-# Of contact: (raw, clamp), which history, and whether forces into the floor are set to zero.
+# Contact conventions: (raw history, clamp), where clamp sets forces into the floor to zero.
 CONVENTIONS = ((False, True), (False, False), (True, True), (True, False))
-# What a device has beyond one rigid mass when it has nothing: lag, share, frequency and damping
-# ratio of a joint.
+# Values of `Demand.beyond` for a rigid device: lag [s], share of the mass behind the joint, joint
+# frequency [Hz], damping ratio.
 RIGID = (0.0, 0.0, math.inf, 0.0)
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What a law must keep, whatever its stiffness."""
+    """Requirements a law must meet, whatever its stiffness."""
 
-    # lightest and heaviest device, a hand's share included [kg], shape (2,)
+    # lightest and heaviest device, including the hand's share [kg], shape (2,)
     mass: tuple[float, float]
-    damping: float  # viscous damping b of the device, the least of it where it is a range [N s/m]
-    # shortest and longest delay of the loop, fractions allowed [ticks], shape (2,)
+    damping: float  # viscous damping b of the device, the minimum if it is a range [N s/m]
+    # shortest and longest delay of the loop, may be fractional [ticks], shape (2,)
     delay: tuple[float, float]
     period: float  # sampling period T [s]
-    radius: float  # largest pole radius R allowed at any mass, delay and hand of the ranges
+    radius: float  # largest pole radius R allowed at any mass, delay and hand in the ranges
     nyquist: float  # largest |H(−1)| allowed [N/m]
     stiffness: tuple[float, float] = (0.0, 0.0)  # softest and stiffest hand [N/m], shape (2,)
-    damping_max: float | None = None  # most damping of the device; None where it is known [N s/m]
-    # Contact conventions (raw history, clamped force) under which every drop must settle too, with
-    # a margin (`sim.design.landing`); empty when landing is not asked for.
+    damping_max: float | None = None  # maximum damping of the device; None if it is known [N s/m]
+    # Contact conventions (raw history, clamped force) under which every drop must also settle, with
+    # a margin (`sim.design.landing`); empty if impact stability is not required.
     lands: tuple[tuple[bool, bool], ...] = ()
-    # H(1) that is known already: laws below it are not dropped, and need not be found [N/m]
+    # H(1) of a law already known: the search skips drop tests for softer laws [N/m]
     above: float = 0.0
-    # What the device may have beyond one rigid mass, all of which are kept: lag of the actuator
-    # [s], part of the mass behind a joint, its frequency [Hz] and damping ratio. Empty for a rigid
-    # device.
+    # Deviations from one rigid mass; the law must be stable with each of them. Each is: actuator
+    # lag [s], share of the mass behind a joint, joint frequency [Hz], damping ratio. Empty for a
+    # rigid device.
     beyond: tuple[tuple[float, float, float, float], ...] = ()
 
     @property
     def dampings(self) -> tuple[float, float]:
-        """Least and most damping of the device [N s/m]."""
+        """Return the minimum and maximum damping of the device [N s/m]."""
         return self.damping, self.damping if self.damping_max is None else self.damping_max
 
 
@@ -58,25 +58,28 @@ class Demand:
 class Robust:
     """The stiffest law found in a family."""
 
-    # h_0 ... h_n, or the numerator over 1 − pole·w [N/m], shape (n + 1,).
+    # h_0 ... h_n, or the numerator over 1 − pole·w [N/m], shape (n + 1,)
     taps: Array
     parameters: Array  # weights of the family's basis, shape (p,)
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     radius: float  # largest pole radius over all verified cases
-    # The case where that is: mass [kg], delay [ticks], stiffness of the hand [N/m], damping of the
-    # device [N s/m], shape (4,).
+    # the case with that radius: mass [kg], delay [ticks], hand stiffness [N/m], device damping [N
+    # s/m], shape (4,)
     worst: tuple[float, ...]
-    pole: float = 0.0  # of a filter behind two taps (`pd_filtered`); 0 without one
+    pole: float = 0.0  # pole of the filter behind two taps (`pd_filtered`); 0: no filter
 
     @property
     def law(self) -> CompiledLaw:
-        """The law as the coupling renders it: taps, or a tap and a section."""
+        """Return the law as the coupling renders it: taps, or one tap and a filter section."""
         return filtered(self.taps, self.pole)
 
 
 def filtered(taps: Array, pole: float) -> CompiledLaw:
-    """Compile taps h_0 ... h_n [N/m], or two of them over 1 − pole·w: a spring, and a difference behind the filter."""
+    """Compile taps h_0 ... h_n [N/m], or two taps over 1 − pole·w.
+
+    With a pole, the law is a spring plus a filtered backward difference.
+    """
     if pole == 0.0:
         return CompiledLaw(tuple(taps.tolist()))
     newest, older = taps.tolist()
@@ -88,7 +91,7 @@ _VERIFIED = 801
 
 
 class LoopCase:
-    """Closed-loop polynomials at given cases (mass, delay, hand), linear in the taps."""
+    """Closed-loop polynomials of given cases (mass, delay, hand), linear in the taps."""
 
     def __init__(self, demand: Demand, cases: Array, taps: int, pole: float = 0.0) -> None:
         plants = [
@@ -96,8 +99,8 @@ class LoopCase:
             for case in cases.tolist()
             for beyond in demand.beyond or (None,)
         ]
-        # A shorter delay is the same polynomial times a power of z: roots at zero that nobody
-        # minds.
+        # A shorter delay gives the same polynomial times a power of z, which only adds roots at
+        # zero.
         size = max(whole + len(below) for whole, _, below in plants) + taps + (pole != 0.0)
         self.taps, self.pole = taps, pole
         self._cases = len(cases)
@@ -111,20 +114,20 @@ class LoopCase:
                 self.by_tap[i, j, start : start + len(above)] = above
 
     def polynomials(self, taps: Array) -> Array:
-        """Coefficients of (..., taps) for every case: (..., cases, size)."""
+        """Return the coefficients for taps (..., taps) in every case: (..., cases, size)."""
         return np.asarray(
             self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64
         )
 
     def radii(self, taps: Array) -> Array:
-        """Largest pole radius of each case, over all that the device may have beyond a rigid mass."""
+        """Return the largest pole radius of each case over all `Demand.beyond` devices."""
         found = largest_roots(self.polynomials(taps))
         return np.asarray(
             found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1), dtype=np.float64
         )
 
     def poles(self, taps: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """All poles (cases, k) and their slopes along the taps (cases, k, taps)."""
+        """Return all poles (cases, k) and their derivatives by the taps (cases, k, taps)."""
         polynomials = self.polynomials(taps)
         degree = polynomials.shape[1] - 1
         companion = np.zeros((len(polynomials), degree, degree))
@@ -142,7 +145,7 @@ class LoopCase:
 def _rational(
     period: float, case: Sequence[float], beyond: tuple[float, float, float, float] | None
 ) -> tuple[int, Sequence[float], Sequence[float]]:
-    """Whole ticks of the delay, numerator and denominator of the device of a case."""
+    """Return whole ticks of delay, numerator and denominator of the device of a case."""
     mass, delay, hand, damping = case
     if beyond is None:
         plant = held_plant(Plant(period, mass, damping, delay, hand))
@@ -155,16 +158,20 @@ def _rational(
 
 
 def verified_cases(demand: Demand) -> Array:
-    """Cases of a verification, ends among them, (c, 4): mass [kg], delay [ticks], hand [N/m], damping [N s/m]."""
+    """Return the cases for verification, including all range ends, shape (c, 4).
+
+    Columns: mass [kg], delay [ticks], hand stiffness [N/m], damping [N s/m].
+    """
     ranges = (demand.delay, demand.stiffness, demand.dampings)
     if demand.beyond:
-        # Each case is one of each: fewer masses, as close as the poles move smoothly.
+        # The number of cases is multiplied by len(beyond); fewer masses suffice because poles move
+        # smoothly.
         return cases_of(demand, 51 if all(low == high for low, high in ranges) else 21, 5)
     return cases_of(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
 
 
 def cases_of(demand: Demand, masses: int, others: int) -> Array:
-    """Grid of cases over the ranges of a demand, shape (c, 4) as in `verified_cases`."""
+    """Return a grid of cases over the ranges of a demand, shape (c, 4) as in `verified_cases`."""
     axes = [
         (
             np.geomspace(*demand.mass, masses)
@@ -191,9 +198,10 @@ def cases_of(demand: Demand, masses: int, others: int) -> Array:
 
 
 def corners(demand: Demand) -> Iterator[FlexiblePlant]:
-    """Five masses with the ends of damping and hand and every joint and lag of a demand, without delay.
+    """Yield the devices for which a law is certified, without delay.
 
-    These are the devices for which a law is certified.
+    These are five masses combined with the ends of damping and hand stiffness and with every joint
+    and lag of the demand.
     """
     masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
     ends = (
@@ -207,15 +215,15 @@ def corners(demand: Demand) -> Iterator[FlexiblePlant]:
 
 
 def alternating(size: int) -> Array:
-    """Signs of the taps in H(−1)."""
+    """Return the signs of the taps in H(−1)."""
     return np.asarray(np.where(np.arange(size) % 2, -1.0, 1.0), dtype=np.float64)
 
 
 def quiet(demand: Demand, taps: Array) -> bool:
-    """Tell whether |H(−1)| keeps the demand."""
+    """Check that |H(−1)| is within the demand."""
     return abs(float(taps @ alternating(taps.size))) <= demand.nyquist * (1.0 + 1e-12)
 
 
 def keeps(demand: Demand, taps: Array, loop: LoopCase) -> bool:
-    """Tell whether taps keep the demand at all cases of a loop."""
+    """Check that taps meet the demand in all cases of a loop."""
     return quiet(demand, taps) and float(loop.radii(taps).max()) <= demand.radius

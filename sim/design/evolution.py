@@ -1,12 +1,11 @@
-"""Differential evolution over taps in compiled code: a start that the climb by linear programmes then finishes.
+"""Differential evolution over taps in compiled code: starts for the linear programs.
 
-Whether all poles of a case keep a radius is asked by Schur and Cohn's recursion, some 0.1 µs for a
-law of eight taps; how far outside they are is bisected, and only where a candidate might still win.
+The Schur–Cohn recursion decides whether all poles of a case are within a radius, in about 0.1 µs
+for a law of eight taps. How far outside they are is bisected, only while a candidate may still win.
 
-Why not scipy's: `differential_evolution` calls Python for each candidate. On the same demand (50 to
-200 g, one tick), with as many members and generations and the same compiled test of the poles, it
-takes at least 14 times the processor time (4 taps: the same 3356 N/m; seven: 6500 N/m, here 6700
-N/m).
+`scipy.optimize.differential_evolution` calls Python for each candidate. On the same demand (50 to
+200 g, one tick), with as many members and generations and the same compiled pole test, it takes at
+least 14 times the processor time (4 taps: the same 3356 N/m; 7 taps: 6500 N/m, here 6700 N/m).
 """
 
 import math
@@ -23,12 +22,12 @@ from sim.play.compiled import compiled
 
 _uniform, _integer = np.random.uniform, np.random.randint
 
-_BOXES = (0.3, 0.1, 0.03, 0.01, 0.003)  # half widths of the boxes about the best
+_BOXES = (0.3, 0.1, 0.03, 0.01, 0.003)  # half-widths of the boxes around the best member
 
 
 @kernel
 def _within(fixed: Any, by_tap: Any, taps: Any, radius: float, work: Any) -> bool:
-    """Tell whether all roots of one case lie within a radius."""
+    """Check that all roots of one case are within a radius."""
     size = len(fixed)
     power = 1.0
     for i in range(size):
@@ -52,13 +51,16 @@ def _within(fixed: Any, by_tap: Any, taps: Any, radius: float, work: Any) -> boo
 def _excess(
     fixed: Any, by_tap: Any, taps: Any, radius: float, enough: float, work: Any
 ) -> tuple[float, int]:
-    """By how much the largest pole radius of all cases exceeds one, no further than enough; the case it is of, −1 for none."""
+    """Return the excess of the worst pole radius over `radius`, and its case (−1: none).
+
+    The excess is not searched beyond `enough`.
+    """
     reached, worst = radius, -1
     for i in range(len(fixed)):
         if _within(fixed[i], by_tap[i], taps, reached, work):
             continue
         low, high = reached, 2.0 * reached
-        # Any law has a finite radius, unless its taps are none.
+        # Every law has a finite radius, unless its taps are not numbers.
         while high < 1e6 and not _within(fixed[i], by_tap[i], taps, high, work):
             low, high = high, 2.0 * high
         for _ in range(20):
@@ -77,7 +79,10 @@ def _excess(
 def _lands(
     drops: Any, taps: Any, pole: float, ticks: int, tolerance: float, first: int
 ) -> tuple[float, int]:
-    """Share of the drops, `first` first, before the one that does not settle, and that one; 1 for a law that lands."""
+    """Return the share of drops that settle before the first failure, and the failed drop.
+
+    Drop `first` is tried first. The share is 1 for a law that passes all drops.
+    """
     if len(drops.whole) == 0:
         return 1.0, 0
     spring, recursive = taps, np.empty(0)
@@ -95,7 +100,7 @@ def _lands(
     return 1.0, first
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long because it is one compiled function: calls would cost more than they save.
 def _evolve(  # noqa: C901
     fixed: Any,
     by_tap: Any,
@@ -115,7 +120,7 @@ def _evolve(  # noqa: C901
     ticks: int,
     tolerance: float,
 ) -> tuple[Any, float]:
-    # Compiled, this is numba's generator, of this thread alone.
+    # In compiled code this is numba's own generator, local to this thread.
     np.random.seed(seed)  # noqa: NPY002
     p, n = basis.shape
     work = np.empty((2, fixed.shape[1]))
@@ -141,8 +146,8 @@ def _evolve(  # noqa: C901
             for j in range(p):
                 felt += gain[j] * tried[j]
                 loud += noise[j] * tried[j]
-            # Feasible ones compete by H(1), the others by how far they are from feasible; none of
-            # them can win.
+            # Feasible members compete by H(1), the others by their distance from feasibility, so
+            # that none of them can win.
             outside = max(abs(loud) - quiet, 0.0)
             if -felt > scores[i] or (outside > 0.0 and 1.0 + 10.0 * outside > scores[i]):
                 continue
@@ -151,8 +156,8 @@ def _evolve(  # noqa: C901
                 for j in range(p):
                     taps[m] += tried[j] * basis[j, m]
             if scores[i] <= 1.0 and not _within(fixed[broken], by_tap[broken], taps, radius, work):
-                # Against a member that is feasible, whatever is broken rejects it: what was broken
-                # last, first.
+                # An infeasible candidate is rejected against a feasible member; the case that
+                # failed last is tried first.
                 continue
             excess, case = _excess(
                 fixed, by_tap, taps, radius, max(0.1 * (scores[i] - 1.0), 0.0), work
@@ -161,28 +166,28 @@ def _evolve(  # noqa: C901
             broken = case if case >= 0 else broken
             score = 1.0 + 10.0 * outside if outside > 0.0 else -felt
             if outside == 0.0 and felt > least:
-                # Laws that land compete by H(1), the others by how many drops settle.
-                # Against a member that lands, the drop that failed last fails first.
+                # Laws that settle compete by H(1), the others by the number of drops that settle.
+                # Against a member that settles, the drop that failed last is tried first.
                 share, failed = _lands(
                     drops, taps, pole, ticks, tolerance, failed if scores[i] < 0.0 else 0
                 )
                 score = 1.0 - share if share < 1.0 else score
             elif outside == 0.0:
-                # It would not beat what is known, even if it landed.
+                # Not stiffer than a known law, even if all drops settle.
                 score = 1.0
             if score <= scores[i]:
                 members[i], scores[i] = tried, score
         best = int(np.argmin(scores))
         if len(drops.whole) > 0 and scores.max() < scores[best] + 2e-4 * abs(scores[best]):
-            # All are the same law by now, and each drop costs.
+            # All members are nearly equal, and each drop costs time.
             break
         if scores[best] == scores.max() and np.all(members == members[best]):
-            # All are the same to the bit: nothing that follows would differ from it.
+            # All members are equal to the last bit: further generations would not differ.
             break
     return members[best], scores[best]
 
 
-# evolve, compiled: the best member, and its score; below 0 it keeps the demand
+# evolve, compiled: the best member and its score; a score below 0 meets the demand
 evolve: Any = compiled()(_evolve)
 
 
@@ -196,17 +201,21 @@ def evolved(
     span: float,
     radius: float,
 ) -> Array | None:
-    """Evolve in a wide box at the first cases; many parameters then in boxes that shrink about the best, at more and at all."""
+    """Evolve in a wide box, then in boxes that shrink around the best member.
+
+    The wide box uses the first cases; with more than three parameters, the smaller boxes use more
+    cases, the last one all of them. Return None if nothing feasible is found.
+    """
     unit, p = demand.mass[0] / demand.period**2, len(basis)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
     here = np.zeros(p)
-    # As many as none, not None, which is a type: compiled anew, all this takes six seconds.
+    # Empty arrays in place of None, whose different type would cost a second compilation (6 s).
     no_drops = Falls(
         *(column[:0] for column in falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,)))
     )
-    # Of two parameters or three the linear programmes find the rest.
+    # With two or three parameters the linear programs find the rest.
     for i, width in enumerate((span, *_BOXES) if p > 3 else (span,)):
-        # The last box keeps the bound at all cases.
+        # The last box enforces the bound in all cases.
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
         box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])
         members, generations = (

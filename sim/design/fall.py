@@ -1,9 +1,9 @@
-"""Drops of linear devices on a floor, rigid or with a joint and a lag, in compiled code that a search can call.
+"""Drop tests of linear devices, rigid or with a joint and a lag, in compiled code.
 
 The device is one matrix per tick (`nodes.stability.flexible`), exact for a held force. Contact,
-history and clamping are the kernels of the nodes, and the verdict is `sim.experiments.drop`'s. A
-search may ask for the quick one: a drop that has stayed close to its rest counts as settled there,
-and what a search finds is played to the end.
+history and clamping are the kernels of the nodes, and the verdict is that of
+`sim.experiments.drop`. In quick mode, for searches, a drop that has stayed close to its rest counts
+as settled; the result of a search is then played to the end.
 """
 
 import itertools
@@ -17,14 +17,14 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import CONVENTION as USUAL
-from sim.experiments.drop import GRAVITY, Convention, Criterion, floor_force, rests, rises
+from sim.experiments.drop import GRAVITY, Convention, Criterion, fall, floor_force, rests, rises
 from sim.play.compiled import compiled
 
-CLOSE = 0.01  # a drop that stays so close to its rest, as a part of the tolerance, settles
+CLOSE = 0.01  # a quick drop settles if it stays this close to its rest [share of the tolerance]
 
 
 class Falls(NamedTuple):
-    """Drops, one a row: what a tick does to the state of the device, what it weighs, and how it is dropped."""
+    """Drops, one per row: transition matrices of the device, weight, height, conventions."""
 
     step: Any
     new: Any
@@ -43,7 +43,10 @@ def falls(
     conventions: Sequence[tuple[bool, bool]],
     heights: Sequence[float],
 ) -> Falls:
-    """Prepare drops of all masses, joints and lags, conventions, heights, in this order; damping least, delay longest."""
+    """Prepare drops of all masses, joints and lags, conventions and heights, in this order.
+
+    Damping is the smallest and delay the longest of the demand.
+    """
     rows: list[tuple[Any, ...]] = []
     most = 2
     for mass, beyond in itertools.product(masses, demand.beyond or (RIGID,)):
@@ -66,7 +69,7 @@ def falls(
 def settles_one(
     i: int, drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, quick: bool
 ) -> bool:
-    """Drop once: whether it settles, by the rules of `sim.experiments.drop`."""
+    """Drop once and check that it settles, by the rules of `sim.experiments.drop`."""
     size = drops.step.shape[1]
     length = max(len(taps), 2)
     history: Any = np.zeros(2 * length)
@@ -132,31 +135,24 @@ def fallen(
     ticks: int,
     convention: Convention = USUAL,
 ) -> tuple[Any, Any]:
-    """Return position [m] and force [N] at each tick of a device, joint and lag included, that falls on a law's wall."""
+    """Return position [m] and force [N] at each tick of a device dropped on a law's wall.
+
+    The device includes its joint and lag.
+    """
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
-    length = max(len(law.taps), 2)
-    recursive = [number for section in law.sections for number in section]
-    history, memory, head, forces = (
-        [0.0] * (2 * length),
-        [0.0] * (2 * len(law.sections)),
-        0,
-        [0.0] * (whole + 2),
-    )
-    state = np.zeros(len(new))
+    forces, state = [0.0] * (whole + 2), np.zeros(len(new))
     state[0] = height
     if len(new) >= 4:
         state[2] = height
-    seen = np.empty((2, ticks))
-    for k in range(ticks):
-        x = float(state[0])
-        head, force, _ = floor_force(
-            x, law.taps, recursive, memory, history, head, length, *convention
-        )
+
+    def move(force: float) -> float:
+        nonlocal forces, state
         forces = [force, *forces[:-1]]
-        seen[:, k] = x, forces[0]
         state = step @ state + pull + new * forces[whole] + old * forces[whole + 1]
-    return seen[0], seen[1]
+        return float(state[0])
+
+    return fall(move, law, height, ticks, convention)
 
 
 def _settled(
@@ -170,7 +166,7 @@ _settled_compiled = compiled()(_settled)
 
 
 def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) -> list[bool]:
-    """Drop with a law, to the end."""
+    """Check which drops settle with a law, played to the end."""
     criterion, verdicts = criterion or Criterion(), np.zeros(len(drops.whole), dtype=np.bool_)
     recursive = np.array([number for section in law.sections for number in section])
     _settled_compiled(

@@ -105,18 +105,13 @@ def best_paper_optimum(demand: Demand) -> Tuned:
     )
 
 
-def compare(demand: Demand, taps: int, say: Callable[[str], None]) -> Iterator[Tuned]:
+def compare(demand: Demand, taps: int) -> Iterator[Tuned]:
     """Tune PD, with a filtered velocity too, PDα, the paper's optimum and a designed law of so many taps to one demand."""
-    families: dict[str, Callable[[Demand], Tuned]] = {
-        "PD": best_pd,
-        "PD with a filtered velocity": best_pd_filtered,
-        f"PDα, {len(ORDERS)} orders": lambda wanted: best_pd_alpha(wanted, taps),
-        "the paper's optimum": best_paper_optimum,
-        f"{taps} free taps": lambda wanted: designed(wanted, taps),
-    }
-    for name, tune in families.items():
-        say(name)
-        yield tune(demand)
+    yield best_pd(demand)
+    yield best_pd_filtered(demand)
+    yield best_pd_alpha(demand, taps)
+    yield best_paper_optimum(demand)
+    yield designed(demand, taps)
 
 
 def _stiffness(tuned: Tuned) -> float:

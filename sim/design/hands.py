@@ -1,12 +1,11 @@
-"""Bounded hands: the worst pole radius over a box of grasps, and a certificate for every grasp of it.
+"""Bounded hands: worst pole radius over a box of grasps, and a stability certificate.
 
-Passivity is for any hand, and a spring of 0..k for none that has mass. Between them is the
-fingertip: mass, spring and damper, each within limits. The worst of them is searched on a grid that
-closes in; that is no proof. The certificate cuts the box into
-cells: within one, the matrix of a tick is that of its middle, plus what is linear in the grasp's
-    numbers and so lies in the
-hull of the corners, plus a remainder that is bounded. A norm in which all of these shrink is a
-proof for the cell (THEORY.md §21).
+Passivity covers any hand; a massless spring of 0..k covers no real one. A fingertip is in between:
+mass, spring and damper, each within limits. The worst grasp is searched on a grid that is refined
+around the maximum; that is not a proof. The certificate divides the box into cells. Within a cell,
+the matrix of a tick is that of the cell's centre, plus a part linear in the grasp parameters, which
+lies in the convex hull of the corners, plus a bounded remainder. A norm in which all of these
+contract proves the cell stable (THEORY.md §21).
 """
 
 import itertools
@@ -24,15 +23,15 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.design.demand import Demand
 
-_POINTS = 5  # of a side of the box that are looked at first
+_POINTS = 5  # grid points per side of the box in the first search
 _ZOOMS = 3
-CELLS = 200_000  # that a certificate may take: about 20 s
-_BATCH = 2048  # of them at once
+CELLS = 200_000  # maximum cells of a certificate: about 20 s
+_BATCH = 2048  # cells checked at once
 
 
 @dataclass(frozen=True)
 class HandBox:
-    """Grasps between limits, lowest and highest of each, shape (2,)."""
+    """Limits of a grasp: lowest and highest value of each parameter, shape (2,)."""
 
     mass: tuple[float, float]  # [kg]
     stiffness: tuple[float, float]  # [N/m]
@@ -49,7 +48,7 @@ class HandBox:
 
     @property
     def sides(self) -> tuple[tuple[float, float], ...]:
-        """Limits of mass, stiffness and damping."""
+        """Return the limits of mass, stiffness and damping."""
         return self.mass, self.stiffness, self.damping
 
     def corners(self) -> tuple[Grasp, ...]:
@@ -60,35 +59,35 @@ class HandBox:
         )
 
     def text(self) -> str:
-        """Return the box in units."""
+        """Return the box as text with units."""
         mass, stiffness, damping = (
             f"{low:g}..{high:g}" if low < high else f"{low:g}" for low, high in self.sides
         )
         return f"grasp of {mass} kg behind {stiffness} N/m and {damping} N s/m"
 
 
-# The hand behind a stylus: Fu and Çavuşoğlu 2012 (sim/device/real_devices.py), without the arm's
-# own spring and damper.
+# The hand at a stylus: Fu and Çavuşoğlu 2012 (sim/device/real_devices.py), without the arm's own
+# spring and damper.
 STYLUS = HandBox((0.2, 0.22), (380.0, 770.0), (0.8, 1.8))
 
 
 @dataclass(frozen=True)
 class WorstGrasp:
-    """The grasp with the largest pole radius that was found, and whether all of the box are certified."""
+    """The grasp with the largest pole radius found, and whether the whole box is certified."""
 
     radius: float  # largest pole radius found over the box
-    grasp: Grasp  # where that is
-    # True: every grasp of the box is stable, proven; False: one is not; None: not decided or not
-    # asked
+    grasp: Grasp  # the grasp with that radius
+    # True: proven stable for every grasp of the box; False: one grasp is unstable; None: undecided
+    # or not requested
     certified: bool | None
-    cells: int  # of the certificate
+    cells: int  # cells the certificate needed
 
 
 def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = False) -> WorstGrasp:
-    """Search a box of grasps for the largest pole radius, and certify it if asked.
+    """Search a box of grasps for the largest pole radius; optionally certify the box.
 
-    `plant`: device, delay and sampling period. The grid is geometric (of the damping linear), and
-    closes in three times.
+    `plant`: device, delay and sampling period. The grid is geometric (linear in damping) and is
+    refined three times.
     """
     limits: list[Sequence[float]] = list(box.sides)
     best, at, ticks = -math.inf, Grasp(*(side[0] for side in limits)), _Ticks(law, plant)
@@ -111,15 +110,15 @@ def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = Fa
 
 @dataclass(frozen=True)
 class JudgedGrasps:
-    """A law in every grasp of a box, at the ends of a demand's masses, dampings and delays."""
+    """Result for every grasp of a box, at the ends of a demand's mass, damping and delay."""
 
     box: HandBox
-    worst: WorstGrasp  # over all of them; certified only if all are
-    mass: float  # of the device, where the worst is [kg]
-    delay: float  # [ticks]
+    worst: WorstGrasp  # over all combinations; certified only if all of them are
+    mass: float  # device mass of the worst case [kg]
+    delay: float  # delay of the worst case [ticks]
 
     def text(self) -> str:
-        """Return the verdict in a sentence."""
+        """Return the verdict as a sentence."""
         told = {
             True: "every one stable: certified",
             False: "NOT every one stable",
@@ -134,7 +133,7 @@ class JudgedGrasps:
 
 
 def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CELLS) -> JudgedGrasps:
-    """Judge a law in every grasp of a box, at the ends of the masses, dampings and delays of a demand."""
+    """Judge a law for every grasp of a box, at the ends of the demand's ranges."""
     found = []
     for mass, damping, delay in itertools.product(
         sorted(set(demand.mass)), sorted(set(demand.dampings)), sorted(set(demand.delay))
@@ -159,11 +158,13 @@ def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CEL
 def k_max_over(
     make: Callable[[float], CompiledLaw], plant: Plant, box: HandBox, highest: float
 ) -> float | None:
-    """Bisect the largest nominal stiffness up to `highest` [N/m] at which no grasp of a box makes the loop unstable.
+    """Bisect the largest nominal stiffness [N/m] with which every grasp of a box is stable.
 
-    `make`: a law of a nominal stiffness [N/m]. None where not even a hundredth of it is stable.
-    Searched from below in steps of 10 %, so that what is found is the end of the lowest stable
-    interval wider than that.
+    The search goes up in steps of 10 %, so it finds the end of the lowest stable interval wider
+    than that. Return None if not even 1 % of `highest` is stable.
+
+    make: return the law for a nominal stiffness [N/m].
+    highest: end of the search [N/m].
     """
 
     def stable(stiffness: float) -> bool:
@@ -191,7 +192,7 @@ def _axis(low: float, high: float, linear: bool) -> list[float]:
 
 
 def _closer(axis: list[float], value: float) -> list[float]:
-    """Return the ends of the cells about a value."""
+    """Return the grid points next to `value`."""
     i = axis.index(value)
     return [axis[max(i - 1, 0)], axis[min(i + 1, len(axis) - 1)]]
 
@@ -199,17 +200,20 @@ def _closer(axis: list[float], value: float) -> list[float]:
 def certify_box(
     law: CompiledLaw, plant: Plant, box: HandBox, most: int = CELLS
 ) -> tuple[bool | None, int]:
-    """Prove every grasp of a box stable, cell by cell: True, or None when `most` cells do not do; and the cells."""
+    """Prove stability for every grasp of a box, cell by cell.
+
+    Return True, or None if `most` cells do not suffice, and the number of cells.
+    """
     ticks = _Ticks(law, plant)
-    # In 1/mass a tick's generator is linear in each of the three numbers, so that the hull of a
-    # cell's corners holds it.
+    # With 1/mass as coordinate, the generator of a tick is linear in each of the three parameters,
+    # so the hull of a cell's corners contains it.
     waiting, cells = (
         np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)]),
         0,
     )
     while len(waiting):
-        # The last first: what is proven leaves room, and a box that cannot be is given up early on
-        # one of its corners.
+        # Depth first: proven cells free memory, and a box that cannot be proven fails early at one
+        # of its corners.
         batch, waiting = waiting[-_BATCH:], waiting[:-_BATCH]
         cells += len(batch)
         if cells > most:
@@ -219,9 +223,10 @@ def certify_box(
 
 
 class _Ticks:
-    """Matrices of a tick in the grasps of many cells at once, in lengths: position and velocity times T of device and hand.
+    """Matrices of a tick for the grasps of many cells at once.
 
-    Cells are limits of 1/mass, stiffness and damping, shape (c, 3, 2).
+    The state is in lengths: position and velocity·T of device and hand. Cells are limits of 1/mass,
+    stiffness and damping, shape (c, 3, 2).
     """
 
     def __init__(self, law: CompiledLaw, plant: Plant) -> None:
@@ -238,8 +243,8 @@ class _Ticks:
         def loop(new: Array, old: Array) -> Array:
             return tick_matrix(law, unit, flat, [(whole, new), (whole + 1, old)])
 
-        # The loop's matrix is what shifts, plus the motion, plus what the two forces that act push,
-        # each times its own row.
+        # The loop's matrix is the shift of the delay line, plus the motion, plus the effect of the
+        # two acting forces, each with its own row.
         first = np.array([unit, 0.0, 0.0, 0.0])
         self._shift = loop(none, none)
         self._newer = (loop(first, none) - self._shift)[0]
@@ -251,17 +256,21 @@ class _Ticks:
         self._alone = generator
 
     def _numbers(self, grasps: Array) -> Array:
-        """Spring and damper over the device's mass, then over the hand's, per tick: (..., 4) of (..., 3)."""
+        """Return spring and damper over the device's mass, then over the hand's, per tick.
+
+        Shapes: (..., 4) from (..., 3).
+        """
         period, own = self._plant.period, 1.0 / self._plant.mass
         inverse, stiffness, damping = np.moveaxis(grasps, -1, 0)
         spring, damper = stiffness * period**2, damping * period
         return np.stack([spring * own, damper * own, spring * inverse, damper * inverse], axis=-1)
 
     def _motion(self, generator: Array, change: Array | None = None) -> tuple[Array, Array, Array]:
-        """Matrices of the motion over a tick, (c, 4, 4), (c, 4), (c, 4): free, of the newer force and of the older one.
+        """Return the motion over a tick: free, from the newer force and from the older force.
 
-        With a `change` of the generator, what that adds to first order: it is read off the
-        exponential of a matrix of blocks, in which it stands beside the exponential itself.
+        Shapes: (c, 4, 4), (c, 4), (c, 4). With a `change` of the generator, return its first-order
+        effect, taken from the exponential of a block matrix that holds it beside the exponential
+        itself.
         """
         if change is None:
             early, late = (_exponential(generator * share) for share in self._durations)
@@ -273,7 +282,7 @@ class _Ticks:
         return _joined(early[:, :5, 5:], late[:, :5, :5], late[:, :5, 5:], early[:, :5, :5])
 
     def _loop(self, motion: tuple[Array, Array, Array], moving: bool) -> Array:
-        """Put motions into the loop's matrix; `moving`: without what shifts, for what a change adds."""
+        """Insert motions into the loop's matrix; `moving`: without the shift, for a derivative."""
         step, new, old = motion
         matrix = (
             np.zeros((len(step), *self._shift.shape))
@@ -285,7 +294,7 @@ class _Ticks:
         return matrix
 
     def _bound(self, motion: tuple[Array, Array, Array]) -> Array:
-        """Bound the loop's matrix of a motion that is known by its modulus alone."""
+        """Bound the loop's matrix for a motion of which only the modulus is known."""
         step, new, old = motion
         matrix = np.zeros((len(step), *self._shift.shape))
         matrix[:, :4, :4] += step
@@ -295,14 +304,14 @@ class _Ticks:
         return matrix
 
     def radii(self, grasps: Array) -> Array:
-        """Pole radius of each grasp of mass, stiffness and damping, (g, 3)."""
+        """Return the pole radius of each grasp (mass, stiffness, damping), shape (g, 3)."""
         numbers = self._numbers(np.column_stack([1.0 / grasps[:, 0], grasps[:, 1:]]))
         generator = self._alone + np.einsum("ck,kij->cij", numbers, _PARTS)
         poles = np.linalg.eigvals(self._loop(self._motion(generator), moving=False))
         return np.asarray(np.abs(poles).max(axis=1), dtype=np.float64)
 
     def shrink(self, cells: Array) -> NDArray[np.bool_]:
-        """Whether all ticks of each cell shrink in one norm: that of its middle."""
+        """Check that all ticks of each cell contract in the norm of the cell's centre."""
         middles = self._numbers(cells.mean(axis=2))
         generator = self._alone + np.einsum("ck,kij->cij", middles, _PARTS)
         matrix = self._loop(self._motion(generator), moving=False)
@@ -321,7 +330,7 @@ class _Ticks:
         largest = np.linalg.norm(norm[:, None] @ moved @ inverse[:, None], ord=2, axis=(2, 3)).max(
             axis=1
         )
-        # Beyond first order: series with all signs positive bound it, entry by entry.
+        # Beyond first order: bounded entry by entry by the series with all signs positive.
         size, change = (
             np.abs(generator),
             np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS)),
@@ -337,7 +346,7 @@ class _Ticks:
                 for a, b, c in zip(both, own, linear, strict=True)
             ]
             rest = np.abs(norm) @ self._bound((beyond[0], beyond[1], beyond[2])) @ np.abs(inverse)
-        # Of a stiff and light grasp the bound is beyond what a double holds: no proof.
+        # For a stiff and light grasp the bound overflows a double: no proof.
         known = np.isfinite(rest).all(axis=(1, 2))
         rest[~known] = 0.0
         return np.asarray(
@@ -360,12 +369,16 @@ class _Ticks:
         return np.concatenate([low, high])
 
 
-_SERIES = 1e-11  # what a series of `_TERMS` leaves out, and rounding, as a share of a motion
-_TERMS = 20  # of a generator with a norm of at most 1
+# truncation error of a series of `_TERMS` terms plus rounding, relative to a motion
+_SERIES = 1e-11
+_TERMS = 20  # terms for a generator with a norm of at most 1
 
 
 def _exponential(matrix: Array) -> Array:
-    """Exponential of many small matrices by its series, halved to a norm of 1 and squared: stiff grasps are beyond that."""
+    """Return the exponential of many small matrices by scaling and squaring.
+
+    The generator of a stiff grasp has a norm far above 1, where the series alone fails.
+    """
     largest = float(np.abs(matrix).sum(axis=2).max(initial=0.0))
     halvings = max(0, math.ceil(math.log2(largest))) if largest > 1.0 else 0
     small = matrix / 2.0**halvings
@@ -380,7 +393,10 @@ def _exponential(matrix: Array) -> Array:
 def _joined(
     early: Array, late: Array, late_moved: Array | None = None, early_still: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Join the motions before and after the force arrives; with their changes (`early`, `late_moved`) the change of both."""
+    """Join the motions before and after the force arrives.
+
+    With the derivatives (`early`, `late_moved`) given, return the derivative of the joint motion.
+    """
     step = late[:, :4, :4] @ early[:, :4, :4]
     old = (late[:, :4, :4] @ early[:, :4, 4:])[:, :, 0]
     if late_moved is None or early_still is None:
@@ -391,7 +407,10 @@ def _joined(
 
 
 def _norms(matrix: Array) -> Array:
-    """Norms L in which matrices of radius below 1 shrink: L'L = Σ A'^k A^k, by doubling."""
+    """Return norms L in which matrices of radius below 1 contract: L'L = Σ A'^k A^k.
+
+    The sum is computed by doubling.
+    """
     gram, power = np.repeat(np.eye(matrix.shape[1])[None], len(matrix), axis=0), matrix
     for _ in range(24):
         moved = np.swapaxes(power, 1, 2) @ gram @ power
@@ -403,7 +422,7 @@ def _norms(matrix: Array) -> Array:
 
 
 def _parts() -> Iterator[Array]:
-    """List what a spring and a damper between the two masses add to the generator, by the row that they push."""
+    """Yield the effect of spring and damper on the generator, by the row they act on."""
     for row, sign in ((1, -1.0), (3, 1.0)):
         for column in (0, 1):
             part = np.zeros((5, 5))

@@ -1,9 +1,9 @@
-"""Landing as a constraint of the search: laws that keep a demand and settle when dropped, with a margin.
+"""Impact stability as a constraint of the search: laws that also settle when dropped.
 
-The loop in contact is linear. Landing is not: contact comes and goes, and history and clamping are
-conventions (THEORY.md §4) that no pole radius covers. Where drops settle has a ragged edge, so a
-law must settle a little beyond the demand too: from half to twice the height, with masses 3 %
-outside the range. The search is differential evolution in boxes that shrink about the best so far,
+The loop in contact is linear. Impact is not: contact comes and goes, and no pole radius covers the
+conventions of history and clamping (THEORY.md §4). The boundary of the settling region is ragged,
+so a law must settle with a margin: from half to twice the height, and with masses 3 % outside the
+range. The search is differential evolution in boxes that shrink around the best law so far, with
 every candidate dropped.
 """
 
@@ -36,21 +36,25 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.play.one_axis import Scene
 
-MARGIN = 0.03  # how far the masses that must land lie outside the demanded range
-HEIGHTS = (0.01, 0.005, 0.02)  # from which they must land [m]; the first is the drop's own
-# half widths of the boxes, in forces that move the lightest device by the deflection within one
+MARGIN = 0.03  # how far the masses of the drops lie outside the demanded range, relative
+# heights from which laws must settle [m]; the first is that of `sim.experiments.drop`
+HEIGHTS = (0.01, 0.005, 0.02)
+# half-widths of the boxes, in forces that move the lightest device by the deflection within one
 # tick
 _BOXES = (1.5, 0.3, 0.03)
 
 
 def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) -> Scene:
-    """Drop a device of a demand, its damping the least and its delay the longest."""
+    """Return the drop of a device of a demand, with least damping and longest delay."""
     device = DeviceModel(mass=mass, damping=demand.damping, delay=demand.delay[1])
     return drop_scene(device, demand.period, raw, clamp, height)
 
 
 def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
-    """Drop the lightest, middle and heaviest device under every contact convention: what settled, by name."""
+    """Drop the lightest, middle and heaviest device under every contact convention.
+
+    Return whether each drop settled, by name.
+    """
     given = {}
     for mass in np.unique(np.geomspace(*demand.mass, 3)).tolist():
         for raw, clamp in CONVENTIONS:
@@ -69,17 +73,17 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
 
 @dataclass(frozen=True)
 class ProvenLanding:
-    """Whether every drop settles at all corners of a demand, proven (THEORY.md §19)."""
+    """Whether every drop settles, proven at all corners of a demand (THEORY.md §19)."""
 
     proven: bool
-    # devices and delays that were looked at: all of them, or up to the first without a proof
+    # devices and delays checked: all of them, or up to the first without a proof
     cases: int
-    margin: float  # least Re{M (1 + G)} over them
-    convention: str  # of contact, that the proof is about
-    why: str  # where and why there is no proof; empty with one
+    margin: float  # smallest Re{M (1 + G)} over them
+    convention: str  # contact convention of the proof
+    why: str  # where and why the proof fails; empty with a proof
 
     def text(self) -> str:
-        """Return the verdict in a sentence."""
+        """Return the verdict as a sentence."""
         if self.proven:
             return (
                 f"every drop settles: proven for {self.cases} devices and delays of these ranges"
@@ -89,7 +93,10 @@ class ProvenLanding:
 
 
 def prove_over(law: CompiledLaw, demand: Demand) -> ProvenLanding:
-    """Prove that every drop settles, from any height, at five masses and the ends of delay, damping, hand, joint and lag."""
+    """Prove that every drop settles, from any height, at the corners of a demand.
+
+    The corners are five masses and the ends of delay, damping, hand, joint and lag.
+    """
     margin, cases = np.inf, 0
     for corner, delay in itertools.product(corners(demand), sorted(set(demand.delay))):
         plant: Plant | FlexiblePlant = replace(corner, delay=delay)
@@ -109,13 +116,19 @@ def _margin(demand: Demand) -> list[float]:
 
 
 def landings(demand: Demand) -> list[Scene]:
-    """Give every drop that a landing law settles in: masses up to 3 % beyond the range, demanded conventions, three heights."""
+    """Return every drop in which a law must settle.
+
+    Masses are up to 3 % beyond the range, conventions are those of the demand, with three heights.
+    """
     cases = itertools.product(_margin(demand), demand.lands, HEIGHTS)
     return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
 
 
 def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None:
-    """Tune PD with a windowed velocity, which has no poles, by its drops: all of `landings`, under every convention."""
+    """Tune PD with a windowed velocity by its drops, all of `landings`, all conventions.
+
+    This law has no poles to judge it by. Return its parameters, or None if none settles.
+    """
     scenes = [
         replace(scene, device=msgspec.structs.replace(scene.device, resolution=resolution))
         for scene in landings(replace(demand, lands=CONVENTIONS))
@@ -150,7 +163,7 @@ def _stiffness(law: dict[str, Any]) -> float:
 
 
 def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Array:
-    """Share of the drops before the first in which a law does not settle; 1 for a law that lands."""
+    """Return the share of drops before the first in which a law fails; 1 if all settle."""
     share = np.ones(len(laws))
     going = list(range(len(laws)))
     for i, scene in enumerate(scenes):
@@ -172,7 +185,10 @@ def landed(
     seed: int,
     effort: int,
 ) -> Array | None:
-    """Search a family, climbing from `starts` too, for the stiffest law that keeps a demand and lands; None where none does."""
+    """Search a family for the stiffest law that meets a demand and settles, or None.
+
+    Each search starts at one of `starts` or, last, without a start.
+    """
     drops = falls(demand, _margin(demand), demand.lands, HEIGHTS)
     best, most = None, 0.0
     for start in [*starts, None]:
@@ -200,10 +216,10 @@ def _shrunk(
     seed: int,
     effort: int,
 ) -> Array | None:
-    """Search in boxes that shrink about the best so far; without a start the first is wide."""
+    """Search in boxes that shrink around the best law; without a start the first is wide."""
     parameters = len(basis)
     unit, criterion = demand.mass[0] / demand.period**2, Criterion()
-    # Behind a filter, taps have 1/(1 − pole) times the stiffness.
+    # With a filter, taps give 1/(1 − pole) times the stiffness.
     least = demand.above * (1.0 - fine.pole) / unit
     loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
     gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit

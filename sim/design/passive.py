@@ -1,12 +1,11 @@
-"""The stiffest passive law for the delay one really has: passive whatever mass, hand or grip, and by a verified margin.
+"""The stiffest passive law for the actual delay of a loop.
 
-Colgate's condition is linear in the taps at each frequency, at a fractional delay the eigenvalue of
-a matrix that is linear in
-them: convex and homogeneous. So the stiffest law is found by cutting planes: a linear programme
-    over the cuts so far, new cuts
-where its solution needs most damping. What comes out is scaled by the damping that it really needs,
-bounded between the sampled frequencies too: passive for certain. For d = 1 it must find 2/(1 +
-1/cos(π/(n+3))) (THEORY.md §2).
+A passive law is stable whatever the mass, hand or grip. Colgate's condition is linear in the taps
+at each frequency; at a fractional delay it is the eigenvalue of a matrix linear in the taps, so it
+is convex and homogeneous. The stiffest law is found by cutting planes: a linear program over the
+cuts so far, with new cuts where its solution needs most damping. The result is scaled by the
+damping it needs, which is bounded between the sampled frequencies too, so passivity is guaranteed.
+For d = 1 the result must be 2/(1 + 1/cos(π/(n+3))) (THEORY.md §2).
 """
 
 import math
@@ -23,17 +22,17 @@ _CUTS = 60
 
 @dataclass(frozen=True)
 class Passive:
-    """A passive law and the proof of it."""
+    """A passive law and its proof."""
 
-    # h_0 ... h_n [N/m], shape (n + 1,).
+    # h_0 ... h_n [N/m], shape (n + 1,)
     taps: Array
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
-    # certain upper bound of the damping it needs, not above the device's [N s/m]
+    # upper bound of the damping the law needs, not above the device's [N s/m]
     damping_needed_n_s_per_m: float
-    ratio: float  # H(1)·T/b: 2/(1+2d) for the spring, 2/(1+d) at best (THEORY.md §2)
-    # What the last programme, which knows fewer frequencies, would have allowed: no passive law of
-    # this length and bound on H(−1) is stiffer [N/m].
+    ratio: float  # H(1)·T/b: 2/(1+2d) for the spring, at most 2/(1+d) (THEORY.md §2)
+    # stiffness allowed by the last linear program, which checks fewer frequencies: no passive law
+    # of this length and bound on H(−1) is stiffer [N/m]
     bound_n_per_m: float
 
 
@@ -45,7 +44,11 @@ def stiffest_passive(
     nyquist: float = math.inf,
     tolerance: float = 1e-7,
 ) -> Passive:
-    """Find the taps with the largest H(1) that are passive at any delay of a range, |H(−1)| at most `nyquist` [N/m]."""
+    """Find the passive taps with the largest H(1) at any delay of a range.
+
+    |H(−1)| is at most `nyquist` [N/m]; `tolerance` is the relative gap to the upper bound at which
+    the search ends. Raise ValueError for a device without damping or if the linear program fails.
+    """
     from scipy.optimize import linprog
 
     if not damping > 0.0:
@@ -54,13 +57,13 @@ def stiffest_passive(
             " at all"
         )
     theta = np.linspace(0.0, np.pi, _GRID * max(1, taps // 8) + 1)
-    # At whole ticks, too: there the damping needed has a kink.
+    # Whole ticks are included because the damping needed has a kink there.
     whole = np.arange(math.ceil(delay[0]), math.floor(delay[1]) + 1)
     delays = np.union1d(np.linspace(*delay, 5), whole).tolist()
     bases = [_bases(theta, taps, at) for at in delays]
     signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
-    # In units of b/T. A spring's own limit bounds the search from the start: |h_m| of a passive law
-    # stays below some b/T.
+    # In units of b/T. The limit of a spring bounds the search from the start: |h_m| of a passive
+    # law stays below a few b/T.
     top = nyquist * period / damping
     rows, limits = [np.ones(taps)], [2.0 / (1.0 + delay[0]) + 1.0]
     if math.isfinite(top):
@@ -97,10 +100,10 @@ def stiffest_passive(
 
 
 def certain_damping(h: Array, period: float, delay: float, latest: float | None = None) -> float:
-    """Bound the damping a law needs at a delay, or at any up to the `latest` [ticks], from above, for certain [N s/m].
+    """Bound from above the damping a law needs at a delay, or up to the `latest` [N s/m].
 
-    That is the largest of many samples over the frequencies plus what may hide between; over the
-    delays it is exact.
+    The bound is the largest of many samples over the frequencies plus the most that may lie between
+    samples; over the delays it is exact.
 
     A trigonometric polynomial of degree N with M > 2N equidistant samples exceeds its largest
     sample in modulus by at most 1/cos(πN/M) (Ehlich and Zeller 1964). The damping needed at a
@@ -127,10 +130,11 @@ def certain_damping(h: Array, period: float, delay: float, latest: float | None 
 
 
 def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> Array:
-    """Largest damping needed at each frequency over the fractions φ of a tick between two ends, Re s and |H| given.
+    """Return the largest damping needed at each frequency over fractions φ of a tick.
 
-    g = ½(s + √(s² + φ(1−φ)|H|²)), s between Re s of the two whole delays, is concave in φ: its
-    peak, or the better end.
+    φ is between `ends`; `soon` and `late` are Re s at the two whole delays, `size` is |H|. g = ½(s
+    + √(s² + φ(1−φ)|H|²)), with s interpolated between the two, is concave in φ: the maximum is at
+    its peak or at one of the ends.
     """
     low, high = (
         0.5 * (s + np.sqrt(s * s + phi * (1.0 - phi) * size * size))
@@ -141,7 +145,7 @@ def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> A
     with np.errstate(divide="ignore", invalid="ignore"):
         room = size * size - slope * slope
         root = np.sqrt(middle * middle + 0.25 * room)
-        # Two ways to write the same, each free of cancellation on its side.
+        # Two forms of the same value, each free of cancellation on its side.
         peak = (
             size
             * size
@@ -153,7 +157,10 @@ def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> A
 
 
 def _bases(theta: Array, taps: int, delay: float) -> tuple[Array, Array, Array, float]:
-    """Per tap and frequency: Re s, Re and Im of z^−m, and φ(1−φ); all in units in which T = 1 (see damping_needed)."""
+    """Return Re s, Re and Im of z^−m per tap and frequency, and φ(1−φ), with T = 1.
+
+    See `damping_needed`.
+    """
     whole = math.floor(delay)
     fraction = delay - whole
     m = np.arange(taps)
@@ -172,7 +179,7 @@ def _bases(theta: Array, taps: int, delay: float) -> tuple[Array, Array, Array, 
 def _needed(
     h: Array, real: Array, cosine: Array, sine: Array, spread: float
 ) -> tuple[Array, Array]:
-    """Damping needed at each frequency, and its slope along the taps."""
+    """Return the damping needed at each frequency and its gradient by the taps."""
     s = real @ h
     if spread == 0.0:
         return s, real

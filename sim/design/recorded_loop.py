@@ -1,8 +1,7 @@
-"""What a recorded run tells about its loop: period, delay and jitter, tick by tick, for a design made for that loop.
+"""Period, delay and jitter of a recorded run, tick by tick, to design for that loop.
 
-Poles are those of a constant delay. A delay that changes from tick to tick can be worse than each
-of its values; so a design for a recorded loop is replayed on that loop's own delays, with the exact
-device in between.
+Poles assume a constant delay. A delay that changes from tick to tick can be worse than each of its
+values, so a design for a recorded loop is replayed with the recorded delays and the exact device.
 """
 
 import math
@@ -21,41 +20,44 @@ from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, Hand
-from sim.play.one_axis import Given, Scene, SceneSurface, run
+from sim.play.given import Given
+from sim.play.one_axis import Scene, SceneSurface, run
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a recorded run tells about its loop."""
+    """Timing of a recorded loop."""
 
     period: float  # sampling period T [s]
-    # Delay that all but one answered tick in a thousand stayed within, at either end [ticks], shape
-    # (2,).
+    # range of the delay, 0.1 % and 99.9 % quantiles over the answered ticks [ticks], shape (2,)
     delay: tuple[float, float]
     median: float  # median delay [ticks]
-    jitter: float  # its spread, 99.9 % quantile minus 0.1 % quantile [ticks]
-    # delay of each tick, in order [ticks]; infinite for a tick that was not answered in time
+    jitter: float  # 99.9 % quantile minus 0.1 % quantile of the delay [ticks]
+    # delay of each tick, in order [ticks]; infinite for a tick not answered in time
     delays: tuple[float, ...]
-    unanswered: int  # how many were not
-    # What the virtual device was given, None for another device [kg], [N s/m].
+    unanswered: int  # number of ticks not answered in time
+    # parameters of the virtual device; None for another device [kg], [N s/m]
     mass: float | None
     damping: float | None
 
 
 def measure(path: Path) -> Measured:
-    """Read period, delay and jitter from a recording."""
+    """Read period, delay and jitter from a recording.
+
+    Raise ValueError if the recording has fewer than 100 ticks or no delays.
+    """
     recording = Recording(path)
     states = recording.messages(DEVICE_STATE)
     if len(states) < 100:
         raise ValueError(
-            f"{path}: {len(states)} ticks recorded, at least 100 are needed to tell delay and"
+            f"{path}: {len(states)} ticks recorded, at least 100 are needed to measure delay and"
             " jitter"
         )
     period = period_of(recording)
     device = node_with(recording, "device").get("device", {})
     own = float(device.get("delay", 0.0))
-    # Each state tells of the tick before it; the first one, and a loop without forces yet, have
-    # none. A tick that was not answered in time has an older force instead, whose age it tells; its
+    # Each state reports the previous tick; the first state, and a loop still without forces,
+    # reports none. A tick not answered in time reports the age of the older force that acted; its
     # own force never acts.
     with_answer = [state for state in states[1:] if state.force_seq >= 0]
     delays = tuple(state.delay + own if state.age == 0 else math.inf for state in with_answer)
@@ -78,7 +80,7 @@ def measure(path: Path) -> Measured:
 
 
 def node_with(recording: Recording, name: str) -> dict[str, Any]:
-    """Find the recorded parameters of the node that has such a group of them; empty without one."""
+    """Return the recorded parameters of the node with a group `name`; empty if none."""
     nodes = (
         parse_yaml(text, "parameters") for text in recording.metadata.get("parameters", {}).values()
     )
@@ -87,11 +89,14 @@ def node_with(recording: Recording, name: str) -> dict[str, Any]:
     )
 
 
-GIVEN_UP = 1e200  # deflection from which on a loop is called unstable whatever comes [m]
+GIVEN_UP = 1e200  # deflection above which a loop counts as unstable [m]
 
 
 def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> float:
-    """Measure by how much a released deflection grows or decays per tick, the delay of each force as given."""
+    """Return the growth factor per tick of a released deflection under recorded delays.
+
+    Raise ValueError for a law with filter sections or fewer than 40 delays.
+    """
     if law.sections:
         raise ValueError("law: only taps can be replayed")
     if len(delays) < 40:
@@ -105,7 +110,7 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
     )
     arrivals: list[tuple[float, int]] = []
     for at, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
-        # A force that a younger one has overtaken never acts.
+        # A force overtaken by a newer one never acts.
         if not arrivals or seq > arrivals[-1][1]:
             arrivals.append((at, seq))
     when, answers = (

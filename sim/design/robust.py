@@ -1,12 +1,10 @@
-"""The stiffest law of a family whose pole radius stays below a bound over ranges of mass, delay and hand.
+"""The stiffest law with bounded pole radius over ranges of mass, delay and hand.
 
-A family is linear in its parameters: all taps free, or spring and one derivative part (PD, one PDα,
-the paper's optimum). So all of them go through the same search: differential evolution with fixed
-seeds (`sim.design.evolution`), then linear
-programmes: every pole near the bound is linearised in the taps, H(1) is raised within a trust
-    region, and what came out is
-accepted only if its true poles keep the bound. The worst case between those of the search joins it
-until none is worse.
+A family is linear in its parameters: all taps free, or a spring and one derivative part (PD, one
+PDα, the paper's optimum). All families use the same search: differential evolution with fixed seeds
+(`sim.design.evolution`), then linear programs. Each of these linearises the poles near the bound in
+the taps and raises H(1) within a trust region; the step is accepted only if the exact poles stay
+within the bound. The worst case between the searched cases is added until none is worse.
 """
 
 from collections.abc import Sequence
@@ -30,8 +28,8 @@ from sim.design.evolution import evolved
 from sim.design.landing import landed
 
 _MASSES = 5
-# Half widths of the boxes that are searched from nothing: too narrow a one shuts the stiffest long
-# laws out.
+# Half-widths of the boxes searched without a start: a narrow box alone excludes the stiffest long
+# laws.
 _SPANS = (0.3, 10.0)
 
 
@@ -44,19 +42,21 @@ def stiffest(
     known: Sequence[Array] = (),
     pole: float = 0.0,
 ) -> Robust | None:
-    """Find the law of a family with the largest H(1) that keeps the demand; None when no member does.
+    """Find the law of a family with the largest H(1) that meets the demand, or None.
 
-    `basis`, shape (p, n + 1): taps per unit of each parameter [N/m], which may be negative where it
-    is `free`; `effort` multiplies the generations of the global search; `known`, shape (p,):
-    members to climb from too, e.g. a shorter law.
+    basis: taps per unit of each parameter [N/m], shape (p, n + 1).
+    free: parameters may be negative.
+    effort: factor on the generations of the global search.
+    known: members to start from as well, such as a shorter law, each of shape (p,).
+    pole: pole of the filter behind two taps; 0: none.
     """
     basis = np.asarray(basis, dtype=np.float64)
     # One unit of each parameter: a force that moves the lightest device by the deflection within
     # one tick.
     scale = demand.mass[0] / demand.period**2 / np.abs(basis).max(axis=1)
     basis = basis * scale[:, None]
-    # Behind a filter, taps have (1 + pole) times the gain at ω_N that is allowed, and 1/(1 − pole)
-    # times the stiffness.
+    # With a filter, taps may have (1 + pole) times the gain at ω_N and give 1/(1 − pole) times the
+    # stiffness.
     asked = replace(demand, nyquist=demand.nyquist * (1.0 + pole))
     everywhere = verified_cases(demand)
     fine = LoopCase(demand, everywhere, basis.shape[1], pole)
@@ -82,9 +82,9 @@ def _climbed(
     seed: int,
     effort: int,
 ) -> Array | None:
-    """Climb from all starts, by linear programmes."""
+    """Climb from all starts by linear programs."""
     cases = cases_of(demand, _MASSES, 3)
-    # A hair inside, so that rounding of the printed taps cannot cross the bound.
+    # Slightly inside, so that rounding of the printed taps cannot cross the bound.
     target = demand.radius - 1e-9
     tried = [*starts, *_global(demand, basis, fine, free, seed, effort, target)]
     best = max(
@@ -110,7 +110,7 @@ def _settle(
     target: float,
     free: bool,
 ) -> Array | None:
-    """Climb, verify everywhere, take the worst case in and come back inside, until there is none."""
+    """Climb, verify everywhere, add the worst case and return inside, until none is worse."""
     here, everywhere = start, verified_cases(demand)
     for _ in range(12):
         here = _climb(
@@ -130,13 +130,13 @@ def _settle(
 def _global(
     demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float
 ) -> list[Array]:
-    """Feasible starts, the stiffest first, each with its own seed."""
+    """Return feasible starts, stiffest first, each from its own seed."""
     p = len(basis)
     few, many = (
         LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101)
     )
-    # Over ranges of delay and hand there are thousands of cases; the climb then brings the start
-    # inside all of them.
+    # Ranges of delay and hand give thousands of cases; the climb then brings the start inside all
+    # of them.
     loops = (few, many, fine) if len(fine.fixed) <= 1000 else (few, few, many)
     spans = _SPANS if p <= 4 else _SPANS[1:] * 2
     tried = [
@@ -151,7 +151,7 @@ def _global(
 def _climb(
     demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool
 ) -> Array:
-    """Raise H(1) by linear programmes over the linearised poles, never leaving the bound."""
+    """Raise H(1) by linear programs over the linearised poles without leaving the bound."""
     from scipy.optimize import linprog
 
     signs = alternating(basis.shape[1])
@@ -170,7 +170,7 @@ def _climb(
         limits = np.concatenate(
             [limits, [demand.nyquist - noise @ here, demand.nyquist + noise @ here]]
         )
-        # A start on the bound may be beyond it by a rounding.
+        # A start on the bound may exceed it by a rounding error.
         bounds = [(-trust if free else max(-trust, -at), trust) for at in here.tolist()]
         solution = linprog(-gain, A_ub=rows, b_ub=np.maximum(limits, 0.0), bounds=bounds)
         if not solution.success or solution.x is None:
@@ -187,7 +187,7 @@ def _climb(
                 break
             here, trust = there, min(2.0 * trust, 0.5)
             continue
-        # Back towards where it was: often half of the step keeps the bound.
+        # Step back: often half of the step stays within the bound.
         for part in (0.5, 0.25):
             between = here + part * solution.x
             inside = float(loop.radii(between @ basis).max()) <= target
@@ -201,7 +201,10 @@ def _climb(
 def _retreat(
     demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool
 ) -> Array:
-    """Bring a law back inside after a case has joined: to where the excess is least, then back as far as allowed."""
+    """Return a law to the inside of the bound after a case was added.
+
+    Minimise the excess first, then go back towards the start as far as the bound allows.
+    """
     from scipy.optimize import minimize
 
     signs = alternating(basis.shape[1])

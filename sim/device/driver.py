@@ -1,4 +1,4 @@
-"""The sim driver node: the driver of the loop with the virtual device in place of hardware."""
+"""The sim driver node: the driver of the loop with a virtual device instead of hardware."""
 
 import math
 from array import array
@@ -21,25 +21,24 @@ from sim.device.model import DeviceModel
 from sim.device.real_devices import preset, provenance
 from sim.device.state import PENDING, VirtualDevice, read_axis, write_axis
 
-# The usual limits of a virtual device, as in the scenarios: largest force [N], fastest change of it
-# [N/s], workspace [m].
+# Default limits of a virtual device: largest force [N], its slew [N/s], workspace [m].
 PEAK, SLEW, REACH = 40.0, 20_000.0, 0.2
-NO_END: Final = DeviceLimits().workspace  # the workspace of a device that declares none [m]
+NO_END: Final = DeviceLimits().workspace  # workspace of a device that declares none [m]
 
 
 class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the sim driver.
 
     device: The virtual device; see sim/device/model.py.
-    hold: The device's own deadline, as a servo thread has one: without a new force for so long it
-        lets go [s]. Real time only; None holds for ever.
+    hold: The device's own deadline, like that of a servo thread: after this time without a new
+        force it releases the force [s]. Real time only; None holds for ever.
     pointer: Lets a page drag the target of the device's hand (nodes/driver/pointer.py). Real time
-        only: in lockstep the hand keeps to its path. None for a hand that nobody drags.
-    safety: As of every driver. Where neither limits nor ``without`` say otherwise, a virtual device
-        has a largest force of 40 N, a slew of 20 000 N/s, and a workspace of 0.2 m around the
-        places that its `device` names.
-    preset: A real device whose published values go before those of `device`, e.g. ``touch_x``;
-        empty or ``none`` for none. Its largest force is a limit of the driver too.
+        only: in lockstep the hand follows its path. None for a hand that cannot be dragged.
+    safety: As of every driver. Unless limits or ``without`` say otherwise, a virtual device has a
+        largest force of 40 N, a slew of 20 000 N/s, and a workspace of 0.2 m around the positions
+        that its `device` names.
+    preset: A real device whose published values override those of `device`, e.g. ``touch_x``; empty
+        or ``none`` for none. Its largest force is a limit of the driver too.
     """
 
     device: DeviceModel
@@ -49,7 +48,7 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
 
     @property
     def ends(self) -> tuple[tuple[float, float], ...]:
-        """Where the device stops, axis by axis [m]."""
+        """Return where the device stops, axis by axis [m]."""
         return self.safety.workspace or NO_END
 
     def __post_init__(self) -> None:
@@ -58,7 +57,7 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
             device = msgspec.convert(
                 msgspec.to_builtins(self.device) | preset(self.preset), DeviceModel
             )
-            # Frozen for everybody else: this is a part of its making.
+            # Allowed during construction only; the struct is frozen afterwards.
             msgspec.structs.force_setattr(self, "device", device)
             if device.peak_force is not None:
                 peak = min(self.safety.peak_force or math.inf, device.peak_force)
@@ -67,7 +66,7 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
                 )
 
     def _limit(self) -> None:
-        """Fill in the limits that the launch file leaves out: a made-up device bears everything, its user does not."""
+        """Fill in missing limits: a virtual device withstands anything, its user does not."""
         safety = self.safety
         usual: dict[str, Any] = {
             "peak_force": PEAK,
@@ -80,14 +79,14 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
             if getattr(safety, name) is None and name not in safety.without
         }
         if missing:
-            # Frozen for everybody else: this is a part of its making.
+            # Allowed during construction only; the struct is frozen afterwards.
             msgspec.structs.force_setattr(
                 self, "safety", msgspec.structs.replace(safety, **missing)
             )
 
 
 def _workspace(model: DeviceModel) -> Workspace:
-    """Return the usual workspace of a device [m]: `REACH` around the origin and all places that the launch file names."""
+    """Return the default workspace [m]: `REACH` around the origin and all named positions."""
     parts = [model, *map(model.along, model.axes)]
     places = [0.0, *(part.position for part in parts)]
     places += [place for part in parts if part.hand is not None for _, place in part.hand.path]
@@ -96,7 +95,11 @@ def _workspace(model: DeviceModel) -> Workspace:
 
 
 def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
-    """Give each axis its device: the first begins and has the hand's path, z weighs, or the first; its own words go before."""
+    """Return the model of each axis.
+
+    The first axis has the initial state and the hand's path; z, or else the first, has gravity.
+    Settings of an axis override these.
+    """
     down = "z" if "z" in axes else axes[0]
     hand = model.hand
     still = None if hand is None else msgspec.structs.replace(hand, path=[(0.0, 0.0)], repeat=None)
@@ -120,7 +123,7 @@ def parts_of(
     hold: float = math.inf,
     compiled: bool = False,
 ) -> list[VirtualDevice]:
-    """Make the device of each axis of a scene; see `sim.device.state.VirtualDevice`."""
+    """Create the device of each axis of a scene; see `sim.device.state.VirtualDevice`."""
     numbers = [AXIS_INDEX[axis] for axis in axes]
     return [
         VirtualDevice(of_axis, period, next_tick, workspace[i], lockstep, hold, i, compiled)
@@ -129,7 +132,10 @@ def parts_of(
 
 
 class SimDevice:
-    """The virtual device in the driver's time: one along each axis, independent, a stop where its workspace ends."""
+    """The virtual device in the driver's time: an independent part along each axis.
+
+    Each part stops at the ends of its workspace.
+    """
 
     def __init__(
         self,
@@ -166,17 +172,17 @@ class SimDevice:
         self._clock = array("q", [0, 0])
 
     def delay_by(self, ticks: float) -> None:
-        """Have every force from now on act so many ticks later; those under way arrive as they would have, none overtakes."""
+        """Delay every force from now on by `ticks`; earlier ones keep their time."""
         for d in self._states:
             d.delay = ticks
 
     @property
     def limits(self) -> DeviceLimits:
-        """A virtual device bears everything; what its motor cannot give, the model saturates. Its delay is its latency."""
+        """Limits of the virtual device: no largest force, and its delay as latency."""
         return self._limits
 
     def calls(self) -> Calls | None:
-        """Give the compiled calls, where they could be had."""
+        """Return the compiled calls; None if not requested or not available."""
         if not self._compiled:
             return None
         from nodes.compiled.library import functions, obtain_calls
@@ -184,7 +190,7 @@ class SimDevice:
         try:
             read, write = obtain_calls(SimDriver.device_module, ("read", "write"))
         except NotCompilableError:
-            # Then the driver calls it as any device that is written in Python.
+            # The driver then calls the Python methods.
             return None
         for d in self._states:
             d.clock_gettime, d.time = functions()["clock_gettime"], self._clock.buffer_info()[0]
@@ -195,36 +201,34 @@ class SimDevice:
 
     @property
     def target(self) -> Vector:
-        """Where its hand pulls to during this tick [m]; zero without one."""
+        """Position that its hand pulls to during this tick [m]; zero without a hand."""
         pulls = [0.0, 0.0, 0.0]
         for d in self._states:
             pulls[d.axis] = d.pull
         return pulls[0], pulls[1], pulls[2]
 
     def open(self) -> None:
-        """Nothing to connect."""
+        """Do nothing: there is nothing to connect."""
 
     def read_position(self, seq: int) -> Vector:
-        """Let the time up to a tick pass, then read the encoders."""
+        """Simulate the time up to a tick, then read the encoders."""
         position = [0.0, 0.0, 0.0]
         for d in self._states:
             position[d.axis] = read_axis(d, seq)
         return position[0], position[1], position[2]
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand over a force: each axis takes its own part."""
+        """Hand over a force; each axis takes its component."""
         for d in self._states:
             if not write_axis(d, force[d.axis], seq, offset):
-                raise OverflowError(
-                    f"more than {PENDING} forces on their way to the virtual device"
-                )
+                raise OverflowError(f"more than {PENDING} forces in flight to the virtual device")
 
     def close(self) -> None:
-        """Nothing to disconnect."""
+        """Do nothing: there is nothing to disconnect."""
 
 
 class SimDriver(Driver):
-    """A driver node with a virtual device, alike along every axis of the scene."""
+    """A driver node with a virtual device along every axis of the scene."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = SimDriverParameters
     virtual: ClassVar[bool] = True
@@ -235,7 +239,7 @@ class SimDriver(Driver):
     def substitute_device(
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Put a preset in the place of the device that is described."""
+        """Replace the described device by a preset."""
         changed = {**parameters, "preset": device}
         model: DeviceModel = convert(changed, cls.Parameters, name).device
         return changed, {
@@ -250,7 +254,7 @@ class SimDriver(Driver):
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return the plant that the device is, its hand included; where its axes differ, the worst of each value."""
+        """Return the plant of the device with its hand; of several axes the worst values."""
         model: DeviceModel = convert(parameters, cls.Parameters, name).device
         parts = along(model, axes)
         least, greatest = (
@@ -266,14 +270,14 @@ class SimDriver(Driver):
         }
 
     def configure(self) -> None:
-        """Make the device, and say what is known of the real one that it stands for."""
+        """Create the device, and report the sources of a preset's values."""
         super().configure()
         if self.store.current.preset not in ("", "none"):
             self.events.emit_each("device", provenance(self.store.current.preset))
 
     @classmethod
     def check(cls, setup: Setup) -> None:
-        """Check that it begins inside its workspace, and that a pointer has a hand to drag."""
+        """Check that the device starts inside its workspace, and that a pointer has a hand."""
         super().check(setup)
         parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
         for axis, device in zip(setup.axes, along(parameters.device, setup.axes), strict=True):
@@ -287,16 +291,16 @@ class SimDriver(Driver):
         if missing := sorted(set(parameters.device.axes) - set(setup.axes)):
             raise ParameterError(
                 f"{setup.name}.device.axes.{missing[0]}: the scene computes {', '.join(setup.axes)}"
-                " only; name it in run.axes, or leave it out here"
+                " only; add it to run.axes, or remove it here"
             )
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
                 f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can"
-                " drag; declare its stiffness and path, or leave the pointer out"
+                " drag; declare its stiffness and path, or remove the pointer"
             )
 
     def make_device(self) -> Device:
-        """Make the virtual device."""
+        """Create the virtual device."""
         parameters: SimDriverParameters = self.store.current
         self._sim = SimDevice(
             parameters.device, self.setup, parameters.hold, parameters.pointer, parameters.ends
@@ -304,7 +308,7 @@ class SimDriver(Driver):
         return self._sim
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Prepare another delay of the virtual device; all else is as with every driver."""
+        """Prepare a change of the device's delay; all else as every driver does."""
         now: SimDriverParameters = self.store.current
         delay = parameters.device.delay
         later = msgspec.structs.replace(
@@ -321,7 +325,7 @@ class SimDriver(Driver):
         def apply(seq: int) -> dict[str, Any]:
             self._sim.delay_by(delay)
             self._kept[1] = set_latency(self.driving, delay)
-            text = f"the device answers {delay:g} ticks later from now on"
+            text = f"the device's delay is {delay:g} ticks from now on"
             self.events.emit("delay", text, {"delay_ticks": delay}, always=True)
             return {"seq": seq}
 
@@ -329,5 +333,5 @@ class SimDriver(Driver):
 
     @property
     def target(self) -> Vector:
-        """Where the hand pulls the device to during this tick [m]; zero without one."""
+        """Position that the hand pulls to during this tick [m]; zero without a hand."""
         return self._sim.target

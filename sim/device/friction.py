@@ -1,8 +1,8 @@
-"""Coulomb friction, exactly: the velocity's next zero is known in closed form, so a step is split there and nowhere else.
+"""Exact Coulomb friction: a step is split only where the velocity crosses zero.
 
-Between two zeros of the velocity friction is one more constant force, and the map of
-`sim.device.model` holds; at a zero the device sticks or turns. Kernels as those of
-`sim.device.model`: plain functions that are called as they stand, and compiled.
+The next zero of the velocity is known in closed form. Between two zeros friction is a constant
+force, so the map of `sim.device.model` holds; at a zero the device sticks or reverses. Kernels as
+those of `sim.device.model`: plain functions that are interpreted and compiled.
 """
 
 import math
@@ -15,10 +15,10 @@ from sim.device.model import Coefficients, advance, coefficients
 def halt_time(
     x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float
 ) -> float:
-    """When the velocity first returns to zero, with the force held: closed form.
+    """Return the time until the velocity reaches zero under a held force [s]; inf if never.
 
-    With a the acceleration now, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w
-    sin(ωt)/ω) (hyperbolic when overdamped): its first zero is one arctangent away.
+    With the present acceleration a, s = b/2m and w = a + s v, the velocity is e^{−st}(v cos ωt + w
+    sin(ωt)/ω) (hyperbolic if overdamped), so its first zero is an arctangent.
     """
     s = damping / (2.0 * mass)
     speed = v * direction
@@ -26,7 +26,7 @@ def halt_time(
     squared = s * s - stiffness / mass
     if squared < 0.0:
         root = math.sqrt(-squared)
-        # From rest the next zero is half a period away, whatever the rounding of w says.
+        # From rest the next zero is half a period away, regardless of the rounding of w.
         return (math.atan2(root * speed, -w) if speed > 0.0 else math.pi) / root
     root = math.sqrt(squared)
     if speed <= 0.0 or -w <= root * speed:
@@ -48,7 +48,7 @@ def slide(
     stiffness: float,
     friction: float,
 ) -> tuple[float, float]:
-    """One exact step with Coulomb friction: split wherever the velocity crosses zero, stuck where friction holds."""
+    """Advance by one exact step with Coulomb friction, split at zeros of the velocity."""
     remaining = duration
     whole = True
     while True:
@@ -83,7 +83,7 @@ def move(
     stiffness: float,
     friction: float | None,
 ) -> tuple[float, float]:
-    """One exact step, with or without Coulomb friction; None or 0 is none."""
+    """Advance by one exact step, with Coulomb friction unless it is None or 0."""
     if friction is None or friction == 0.0:
         return advance(x, v, u, coefs)
     return slide(x, v, u, duration, coefs, mass, damping, stiffness, friction)

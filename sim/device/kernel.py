@@ -1,4 +1,4 @@
-"""The virtual device, compiled: the two calls that a compiled driver makes of a device (nodes/driver/device.py)."""
+"""The compiled virtual device: the two device calls of a compiled driver."""
 
 from typing import Final
 
@@ -13,7 +13,10 @@ _look = record_at(record_of(AxisState))
 
 @compilable
 def read(context: int, seq: int, out: int) -> int:
-    """Read the position of a device, and where its hand pulls to: `context` is how many axes it has, and where each is."""
+    """Read a device's position and hand target.
+
+    `context` holds the number of axes and the address of each axis' state.
+    """
     axes, position = wholes_at(context, 4), reals_at(out, 6)
     for i in range(6):
         position[i] = 0.0
@@ -26,7 +29,7 @@ def read(context: int, seq: int, out: int) -> int:
 
 @compilable
 def write(context: int, force: int, seq: int, offset: float) -> int:
-    """Hand a force to it."""
+    """Hand over a force; return −1 if an axis has no room for it."""
     axes, forces = wholes_at(context, 4), reals_at(force, 3)
     status = 0
     for n in range(axes[0]):
@@ -36,7 +39,7 @@ def write(context: int, force: int, seq: int, offset: float) -> int:
     return status
 
 
-# What other code calls by its address, with C's way of calling.
+# Entry points called by address, with C's calling convention.
 ENTRIES: Final = {
     "read": (read, "int64(int64,int64,int64)"),
     "write": (write, "int64(int64,int64,int64,float64)"),

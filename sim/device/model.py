@@ -1,14 +1,14 @@
-"""The virtual device: one axis of mass, viscous damping and what a scene asks for beyond that.
+"""Model of the virtual device: one axis of mass, damping, and optional terms of a scene.
 
-Between two instants at which the force changes, the device obeys m x'' + b x' + k x = u with u held
-(k is the stiffness of a hand, 0 without one), and that map is known exactly. So nothing is
-integrated here: a step is a few multiplications, whatever its length, and carries no discretisation
-error that could be mistaken for (in)stability of the coupling: semi-implicit Euler would overstate
-K_max by 1/(1 − 1/n_sub).
+Between two changes of the force the device obeys m x'' + b x' + k x = u with constant u (k is the
+stiffness of a hand, 0 without one), whose solution is known exactly. So nothing is integrated
+numerically: a step is a few multiplications, whatever its length, and has no discretisation error
+that could be mistaken for (in)stability of the coupling; semi-implicit Euler would overstate K_max
+by 1/(1 − 1/n_sub).
 
 The kernels are plain functions on floats, as those of `nodes.arithmetic`: the driver node calls
-them as they stand, the one-process simulator compiles the same functions. They use only `math`, and
-what a scene lacks is passed as None.
+them interpreted, the one-process simulator compiles the same functions. They use only `math`;
+absent terms are None.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from nodes.compiled.rules import rule
 from nodes.parameters.checked import NonNegative, Positive, check_fields
 from nodes.parameters.store import convert
 
-LEAST = 1e-12  # smallest mass [kg] and encoder step [m]
+SMALLEST = 1e-12  # smallest mass [kg] and encoder step [m]
 
 Coefficients = tuple[float, float, float, float, float, float]
 
-# Adding and subtracting 1.5 * 2**52 leaves the nearest whole number (halves to even) for any
-# |count| < 2**51, and it neither overflows nor raises beyond: a diverging run stays a run.
+# Adding and subtracting 1.5 * 2**52 rounds to the nearest integer (halves to even) for any
+# |count| < 2**51, and never overflows or raises, so that a diverging run can continue.
 _WHOLE = 6755399441055744.0
 
 
 @rule
 def decay_mean(y: float) -> float:
-    """Mean of e^{−t} over (0, y): (1 − e^{−y})/y without cancellation, for y ≥ 0."""
+    """Return the mean of e^{−t} over (0, y), (1 − e^{−y})/y without cancellation, for y ≥ 0."""
     if y == 0.0:
         return 1.0
     return -math.expm1(-y) / y
@@ -42,11 +42,12 @@ def decay_mean(y: float) -> float:
 
 @rule
 def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
-    """Exact map of m x'' + b x' + k x = u over a time [s] in which u is held, for m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m].
+    """Return the exact map of m x'' + b x' + k x = u over `duration` [s] with constant u.
 
-    Of x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u: a11, a12 [s], a21 [1/s], a22, b1 [m/N],
-    b2 [m/(s N)], accurate to rounding for any damping, and for b → 0 and k → 0. With k = 0 it is
-    the plant of the stability theory, q = (1 − e^{−bT/m}) m/b.
+    For m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m]: x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u
+    with a11, a12 [s], a21 [1/s], a22, b1 [m/N], b2 [m/(s N)], accurate to rounding for any damping,
+    also for b → 0 and k → 0. With k = 0 it is the plant of the stability theory, q = (1 −
+    e^{−bT/m}) m/b.
     """
     alpha = damping * duration / mass
     kappa = stiffness * duration * duration / mass
@@ -94,13 +95,13 @@ def coefficients(mass: float, damping: float, stiffness: float, duration: float)
 
 @rule
 def advance(x: float, v: float, u: float, coefs: Coefficients) -> tuple[float, float]:
-    """Take one exact step from x [m], v [m/s] under a held force u [N], without dry friction; x and v after it."""
+    """Return x [m], v [m/s] after one exact step under a held force u [N], without friction."""
     return coefs[0] * x + coefs[1] * v + coefs[4] * u, coefs[2] * x + coefs[3] * v + coefs[5] * u
 
 
 @rule
 def quantise(x: float, resolution: float | None) -> float:
-    """Read the encoder: the nearest whole count (halves to the even one), in metres; None or 0 is a perfect sensor."""
+    """Round a position to encoder counts (halves to even) [m]; None or 0 is an ideal sensor."""
     if resolution is None or resolution == 0.0:
         return x
     return ((x / resolution + _WHOLE) - _WHOLE) * resolution
@@ -108,7 +109,7 @@ def quantise(x: float, resolution: float | None) -> float:
 
 @rule
 def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]:
-    """Stop a step that leads to x [m], v [m/s] at the ends of the device [m], inelastically."""
+    """Stop a position x [m] and velocity v [m/s] at the ends of the device, inelastically."""
     if x < low:
         return low, 0.0
     if x > high:
@@ -117,7 +118,7 @@ def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]
 
 
 def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[float, float]:
-    """Tell where a device stops: the ends of its workspace [m], or the outermost counts of its encoder within them."""
+    """Return where a device stops [m]: its workspace, or its outermost encoder counts within."""
     low, high = workspace
     if resolution is None:
         return low, high
@@ -132,7 +133,7 @@ def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[f
 
 @rule
 def saturate(force: float, peak: float | None) -> float:
-    """Limit a force to what the motor can give [N], at the moment it is applied; None is a motor without limit."""
+    """Limit a force to the motor's largest when it is applied [N]; None is unlimited."""
     if peak is not None:
         if force > peak:
             return peak
@@ -142,21 +143,23 @@ def saturate(force: float, peak: float | None) -> float:
 
 
 def split_delay(delay: float) -> tuple[int, float]:
-    """Split a delay d = i + φ [ticks]: during tick k the force of tick k−i−1 acts for φT, then that of k−i."""
+    """Split a delay d = i + φ [ticks].
+
+    During tick k the force of tick k−i−1 acts for φT, then that of k−i.
+    """
     whole = math.floor(delay)
     return whole, delay - whole
 
 
 class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A hand that holds the device: mass and damper on the device, spring to a point that moves along a path.
+    """A hand that holds the device: mass, damper, and a spring to a point on a path.
 
-    mass: Positive that moves with the device [kg].
+    mass: Mass that moves with the device [kg].
     damping: Viscous damping against the ground [N s/m].
     stiffness: Spring between the device and the path [N/m].
     path: Time [s] and position [m] of the corners of a piecewise linear path, times increasing;
         held before the first and after the last. It is sampled at ticks and held between them.
-    repeat: After so long the path begins anew [s], at least the time of its last corner; None for
-        once.
+    repeat: Period of the path [s], at least the time of its last corner; None for once.
     """
 
     stiffness: Positive
@@ -180,12 +183,12 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             )
 
     def point(self, time: float) -> float:
-        """Tell where the hand pulls to at a time [s]: a point of the path [m]."""
+        """Return the point of the path at a time [s], to which the hand pulls [m]."""
         return path_position(self.path, time if self.repeat is None else time % self.repeat)
 
 
 class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters of the virtual device; what is None or left out does not exist in the scene.
+    """Parameters of the virtual device; terms that are None or omitted are absent.
 
     mass: m [kg].
     damping: Viscous damping b [N s/m].
@@ -195,13 +198,14 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     resolution: Position resolution of the encoder [m].
     friction: Coulomb friction [N].
     peak_force: Largest force of the motor [N].
-    delay: Delay from sample to applied force [ticks], beside the one of ``apply: next_tick``.
+    delay: Delay from sample to applied force [ticks], in addition to that of ``apply: next_tick``.
     hand: A hand that holds the device.
     mass_by_position: Position [m] and mass [kg] of the corners of a piecewise linear mass,
-        positions increasing; held before the first and after the last. In place of ``mass``, which
-        then only weighs: an arm is heavier the further it reaches. Empty for none.
-    axes: What is different along an axis of the scene: the other fields, by name of the axis; of a
-        hand, only what differs.
+        positions increasing; held before the first and after the last. Replaces ``mass`` as
+        inertia (an arm is heavier the further it reaches); gravity still acts on ``mass``. Empty
+        for none.
+    axes: Fields that differ along an axis of the scene, by name of the axis; of a hand, only the
+        differing fields.
     """
 
     mass: Positive
@@ -220,10 +224,10 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def __post_init__(self) -> None:
         check_fields(self, "device")
         for name, value in (("mass", self.mass), ("resolution", self.resolution), *self._masses()):
-            if value is not None and value < LEAST:
+            if value is not None and value < SMALLEST:
                 raise ValueError(
-                    f"{name} is {value!r}, expected at least {LEAST:g}: with less a step of the"
-                    " device is no number"
+                    f"{name} is {value!r}, expected at least {SMALLEST:g}: below it a step of the"
+                    " device is not finite"
                 )
         for i, (place, _) in enumerate(self.mass_by_position):
             if i and place <= self.mass_by_position[i - 1][0]:
@@ -234,7 +238,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         for axis, changes in self.axes.items():
             if not changes or "axes" in changes:
                 raise ValueError(
-                    f"axes.{axis} is {changes!r}: expected fields of a device, but axes"
+                    f"axes.{axis} is {changes!r}: expected fields of a device other than axes"
                 )
             self.along(axis)
 
@@ -244,7 +248,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         ]
 
     def along(self, axis: str) -> DeviceModel:
-        """Give the device as it is along one axis: this one, with what is different there."""
+        """Return the model along one axis, with the settings of that axis."""
         changes = self.axes.get(axis)  # type: ignore[call-overload]
         everywhere = msgspec.structs.replace(self, axes={})
         if changes is None:
@@ -265,28 +269,31 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def moving_mass(self) -> float:
-        """Mass that the force accelerates, the hand's included [kg]."""
+        """Mass that the force accelerates, with the hand's [kg]."""
         return self.mass if self.hand is None else self.mass + self.hand.mass
 
     @property
     def moving_masses(self) -> tuple[float, float]:
-        """The least and the greatest mass that the force accelerates, the hand's included [kg]."""
+        """Smallest and largest mass that the force accelerates, with the hand's [kg]."""
         found = [mass for _, mass in self.mass_by_position] or [self.mass]
         hand = 0.0 if self.hand is None else self.hand.mass
         return min(found) + hand, max(found) + hand
 
     @property
     def moving_damping(self) -> float:
-        """Viscous damping, the hand's included [N s/m]."""
+        """Viscous damping, with the hand's [N s/m]."""
         return self.damping if self.hand is None else self.damping + self.hand.damping
 
     @property
     def grip(self) -> float:
-        """Stiffness of the hand [N/m], 0 without one."""
+        """Stiffness of the hand [N/m]; 0 without one."""
         return 0.0 if self.hand is None else self.hand.stiffness
 
     def load(self, tick: int, period: float, target: float | None = None) -> float:
-        """Force besides the motor's during a tick [N]: gravity, and k·(point of the hand's path, or its `target` [m])."""
+        """Return the force besides the motor's during a tick [N]: gravity and the hand's spring.
+
+        The hand pulls to its path, or to `target` [m].
+        """
         load = 0.0
         if self.gravity is not None:
             load -= self.mass * self.gravity
@@ -298,7 +305,7 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 @rule
 def move_towards(wanted: float, before: float, farthest: float) -> float:
-    """Move a dragged target by one tick: to where it should be [m], from where it is, by the longest way of a tick at most."""
+    """Move a dragged target towards `wanted` by one tick, at most by `farthest` [m]."""
     if wanted > before + farthest:
         return before + farthest
     if wanted < before - farthest:
@@ -308,8 +315,8 @@ def move_towards(wanted: float, before: float, farthest: float) -> float:
 
 @rule
 def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
-    """Find the point of a piecewise linear path of times [s] and positions [m] at a time; held before it and after it."""
-    # The first corner after that time.
+    """Return the point of a piecewise linear path (times [s], positions [m]) at `time`."""
+    # Binary search for the first corner after that time.
     i, end = 0, len(path)
     while i < end:
         middle = (i + end) // 2

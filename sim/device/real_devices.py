@@ -1,8 +1,8 @@
-"""Virtual stand-ins for real devices: what is known of each, from where, and what is only remembered.
+"""Presets of real devices for the virtual one: known values with their sources.
 
-``device:=touch_x`` takes the known values in place of the scenario's own; what nobody published
-(the delay, the damping) stays the scenario's. A value that is only remembered is a starting point:
-`haptic device identify` measures it.
+``device:=touch_x`` replaces the scenario's values by the known ones; unpublished values (the delay,
+the damping) stay the scenario's. Values marked as remembered were not looked up; they are starting
+points that `haptic device identify` measures.
 """
 
 from collections.abc import Mapping
@@ -24,11 +24,11 @@ MEMORY = "remembered, not checked"
 
 @dataclass(frozen=True)
 class Fact:
-    """One value and where it comes from."""
+    """A value and its source."""
 
-    value: float  # in SI units
+    value: float  # SI units
     source: str  # publication
-    remembered: bool = False  # whether nobody has looked it up again
+    remembered: bool = False  # True if the source was not looked up
 
 
 def _remembered(value: float) -> Fact:
@@ -37,18 +37,18 @@ def _remembered(value: float) -> Fact:
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a device."""
+    """Known values of a device."""
 
     title: str  # maker and name
     # Fields of `sim.device.model.DeviceModel`: mass [kg], friction [N], resolution [m], peak_force
     # [N].
     model: Mapping[str, Fact]
-    # What its maker or CHAI3D advises: ``stiffness`` [N/m], ``damping`` [N s/m],
-    # ``continuous_force`` [N]; told, not applied.
+    # Limits advised by its maker or CHAI3D: ``stiffness`` [N/m], ``damping`` [N s/m],
+    # ``continuous_force`` [N]; shown, not applied.
     limits: Mapping[str, Fact]
 
 
-# By name; a value that is not here stays the scenario's.
+# By name; values missing here stay the scenario's.
 PRESETS: dict[str, Preset] = {
     "touch_x": Preset(
         "3D Systems Touch X (PHANTOM Desktop)",
@@ -91,7 +91,7 @@ PRESETS: dict[str, Preset] = {
 }
 _ARM = (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
 # Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above
-# some 10 Hz, where loops ring, the arm's mass hardly moves and the grasp is felt.
+# some 10 Hz, where loops ring, the arm's mass hardly moves and the grasp dominates.
 HANDS: dict[str, Preset] = {
     "stylus_soft": Preset(
         "grasp of a stylus, low end",
@@ -126,7 +126,7 @@ HANDS: dict[str, Preset] = {
 
 
 def preset(name: str) -> dict[str, float]:
-    """Give the known values of a device."""
+    """Return the known values of a device."""
     if name not in PRESETS:
         raise ValueError(
             f"preset is {name!r}, expected none or one of {', '.join(PRESETS)} (haptic device"
@@ -136,7 +136,7 @@ def preset(name: str) -> dict[str, float]:
 
 
 def provenance(name: str) -> str:
-    """Tell in a line where a device's values come from."""
+    """Return a line with the sources of a device's values."""
     one = PRESETS[name]
     known = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.model.items()]
     advised = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.limits.items()]
@@ -146,7 +146,7 @@ def provenance(name: str) -> str:
 
 
 def figures() -> list[dict[str, Any]]:
-    """Tell all devices and hands with their sources."""
+    """Return all devices and hands with their sources."""
 
     def facts(given: Mapping[str, Fact]) -> dict[str, Any]:
         return {field: asdict(fact) for field, fact in given.items()}
@@ -158,7 +158,7 @@ def figures() -> list[dict[str, Any]]:
 
 
 def text() -> str:
-    """Tell all devices and hands to people."""
+    """Return all devices and hands as text."""
     lines = []
     for name, one in (PRESETS | HANDS).items():
         lines.append(f"{name}: {one.title}")

@@ -1,9 +1,8 @@
-"""The virtual device from tick to tick: the state of one axis in one struct, and the rules that move it.
+"""State and tick rules of the virtual device: one axis in one struct.
 
-They add no arithmetic of their own to the functions of `sim.device.model`, so the scene in one
-process, which calls those in the same order, gives the same bits. The rules are plain functions:
-the interpreter calls them as they stand, and sim/device/kernel.py compiles them into the two calls
-that a compiled driver makes of a device.
+The rules only call the functions of `sim.device.model`, so the one-process scene, which calls them
+in the same order, gives the same bits. They are plain functions: interpreted as they are, and
+compiled by sim/device/kernel.py into the two calls of a compiled driver.
 """
 
 import math
@@ -27,9 +26,9 @@ from sim.device.model import (
     split_delay,
 )
 
-PENDING: Final = 2048  # room for forces on their way to the device; a delay is at most 1000 ticks
-# room for the forces under way in lockstep: a delay of 1000 ticks, one of ``next_tick``, and two
-_LONGEST: Final = 1004
+PENDING: Final = 2048  # capacity for forces in flight; a delay is at most 1000 ticks
+# Capacity for forces in flight in lockstep: 1000 ticks of delay, one of ``next_tick``, and spare.
+_IN_FLIGHT: Final = 1004
 
 
 Map: TypeAlias = Annotated[list[float], 6]
@@ -39,13 +38,13 @@ Map: TypeAlias = Annotated[list[float], 6]
 class AxisState:
     """A virtual device along one axis."""
 
-    # What it is: of `DeviceModel`
+    # Parameters, from `DeviceModel`
     mass: float  # [kg]
     damping: float  # [N s/m]
     grip: float  # stiffness of its hand [N/m]; 0 for none
     friction: float  # [N]
     resolution: float  # encoder step [m]; 0 for none
-    motor: float  # largest force [N]; infinite for a motor without limit
+    motor: float  # largest force [N]; inf without a limit
     low: float  # ends of its workspace [m]
     high: float
     weight: float  # gravity's force [N]
@@ -53,8 +52,8 @@ class AxisState:
     carried: float  # mass of the hand [kg]
     masses: int  # address of mass by position, pairs [m, kg]
     masses_count: int  # 0 for one mass everywhere
-    axis: int  # of the scene
-    lockstep: int  # 1 where a whole tick passes with each force
+    axis: int  # axis of the scene
+    lockstep: int  # 1 if each force advances the device by a whole tick
 
     # Motion
     x: float  # true position [m]
@@ -67,32 +66,35 @@ class AxisState:
     corners: int  # 0 without a hand
     has_repeat: int
     repeat: float  # time after which the path repeats [s]
-    pull: float  # where it pulls to [m]
+    pull: float  # its present target [m]
+    led: int  # 1: `pull` is set from outside; 0: the path applies
 
-    # The page that may drag it (nodes/driver/pointer.py)
-    pointer: int  # address of what it writes; 0 for none
-    wanted: float  # where it wants the hand [m]
-    wanted_at: float  # when it said so [s]
-    silence: float  # after how long that expires [s]
-    farthest: float  # longest way of the hand in a tick [m]
-    away: float  # where the hand is while it is not on its path [m]
+    # Pointer of a page that may drag the hand (nodes/driver/pointer.py)
+    pointer: int  # address of the shared memory; 0 for none
+    wanted: float  # position wanted for the hand [m]
+    wanted_at: float  # time of that request [s]
+    silence: float  # time after which it expires [s]
+    farthest: float  # largest movement of the hand per tick [m]
+    away: float  # position of the hand while off its path [m]
     is_away: int
 
-    # Lockstep: for how long of a tick the older and the newer force acts [s], and the maps of both
+    # Lockstep: durations for which the older and the newer force act in a tick [s], and their maps
     early: float
     late: float
     early_map: Map
     late_map: Map
-    commands: Annotated[list[float], _LONGEST]  # ring of forces under way [N]
+    commands: Annotated[list[float], _IN_FLIGHT]  # ring buffer of forces in flight [N]
     commands_count: int
-    slot: int  # where the newest goes
+    slot: int  # index of the next force
+
+    push: float  # force from outside besides the motor's, the weight's and the hand's [N]
 
     # Real time
-    delay: float  # of the device [ticks]
-    hold: float  # time without a force after which it lets go [s]
-    acting: float  # force that acts [N]
-    commanded: float  # since when [ticks]
-    # ring of forces on their way: when [ticks], and how large [N]
+    delay: float  # delay of the device [ticks]
+    hold: float  # time without a force after which it releases [s]
+    acting: float  # force acting [N]
+    commanded: float  # time since when it acts [ticks]
+    # Ring buffer of forces in flight: time of arrival [ticks] and force [N].
     pending: Annotated[list[float], 2 * PENDING]
     pending_first: int
     pending_count: int
@@ -104,13 +106,13 @@ class AxisState:
 
 @rule
 def measured(d: AxisState) -> float:
-    """Read the encoder [m]."""
+    """Return the encoder reading [m]."""
     return quantise(d.x, d.resolution)
 
 
 @rule
 def point(d: AxisState, tick: int) -> float:
-    """Where the path of its hand is at a tick [m]; 0 without a hand."""
+    """Return the position of the hand's path at a tick [m]; 0 without a hand."""
     if d.corners == 0:
         return 0.0
     time = tick * d.period
@@ -121,12 +123,14 @@ def point(d: AxisState, tick: int) -> float:
 
 @rule
 def target(d: AxisState, seq: int) -> float:
-    """Move the target of the hand by one tick [m]: along its path, unless a page drags it, at a limited speed."""
+    """Return the hand's target for a tick [m]: on its path, or dragged at a limited speed."""
+    if d.led != 0:
+        return float(d.pull)
     rest = point(d, seq)
     if d.pointer == 0:
         return rest
-    # As nodes/driver/pointer.py writes it; while it is being written, the value before is at most a
-    # frame of the page old.
+    # Protocol of nodes/driver/pointer.py: during a write, keep the value before, at most one page
+    # frame old.
     after = shared_whole(d.pointer)
     value, when = shared_real(d.pointer + 8 + 8 * d.axis), shared_real(d.pointer + 32)
     if shared_whole(d.pointer + 40) == after:
@@ -137,7 +141,7 @@ def target(d: AxisState, seq: int) -> float:
         d.pull = move_towards(
             d.wanted if is_held else rest, d.away if d.is_away != 0 else rest, d.farthest
         )
-        # Back on its path the hand is its own again.
+        # The hand is no longer away once it is back on its path.
         d.is_away = 1 if is_held or d.pull != rest else 0
         d.away = d.pull
     return float(d.pull)
@@ -145,16 +149,17 @@ def target(d: AxisState, seq: int) -> float:
 
 @rule
 def _pulled(d: AxisState, force: float) -> float:
-    """Add to what the motor gives of a force what pulls besides [N]."""
+    """Return the sum of the saturated motor force, gravity and the hand's spring [N]."""
     load = d.weight
     if d.corners > 0:
-        load += d.grip * (d.pull if d.pointer != 0 else point(d, d.ticks))
-    return float(saturate(force, d.motor) + load)
+        is_led = d.pointer != 0 or d.led != 0
+        load += d.grip * (d.pull if is_led else point(d, d.ticks))
+    return float(saturate(force, d.motor) + (load + d.push))
 
 
 @rule
 def mass_here(d: AxisState) -> float:
-    """Mass that moves where the device is [kg]."""
+    """Return the mass that moves at the present position [kg]."""
     return float(d.carried + path_position(pairs_at(d.masses, d.masses_count), d.x))
 
 
@@ -167,15 +172,15 @@ def _move(d: AxisState, u: float, duration: float, step: Coefficients) -> None:
     x, v = move(d.x, d.v, u, duration, step, mass, d.damping, d.grip, d.friction)
     d.x, d.v = end_stop(x, v, d.low, d.high)
     if d.masses_count > 0:
-        # m(x) x'' + m'(x) v²/2 = u: what the mass does by itself keeps the energy of the motion.
+        # m(x) x'' + m'(x) v²/2 = u: a change of mass conserves the kinetic energy.
         d.v *= math.sqrt(mass / mass_here(d))
 
 
 @rule
 def device_tick(d: AxisState, force: float) -> None:
-    """Go through one whole tick with the model's own delay: lockstep, where the force is known before the tick passes."""
+    """Advance by one whole tick with the model's delay (lockstep)."""
     waiting = d.commands_count
-    # A ring: of the forces still under way, the oldest acts first, then the one after it.
+    # Ring buffer: the oldest force in flight acts first, then the next one.
     d.commands[d.slot] = force
     older = d.slot + 1 if d.slot + 1 < waiting else 0
     newer = older + 1 if older + 1 < waiting else 0
@@ -190,15 +195,15 @@ def device_tick(d: AxisState, force: float) -> None:
 
 @rule
 def device_part(d: AxisState, force: float, duration: float) -> None:
-    """Hold one force for part of a tick."""
+    """Advance by part of a tick under one force."""
     if duration > 0.0:
-        # Where the mass depends on the position this is of no use, and does no harm.
+        # With a position-dependent mass, _move recomputes the coefficients.
         _move(d, _pulled(d, force), duration, coefficients(d.mass, d.damping, d.grip, duration))
 
 
 @rule
 def pass_tick(d: AxisState) -> None:
-    """Let one tick of real time pass: forces take effect when they arrive, plus the model's own delay."""
+    """Advance by one tick of real time; forces act when they arrive, plus the model's delay."""
     start, now = float(d.tick), 0.0
     if (start - d.commanded) * d.period >= d.hold:
         d.acting = 0.0
@@ -217,11 +222,10 @@ def pass_tick(d: AxisState) -> None:
 
 @rule
 def read_axis(d: AxisState, seq: int) -> float:
-    """Let the time up to a tick pass, then read the encoder [m]; the hand's target is that of the tick that begins."""
+    """Advance to a tick, update the hand's target, and return the encoder reading [m]."""
     if d.lockstep == 0:
         if d.tick < 0:
-            # Respawned, or started late: the device is put there now, it was not falling all the
-            # time.
+            # Respawned or started late: the device starts here and did not move before.
             d.tick = d.ticks = seq
         while d.tick < seq:
             pass_tick(d)
@@ -232,15 +236,15 @@ def read_axis(d: AxisState, seq: int) -> float:
 
 @rule
 def write_axis(d: AxisState, force: float, seq: int, offset: float) -> bool:
-    """Hand over a force; whether there is room for it."""
+    """Hand over a force; return False if there is no room for it."""
     if d.lockstep != 0:
-        # The model itself knows about ``next_tick``: the whole tick passes here.
+        # The model includes ``next_tick``, so the whole tick passes here.
         device_tick(d, force)
         return True
     if d.pending_count >= PENDING:
         return False
     if not math.isfinite(force):
-        # As a real one: what is no number is no force.
+        # As on a real device, NaN is no force.
         force = 0.0
     last = (d.pending_first + d.pending_count) % PENDING
     d.pending[2 * last] = seq + offset + d.delay
@@ -250,7 +254,7 @@ def write_axis(d: AxisState, force: float, seq: int, offset: float) -> bool:
 
 
 class VirtualDevice:
-    """A virtual device of one axis; in lockstep a whole tick passes with each force."""
+    """A virtual device of one axis; in lockstep each force advances it by a whole tick."""
 
     def __init__(
         self,
@@ -263,7 +267,7 @@ class VirtualDevice:
         axis: int = 0,
         compiled: bool = False,
     ) -> None:
-        self.state = state_of(AxisState, compiled)  # all of it
+        self.state = state_of(AxisState, compiled)
         d = self.state
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
         d.friction, d.resolution = model.friction or 0.0, model.resolution or 0.0
@@ -287,7 +291,7 @@ class VirtualDevice:
         if model.hand is not None and model.hand.repeat is not None:
             d.has_repeat, d.repeat = 1, model.hand.repeat
         whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
-        # Before tick 0 nothing was commanded.
+        # Before tick 0 the forces are zero.
         d.commands_count = whole + 2
         d.early = part * period
         d.late = period - d.early
@@ -297,5 +301,5 @@ class VirtualDevice:
 
     @property
     def address(self) -> int:
-        """Where compiled code finds it."""
+        """Address of the state for compiled code."""
         return address_of(self.state)

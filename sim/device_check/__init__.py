@@ -1,1 +1,1 @@
-"""The first hour with a real device: what is found, what it is, whether it moves and pushes rightly, setting it free."""
+"""First checks of a real device: find it, identify it, test axes and forces, free it."""

@@ -1,8 +1,8 @@
-"""Checking a device by hand: noise, rate, axes without a force, and then a first force in steps, each asked for.
+"""Interactive device check: noise, rate, axes without force, then a first force in steps.
 
-Nothing is pushed before the axes are known to be right: a force along a wrong axis is felt as an
-unstable wall. Each push grows and goes by a ramp, and ends at once when the handle moves faster
-than `FASTEST`.
+Nothing is pushed before the axes are known to be right, because a force along a wrong axis feels
+like an unstable wall. Each push ramps up and down, and ends at once if the handle moves faster than
+`FASTEST`.
 """
 
 import math
@@ -19,53 +19,52 @@ from nodes.driver.hardware.mailbox import MailboxDevice
 from nodes.driver.hardware.mapping import AxisName, Mapping
 from sim.device_check.delay import FORCE, PULSES, MeasuredDelay, measure
 
-REST: Final = 1.0  # how long a device at rest is looked at [s]
-# so far the handle must be moved, along one axis more than twice as far as along the others [m]
+REST: Final = 1.0  # duration of the measurement at rest [s]
+# Distance that the handle must move, and more than twice as far as along the other axes [m].
 MOVED: Final = 0.02
-PUSH_TIME: Final = 0.6  # how long a push lasts, its ramps included [s]
-FASTEST: Final = 0.25  # A handle that is faster is let go [m/s]
-STEP: Final = 0.001
+PUSH_TIME: Final = 0.6  # duration of a push with its ramps [s]
+FASTEST: Final = 0.25  # speed of the handle at which a push ends [m/s]
+STEP: Final = 0.001  # time between two force commands [s]
 
-FRESH: Final = 5  # after so many samples a position is one of after the question
+FRESH: Final = 5  # samples after which a position counts as new
 WAYS: Final = (("forward", "away from you"), ("left", "to the left"), ("up", "upwards"))
 
 
 class SamplesAtRest(msgspec.Struct, frozen=True, kw_only=True):
-    """A device at rest."""
+    """Noise, resolution and rate of a device at rest."""
 
     noise: Vector  # standard deviation of its position [m]
-    # Smallest change of a position that was seen [m]: the encoder's step, or finer; None when
-    # nothing changed.
+    # Smallest change of position seen [m]: the encoder's step, or finer; None without a change.
     step: float | None
-    rate: float  # samples of its servo loop [Hz]
-    asked: float  # those that it is asked for [Hz]
-    missed: int  # by how many there were too few while it was looked at
-    longest: float  # longest time without one [s]
+    rate: float  # measured rate of its servo loop [Hz]
+    asked: float  # requested rate [Hz]
+    missed: int  # samples missing at the requested rate
+    longest: float  # longest time without a sample [s]
 
 
 class TriedForce(msgspec.Struct, frozen=True, kw_only=True):
-    """One push upwards."""
+    """Result of one upward push."""
 
-    force: float  # its size [N]
-    moved: float  # how far the handle went up meanwhile [m]
-    felt: bool  # what the user said
-    why: str  # what the device says keeps it from giving a force
-    ended: str  # why it ended early; empty when it did not
+    force: float  # magnitude [N]
+    moved: float  # upward movement of the handle [m]
+    felt: bool  # whether the user felt it
+    why: str  # the device's reason for not rendering a force; empty if none
+    ended: str  # why the push ended early; empty if it did not
 
 
 def ask(question: str) -> str:
-    """Ask the user, on standard error; the answer."""
+    """Ask the user on standard error; return the answer."""
     print(question, end=" ", file=sys.stderr, flush=True)
     answer = sys.stdin.readline()
     if not answer:
         raise UsageError(
-            "nobody answers: `haptic device check` asks before each step; run it on a terminal"
+            "no answer: `haptic device check` asks before each step; run it on a terminal"
         )
     return answer.strip().lower()
 
 
 def at_rest(device: MailboxDevice) -> SamplesAtRest:
-    """Look at a device that nobody moves."""
+    """Measure noise, resolution and rate of a device that nobody moves."""
     places: list[Vector] = []
     begun = time.monotonic()
     ticks = seen = device.ticks
@@ -81,7 +80,7 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
     if len(places) < 2:
         raise RefusedError(
             f"{device.TITLE}: {len(places)} positions in {REST:g} s:"
-            f" {device.condition() or 'it gives none'}"
+            f" {device.condition() or 'it sends none'}"
         )
     x, y, z = np.std(places, axis=0).tolist()
     changes = np.abs(np.diff(places, axis=0))
@@ -96,7 +95,7 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
 
 
 def place_of(device: MailboxDevice) -> Vector:
-    """Read a position that is one, and of now: some samples are waited for."""
+    """Return a valid position [m] sampled after the call."""
     until, ticks = time.monotonic() + 2.0, device.ticks
     while time.monotonic() < until:
         place = device.read_position(0)
@@ -104,12 +103,15 @@ def place_of(device: MailboxDevice) -> Vector:
             return place
         time.sleep(STEP)
     raise RefusedError(
-        f"{device.TITLE}: it gives no position: {device.condition() or 'look at cable and power'}"
+        f"{device.TITLE}: no position: {device.condition() or 'check cable and power'}"
     )
 
 
 def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
-    """Let the user move the handle along each axis, without a force; whether all are right, and the axes that would be."""
+    """Ask the user to move the handle along each axis, without force.
+
+    Return whether all axes are right, and the correct axes for ``mapping.axes``.
+    """
     found: list[str] = []
     right = True
     for number, (way, where) in enumerate(WAYS):
@@ -123,8 +125,8 @@ def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
             text = ", ".join(f"{1e3 * x:+.0f}" for x in moved)
             raise RefusedError(
                 f"{way}: the position changed by {text} mm; expected at least {1e3 * MOVED:.0f} mm"
-                " along one axis and less than half of it along the others: try again, or give"
-                " mapping.rotation for a mount that is askew"
+                " along one axis and less than half of it along the others: try again, or set"
+                " mapping.rotation for a rotated mount"
             )
         found.append(_theirs(device, largest, moved[largest]))
         right = right and largest == number and moved[largest] >= 0.0
@@ -132,14 +134,14 @@ def axes(device: MailboxDevice) -> tuple[bool, list[str]]:
 
 
 def _theirs(device: MailboxDevice, axis: int, sign: float) -> str:
-    """Name the device's own axis that is an axis of the scene."""
+    """Return the device's own axis that corresponds to an axis of the scene."""
     row = device.turn[axis]
     largest = max(range(3), key=lambda j: abs(row[j]))
     return f"{'+' if row[largest] * sign > 0.0 else '-'}{'xyz'[largest]}"
 
 
 def push(device: MailboxDevice, force: float) -> TriedForce:
-    """Push upwards: a ramp up, a while, a ramp down; what the device did."""
+    """Push upwards with a ramp up and down; return the result."""
     before = place_of(device)
     last: Vector | None = None
     at: float | None = None
@@ -152,13 +154,13 @@ def push(device: MailboxDevice, force: float) -> TriedForce:
             time.sleep(STEP)
             place, now = device.read_position(0), time.monotonic()
             if not all(map(math.isfinite, place)):
-                # Where it is not known there is no force, and no speed until it is known again.
+                # Without a position no force, and no speed until the position is known again.
                 device.write_force(ZERO, 0, 0.0)
                 last = at = None
                 continue
             if last is None or at is None:
                 last, at = place, now
-            # Over so long the step of an encoder is no speed.
+            # Over 20 ms, an encoder step does not look like a speed.
             if now - at >= 0.02:
                 speed = math.dist(place, last) / (now - at)
                 last, at = place, now
@@ -174,19 +176,20 @@ def push(device: MailboxDevice, force: float) -> TriedForce:
 
 
 def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
-    """Go through all of it, and refuse what is not as it should be; the device is closed on every way out."""
+    """Run the whole check; refuse what is wrong; always close the device."""
     try:
         device.connect()
         device.open()
         for name, value in device.facts.items():
             print(f"  {name}: {value}", file=sys.stderr)
-        ask("No force is asked for. Lay the handle down so that nothing moves it, and press Enter:")
+        ask("No force yet. Put the handle down so that nothing moves it, and press Enter:")
         rest = at_rest(device)
         step = "none was seen" if rest.step is None else f"{1e6 * rest.step:.3g} µm"
         noise = "/".join(f"{1e6 * value:.3g}" for value in rest.noise)
         print(
-            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s of {rest.asked:.0f} asked"
-            f" for, {rest.missed} missed in {REST:g} s, longest gap {1e3 * rest.longest:.3g} ms",
+            f"  noise {noise} µm, step {step}, {rest.rate:.0f} samples/s of {rest.asked:.0f}"
+            f" requested, {rest.missed} missed in {REST:g} s,"
+            f" longest gap {1e3 * rest.longest:.3g} ms",
             file=sys.stderr,
         )
         right, found = axes(device)
@@ -196,11 +199,11 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
                 Mapping(axes=msgspec.convert(found, tuple[AxisName, AxisName, AxisName]))
             except ValueError as error:
                 raise RefusedError(
-                    f"as the handle was moved, {error}; nothing was pushed: check again; forward is"
-                    " away from you, left is your left"
+                    f"the handle's movements give {error}; nothing was pushed. Check again: forward"
+                    " is away from you, left is your left"
                 ) from error
             raise RefusedError(
-                "the axes are others than the driver takes: nothing was pushed. Give it mapping:"
+                "the axes differ from the driver's mapping; nothing was pushed. Set mapping:"
                 f" {{axes: [{written}]}} and check again"
             )
         pushes = _pushes(device)
@@ -228,7 +231,7 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
 
 
 def _pushes(device: MailboxDevice) -> list[TriedForce]:
-    """Push with 0.1 N, 1 N and what the device bears, each asked for; the first that is not felt ends it."""
+    """Push with 0.1 N, 1 N and the device's limit, asking first; stop if not felt."""
     pushes: list[TriedForce] = []
     for force in (0.1, 1.0, device.limits.peak_force):
         largest = (
@@ -250,7 +253,7 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
 
 
 def _delay(device: MailboxDevice) -> MeasuredDelay | None:
-    """Measure the delay from force to effect, when the user allows it."""
+    """Measure the delay from force to effect, if the user allows it."""
     question = (
         f"Hold the handle loosely. Push up and down {PULSES} times with"
         f" {min(FORCE, device.limits.peak_force):g} N"
@@ -268,7 +271,7 @@ def _delay(device: MailboxDevice) -> MeasuredDelay | None:
 
 
 def delay_in_words(measured: MeasuredDelay | None) -> str:
-    """Tell a delay in words."""
+    """Return a delay as text."""
     if measured is None:
         return "delay not measured"
     if measured.delay is None:
@@ -280,18 +283,18 @@ def delay_in_words(measured: MeasuredDelay | None) -> str:
 
 
 def no_force(device: MailboxDevice, one: TriedForce) -> str:
-    """Say what it may be when the device itself knows nothing."""
+    """Return possible reasons why no force is felt, if the device reports none."""
     if one.moved > 0.001:
         return (
             f"the handle moved up by {1e3 * one.moved:.1f} mm: the force acts, but is small for"
-            " this hand"
+            " your hand"
         )
     if device.let_go:
         return (
-            f"the servo loop let go {device.let_go} times because no force came in time: the"
-            " machine is busy"
+            f"the servo loop released the force {device.let_go} times because none came in time:"
+            " the machine is busy"
         )
     return (
-        "the device says that nothing keeps forces off: is a switch on its housing off, or an"
-        " emergency stop pressed?"
+        "the device reports no reason: is a switch on its housing off, or an emergency stop"
+        " pressed?"
     )

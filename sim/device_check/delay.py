@@ -1,8 +1,8 @@
-"""How long after a force is handed over a device moves: short pulses up and down, and the position that answers each.
+"""Measure the delay from a force command to the motion, with short pulses up and down.
 
-A handle that is held loosely answers as a mass with a damper. Each pulse is fitted with the
-response of one, which begins d after the force was handed over; d is looked for, mass and damper
-are whatever suits. So a soft hand counts as no delay.
+A loosely held handle responds like a mass with a damper. The response of such a model, starting a
+time d after the command, is fitted to each pulse; d is searched, mass and damper are free. So a
+soft hand does not count as delay.
 """
 
 import math
@@ -17,29 +17,28 @@ from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.arrays import Array
 
 PULSES: Final = 12
-FORCE: Final = 1.0  # size of a pulse [N]; less where the device bears less
-# How long it is looked at before a pulse, how long one lasts at most, and the rest after it [s].
+FORCE: Final = 1.0  # amplitude of a pulse, limited by the device [N]
+# Observation before a pulse, its longest duration, and the pause after it [s].
 BEFORE, PULSE, AFTER = 0.05, 0.06, 0.25
-FAR: Final = 0.002  # a handle that went so far needs no more push [m]
-LEAST: Final = 5e-5  # one that went less far was held too firmly [m]
-LONGEST: Final = 0.04  # longest delay that is looked for [s]
-# times in which a handle comes to its speed, m/b, that are tried [s]
+FAR: Final = 0.002  # movement at which a pulse ends [m]
+SMALLEST_MOVE: Final = 5e-5  # movement below which the handle was held too firmly [m]
+DELAY_LIMIT: Final = 0.04  # search limit of the delay [s]
+# Time constants m/b of the handle that are tried [s].
 TIMES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.2)
 
 
 class MeasuredDelay(msgspec.Struct, frozen=True, kw_only=True):
-    """A delay from force to effect."""
+    """Delay from force to effect."""
 
-    # from handing a force over until a sample shows its effect begin [s]; None where it could not
-    # be told
+    # Time from the command until a sample shows the start of its effect [s]; None if unknown.
     delay: float | None
-    uncertainty: float  # of it, at 95 % [s]
-    pulses: int  # pulses that tell it
-    why: str = ""  # why it could not be told; empty when it could
+    uncertainty: float  # 95 % confidence half width [s]
+    pulses: int  # pulses evaluated
+    why: str = ""  # why it is unknown; empty if known
 
 
 def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
-    """Push once; times from the moment of the force [s], and places [m], of all samples that were seen."""
+    """Apply one pulse; return times from the command [s] and positions [m] of all samples."""
     times: list[float] = []
     places: list[float] = []
     seen = device.ticks
@@ -50,7 +49,7 @@ def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
             if at == math.inf and now >= begun + BEFORE:
                 at = time.monotonic()
                 started = places[-1] if places else 0.0
-            # Each time anew: a force that nobody renews is let go.
+            # Renewed each time: a device releases a force that is not renewed.
             device.write_force((0.0, 0.0, force) if at < math.inf else ZERO, 0, 0.0)
             if device.ticks != seen:
                 seen = device.ticks
@@ -67,12 +66,19 @@ def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
 
 
 def begins(times: Array, places: Array) -> float | None:
-    """Find when a handle begins to follow a force that was handed over at time 0 [s]; None where it hardly moved."""
+    """Return when a handle starts to follow a force commanded at time 0 [s].
+
+    None if it hardly moved.
+    """
     before = places[times < 0.0]
-    if before.size < 3 or times.size - before.size < 5 or abs(places[-1] - before[-1]) < LEAST:
+    if (
+        before.size < 3
+        or times.size - before.size < 5
+        or abs(places[-1] - before[-1]) < SMALLEST_MOVE
+    ):
         return None
     found = (math.inf, 0.0)
-    for delay in np.arange(0.0, min(LONGEST, times[-1]), 2e-4):
+    for delay in np.arange(0.0, min(DELAY_LIMIT, times[-1]), 2e-4):
         since = np.maximum(times - delay, 0.0)
         for constant in TIMES:
             response = since - constant * -np.expm1(-since / constant)
@@ -83,7 +89,7 @@ def begins(times: Array, places: Array) -> float | None:
 
 
 def measure(device: MailboxDevice) -> MeasuredDelay:
-    """Push a handle up and down by turns, which its user holds loosely."""
+    """Push a loosely held handle up and down in turn; return the delay."""
     size = min(FORCE, device.limits.peak_force)
     found = []
     for n in range(PULSES):
@@ -96,15 +102,15 @@ def measure(device: MailboxDevice) -> MeasuredDelay:
     if len(found) < PULSES // 2:
         reason = device.condition() or "hold it more loosely"
         why = (
-            f"only {len(found)} of {PULSES} pulses moved the handle by {1e3 * LEAST:g} mm: {reason}"
+            f"only {len(found)} of {PULSES} pulses moved the handle by"
+            f" {1e3 * SMALLEST_MOVE:g} mm: {reason}"
         )
         return MeasuredDelay(delay=None, uncertainty=math.inf, pulses=len(found), why=why)
     ordered = sorted(found)
-    # A pulse in which the machine stalled says nothing: the median, and the spread of the middle
-    # half of them.
+    # Robust against pulses in which the machine stalled: median and interquartile range.
     spread = ordered[(3 * len(ordered)) // 4] - ordered[len(ordered) // 4]
     error = 1.57 * spread / math.sqrt(len(ordered))
-    # A sample may be as old as the time from one to the next, which is not seen.
+    # A sample may be up to one sampling period old.
     return MeasuredDelay(
         delay=float(np.median(ordered)),
         uncertainty=math.hypot(error, 1.0 / device.servo_rate),

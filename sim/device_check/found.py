@@ -1,4 +1,4 @@
-"""Which devices can be driven from here: what each needs, where that was looked for, and what its driver was tested against."""
+"""Devices usable from here: their libraries, places searched, and how drivers were tested."""
 
 import sys
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ class DeviceKind:
     """A kind of device."""
 
     kind: str  # kind of node that drives it
-    found: bool  # whether what it needs is here
-    # that: where it is, or the name of what is missing; None for a device that needs nothing
+    found: bool  # whether its library is installed
+    # Path of the library, or its name if missing; None if the device needs none.
     library: str | None
-    searched: tuple[str, ...]  # where it was looked for
+    searched: tuple[str, ...]  # places searched
     checked: str  # what its driver was tested against
 
 
 def real_kinds() -> dict[str, type[HardwareDriver]]:
-    """Find every installed driver of a real device."""
+    """Return every installed driver of a real device, by name."""
     found, _ = NODES.all()
     return {
         name: kind
@@ -36,20 +36,20 @@ def real_kinds() -> dict[str, type[HardwareDriver]]:
 
 
 def devices() -> list[DeviceKind]:
-    """Look for every kind of device."""
+    """Return every kind of device, with the library it needs."""
     listed = [
         DeviceKind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)")
     ]
     for name, kind in sorted(real_kinds().items()):
         library, searched = kind.find(convert({}, kind.Parameters, name))
-        # Of what is missing its name is told.
+        # If it is missing, show its name.
         named = library or searched[-1].rpartition("/")[2]
         listed.append(DeviceKind(name, library is not None, named, searched, kind.checked))
     return listed
 
 
 def text() -> str:
-    """Give all kinds as lines."""
+    """Return all kinds as text."""
     listed = devices()
     width = max(len(kind.kind) for kind in listed)
     lines = []
@@ -63,7 +63,7 @@ def text() -> str:
 
 
 def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
-    """Make a device from the command line, words as ``touch.library:=/opt/libHD.so``; it is not connected yet."""
+    """Create an unconnected device from words such as ``touch.library:=/opt/libHD.so``."""
     known = real_kinds()
     if kind not in known:
         virtual = (
@@ -72,7 +72,7 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
             else ""
         )
         raise UsageError(
-            f"{kind!r} drives no real device; there are: {', '.join(sorted(known))}{virtual}"
+            f"{kind!r} drives no real device; available: {', '.join(sorted(known))}{virtual}"
         )
     written: dict[str, Any] = {}
     for path, value in parse_assignments(list(words)).items():
@@ -82,7 +82,7 @@ def device_of(kind: str, words: Sequence[str]) -> MailboxDevice:
             at = at.setdefault(name, {})
             if not isinstance(at, dict):
                 raise UsageError(
-                    f"{path}:={value}: {name}:={at} is given too; name the value that is meant"
+                    f"{path}:={value}: conflicts with {name}:={at}; give only one of them"
                 )
         at[last] = value
     device = known[kind].hardware(convert(written, known[kind].Parameters, kind))

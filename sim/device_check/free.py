@@ -1,4 +1,4 @@
-"""Setting a device free: name the process that holds it; where there is none, switch its forces off and release it."""
+"""Free a device: name the process that uses it, or switch its forces off and release it."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ from nodes.driver.hardware.mailbox import MailboxDevice
 
 
 def holders(library: str | None) -> list[tuple[int, str]]:
-    """Find the processes of this machine that have a library loaded: number and command."""
+    """Return number and command of the processes that have a library loaded."""
     if not library:
         return []
     found = []
@@ -24,7 +24,7 @@ def holders(library: str | None) -> list[tuple[int, str]]:
                     .strip()
                 )
             except OSError:
-                # It has ended meanwhile, or is another user's.
+                # It has ended, or belongs to another user.
                 continue
             if f"{library}\n" in maps or f"/{Path(library).name}\n" in maps:
                 found.append((int(folder.name), command))
@@ -32,7 +32,7 @@ def holders(library: str | None) -> list[tuple[int, str]]:
 
 
 def free(device: MailboxDevice) -> dict[str, Any]:
-    """Set a device free; refuses when another process holds it, which is named, or it cannot be reached."""
+    """Release a device; refuse if another process uses it, or if it cannot be reached."""
     others = holders(type(device).find(device.parameters).library)
     if others:
         named = "; ".join(f"process {number}: {command[:120]}" for number, command in others)

@@ -1,4 +1,4 @@
-"""What a device is: what it says of itself, its limits in the scene, and what its inertia means for a wall."""
+"""Facts of a device: its own data, limits in the scene, and its inertia's limit of a wall."""
 
 import math
 from typing import Any
@@ -14,7 +14,7 @@ from nodes.stability.plant import Plant
 
 
 def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> dict[str, Any]:
-    """Connect to a device, forces off, and tell what it is: facts, limits, inertia, and how stiff PD may get on it."""
+    """Connect to a device without forces; return facts, limits, inertia and PD's K_max."""
     try:
         device.connect()
         device.identify()
@@ -59,7 +59,7 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
 
 
 def text(report: dict[str, Any]) -> str:
-    """Tell it to people."""
+    """Return the report as text."""
     lines = [f"  {name}: {value}" for name, value in report["facts"].items()]
     limits = report["limits"]
     lines.append(
@@ -72,14 +72,14 @@ def text(report: dict[str, Any]) -> str:
     ]
     if (edge := report["edge"]) is not None:
         lines.append(
-            "  inertia where it stands, and the largest stable stiffness of PD, B ="
+            "  inertia at its position, and the largest stable stiffness of PD, B ="
             f" {edge['damping_n_s_per_m']:g} N s/m, at {edge['rate_hz']:g} Hz, delay"
-            f" {edge['delay_ticks']:g} ticks, the device's own damping taken as 0:"
+            f" {edge['delay_ticks']:g} ticks, without damping of the device:"
         )
         lines += [
             f"    {axis}: {one['mass_kg']:.4g} kg, "
             + (
-                "no stable one"
+                "no stable stiffness"
                 if one["k_max_n_per_m"] is None
                 else f"{one['k_max_n_per_m']:.4g} N/m"
             )
@@ -89,7 +89,7 @@ def text(report: dict[str, Any]) -> str:
             f"    any direction: {edge['least_kg']:.4g} to {edge['greatest_kg']:.4g} kg here; other"
             " poses have others"
         )
-        # What the scene moves is the device's own mass divided by the square of the scale.
+        # The scene moves the device's own mass divided by the square of the scale.
         least, greatest = (edge[name] * edge["scale"] ** 2 for name in ("least_kg", "greatest_kg"))
         heaviest = f", heaviest: {greatest:.4g}" if greatest > least else ""
         lines.append(f"  for a launch file: plant: {{mass: {least:.4g}{heaviest}, damping: 0.0}}")

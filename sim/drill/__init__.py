@@ -1,1 +1,1 @@
-"""Faults provoked on real processes, and what the loop makes of them."""
+"""Fault injection on real processes, and evaluation of the loop's response."""

@@ -1,4 +1,4 @@
-"""Faults in which a force begins, comes back or jumps although nothing moved: judged by the log of the device alone."""
+"""Faults in which a force begins, returns or jumps without motion; judged by device logs."""
 
 import os
 import signal
@@ -26,62 +26,61 @@ from sim.drill.drill import (
 from sim.drill.faulty_device import FAILS
 from sim.drill.random_launches import pushed
 from sim.drill.writes import Promise, broken
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 
-APART: Final = 0.03  # how far the two devices of a pair stand apart at the start [m]
-HELD_UP: Final = (0.2, 0.4, 0.9)  # for how long a driver is stopped while it takes a force down [s]
-TAKEN_DOWN: Final = 20.0  # slew of that force [N/s]: it takes long enough to be met on its way
-INSIDE: Final = -0.005  # where a device is that begins inside of the wall [m]
-# where a wall is moved to while a hand presses into it [m]
+APART: Final = 0.03  # initial distance of the two devices of a pair [m]
+HELD_UP: Final = (0.2, 0.4, 0.9)  # durations of a driver's stop during its ramp [s]
+TAKEN_DOWN: Final = 20.0  # slew of that ramp, slow enough to be caught [N/s]
+INSIDE: Final = -0.005  # position of a device that starts inside the wall [m]
+# Positions to which a wall is moved while a hand presses into it [m].
 PLACES: Final = (0.0015, -0.0015, 0.001, 0.0)
 ORDER = "order"
 LOG = "writes.log"
 
 
 class LoggedDevice:
-    """A virtual device that logs each force it is given, in the drill's launch, and what its log breaks."""
+    """A virtual device in the drill's launch that logs each force it receives."""
 
     def __init__(self, slew: float = SLEW) -> None:
         self._slew = slew
         self._path = Path()
-        # A driver that is started again writes on: a launch of its own, whose first force has a
-        # ramp.
+        # A restarted driver continues the log; its first force is ramped like a launch's.
         self._bounds = Promise(1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery)
 
     def change(self, content: dict[str, Any]) -> None:
-        """Put it in the place of the virtual device."""
+        """Replace the launch's virtual device by the logged one."""
         driver = content["nodes"]["driver"]
         driver["kind"] = "faulty_driver"
         driver["parameters"] |= {"order": ORDER, "log": LOG}
-        # Both begin inside the wall, by the whole ramp.
+        # Both begin inside the wall, with the whole ramp.
         driver["parameters"]["safety"] |= {"slew": self._slew, "ramp": None}
 
     def struck(self, rig: Rig) -> None:
-        """Note where its log is; the launch removes it at its end."""
+        """Store the path of the log; the launch removes the file at its end."""
         self._path = rig.folder / LOG
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
-        """Tell what it was given that it must not be."""
+        """Return violations found in the log."""
         del states
         return [f"the device: {text}" for text in self.wrong[:3]]
 
     wrong: Sequence[str] = ()
 
     def ended(self) -> None:
-        """Judge the log of what has been written so far."""
+        """Judge the log written so far."""
         log = [sample.write for sample in read_log(self._path, 1.0 / RATE)]
-        # In a launch that goes on there is a force on the device.
+        # While the launch runs, a force on the device is allowed.
         self.wrong = [
             text for text in broken(log, self._bounds) if "is left on the device" not in text
         ]
 
 
 class HeldUp(LoggedDevice):
-    """A driver that is stopped while it takes a force down, because nobody answers."""
+    """A driver stopped while it ramps a force down because nobody answers."""
 
     def strike(self, rig: Rig) -> None:
-        """Stop the coupling, then the driver on the way down, and let both go on; several times."""
+        """Stop the coupling, then the driver during its ramp, and continue both; several times."""
         self.struck(rig)
         for seconds in HELD_UP:
             coupling = rig.kill("coupling", signal.SIGSTOP)
@@ -100,7 +99,7 @@ class HeldUp(LoggedDevice):
 
 
 def _await_way_down(rig: Rig) -> None:
-    """Wait until a force is being taken down: a way of some 100 ms, met on a busy machine by who looks each millisecond."""
+    """Wait until a force is being ramped down (100 ms), polling every millisecond."""
     until = time.monotonic() + 5.0
     while time.monotonic() < until:
         state = rig.states[-1]
@@ -111,15 +110,15 @@ def _await_way_down(rig: Rig) -> None:
 
 
 class Inside(LoggedDevice):
-    """A device that is inside of the wall when its driver is started, and when it is started again."""
+    """A device inside the wall when its driver starts, and when it restarts."""
 
     def change(self, content: dict[str, Any]) -> None:
-        """Begin where the hand pulls to: the law asks for 5 N at once."""
+        """Start at the hand's target, where the law requests 5 N at once."""
         super().change(content)
         content["nodes"]["driver"]["parameters"]["device"]["position"] = INSIDE
 
     def strike(self, rig: Rig) -> None:
-        """Kill the driver: another one finds the device inside."""
+        """Kill the driver, so that another one finds the device inside."""
         self.struck(rig)
         kill("driver")(rig)
         wait_for(
@@ -152,10 +151,10 @@ class Moved(LoggedDevice):
 
 
 class Vague(LoggedDevice):
-    """A device that cannot tell its condition: its driver ends softly, and is started again."""
+    """A device whose `condition` raises: its driver ends softly and is restarted."""
 
     def strike(self, rig: Rig) -> None:
-        """Let `condition` raise until the driver has ended."""
+        """Make `condition` raise until the driver has ended."""
         self.struck(rig)
         before, order = rig.pid("driver"), rig.folder / ORDER
         order.write_text(f"{FAILS}condition", encoding="ascii")
@@ -177,10 +176,10 @@ class Vague(LoggedDevice):
 
 
 class Apart:
-    """Two devices that stand apart when their driver is started, and when it is started again."""
+    """Two devices that are apart when their driver starts, and when it restarts."""
 
     def change(self, content: dict[str, Any]) -> None:
-        """Make it a pair, whose hands hold it 30 mm apart."""
+        """Make the device a pair, whose hands hold it 30 mm apart."""
         driver = content["nodes"]["driver"]
         safety = driver["parameters"]["safety"]
         member = {
@@ -212,7 +211,7 @@ class Apart:
         content["run"]["axes"] = ["x"]
 
     def strike(self, rig: Rig) -> None:
-        """Kill the driver: another one finds the devices apart."""
+        """Kill the driver, so that another one finds the devices apart."""
         kill("driver")(rig)
         wait_for(
             lambda: rig.errors.count("apart without a motion") >= 2, "both drivers align", 15.0
@@ -220,13 +219,13 @@ class Apart:
         rig.let_pass(1.0)
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
-        """Tell whether a force has jumped: each tick of the offset adds K·v·T, and B·v once."""
+        """Return force jumps: each tick of the offset adds K·v·T, and B·v once."""
         wrong = []
         for before, after in pairwise(states):
             ticks = after.seq - before.seq
             step = abs(after.force[0] - before.force[0])
-            # The law is K = 1000 N/m, B = 3 N s/m, the offset fades at 0.05 m/s; the hands move no
-            # faster than it.
+            # The law is K = 1000 N/m, B = 3 N s/m; the offset fades at 0.05 m/s, and the hands
+            # move no faster.
             allowed = 2.0 * (1000.0 * 0.05 / RATE * ticks + 3.0 * 0.05)
             if ticks > 0 and after.force[0] != 0.0 and step > allowed:
                 wrong.append(
@@ -237,7 +236,7 @@ class Apart:
 
 
 def faults() -> list[Fault]:
-    """List them. What belongs to beginnings, moves and returns of other nodes is added here, one row each."""
+    """Return the faults of this module."""
     rows: list[tuple[Any, str, str]] = [
         (
             Inside(),

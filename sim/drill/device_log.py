@@ -1,4 +1,4 @@
-"""The log of a faulty device: each force that it was given, with tick, jumps and position."""
+"""Log of a faulty device: each force it received, with tick, jumps and position."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class Sample(NamedTuple):
     Attributes
     ----------
     write : Write
-        When [s], and what [N].
+        Time [s] and force [N].
     seq : int
         Tick of the driver.
     jumps : int
-        How often this process of the driver has seen a jump without motion.
+        Number of jumps without motion in this process of the driver.
     position : Vector
-        What the device said last [m].
+        Last position read from the device [m].
     """
 
     write: Write
@@ -33,7 +33,7 @@ class Sample(NamedTuple):
 
 
 def read_log(path: Path, period: float) -> list[Sample]:
-    """Return the forces of a log in order, of a driver with this `period` [s]; one that is being written is left out."""
+    """Return the forces of a log in order, without an incomplete last one; `period` in s."""
     whole = path.read_bytes()
     size = struct.calcsize(LOGGED)
     return [

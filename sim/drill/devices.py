@@ -1,8 +1,8 @@
-"""Faults of real devices, on the stand-in of each kind: what is judged is the arm itself, beside what the driver tells.
+"""Faults of real devices, on the emulator of each kind; judged by the emulated arm itself.
 
-A hand holds the arm in a wall; at the fault its force must be gone within the drill's limit,
-whatever ends it: driver, servo loop, device or service. Then the fault is mended, as by who plugs a
-cable in again, and the loop must go on by itself.
+A hand holds the arm in a wall; after the fault its force must be zero within the drill's limit,
+whatever ends it: driver, servo loop, device or service. Then the fault is repaired, like a cable
+plugged in again, and the loop must recover by itself.
 """
 
 import shutil
@@ -24,23 +24,23 @@ from sim.drill.drill import (
 )
 from sim.emulators import inverse_service
 from sim.emulators.world import World, library
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 
-DEEP: Final = 0.002  # how deep the arm is held in the wall [m]
-PATIENCE = 5.0  # how long a force is waited for that stays on the arm [s]
-BAD: Final = 0.3  # how long a fault lasts that nobody must mend [s]
+DEEP: Final = 0.002  # penetration at which the arm is held [m]
+FORCE_TIMEOUT = 5.0  # time limit for the arm's force to end [s]
+BAD: Final = 0.3  # duration of a fault that ends by itself [s]
 
 
 class DrilledKind(NamedTuple):
-    """A kind of device, as it is drilled."""
+    """A kind of device in the drill."""
 
-    title: str  # what it is called in the drill's names
-    kind: str  # of its driver
-    section: str  # where its parameters stand
-    stand_in: str  # library that stands in for the vendor's; empty for the service
-    reads: str  # the vendor's call that reads a position
-    parameters: dict[str, Any]  # of the device
+    title: str  # name in the drill
+    kind: str  # kind of its driver
+    section: str  # group of its parameters
+    stand_in: str  # library that emulates the vendor's; empty for the service
+    reads: str  # vendor's call that reads a position
+    parameters: dict[str, Any]  # parameters of the device
 
 
 # Every kind of real device.
@@ -55,7 +55,7 @@ KINDS: Final = (
 
 
 class StandIn:
-    """A stand-in in the drill's launch, and what came of its arm."""
+    """An emulated device in the drill's launch, and the forces on its arm."""
 
     def __init__(self, kind: DrilledKind) -> None:
         self.kind = kind
@@ -67,12 +67,12 @@ class StandIn:
 
     @property
     def arm(self) -> World:
-        """The arm, once it is prepared."""
+        """Return the arm; `prepare` must have been called."""
         assert self.world is not None  # noqa: S101  # drills prepare first
         return self.world
 
     def prepare(self) -> Mapping[str, str]:
-        """Compile the library, or start the service; hold the arm in the wall."""
+        """Compile the library or start the service, and hold the arm in the wall."""
         self._wrong = []
         self.folder = Path(tempfile.mkdtemp(prefix="haptic-device-"))
         if self.kind.stand_in:
@@ -96,20 +96,20 @@ class StandIn:
         }
 
     def change(self, content: dict[str, Any]) -> None:
-        """Put it in the place of the virtual device."""
+        """Replace the launch's virtual device by the emulated one."""
         safety = content["nodes"]["driver"]["parameters"]["safety"]
         parameters = {"safety": safety, self.kind.section: self._parameters}
         content["nodes"]["driver"] |= {"kind": self.kind.kind, "parameters": parameters}
 
     def tidy(self) -> None:
-        """Remove it."""
+        """Stop the service and remove the files."""
         if self._service is not None:
             self._service.end()
             self._service = None
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
-        """Tell what the arm was given that it must not."""
+        """Return what the arm received wrongly."""
         del states
         rules = (
             [f"{self.arm.state.broken} rules of the vendor's were broken"]
@@ -119,13 +119,13 @@ class StandIn:
         return self._wrong + rules
 
     def held(self) -> None:
-        """Make sure that the arm has a force to lose."""
+        """Wait until a force acts on the arm, so that the fault can remove it."""
         await_strike(lambda: any(self.arm.force()), "a force on the arm before the fault")
 
     def force_ends(self) -> None:
-        """Wait until no force acts on the arm, and note when that takes too long."""
+        """Wait until no force acts on the arm; record if that takes too long."""
         begun = time.monotonic()
-        while any(self.arm.force()) and time.monotonic() < begun + PATIENCE:
+        while any(self.arm.force()) and time.monotonic() < begun + FORCE_TIMEOUT:
             time.sleep(0.001)
         if (took := time.monotonic() - begun) > LIMIT / RATE:
             self._wrong.append(
@@ -137,7 +137,7 @@ class StandIn:
         wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
 
     def unplug(self, rig: Rig) -> None:
-        """Pull the cable until the driver has ended, and plug it in again."""
+        """Unplug the cable until the driver has ended, then plug it in again."""
         self.held()
         before = rig.pid("driver")
         self.arm.state.unplugged = 1
@@ -146,7 +146,7 @@ class StandIn:
         await_another(rig, "driver", before)
 
     def swap(self, rig: Rig) -> None:
-        """Pull the cable, and plug another device in first: it must be refused, and get no force."""
+        """Unplug, and plug another device in first: it must be refused and get no force."""
         self.held()
         before = rig.pid("driver")
         serial, arm = self.arm.state.serial, self.arm.state
@@ -160,7 +160,7 @@ class StandIn:
         await_another(rig, "driver", before)
 
     def block(self, rig: Rig) -> None:
-        """Let one read take 100 ms."""
+        """Make one read take 100 ms."""
         self.held()
         self.arm.state.block_ms = 100
         wait_for(lambda: self.arm.state.block_ms == 0, "the read that blocks")
@@ -168,19 +168,19 @@ class StandIn:
         rig.let_pass(BAD)
 
     def fail(self, rig: Rig) -> None:
-        """Let reads fail, their out-parameters untouched."""
+        """Make reads fail, with their out-parameters untouched."""
         self.held()
         before = rig.pid("driver")
         self.arm.fail(self.kind.reads)
         self.force_ends()
         rig.let_pass(BAD)
         self.arm.fail("")
-        # A Touch takes an error of its servo loop for the end.
+        # A Touch driver ends on an error of its servo loop.
         if "[driver] ended: " in rig.errors:
             await_another(rig, "driver", before)
 
     def slow(self, rig: Rig) -> None:
-        """Let each answer take 80 ms."""
+        """Make each answer take 80 ms."""
         self.held()
         self.arm.state.slow_ms = 80
         self.force_ends()
@@ -188,7 +188,7 @@ class StandIn:
         self.arm.state.slow_ms = 0
 
     def twice(self, rig: Rig) -> None:
-        """Send each state twice: the driver must end, and come back once the service is in order."""
+        """Send each state twice: the driver must end, and recover once that stops."""
         self.held()
         before = rig.pid("driver")
         self.arm.fail("twice")
@@ -198,7 +198,7 @@ class StandIn:
         await_another(rig, "driver", before)
 
     def kill_service(self, rig: Rig) -> None:
-        """Kill the service, and start it again where it was."""
+        """Kill the service, and restart it at the same ports."""
         if self._service is None:
             raise MeasurementError(f"{self.kind.title} has no service")
         self.held()
@@ -211,7 +211,7 @@ class StandIn:
 
 
 def faults() -> list[Fault]:
-    """List them: each kind of device with the faults that it can have."""
+    """Return the faults of each kind of device."""
     found = []
     for kind in KINDS:
         stand = StandIn(kind)

@@ -1,8 +1,8 @@
-"""The drill: one fault at a time on a real launch with a hand pressing into a wall, and what came of it.
+"""The drill: one fault at a time in a real launch with a hand pressing into a wall.
 
-What counts as safe is told by the driver's own messages: a force may act only while forces are
-fresh. The time to safe is the longest time for which an old force, or the damping that follows it,
-acted on the device: from the last fresh force to zero force or to the next fresh one.
+Safety is judged from the driver's own messages: a force may act only while forces are fresh. The
+time to safe is the longest time for which an old force, or the damping after it, acted on the
+device: from the last fresh force to zero force or to the next fresh one.
 """
 
 import contextlib
@@ -16,38 +16,38 @@ import msgspec
 
 from messages.transport.requests import ControlError
 from messages.types import ZERO, DeviceState
-from sim.measure.measured_launch import MeasurementError, wait_for, within
+from sim.measure.haptic_commands import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 
 RATE = 500.0
 WATCHDOG, DAMPING_TICKS = 10, 10
 PEAK, SLEW = 5.0, 1000.0
 DAMPING = 0.5
-HOLD = 0.05  # the virtual device's own deadline, as a servo thread has one [s]
-# Longest time to safe [ticks]: watchdog, damping and the way down, or the device's own deadline;
-# two for the tick in which the fault strikes and for the message that tells it. A driver that has
-# no processor after it has handed over another force without an answer (damping, a ramp) leaves
-# that one to the device's deadline: such ticks come on top (`driven_to_safe`).
+HOLD = 0.05  # deadline of the virtual device, like that of a servo thread [s]
+# Limit of the time to safe [ticks]: watchdog, damping and ramp, or the device's own deadline; plus
+# two for the tick of the fault and for the message that reports it. If a driver loses its
+# processor while damping or ramping, the device's deadline ends that force: such ticks are
+# subtracted (`driven_to_safe`).
 LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
-CALM = 25  # so many ticks in order, one after the other, are a recovery
+CALM = 25  # consecutive good ticks that count as a recovery
 
 
 class DrillOutcome(msgspec.Struct, kw_only=True):
-    """What came of one fault."""
+    """Result of one fault."""
 
-    # Its name, and what was done.
+    # Name and description.
     fault: str
     what: str
-    safe_ticks: int = 0  # longest time for which an old force or damping acted
-    # Ticks without a timely answer, and ticks looked at, both from the strike on.
+    safe_ticks: int = 0  # longest time for which an old force or damping acted [ticks]
+    # Ticks without a timely answer, and all ticks, since the strike.
     lost_ticks: int = 0
     window_ticks: int = 0
-    energy_j: float = 0.0  # most energy given out since the strike [J]
-    recovered: bool = False  # whether fresh forces flow again at the end
+    energy_j: float = 0.0  # largest energy given out since the strike [J]
+    recovered: bool = False  # whether fresh forces arrive again at the end
     left: list[str] = []  # orphans and stale files after the end
-    passed: bool = False  # safe in time, as far recovered as it must be, nothing left
-    reasons: list[str] = []  # why not; or what the driver's safety said
-    skipped: str = ""  # why the drill could not be done here; empty when it was
+    passed: bool = False  # safe in time, recovered, and nothing left behind
+    reasons: list[str] = []  # why it failed; else the reasons of the driver's safety
+    skipped: str = ""  # why the drill could not be run here; empty if it was
 
 
 class FaultSkippedError(MeasurementError):
@@ -56,28 +56,28 @@ class FaultSkippedError(MeasurementError):
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault."""
+    """A fault to inject."""
 
-    # Its name and what is done.
+    # Name and description.
     name: str
     what: str
-    # does it to a running rig, and takes it back where that is part of it
+    # Injects the fault into a running rig, and reverts it if that is part of it.
     strike: Callable[[Rig], None]
     change: Callable[[dict[str, Any]], object] = dict  # changes the launch file beforehand
-    # Makes ready what it needs, before the launch; gives variables for it. Raises FaultSkippedError
-    # where it cannot be had.
+    # Prepares what it needs before the launch and returns environment variables; raises
+    # FaultSkippedError if that is not possible here.
     prepare: Callable[[], Mapping[str, str]] = dict
     tidy: Callable[[], None] = lambda: None  # removes what `prepare` made
     unread: bool = False  # whether nobody reads what the launch prints
-    exit_code: int = 0  # what the launch must end with: not 0 where a node does not come back
-    # What else the driver's messages since the strike must not show: tells what they do.
+    exit_code: int = 0  # expected exit code of the launch; not 0 if a node does not return
+    # Returns further violations in the driver's states since the strike.
     judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
 
 
 def fault_of(
     made: Any, name: str, what: str, strike: Callable[[Rig], None] | None = None, **more: Any
 ) -> Fault:
-    """Make a fault whose parts are methods of an object."""
+    """Create a fault from the methods of an object."""
     parts = {
         part: getattr(made, part)
         for part in ("change", "prepare", "tidy", "judge")
@@ -87,7 +87,7 @@ def fault_of(
 
 
 def scene() -> dict[str, Any]:
-    """Write the launch file of the drill."""
+    """Return the launch file of the drill."""
     hand = {"stiffness": 500.0, "damping": 5.0, "path": [[0.0, -0.005]]}
     safety: dict[str, Any] = {
         "watchdog": WATCHDOG,
@@ -119,19 +119,22 @@ def scene() -> dict[str, Any]:
 
 
 def with_link(content: dict[str, Any]) -> None:
-    """Put a bad link between coupling and driver."""
+    """Insert a faulty link between coupling and driver."""
     content["nodes"]["link"] = {"kind": "link"}
 
 
 def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[int, int]]:
-    """Tell at each tick for how long an old force, or damping, has acted, and how much of that the driver was away from it."""
+    """Yield per tick how long an old force or damping has acted, and for how long unattended.
+
+    Unattended: without processor time for the driver.
+    """
     since = written = states[0].seq if states else 0
     away = 0
     for before, state in pairwise(states):
         gap = state.seq - before.seq
         if before.force != ZERO and gap > 1:
-            # While the driver was away nobody renewed the force; the device lets go so long after
-            # the last one written.
+            # While the driver was away nobody renewed the force; the device releases it after
+            # `hold_ticks`.
             ended = math.ceil(min(state.seq, max(written + hold_ticks, before.seq)))
             away += ended - before.seq - 1 if written > since else 0
             yield ended - since, away
@@ -144,31 +147,34 @@ def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[
 
 
 def time_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
-    """Find the longest time for which an old force, or damping, acted."""
+    """Return the longest time for which an old force, or damping, acted [ticks]."""
     return max((ticks for ticks, _ in _acting(states, hold_ticks)), default=0)
 
 
 def driven_to_safe(states: Sequence[DeviceState], hold_ticks: float) -> int:
-    """Find the same, ticks apart for which a driver that damped or ramped had no processor: only the device ends that force."""
+    """Return the time to safe without ticks in which the driver had no processor.
+
+    Then only the device can end the force.
+    """
     return max((ticks - away for ticks, away in _acting(states, hold_ticks)), default=0)
 
 
 def energy_given_out(states: Sequence[DeviceState]) -> float:
-    """Find the most energy given out since the first of some states."""
-    most, total = 0.0, 0.0
+    """Return the largest energy given out since the first of some states [J]."""
+    largest, total = 0.0, 0.0
     for before, state in pairwise(states):
         fresh = state.force_seq < before.force_seq
         total += state.energy - (0.0 if fresh else before.energy)
-        most = max(most, total)
-    return most
+        largest = max(largest, total)
+    return largest
 
 
 def overdamped(states: Sequence[DeviceState]) -> float:
-    """Find by how much damping was stronger than a damper is."""
+    """Return the largest excess of the damping force over that of a damper [N]."""
     most = 0.0
     for first, second, third in zip(states, states[1:], states[2:], strict=False):
         ticks = second.seq - first.seq
-        # A respawned driver begins anew.
+        # A respawned driver counts from zero.
         if (
             third.safety != "damping"
             or second.safety == "fault"
@@ -179,33 +185,33 @@ def overdamped(states: Sequence[DeviceState]) -> float:
         for i in range(3):
             velocity = (second.position[i] - first.position[i]) * RATE / ticks
             allowed = max(abs(second.force[i]), DAMPING * abs(velocity))
-            # The last bits of a difference and two products.
+            # Tolerance: rounding of a difference and two products.
             most = max(most, abs(third.force[i]) - allowed * (1.0 + 1e-9) - 1e-12)
     return most
 
 
 def in_order(states: Sequence[DeviceState]) -> bool:
-    """Whether the last ticks all went as they should."""
+    """Whether the last ticks were all answered and active."""
     last = states[-CALM:]
     fresh = sum(later.force_seq > earlier.force_seq for earlier, later in pairwise(last))
     return len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
 
 
-def await_strike(shows: Callable[[], Any], what: str, longest: float = 5.0) -> None:
-    """Wait until a fault shows; MeasurementError where it does not, for what has struck nothing proves nothing."""
+def await_strike(shows: Callable[[], Any], what: str, timeout: float = 5.0) -> None:
+    """Wait until a fault shows; raise MeasurementError if it does not."""
 
     def is_there() -> Any:
-        # A node that is struck may not answer.
+        # A node under fault may not answer.
         with contextlib.suppress(ControlError):
             return shows()
         return None
 
-    if not within(is_there, longest):
-        raise MeasurementError(f"not struck: {what} not within {longest:g} s")
+    if not within(is_there, timeout):
+        raise MeasurementError(f"not struck: {what} not within {timeout:g} s")
 
 
 def kill(node: str) -> Callable[[Rig], None]:
-    """Make a strike that kills a node and waits for another in its place."""
+    """Return a strike that kills a node and waits for its successor."""
 
     def strike(rig: Rig) -> None:
         await_another(rig, node, rig.kill(node))
@@ -225,8 +231,8 @@ def another(rig: Rig, node: str, before: int) -> bool:
     return False
 
 
-def drill(fault: Fault, patience: float = 15.0) -> DrillOutcome:
-    """Do one drill."""
+def drill(fault: Fault, timeout: float = 15.0) -> DrillOutcome:
+    """Run one drill."""
     outcome = DrillOutcome(fault=fault.name, what=fault.what)
     content = scene()
     try:
@@ -238,7 +244,7 @@ def drill(fault: Fault, patience: float = 15.0) -> DrillOutcome:
             fault.strike(rig)
             after = len(rig.states)
             outcome.recovered = within(
-                lambda: len(rig.states) > after + CALM and in_order(rig.states), patience
+                lambda: len(rig.states) > after + CALM and in_order(rig.states), timeout
             )
             window = rig.states[struck:]
             errors = rig.errors

@@ -1,4 +1,4 @@
-"""The faults of the drill, each done to real processes from outside."""
+"""The faults of the drill, each injected into real processes from outside."""
 
 import contextlib
 import ctypes.util
@@ -18,11 +18,11 @@ from typing import Any
 from nodes.base.processor_wait import state_of
 from sim.drill import begins, devices, held_up, intruders, last_line, overload, people
 from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from sim.measure.rig import Rig
 
-STOPPED = 0.3  # how long a node is stopped, a link is bad, a processor is taken away [s]
-ENOUGH = 10  # a link's fault shows when so many forces more have met it
+STOPPED = 0.3  # duration of a node's stop, a link's fault, a processor's loss [s]
+ENOUGH = 10  # affected forces from which a link's fault counts as visible
 
 
 def _stop(node: str) -> Callable[[Rig], None]:
@@ -36,7 +36,7 @@ def _stop(node: str) -> Callable[[Rig], None]:
 
 
 def _bad_link(count: Callable[[Rig], int], shows: str, **values: float) -> Callable[[Rig], None]:
-    """Make a strike that sets a link's faults until they show by what is counted of them."""
+    """Return a strike that sets a link's faults until `count` shows their effect."""
 
     def strike(rig: Rig) -> None:
         before = count(rig)
@@ -53,7 +53,7 @@ def _counted(node: str, counter: str) -> Callable[[Rig], int]:
 
 
 def _surplus(rig: Rig) -> int:
-    """Count the forces that a driver got beyond one a tick."""
+    """Return the number of forces that a driver received beyond one per tick."""
     status = rig.call("driver", "status")
     return int(status["received"]) - int(status["ticks"])
 
@@ -63,7 +63,7 @@ def _missed(rig: Rig) -> int:
 
 
 class _SmallDisk:
-    """A file system of 300 KB under the logger; where none may be mounted, a limit on the size of its file."""
+    """A file system of 300 KB for the logger; without mount permission, a file size limit."""
 
     def __init__(self) -> None:
         self.folder = ""
@@ -87,7 +87,7 @@ class _SmallDisk:
         if not self.mounted:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (300_000, 300_000))
         else:
-            # What the recording leaves, something else takes.
+            # Fill the space that the recording leaves.
             with contextlib.suppress(OSError), open(f"{self.folder}/filler", "wb") as filler:
                 while True:
                     filler.write(bytes(4096))
@@ -104,7 +104,7 @@ class _SmallDisk:
 
 @contextlib.contextmanager
 def _hogs() -> Iterator[list[subprocess.Popen[bytes]]]:
-    """Four busy processes per processor."""
+    """Run four busy processes per processor."""
     command = [sys.executable, "-S", "-c", "while True: pass"]
     hogs = [subprocess.Popen(command) for _ in range(4 * len(os.sched_getaffinity(0)))]
     try:
@@ -142,7 +142,8 @@ int clock_gettime(clockid_t clock, struct timespec *now) {
     static int (*real)(clockid_t, struct timespec *);
     if (!real) real = (int (*)(clockid_t, struct timespec *)) dlsym(RTLD_NEXT, "clock_gettime");
     int code = real(clock, now);
-    if (!code && offset && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE)) now->tv_sec += (long) *offset;
+    if (!code && offset && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE))
+        now->tv_sec += (long) *offset;
     return code;
 }
 int gettimeofday(struct timeval *restrict now, void *restrict zone) {
@@ -163,13 +164,13 @@ time_t time(time_t *out) {
 
 
 class SteppedClock:
-    """The wall clock of all processes of the launch, stepped through the C library; the machine's own is left alone."""
+    """Steps the wall clock of the launch's processes with a preloaded C library."""
 
     def __init__(self) -> None:
         self.folder = ""
 
     def prepare(self) -> Mapping[str, str]:
-        """Compile it; the variables of the processes that it is stepped for."""
+        """Compile the library; return the environment variables that load it."""
         compiler = shutil.which("cc") or shutil.which("gcc")
         if compiler is None or ctypes.util.find_library("c") is None:
             raise FaultSkippedError(
@@ -193,7 +194,7 @@ class SteppedClock:
         return {"LD_PRELOAD": str(library), "HAPTIC_DRILL_CLOCK": str(self._offset)}
 
     def strike(self, rig: Rig) -> None:
-        """Set it back, on, and right again."""
+        """Step the clock back, forward, and to the right time."""
         maps = Path(f"/proc/{rig.pid('driver')}/maps")
         await_strike(
             lambda: f"{self.folder}/clock.so" in maps.read_text(errors="replace"),
@@ -204,7 +205,7 @@ class SteppedClock:
             rig.let_pass(STOPPED)
 
     def step(self, seconds: float) -> None:
-        """Set it, by so much from what the machine has."""
+        """Set the offset to the machine's clock [s]."""
         with open(self._offset, "r+b") as file:
             file.write(struct.pack("d", seconds))
 
@@ -215,7 +216,7 @@ class SteppedClock:
 
 
 def faults() -> list[Fault]:
-    """List the faults of the drill."""
+    """Return all faults of the drill."""
     chain = ("driver", "environment", "coupling", "logger")
     disk, clock = _SmallDisk(), SteppedClock()
 

@@ -1,4 +1,4 @@
-"""The sim driver with a device that breaks down when it is told to, for the drill."""
+"""A sim driver whose device fails on command, for the drill."""
 
 import os
 import struct
@@ -12,19 +12,16 @@ from messages.types import ZERO, Vector
 from nodes.driver.device import Device, DeviceLimits
 from sim.device.driver import SimDriver, SimDriverParameters
 
-# What the order says for a force that is never taken, and for a vendor's library that ends the
-# process as if all were well.
+# Orders: a force call that never returns, and a library that exits with 0.
 HANG, EXIT = "hang", "exit"
-# What it begins with for an encoder that lies: its positions times a factor, or those of so many
-# samples before. Else a number is the position [m].
+# Prefixes: positions times a factor, positions of so many samples before. Else a number is the
+# position [m].
 SCALE, LATE = "scale ", "late "
-# What it begins with for a device that is re-centred: its positions are so much further on [m],
-# which no motion made.
+# Prefix of an offset of the positions without motion [m].
 MOVED = "moved "
-# What it begins with for a call that raises, which is named, and for a read that takes so long [s].
+# Prefixes of a call that raises, and of the duration of a read [s].
 FAILS, BLOCKS = "fails in ", "blocks "
-# A force in its log: when it was written [s], its tick, the jumps until then, the force [N] and the
-# position read last [m].
+# Entry of the log: time [s], tick, jumps so far, force [N], last position read [m].
 LOGGED = "<dqq3d3d"
 _LATEST = 100
 
@@ -34,24 +31,25 @@ class FaultyDriverParameters(
 ):
     """Parameters of the driver."""
 
-    order: str  # a file: as long as it exists, the device does what it says
-    log: str = ""  # a file in which each force is logged as it is written; empty for none
+    order: str  # file with the ordered fault; without it the device works
+    log: str = ""  # file in which each force is logged; empty for none
 
 
 class FaultyDevice:
-    """Passes every call on, but for what its order says."""
+    """Forwards every call, except for ordered faults."""
 
     def __init__(self, device: Device, order: str, log: str = "") -> None:
         self._device, self._order = device, order
-        self._log = open(log, "ab", buffering=0) if log else None  # noqa: SIM115  # as long as the device
+        # Open as long as the device.
+        self._log = open(log, "ab", buffering=0) if log else None  # noqa: SIM115
         self._positions = deque([ZERO], maxlen=_LATEST)
-        self._read = ZERO  # position that was given last [m]
+        self._read = ZERO  # last position returned [m]
         self._offset = 0.0
-        self.jumps = 0  # how often its position was elsewhere without a motion
+        self.jumps = 0  # number of position jumps without motion
 
     @property
     def limits(self) -> DeviceLimits:
-        """What the hardware can bear."""
+        """Limits of the hardware."""
         return self._device.limits
 
     def _ordered(self) -> str:
@@ -65,16 +63,16 @@ class FaultyDevice:
             raise OSError(f"faulty device: {call}() fails, as a device does that was unplugged")
 
     def meet(self, call: str) -> None:
-        """Raise where a call is ordered to fail."""
+        """Raise if `call` is ordered to fail."""
         self._meet(call, self._ordered())
 
     def open(self) -> None:
-        """Open it; when so ordered, fail."""
+        """Open the device; fail if ordered."""
         self._meet("open", self._ordered())
         self._device.open()
 
     def read_position(self, seq: int) -> Vector:
-        """Sample the position; when so ordered, another one, or none and an end."""
+        """Read the position, or do what is ordered."""
         self._read = self._read_as_ordered(seq)
         return self._read
 
@@ -104,8 +102,8 @@ class FaultyDevice:
         return (float(order),) * 3
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Hand over a force; when so ordered, never come back."""
-        at = time.monotonic()  # the driver has looked at its clock just before
+        """Hand over a force; hang if ordered."""
+        at = time.monotonic()  # the driver read its clock just before
         while (order := self._ordered()) == HANG:
             time.sleep(0.1)
         self._meet("write_force", order)
@@ -114,23 +112,23 @@ class FaultyDevice:
         self._device.write_force(force, seq, offset)
 
     def close(self) -> None:
-        """Close it, and then fail when so ordered."""
+        """Close the device; then fail if ordered."""
         self._device.close()
         self._meet("close", self._ordered())
 
 
 class FaultyDriver(SimDriver):
-    """A driver node with such a device."""
+    """A driver node with a faulty device."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = FaultyDriverParameters
 
     def make_device(self) -> Device:
-        """Make the virtual device, and what stands before it."""
+        """Create the virtual device and wrap it."""
         parameters: Any = self.store.current
         self._faulty = FaultyDevice(super().make_device(), parameters.order, parameters.log)
         return self._faulty
 
     def condition(self) -> str:
-        """Say that nothing keeps forces off; when so ordered, raise."""
+        """Return the device's condition; raise if ordered."""
         self._faulty.meet("condition")
         return super().condition()

@@ -1,4 +1,4 @@
-"""Faults in which a verb that has borrowed the device is suspended (Ctrl-Z) and goes on too late (fg)."""
+"""Faults in which a verb that borrowed the device is suspended and resumed too late."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from sim.drill.drill import Fault
 from sim.drill.people import BACK, borrowed_now, held_at_a_point, leave_a_design
 from sim.identify.borrowed import SOFT_LAW
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 
@@ -16,7 +16,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     SOFT_LAW: ("device", "identify", "--load", "0"),
     TRIAL: ("tune", "--steps", "verify"),
 }
-"""What is suspended, by the law that it has put in the coupling by then."""
+"""Verbs to suspend, by the law that they have then put into the coupling."""
 
 
 def _suspend(rig: Rig) -> None:
@@ -56,6 +56,6 @@ def _await_refusal(rig: Rig, verb: subprocess.Popen[bytes], words: Sequence[str]
 
 
 def faults() -> list[Fault]:
-    """List the faults."""
+    """Return the faults of this module."""
     what = "identify and tune: SIGSTOP until their leases have run out, then SIGCONT"
     return [Fault("verb suspended", what, _suspend, change=held_at_a_point)]

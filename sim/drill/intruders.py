@@ -1,8 +1,8 @@
-"""Faults that come from somebody else: on a node's port, with a key that was taken away, with too many connections.
+"""Faults from outside: on a node's port, with a revoked key, with too many connections.
 
-An unruly listener speaks ZMTP 3.0 (RFC 23) on a bare socket, so that it can leave in the middle of
-anything: thousands of subscriptions, heartbeats behind them, frames far too long, and gone. What
-libzmq makes of it depends on where it is cut; a few hundred connections meet every case.
+An unruly subscriber speaks ZMTP 3.0 (RFC 23) on a bare socket, so that it can leave in the middle
+of anything: thousands of subscriptions, heartbeats after them, oversized frames. The reaction of
+libzmq depends on where the data is cut; a few hundred connections meet every case.
 """
 
 import contextlib
@@ -26,31 +26,31 @@ from messages.transport import keys
 from messages.transport.endpoints import MAX_MESSAGE
 from sim.drill.drill import Fault, await_strike, fault_of, with_link
 from sim.measure.free_ports import free_ports
-from sim.measure.measured_launch import MeasurementError, wait_for, within
+from sim.measure.haptic_commands import MeasurementError, wait_for, within
 from sim.measure.rig import Rig
 
-HELD = 1.0  # how long an intruder stays [s]
-FEW = 256  # descriptors with which a launch that is flooded starts
-# How often an unruly listener comes to the open ports, and to the private sockets, and its pause at
-# these [s].
+HELD = 1.0  # duration of an intrusion [s]
+FEW = 256  # initial descriptor limit of the flooded launch
+# Number of visits of an unruly subscriber, and the pause between them [s].
 VISITS, PAUSE = 200, 0.02
 
 
 def _keys_of(folder: Path) -> contextlib.AbstractContextManager[object]:
-    """Act as a machine with other keys."""
+    """Use the keys of another machine within the block."""
     return mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder))
 
 
 class _Elsewhere:
-    """A coupling as on another machine: started by hand, over tcp, with keys of its own."""
+    """A coupling as on another machine: started by hand, over tcp, with its own keys."""
 
     def __init__(self) -> None:
         self.folder = Path()
         self._node: subprocess.Popen[bytes] | None = None
 
     def prepare(self) -> Mapping[str, str]:
-        self.folder = Path(tempfile.mkdtemp(prefix="hk-", dir=Path("/tmp")))  # noqa: S108  # short, as sockets' paths must be
-        # The second one is for its requests.
+        # Below /tmp, because socket paths are limited.
+        self.folder = Path(tempfile.mkdtemp(prefix="hk-", dir=Path("/tmp")))  # noqa: S108
+        # The second port is for its requests.
         self.port = free_ports(2)
         made = {}
         for name in ("near", "far"):
@@ -96,7 +96,7 @@ class _Elsewhere:
         content["run"]["port"] = free_ports(len(content["nodes"]) * 2)
 
     def replace(self, rig: Rig) -> None:
-        """Kill it, let another service answer on its port for a while, and start it again."""
+        """Kill it, run another service at its port for a while, and restart it."""
         assert self._node is not None  # noqa: S101  # prepare() came first
         self._node.kill()
         self._node.wait()
@@ -120,7 +120,7 @@ class _Elsewhere:
         await_strike(lambda: came, "anybody at the impostor's port", 0.0)
 
     def revoke(self, rig: Rig) -> None:
-        """Take its key away; give it back when it has ended by its lease, and start it again."""
+        """Revoke its key; allow it again after its lease ended it, and restart it."""
         assert self._node is not None  # noqa: S101
         with _keys_of(self.folder / "near"):
             robot = keys.key_of("robot")
@@ -139,7 +139,7 @@ class _Elsewhere:
 
     def tidy(self) -> None:
         if self._node is not None:
-            # It ends when its launcher does.
+            # It ends with its launcher.
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._node.wait(10.0)
             self._node.kill()
@@ -154,7 +154,7 @@ def _send_oversize(rig: Rig) -> None:
 
 
 class _FewDescriptors:
-    """A launch from a shell that lets each process open only a few files at first: a node takes what it may have."""
+    """A launch from a shell with a low soft limit of open files; nodes raise it themselves."""
 
     def prepare(self) -> Mapping[str, str]:
         self._limits = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -162,15 +162,14 @@ class _FewDescriptors:
         return {}
 
     def strike(self, rig: Rig) -> None:
-        """Connect to every socket of the driver, far more often."""
+        """Connect to every socket of the driver more often than the limit."""
         resource.setrlimit(resource.RLIMIT_NOFILE, (self._limits[1],) * 2)
         driver, setup = rig.pid("driver"), rig.run.nodes["driver"]
         clients: list[socket.socket] = []
         until = time.monotonic() + HELD
         while time.monotonic() < until and len(clients) < 4 * FEW:
             for place in (setup.control, setup.publish, setup.listen):
-                # Where the queue is full the kernel refuses, and where the process is gone the
-                # drill sees it.
+                # The kernel refuses if the queue is full; an ended process is noticed later.
                 with contextlib.suppress(OSError):
                     clients.append(connect(place))
         for client in clients:
@@ -185,7 +184,7 @@ class _FewDescriptors:
 def _expect_the_same(rig: Rig, before: Mapping[str, int]) -> None:
     for node, process in before.items():
         if rig.pid(node) != process:
-            raise MeasurementError(f"{node} did not survive what was done to its sockets")
+            raise MeasurementError(f"{node} did not survive the misuse of its sockets")
 
 
 def _let_listen(content: dict[str, Any]) -> None:
@@ -196,7 +195,7 @@ def _let_listen(content: dict[str, Any]) -> None:
 
 
 def _visit_all(rig: Rig) -> None:
-    """Misbehave at every kind of socket of every node; nothing of the loop may end, whatever becomes of the forwarder."""
+    """Misbehave at every socket of every node; no node of the loop may end."""
     before = {node: rig.pid(node) for node in ("driver", "environment", "coupling")}
     chance = random.Random(1)  # noqa: S311  # misbehaviour, not secrets
     ports, let_in = rig.run.nodes["forwarder"].parameters["ports"], 0
@@ -204,8 +203,8 @@ def _visit_all(rig: Rig) -> None:
         node = list(before)[number % len(before)]
         setup = rig.run.nodes[node]
         let_in += visit(f"tcp://127.0.0.1:{ports[node]}", chance)
-        # Only the same user gets there, and every subscription costs the loop a microsecond: one at
-        # a time.
+        # Private sockets one at a time: only the same user reaches them, and every subscription
+        # costs the loop a microsecond.
         place = (setup.publish, setup.listen, setup.control)[number // len(before) % 3]
         let_in += visit(place, chance, requests=place == setup.control)
         rig.let_pass(PAUSE)
@@ -214,7 +213,7 @@ def _visit_all(rig: Rig) -> None:
 
 
 def faults() -> list[Fault]:
-    """List the faults that come from somebody else."""
+    """Return the faults from outside."""
     impostor, revoked, few = _Elsewhere(), _Elsewhere(), _FewDescriptors()
     size, visits = MAX_MESSAGE >> 20, 2 * VISITS
 
@@ -253,15 +252,14 @@ def _command(name: bytes, body: bytes) -> bytes:
 
 
 PING = _command(b"PING", b"\0\x01abc")
-# As many in a row as fill a queue of a few dozen, then a heartbeat: what is read at once, 8 KiB,
-# holds both.
+# Enough in a row to fill a queue of a few dozen, then a heartbeat, both within one read of 8 KiB.
 SUBSCRIPTIONS = b"".join(b"\0\x05\x01%04d" % i + PING * (i % 50 == 49) for i in range(3000))
 REQUESTS = ((b"\x01\0" + b"\0\x05hello") * 20 + PING) * 50
 LONG_FRAME = b"\x02" + struct.pack(">Q", 100_000) + bytes(100_000)
 
 
 def connect(place: str) -> socket.socket:
-    """Connect a bare socket to ZeroMQ's endpoint."""
+    """Connect a bare socket to a ZeroMQ endpoint."""
     bare = place.partition("#")[0]
     if bare.startswith("ipc://"):
         made = socket.socket(socket.AF_UNIX)
@@ -277,7 +275,7 @@ def connect(place: str) -> socket.socket:
 
 
 def visit(place: str, chance: random.Random, requests: bool = False) -> bool:
-    """Come, misbehave and leave; whether it was let in."""
+    """Connect, misbehave and leave; return whether the connection was accepted."""
     try:
         found = connect(place)
     except OSError:
@@ -285,7 +283,7 @@ def visit(place: str, chance: random.Random, requests: bool = False) -> bool:
     kind = b"DEALER" if requests else b"SUB"
     content = REQUESTS if requests else SUBSCRIPTIONS
     found.settimeout(0.5)
-    # Whoever disconnects it does not wait until it has said all.
+    # The peer may disconnect it before it has sent everything.
     with contextlib.suppress(OSError), found:
         found.sendall(
             GREETING + _command(b"READY", b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind)
@@ -293,9 +291,9 @@ def visit(place: str, chance: random.Random, requests: bool = False) -> bool:
         found.sendall(
             content[: chance.randrange(1, len(content))] + LONG_FRAME * chance.randrange(2)
         )
-        # Until what it sent was read, or not.
+        # With or without time for the peer to read.
         time.sleep(0.01 * chance.randrange(2))
         if chance.randrange(2):
-            # A reset in place of an end.
+            # Reset the connection instead of closing it.
             found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     return True

@@ -1,4 +1,4 @@
-"""Faults of what the driver stands on: its output, its device, its time, its parent."""
+"""Faults of the driver's environment: its output, device, time and parent process."""
 
 import contextlib
 import os
@@ -11,18 +11,19 @@ from typing import Any
 from nodes.base.processor_wait import state_of
 from sim.drill.drill import RATE, Fault, await_another, await_strike, fault_of, kill
 from sim.drill.faulty_device import EXIT, HANG
-from sim.measure.measured_launch import processes_of, within
+from sim.measure.haptic_commands import within
+from sim.measure.measured_launch import processes_of
 from sim.measure.rig import Rig
 
 ORDER = "order"
-HANG_LIMIT = 0.5  # after so long within one tick the drill's device is taken to hang [s]
-BEHIND = 2.0  # how long the logger's disk is slow before the end [s]; it is during the end too
-LOOPED = 3  # messages of the loop that a logger records for each tick
-# a quota of 8 % in periods of 0.1 s [s]: less than what a plain 500 Hz loop needs
+HANG_LIMIT = 0.5  # time within a tick after which the device counts as hung [s]
+BEHIND = 2.0  # time of a slow disk before the end, during which it stays slow [s]
+LOOPED = 3  # messages recorded per tick of the loop
+# A quota of 8 % in periods of 0.1 s, less than a plain 500 Hz loop needs [s].
 ON, OFF, ROUNDS = 0.008, 0.092, 8
 GROUPS = Path("/sys/fs/cgroup")
-# Where the kernel keeps processor quotas [µs], what sets one and what ends it: of control groups
-# version 1 and 2.
+# Control group root, files that set a processor quota [µs], and files that remove it: version 1
+# and 2.
 LIMITS = (
     (
         GROUPS / "cpu",
@@ -31,7 +32,7 @@ LIMITS = (
     ),
     (GROUPS, {"cpu.max": "{quota} {period}"}, {"cpu.max": "max"}),
 )
-ATTEMPTS = 5  # launches killed while they start, each a little later
+ATTEMPTS = 5  # launches killed during their start, each a little later
 
 
 def _faulty(content: dict[str, Any]) -> None:
@@ -57,7 +58,7 @@ def _slow_disk(content: dict[str, Any]) -> None:
 
 
 def _fall_behind(rig: Rig) -> None:
-    """Let the logger fall so far behind that its end takes longer than any node has."""
+    """Make the logger fall so far behind that its end takes longer than a node may take."""
 
     def behind() -> int:
         return (
@@ -97,7 +98,7 @@ def _misplace(position: str) -> Callable[[Rig], None]:
 
 
 class _Quota:
-    """A control group with a processor quota; where none may be made, the processes are stopped and continued instead."""
+    """A control group with a processor quota; without one, stops and continues processes."""
 
     def __init__(self) -> None:
         self._group: Path | None = None
@@ -119,7 +120,7 @@ class _Quota:
         return {}
 
     def strike(self, rig: Rig) -> None:
-        """Hold up all that share the loop's quota, again and again."""
+        """Throttle the loop's processes repeatedly."""
         pids = [rig.pid(node) for node in ("driver", "environment", "coupling")]
         if self._group:
             for pid in pids:
@@ -152,24 +153,24 @@ class _Quota:
 
     def tidy(self) -> None:
         if self._group:
-            # The launch has ended, and every process in it.
+            # All its processes have ended.
             with contextlib.suppress(OSError):
                 self._group.rmdir()
 
 
 def no_fifo(content: dict[str, Any]) -> None:
-    """Let the loop be as urgent as anything else: neither quotas nor hogs reach a FIFO thread."""
+    """Run the loop without FIFO, which quotas and busy processes cannot delay."""
     content["run"]["fifo"] = 0
 
 
 def _plain(content: dict[str, Any]) -> None:
-    """Tick as a loop with a device of its own does: the compiled ticks of 500 Hz can do with such a quota."""
+    """Use plain ticks: compiled ones at 500 Hz can run within the quota."""
     no_fifo(content)
     content["run"]["tick"] = "plain"
 
 
 def _kill_at_start(rig: Rig) -> None:
-    """Start launches beside this one, and kill launcher and reaper of each while its nodes are being started."""
+    """Start launches beside this one, and kill launcher and reaper while nodes start."""
     own = {path.parent for path in rig.runtime_dir.rglob("run.json")}
     ours = processes_of(rig.runtime_dir)
 
@@ -197,14 +198,13 @@ def _kill_at_start(rig: Rig) -> None:
             launcher.wait()
     within(lambda: not others(), 10.0)
     if not others():
-        # The directories that a killed launcher leaves are the next launch's to sweep, after a
-        # minute.
+        # Directories of a killed launcher are swept by the next launch only after a minute.
         for path in {path.parent for path in rig.runtime_dir.rglob("*.json")} - own:
             shutil.rmtree(path, ignore_errors=True)
 
 
 def faults() -> list[Fault]:
-    """List them."""
+    """Return the faults of this module."""
     quota = _Quota()
     return [
         Fault("blocked stderr", "coupling killed, output unread", kill("coupling"), unread=True),

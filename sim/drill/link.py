@@ -1,8 +1,7 @@
-"""A bad link between the coupling and the driver: it drops, delays, reorders, corrupts and floods.
+"""A faulty link between coupling and driver: drops, delays, reorders, corrupts and floods.
 
-A node of its own that stands between the two (the driver listens to it instead of the coupling), so
-that everything a network does to forces happens to real messages on real sockets. Its parameters
-may be changed while it runs.
+It is a node between the two: the driver subscribes to it instead of the coupling, so the faults of
+a network happen to real messages on real sockets. Its parameters can be changed while it runs.
 """
 
 import heapq
@@ -21,16 +20,16 @@ Time = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
 class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Parameters of the link; by default it passes everything on at once.
+    """Parameters of the link; by default it forwards everything at once.
 
-    drop: Share of the messages that are lost.
-    delay: What each message takes [s].
-    jitter: Up to how much more, evenly distributed; later messages overtake earlier ones [s].
-    corrupt: Share of the messages of which one byte is changed.
+    drop: Share of messages lost.
+    delay: Delay of each message [s].
+    jitter: Largest additional delay, uniformly distributed; later messages may overtake [s].
+    corrupt: Share of messages of which one bit is flipped.
     flood: Copies of old messages sent after each message.
-    oversize: Length of one more message that is sent after the next one, once for each change
-        [bytes]; 0 for none.
-    seed: Of the random numbers.
+    oversize: Length of one extra message sent after the next one, once per change [bytes]; 0 for
+        none.
+    seed: Seed of the random numbers.
     """
 
     drop: Portion = 0.0
@@ -43,7 +42,7 @@ class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Link(Node):
-    """Passes forces on, badly."""
+    """Forwards forces with faults."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = LinkParameters
     listens_to: ClassVar[tuple[str, ...]] = (topics.FORCE,)
@@ -60,7 +59,7 @@ class Link(Node):
         self._oversize = self._now.oversize
 
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
-        """Take other faults."""
+        """Prepare other faults."""
 
         def apply(seq: int) -> dict[str, Any]:
             self._now, self._oversize = parameters, parameters.oversize
@@ -85,13 +84,13 @@ class Link(Node):
         topic = self._to
         while self._waiting and self._waiting[0][0] <= time.monotonic():
             payload = heapq.heappop(self._waiting)[2]
-            # Not `send`, which lets others run before it goes on to the listeners: without FIFO,
-            # beside a busy process, a link would never catch up with a flood of its own.
+            # Not `send`, which yields the processor before it serves other subscribers: without
+            # FIFO, beside a busy process, the link would never catch up with its own flood.
             self.publisher.send_hop(topic, payload)
             if self.publisher.apart:
                 self.publisher.send_aside(topic, payload)
             for n in range(self._now.flood):
-                # To the driver only: it is what is flooded, not the listeners.
+                # Flood only the driver, not other subscribers.
                 self.publisher.send_hop(
                     topic, self._old[n % len(self._old)] if self._old else payload
                 )
@@ -102,7 +101,7 @@ class Link(Node):
                 self._oversize = 0
 
     def loop(self) -> None:
-        """Pass messages on until stopped."""
+        """Forward messages until stopped."""
         self.state = "running"
         inbox = self.inbox
         assert inbox is not None  # noqa: S101  # every kind that listens has one
@@ -121,7 +120,7 @@ class Link(Node):
 
 
 class HandLink(Link):
-    """The network between two hands: takes the states of one device, and publishes them to the partner's environment.
+    """The network between two hands: forwards one device's states to the partner.
 
     `remap` names the other chain's states, e.g. ``{/device/state: /right/device/state}``.
     """

@@ -1,4 +1,4 @@
-"""The drill's overload: more chains beside the one that is drilled than the machine carries, for a while."""
+"""Overload: run more chains beside the drilled one than the machine carries, for a while."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pathlib import Path
 
 from messages.types import DeviceState
 from sim.drill.drill import Fault, fault_of
-from sim.measure.measured_launch import PATIENCE, beside
+from sim.measure.haptic_commands import COMPILE_TIMEOUT, start_command
 from sim.measure.rig import Rig
 
-CHAINS = 12  # of a tick that the interpreter takes: two processors carry about eight at 500 Hz
+CHAINS = 12  # interpreted chains; two processors carry about eight at 500 Hz
 SECONDS = 2.0
-# a collapse loses all ticks; the chain that was there first loses what it must share
-MOST_LOST = 0.5
+# Limit of the share of lost ticks: sharing processors loses some, a collapse all.
+LOST_LIMIT = 0.5
 
 
 class Overload:
@@ -45,21 +45,23 @@ class Overload:
                 "--no-plot",
             )
             output = held.enter_context(open(folder / "output.txt", "wb"))
-            beside(
+            start_command(
                 "launch", *words, cwd=folder, env=rig.environment, stdout=output, stderr=output
-            ).wait(PATIENCE)
+            ).wait(COMPILE_TIMEOUT)
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
-        """Refuse a collapse."""
+        """Return a violation if too many ticks were lost."""
         if len(states) < 2:
             return ["no state of the driver since the strike"]
         ticks = states[-1].seq - states[0].seq
         first, last = states[0], states[-1]
         lost = (last.missed - first.missed + last.overruns - first.overruns) / max(ticks, 1)
-        return [f"{lost:.0%} of the ticks lost, limit {MOST_LOST:.0%}"] if lost > MOST_LOST else []
+        return (
+            [f"{lost:.0%} of the ticks lost, limit {LOST_LIMIT:.0%}"] if lost > LOST_LIMIT else []
+        )
 
 
 def faults() -> list[Fault]:
-    """List the fault."""
+    """Return the fault of this module."""
     made = Overload()
     return [fault_of(made, "overload", f"{CHAINS} more chains for {SECONDS:g} s", made.strike)]

@@ -1,4 +1,4 @@
-"""Faults in which somebody pushes, or waits: a hand that goes on pushing, and verbs that hold the device when they end."""
+"""Faults caused by people: a hand that keeps pushing, and verbs that end unexpectedly."""
 
 import json
 import signal
@@ -12,29 +12,28 @@ from messages.types import DeviceState
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from sim.drill.drill import RATE, Fault, kill
-from sim.measure.measured_launch import MeasurementError, wait_for
+from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.live_trial import TRIAL
 
-PEAK = 40.0  # largest force that a hand which has sunk in may meet [N]
-# of a hand that goes on pushing [N/m], and where it pulls to [m]: 9 N at the surface
+PEAK = 40.0  # force limit for a hand that has sunk in [N]
+# Stiffness [N/m] and target [m] of a pushing hand: 9 N at the surface.
 STIFFNESS, PATH = 150.0, -0.06
-# the same of its own mass [kg], as much as the device's, and of its damping [N s/m]
+# Its mass, equal to the device's [kg], and damping [N s/m].
 MASS, DAMPING = 0.1, 2.0
-SUNK = 0.01  # so deep a hand sinks at least while nobody answers [m]
-# What ends a tuning: a polite kill, a closed terminal, and one that asks nobody.
+SUNK = 0.01  # smallest penetration while nobody answers [m]
+# Signals that end a tuning: termination, closed terminal, kill.
 SIGNALS = (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
-# a law on trial [N/m], and the steps of 2 % above it that are tried: it comes to rest at all of
-# them
+# Taps of a law on trial [N/m], and the steps of 2 % above it that are tried; all come to rest.
 TAPS = [500.0, -400.0]
 FIRST, LAST = 3, 40
 
-SETTLED = 150  # so long after a gap the hand stands where it stood [ticks]
-BACK = 20.0  # a launch has taken back what was borrowed after so long [s]: four times its leases
+SETTLED = 150  # time after a gap until the hand is back at its place [ticks]
+BACK = 20.0  # time limit until law and surface are restored: four leases [s]
 
 
 def _pushed(content: dict[str, Any]) -> None:
-    """Let a hand push as strongly as before, however deep it is in."""
+    """Make a hand push with constant strength, however deep it penetrates."""
     parameters = content["nodes"]["driver"]["parameters"]
     parameters["device"]["hand"] = {
         "mass": MASS,
@@ -52,14 +51,14 @@ def _pushed(content: dict[str, Any]) -> None:
 
 
 def _let_sink(rig: Rig) -> None:
-    """Kill who answers, twice: each time the hand sinks in, and meets the law again far below the surface."""
+    """Kill coupling, then environment, while a hand presses."""
     for node in ("coupling", "environment"):
         kill(node)(rig)
         wait_for(lambda: rig.states[-1].safety == "active", "forces to come back", 15.0)
 
 
 def thrown(states: Sequence[DeviceState]) -> list[str]:
-    """Tell where a force came back faster than by its ramp, or gave out more energy than the way out takes."""
+    """Return violations: forces that returned faster than their ramp, or too much energy."""
     recovery = round(SafetyParameters().recovery * RATE)
     silent = [
         n for n, (a, b) in enumerate(pairwise(states)) if (a.safety, b.safety) == ("zero", "ramp")
@@ -73,15 +72,15 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
             wrong.append(f"the hand sank in by {1e3 * depth:.1f} mm only")
         for state in after:
             allowed = PEAK * min(state.seq - last, recovery) / recovery
-            # Two roundings.
+            # Tolerance: two roundings.
             if (force := abs(state.force[2])) > allowed * (1.0 + 1e-15):
                 wrong.append(
                     f"{force:.3g} N, {state.seq - last} ticks after none; the ramp allows"
                     f" {allowed:.3g} N"
                 )
                 break
-        # The way out takes what the hand pushes with, and the speed of that way: half as fast
-        # again, for ticks of acceleration.
+        # The return needs the work against the hand, and its speed: 1.5 times the limit, for ticks
+        # of acceleration.
         speed = 1.5 * RETURN_SPEED
         allowed = (STIFFNESS * -PATH + (1.0 + DAMPING) * speed) * depth + 0.5 * (
             0.1 + MASS
@@ -89,14 +88,14 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
         given = max(state.energy for state in after) - after[0].energy
         if given > allowed:
             wrong.append(
-                f"{1e3 * given:.0f} mJ given out from {1e3 * depth:.0f} mm deep; the way out takes"
-                f" {1e3 * allowed:.0f} mJ"
+                f"{1e3 * given:.0f} mJ given out from a depth of {1e3 * depth:.0f} mm; the return"
+                f" needs {1e3 * allowed:.0f} mJ"
             )
     return wrong
 
 
 def held_at_a_point(content: dict[str, Any]) -> None:
-    """Hold the device at a point, as a launch does that a law is tuned on; nobody touches it."""
+    """Replace the hand by an anchor, as for tuning a law."""
     del content["nodes"]["driver"]["parameters"]["device"]["hand"]
     content["nodes"]["environment"]["parameters"]["surface"] = {
         "kind": "anchor",
@@ -105,7 +104,7 @@ def held_at_a_point(content: dict[str, Any]) -> None:
 
 
 def leave_a_design(rig: Rig) -> None:
-    """Leave what a design and a prediction leave: a law to be tried from above itself."""
+    """Write the files of a design and a prediction: a law to be tried from above."""
     h1 = sum(TAPS)
     edges = {
         "edge_linear_h1_n_per_m": 10.0 * h1,
@@ -151,7 +150,7 @@ def leave_a_design(rig: Rig) -> None:
 
 
 def borrowed_now(rig: Rig) -> tuple[Any, Any]:
-    """Ask for what a verb borrows: the active law, and the surface."""
+    """Return what a verb borrows: the active law, and the surface."""
     try:
         return rig.call("coupling", "law.list")["active"], rig.call(
             "environment", "param.get", name="surface"
@@ -161,7 +160,7 @@ def borrowed_now(rig: Rig) -> tuple[Any, Any]:
 
 
 def _end_tuning(rig: Rig) -> None:
-    """Tune, and end it by each signal while a law is on trial: the launch must have its own law and surface again."""
+    """End a tuning by each signal during a trial; law and surface must be restored."""
     before = borrowed_now(rig)
     for number in SIGNALS:
         leave_a_design(rig)
@@ -170,12 +169,12 @@ def _end_tuning(rig: Rig) -> None:
                 _end_on_trial(rig, tuning, number)
             finally:
                 tuning.kill()
-        # What was killed gives nothing back: the leases of the nodes do.
-        patience = BACK if number == signal.SIGKILL else 1.0
+        # A killed verb restores nothing; the nodes' leases do.
+        timeout = BACK if number == signal.SIGKILL else 1.0
         wait_for(
             lambda: borrowed_now(rig) == before,
             f"the launch's own law and surface after {number.name}",
-            patience,
+            timeout,
         )
 
 
@@ -196,7 +195,7 @@ def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Sign
 
 
 def _press(rig: Rig) -> None:
-    """Ask for an identification and a tuning while a hand presses: both must refuse, and leave the launch as it is."""
+    """Run identification and tuning while a hand presses: both must refuse and change nothing."""
     before = borrowed_now(rig)
     leave_a_design(rig)
     for words in (("device", "identify"), ("tune", "--steps", "verify")):
@@ -211,11 +210,11 @@ def _press(rig: Rig) -> None:
 
 
 def unasked(states: Sequence[DeviceState]) -> list[str]:
-    """Tell whether the device was pushed: a hand that presses a wall does so with one force, but for gaps of the machine's."""
+    """Return a violation if the device was pushed: the pressing force changed without a gap."""
     calm, pressed = 0, states[0].force[2]
     for state in states:
         calm = calm + 1 if state.safety == "active" else 0
-        # After a gap the hand comes out of the wall first. A push begins with tenths of a newton.
+        # After a gap the hand first returns. A push would begin with tenths of a newton.
         if (calm == state.seq - states[0].seq + 1 or calm > SETTLED) and abs(
             state.force[2] - pressed
         ) > 0.1 * abs(pressed):
@@ -227,7 +226,7 @@ def unasked(states: Sequence[DeviceState]) -> list[str]:
 
 
 def faults() -> list[Fault]:
-    """List them."""
+    """Return the faults of this module."""
     sinks = f"coupling, then environment killed while a hand pushes with {-STIFFNESS * PATH:g} N"
     signals = ", ".join(number.name for number in SIGNALS)
     return [

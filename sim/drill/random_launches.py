@@ -1,8 +1,8 @@
-"""Random launches: any sequence of starts, stalls, kills, swaps, moves, re-centres and faults, judged by the device's log.
+"""Random launches: sequences of stalls, kills, swaps, moves and faults; judged by logs.
 
-Each launch is drawn from a seed and a number, so that one that fails is run again by both. What was
-done, and when, comes from the receipts and from the device's own log; of the driver's messages only
-its way out of zero force is used.
+Each launch is drawn from a seed and a number, so that a failed one can be repeated. The receipts
+and the device's own log tell what was done when; of the driver's messages only the end of zero
+force is used.
 """
 
 from __future__ import annotations
@@ -25,47 +25,46 @@ from sim.drill.device_log import Sample, read_log
 from sim.drill.drill import HOLD, PEAK, RATE, SLEW, await_another, in_order, scene
 from sim.drill.faulty_device import BLOCKS, FAILS, MOVED
 from sim.drill.writes import EPSILON, Promise, judge
-from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.haptic_commands import MeasurementError, within
 from sim.measure.rig import Rig
 
-RAMP: Final = 0.15  # time in which a force that no motion made grows, of driver and coupling [s]
-STIFFNESS, DAMPING = 1200.0, 3.0  # most that the laws below have [N/m, N s/m]
+RAMP: Final = 0.15  # ramp of driver and coupling for forces not caused by motion [s]
+STIFFNESS, DAMPING = 1200.0, 3.0  # upper limits of the laws below [N/m, N s/m]
 LAWS: Final[Mapping[str, dict[str, Any]]] = {
     "pd": {"kind": "pd", "stiffness": 1000.0, "damping": DAMPING},
     "soft": {"kind": "pd", "stiffness": 500.0, "damping": 2.0},
     "light": {"kind": "pd", "stiffness": 500.0, "damping": 1.0},
 }
-# a force that was away for so long comes back by the whole ramp: a fifth of it, and two ticks
-# [ticks]
+# Time without force after which the whole ramp is due: a fifth of it, plus two ticks [ticks].
 AWAY: Final = 17
-FADE: Final = 80  # longest fade of a swap, and some ticks [ticks]
-# farthest that a surface is moved from where it was, so that no law asks for more than the peak [m]
+FADE: Final = 80  # longest fade of a swap, plus some ticks [ticks]
+# Largest move of a surface, such that no law requests more than the peak [m].
 REACH: Final = 0.0015
-OUTSIDE: Final = "1.0"  # an order: a position far outside of the workspace [m]
+OUTSIDE: Final = "1.0"  # order of a position far outside the workspace [m]
 ORDER, LOG = "order", "writes.log"
-PATIENCE: Final = 20.0  # how long a launch has to be in order again after what was done to it [s]
-DONE: Final = (3, 7)  # fewest and most things that are done to a launch
+RECOVERY_TIMEOUT: Final = 20.0  # time limit until a launch has recovered [s]
+DONE: Final = (3, 7)  # smallest and largest number of actions per launch
 
 
 class LaunchOutcome(msgspec.Struct, kw_only=True):
-    """What came of one random launch.
+    """Result of one random launch.
 
     Attributes
     ----------
     number : int
-        Which one of its seed.
+        Number within its seed.
     what : str
-        How it began.
+        Initial scene and settings.
     done : list of str
-        What was done to it, in order.
+        Actions, in order.
     forces : int
-        How many forces its device was given.
+        Number of forces that its device received.
     above : int
-        How many of them were above a limit.
+        Number of them above a limit.
     steepest : float
-        Largest share of what its ramp allowed that a force used; 1 is the ramp itself.
+        Largest ratio of a force to what its ramp allowed.
     reasons : list of str
-        Why it has not passed; empty where it has.
+        Why it failed; empty if it passed.
     """
 
     number: int
@@ -78,7 +77,7 @@ class LaunchOutcome(msgspec.Struct, kw_only=True):
 
 
 class RandomLaunches(msgspec.Struct, kw_only=True):
-    """What came of all launches of a seed; fields as in `LaunchOutcome`."""
+    """Result of all launches of a seed; fields as in `LaunchOutcome`."""
 
     seed: str
     launches: int = 0
@@ -91,14 +90,14 @@ class RandomLaunches(msgspec.Struct, kw_only=True):
 
 
 def _floor(random: Random, content: dict[str, Any]) -> str:
-    """Write a hand that presses into a floor, begun inside or outside of it."""
+    """Set a hand that presses into a floor, starting inside or outside; return a description."""
     height = random.uniform(-0.004, 0.004)
     content["nodes"]["driver"]["parameters"]["device"]["position"] = height
     return f"floor, begins at {1e3 * height:.2g} mm"
 
 
 def _drop(random: Random, content: dict[str, Any]) -> str:
-    """Write a mass without a hand, dropped on a floor or begun inside of it."""
+    """Set a mass without a hand, dropped on a floor or inside it; return a description."""
     height = random.uniform(-0.002, 0.01)
     device = content["nodes"]["driver"]["parameters"]["device"]
     del device["hand"]
@@ -107,7 +106,7 @@ def _drop(random: Random, content: dict[str, Any]) -> str:
 
 
 def _sphere(random: Random, content: dict[str, Any]) -> str:
-    """Write a hand that is led over a sphere, in three axes."""
+    """Set a hand that moves over a sphere, in three axes; return a description."""
     content["run"]["axes"] = ["x", "y", "z"]
     device = content["nodes"]["driver"]["parameters"]["device"]
     device["hand"] = {
@@ -134,7 +133,7 @@ SCENES: Final[tuple[Callable[[Random, dict[str, Any]], str], ...]] = (_floor, _d
 def drawn(
     random: Random, ticks: Sequence[str] = ("plain", "compiled")
 ) -> tuple[dict[str, Any], str]:
-    """Return a launch file that is drawn at random, and what is in it."""
+    """Return a random launch file, and its description."""
     content = scene()
     driver = content["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
@@ -153,18 +152,18 @@ def drawn(
 
 
 class _Course:
-    """What is done to one launch."""
+    """The actions on one launch."""
 
     def __init__(self, random: Random, rig: Rig, surface: Mapping[str, Any]) -> None:
         self._random, self._rig = random, rig
         self.done: list[str] = []
-        self.moved_at: list[int] = []  # ticks from which on a surface was elsewhere
-        self.swapped_at: list[int] = []  # ticks at which another law was taken up
+        self.moved_at: list[int] = []  # ticks at which a surface moved
+        self.swapped_at: list[int] = []  # ticks at which the law changed
         self.kinds: Counter[str] = Counter()
-        self._at: Sequence[float] = surface.get("position", ())  # of a sphere [m]
+        self._at: Sequence[float] = surface.get("position", ())  # position of a sphere [m]
 
     def do(self) -> None:
-        """Do one thing, at any moment of a tick."""
+        """Perform a random action at a random time."""
         kinds = (
             self.stop,
             self.stop,
@@ -182,7 +181,7 @@ class _Course:
         try:
             done = kind()
         except ControlError as refusal:
-            # A loop that a stall has made late carries less: refused as for anybody.
+            # After a stall the loop is late and stable for softer laws only.
             if "unstable" not in str(refusal):
                 raise
             done = "refused"
@@ -202,7 +201,7 @@ class _Course:
         return f"{node} for {seconds:.3g} s"
 
     def kill(self) -> str:
-        """Kill a node; another comes in its place."""
+        """Kill a node and wait for its successor."""
         node = self._random.choice(("driver", "coupling", "environment"))
         await_another(self._rig, node, self._rig.kill(node))
         return node
@@ -217,7 +216,7 @@ class _Course:
         return f"to {law} within {ramp} ticks"
 
     def move(self) -> str:
-        """Move the surface, as nobody's motion did."""
+        """Move the surface."""
         by = self._random.uniform(-REACH, REACH)
         position = [self._at[0], self._at[1], self._at[2] + by] if self._at else by
         receipt = self._rig.call("environment", "param.set", values={"surface.position": position})
@@ -234,22 +233,22 @@ class _Course:
         return f"K of pd to {stiffness:.4g} N/m"
 
     def recentre(self) -> str:
-        """Let the device be elsewhere, without a motion, and back."""
+        """Offset the device's position without motion, and back."""
         by = self._random.uniform(-REACH, REACH)
         self._order(f"{MOVED}{by!r}", self._random.uniform(0.05, 0.4))
         return f"by {1e3 * by:.3g} mm and back"
 
     def fault(self) -> str:
-        """Let the device break down for a while."""
+        """Make the device fail for a while."""
         what = self._random.choice(
             (OUTSIDE, f"{BLOCKS}0.06", f"{FAILS}read_position", f"{FAILS}condition")
         )
         before = self._rig.pid("driver")
         self._order(what, self._random.uniform(0.01, 0.2))
-        # An end that was only beginning is met by whoever asks next.
+        # Wait: the driver may only be starting to end.
         self._rig.let_pass(0.1)
         if what.startswith(FAILS) and "driver: ended with" in self._rig.errors:
-            within(lambda: self._is_back(before), PATIENCE)
+            within(lambda: self._is_back(before), RECOVERY_TIMEOUT)
         return what
 
     def _is_back(self, before: int) -> bool:
@@ -266,17 +265,19 @@ class _Course:
 
 
 def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[float]:
-    """Return when the whole ramp of a driver was due [s]: after each jump, each fault and each time without force.
+    """Return the times at which the driver's whole ramp was due [s].
+
+    It is due after each jump, each fault and each interval without force.
 
     Parameters
     ----------
     log : sequence of Sample
-        Of the device.
+        Log of the device.
     states : sequence of DeviceState
-        What the driver published.
+        States that the driver published.
     """
     begins = []
-    # In free air a jump has no ramp, nor has a contact that a motion makes after it.
+    # A jump in free air needs no ramp, nor does a later contact by motion.
     for before, sample in pairwise(log):
         if sample.jumps > before.jumps and any((*before.write.force, *sample.write.force)):
             begins.append(sample.write.at)
@@ -287,12 +288,10 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
             since = -1
             continue
         since = state.seq if since < 0 else since
-        # What the device let go of by itself is judged by the length of that gap, and costs a part
-        # of the ramp only.
+        # If the device released the force by itself, the gap costs only a part of the ramp.
         if following.safety == "zero" or not (was_fault or state.seq - since >= AWAY):
             continue
-        # What is published at a tick is what came of the one before: the first force is that of the
-        # last tick without one.
+        # A state reports the tick before it: the first force is that of the last tick without one.
         begins += [sample.write.at for sample in log if sample.seq >= state.seq][:1]
     return begins
 
@@ -300,11 +299,11 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
 def pushed(
     log: Sequence[Sample], moved_at: Sequence[int], swapped_at: Sequence[int] = ()
 ) -> tuple[list[str], float]:
-    """Return each force that rose faster than by its ramp after a surface was moved, and the largest share of it.
+    """Return forces that rose faster than their ramp after a move, and the largest ratio.
 
-    A move near one of `swapped_at` is left out, because the force follows the fade of that swap
-    too. A hand that moves meanwhile adds the stiffness times its way and the damping times its
-    speed, at most.
+    A move near one of `swapped_at` is skipped, because the force also follows that swap's fade. A
+    hand that moves meanwhile adds at most the stiffness times its distance and the damping times
+    its speed.
     """
     wrong: list[str] = []
     steepest = 0.0
@@ -317,10 +316,9 @@ def pushed(
             or log[first].seq > seq + 1
             or log[first].write.at - log[first - 1].write.at >= HOLD
         ):
-            continue  # no force at that time: the driver's own ramp holds
+            continue  # no force at that time, so the driver's own ramp applies
         began = log[first]
-        # Forces that were taken down just then come back to where they were, by the driver's own
-        # ramp.
+        # Forces ramped down just then return by the driver's own ramp.
         felt = [
             max(abs(s.write.force[i]) for s in log[first - min(first, 50) : first])
             for i in range(3)
@@ -350,8 +348,8 @@ def pushed(
 def launch_once(
     seed: str, number: int, ticks: Sequence[str] = ("plain", "compiled")
 ) -> tuple[LaunchOutcome, Counter[str]]:
-    """Do one random launch, and judge it."""
-    random = Random(f"{seed}:{number}")  # noqa: S311  # no secret: drawn again from the same seed
+    """Run and judge one random launch."""
+    random = Random(f"{seed}:{number}")  # noqa: S311  # reproducible, no secret
     content, what = drawn(random, ticks)
     outcome = LaunchOutcome(number=number, what=what)
     kinds: Counter[str] = Counter()
@@ -365,9 +363,9 @@ def launch_once(
             swapped_at = course.swapped_at
             for _ in range(random.randint(*DONE)):
                 course.do()
-            if not within(lambda: in_order(rig.states), PATIENCE):
+            if not within(lambda: in_order(rig.states), RECOVERY_TIMEOUT):
                 outcome.reasons.append(
-                    f"not in order again within {PATIENCE:g} s: {rig.errors[-500:]}"
+                    f"not in order again within {RECOVERY_TIMEOUT:g} s: {rig.errors[-500:]}"
                 )
             rig.end()
             log = read_log(rig.folder / LOG, 1.0 / RATE)
@@ -381,7 +379,7 @@ def launch_once(
     outcome.forces, outcome.above = len(log), judged.above
     outcome.steepest = max(judged.steepest, steepest)
     outcome.reasons += [f"the device: {text}" for text in (*judged.broken[:3], *wrong)]
-    outcome.reasons += [] if log else ["the device was given nothing"]
+    outcome.reasons += [] if log else ["the device received no force"]
     if rig.exit_code != 0:
         outcome.reasons.append(
             f"the launch ended with exit code {rig.exit_code}: {rig.said[-500:]}"
@@ -396,18 +394,18 @@ def launch_many(
     ticks: Sequence[str] = ("plain", "compiled"),
     shown: Callable[[LaunchOutcome], object] = lambda _: None,
 ) -> RandomLaunches:
-    """Do random launches, one after the other.
+    """Run random launches, one after another.
 
     Parameters
     ----------
     launches : int
-        How many.
+        Number of launches.
     seed : str
-        What they are drawn from, with their number.
+        Seed from which they are drawn, with their number.
     ticks : sequence of str
-        Ticks that they are drawn with.
+        Kinds of tick to draw from.
     shown : callable
-        Is given each outcome.
+        Called with each outcome.
     """
     found = RandomLaunches(seed=seed)
     kinds: Counter[str] = Counter()
@@ -427,7 +425,7 @@ def launch_many(
 
 
 def text(found: RandomLaunches) -> str:
-    """Write the figures of random launches."""
+    """Return the results as text."""
     done = ", ".join(f"{count} {name}" for name, count in found.done.items())
     lines = [
         f"{found.launches} launches of seed {found.seed}: {done}",

@@ -1,4 +1,4 @@
-"""The logger with a disk that is slow when it is told to be, for the drill."""
+"""A logger whose disk is slow on command, for the drill."""
 
 import os
 import time
@@ -9,23 +9,23 @@ import msgspec
 from nodes.recording.logger import Logger, LoggerParameters
 from nodes.recording.writer import RecordWriter
 
-PER_MESSAGE = 0.002  # what a slow disk takes for each message [s]: less often than messages come
+PER_MESSAGE = 0.002  # delay per message: slower than messages arrive [s]
 
 
 class SlowLoggerParameters(LoggerParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Parameters of the logger."""
 
-    order: str  # a file: as long as it exists, the disk is slow
+    order: str  # file; while it exists, the disk is slow
 
 
 class _SlowWriter:
-    """Passes every call on, and takes its time for messages."""
+    """Forwards every call, and delays messages."""
 
     def __init__(self, writer: RecordWriter, order: str) -> None:
         self._writer, self._order = writer, order
 
     def write(self, *message: Any) -> None:
-        """Write a message, slowly when so ordered."""
+        """Write a message, slowly if ordered."""
         if os.path.exists(self._order):
             time.sleep(PER_MESSAGE)
         self._writer.write(*message)
@@ -35,7 +35,7 @@ class _SlowWriter:
 
 
 class SlowLogger(Logger):
-    """A logger node with such a disk."""
+    """A logger node with a slow disk."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = SlowLoggerParameters
 

@@ -1,13 +1,13 @@
-"""A long run under use: loggers come and go (some by SIGKILL), parameters and laws change, nodes are killed and respawned.
+"""Soak test: loggers come and go, laws change, nodes die; checks memory and ticks.
 
-What it looks for is what short runs do not show: memory that grows, messages that nobody accounts
-for, ticks missed without a reason. Each round attaches loggers, changes parameters, and kills one
-node of the chain at its end; ticks are only excused from that kill until forces flow again.
+It looks for what short runs do not show: growing memory, unaccounted messages, unexplained missed
+ticks. Each round attaches loggers, changes parameters, and finally kills one node of the chain;
+ticks are excused only from that kill until forces return.
 
-What a missed tick came from is measured. The kernel counts for each thread how long it ran and how
-long it was ready to run but did not (``schedstat``), and what the machine below took from the
-processors (``steal``). A witness beside the launch reads both a hundred times a second; a stall is
-compared with what was counted while it lasted.
+The cause of missed ticks is measured. The kernel counts for each thread how long it ran and how
+long it was ready but did not run (``schedstat``), and the time stolen from the processors by the
+host (``steal``). A witness reads both a hundred times a second; a stall is compared with the counts
+during it.
 """
 
 from __future__ import annotations
@@ -30,63 +30,54 @@ from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from sim.drill.drill import RATE, in_order, scene
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from sim.measure.rig import Rig
 
-# Growth of a node's memory after its first tenth that is still called flat [bytes]: allocators
-# round by the megabyte.
+# Limit of a node's memory growth after the first tenth; allocators round to megabytes [bytes].
 GROWTH = 4e6
-# From when on a process is held to its memory [s]: after a tenth of the run, but not before its
-# first chunks are written.
+# Limits of the settling time of a process: a tenth of the run, but until its first chunks are
+# written [s].
 SETTLED = (4.0, 20.0)
-# What a logger may grow by beside that, per message [bytes]: MCAP's index of chunks is kept until
-# the file is closed.
+# Additional growth of a logger per message: MCAP's index of chunks stays in memory [bytes].
 INDEX = 5.0
-MISS_LIMIT = 1e-3  # largest share of missed ticks outside respawns
+MISS_LIMIT = 1e-3  # limit of the share of missed ticks outside respawns
 
 
 CHAIN = ("driver", "environment", "coupling")
 
-LATE = 0.25  # from this share of a period on a driver that is woken late was held up by the machine
-BLAME = 1.0  # how long after something was done to the launch a missed tick may be its fault [s]
+LATE = 0.25  # lateness from which the machine held up the driver [periods]
+BLAME = 1.0  # time after an action in which missed ticks are attributed to it [s]
 
 
 class Soak(msgspec.Struct, kw_only=True):
-    """What came of a long run."""
+    """Result of a soak test."""
 
-    duration_s: float = 0.0  # how long it ran [s]
-    # Rounds done; parameter changes and law switches; loggers attached; nodes killed.
+    duration_s: float = 0.0  # duration [s]
+    # Rounds; parameter changes and law switches; loggers attached; nodes killed.
     rounds: int = 0
     changes: int = 0
     loggers: int = 0
     respawns: int = 0
-    # Ticks; those without a timely answer outside respawns; those of the respawns, which are left
-    # out.
+    # Ticks; ticks without a timely answer outside respawns; excused ones during respawns.
     ticks: int = 0
     missed: int = 0
     excused: int = 0
-    # The missed ones with which even the driver, the most urgent of all, was woken late or not at
-    # all: the machine stood.
+    # Missed ticks at which even the driver woke late or not at all: the machine was held up.
     held_up: int = 0
-    # The missed ones, by what was last done to the launch within `BLAME` before; ``nothing`` for
-    # those left to the machine.
+    # Missed ticks by the last action within `BLAME` before; ``nothing`` for none.
     missed_after: dict[str, int] = {}
-    # The missed ones, by the cause that was measured (sim/drill/soak.py): the driver itself woken
-    # late, a node that waited for its processor or computed, stolen time; ``unexplained`` for the
-    # rest.
+    # Missed ticks by measured cause: the driver woken late, a node that waited for its processor
+    # or computed, stolen time; else ``unexplained``.
     causes: dict[str, int] = {}
-    # growth of each node's memory within one process of it, the largest [bytes]
+    # Largest memory growth of each node within one of its processes [bytes].
     growth_bytes: dict[str, float] = {}
-    # By node: ``sent`` by its own count, ``recorded`` by the launch's logger, and ``lost``, the
-    # difference.
+    # By node: ``sent`` (its own count), ``recorded`` (by the launch's logger), ``lost``.
     accounts: dict[str, dict[str, int]] = {}
-    # Messages of the other loggers that ended orderly; what they have is compared with what the
-    # launch's logger has.
+    # Messages of other loggers that ended properly, compared with the launch's logger.
     shared: int = 0
-    # memory flat, every message accounted for, recovered after each respawn, nothing left, few
-    # misses
+    # Memory flat, messages accounted for, recovered after each respawn, nothing left, few misses.
     passed: bool = False
-    reasons: list[str] = []  # why not
+    reasons: list[str] = []  # why it failed
 
 
 class _Memory:
@@ -108,7 +99,7 @@ class _Memory:
             pid, now = status["pid"], time.monotonic()
             if name in CHAIN:
                 self._witness.pids[name] = pid
-            # Start-up fills caches and queues; what grows afterwards grows for ever.
+            # Start-up fills caches and queues; growth afterwards is a leak.
             if now - self._born.setdefault(pid, now) < self._settle:
                 continue
             first = self._first.setdefault(pid, status["memory"])
@@ -124,7 +115,7 @@ def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
 
 # Long: one story in time, from the launch to its verdict.
 def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:  # noqa: PLR0915
-    """Run for a long time under use."""
+    """Run a soak test of `seconds` [s]."""
     content = scene()
     content["nodes"]["logger"]["respawn"] = False
     content["nodes"]["coupling"]["parameters"]["laws"]["soft"] = {
@@ -151,8 +142,7 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             staying = rig.beside("bag", "record", "--out", f"round{number}.mcap")
             killed = rig.beside("bag", "record", "--out", f"killed{number}.mcap")
             found.loggers += 2
-            # Here before anything changes: on a busy machine their start takes as long as their
-            # visit.
+            # Wait for them: on a busy machine their start takes as long as their visit.
             for name in ("round", "killed"):
                 within((rig.folder / f"{name}{number}.mcap").exists, 20.0)
             for _ in range(4):
@@ -236,9 +226,9 @@ def _account(folder: Path, found: Soak, names: list[str]) -> None:
             for topic in LOOP:
                 own = _ticks(recording, topic)
                 if not own:
-                    # On a busy machine its visit was over before it heard anything.
+                    # On a busy machine it ended before it received anything.
                     continue
-                # What one logger got between two messages of another, that one must have got too.
+                # Between its first and last message, a logger must have every message.
                 low, high = min(own), max(own)
                 missing = {seq for seq in everything[topic] if low <= seq <= high} - own
                 found.shared += len(own)
@@ -259,10 +249,10 @@ def _ticks(recording: Recording, topic: str) -> set[int]:
 def _count(
     rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]
 ) -> list[int]:
-    """Count the ticks without a timely answer; which of them nothing excuses."""
+    """Count the ticks without a timely answer; return those that nothing excuses."""
     states, missed = rig.states, []
     found.ticks = states[-1].seq - states[0].seq
-    # A state tells of the tick before it.
+    # A state reports the tick before it.
     answered = {state.seq - 1 for state in states if state.response > 0.0}
     punctual = {state.seq for state in states if state.lateness < LATE / RATE}
     for seq in range(states[0].seq, states[-1].seq):
@@ -281,7 +271,7 @@ def _count(
 
 
 def _explain(rig: Rig, found: Soak, missed: list[int], witness: Witness) -> None:
-    """Find the cause of each missed tick: those in a row are one stall."""
+    """Assign a cause to each missed tick; consecutive ones are one stall."""
     stamps = {state.seq: state.stamp for state in rig.states}
     late = {state.seq for state in rig.states if state.lateness >= LATE / RATE}
     while missed:
@@ -297,7 +287,7 @@ def _explain(rig: Rig, found: Soak, missed: list[int], witness: Witness) -> None
 
 
 def text(found: Soak) -> str:
-    """Write what came of a long run for people."""
+    """Return the result as text."""
     sent = sum(one["sent"] for one in found.accounts.values())
     growth = ", ".join(f"{node} {value / 1e6:+.1f}" for node, value in found.growth_bytes.items())
     lines = [
@@ -326,18 +316,18 @@ def text(found: Soak) -> str:
     return "\n".join([*lines, *(f"  {reason}" for reason in found.reasons)])
 
 
-PERIOD = 0.01  # time between two looks [s]
-# from this share of a tick's period on, waiting or stolen time explains why an answer came late
+WITNESS_PERIOD = 0.01  # time between two readings [s]
+# Waiting or stolen time that explains a late answer [periods].
 SHARE = 0.25
 UNEXPLAINED = "unexplained"
 
 
 class Witness:
-    """Reads the kernel's counts until it is closed."""
+    """Reads the kernel's counters until it is closed."""
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Process number of each node of the chain; a fault that starts a new one changes it.
+        # Process number of each node of the chain; updated after respawns.
         self.pids: dict[str, int] = {}
         self._found: dict[int, dict[int, str]] = {}
         self._times: list[float] = []
@@ -347,7 +337,7 @@ class Witness:
         self._thread.start()
 
     def _run(self) -> None:
-        while not self._ending.wait(PERIOD):
+        while not self._ending.wait(WITNESS_PERIOD):
             look: dict[tuple[str, int, str], float] = {}
             for name, pid in list(self.pids.items()):
                 for thread, whose in self._threads(pid).items():
@@ -368,11 +358,11 @@ class Witness:
             self._looks.append(look)
 
     def _threads(self, pid: int) -> dict[int, str]:
-        """Find the threads that a message of the loop passes through: the loop's own, and ZeroMQ's first."""
+        """Return the threads that loop messages pass through: the main one and ZeroMQ's first."""
         if pid not in self._found:
             found = {pid: ""}
             for path in Path(f"/proc/{pid}/task").glob("*/comm"):
-                # One that has ended meanwhile carries nothing.
+                # The thread may have ended.
                 with contextlib.suppress(OSError):
                     if path.read_text(encoding="ascii").strip() == "ZMQbg/IO/0":
                         found[int(path.parent.name)] = "'s sockets "
@@ -380,12 +370,12 @@ class Witness:
         return self._found[pid]
 
     def close(self) -> None:
-        """Stop looking."""
+        """Stop reading."""
         self._ending.set()
         self._thread.join()
 
     def cause(self, begun: float, ended: float) -> str:
-        """Find what was counted during a stall."""
+        """Return the cause of a stall from the counters during it."""
         first = max(bisect_left(self._times, begun) - 1, 0)
         last = min(bisect_right(self._times, ended), len(self._times) - 1)
         if not 0 <= first < last:
@@ -404,11 +394,11 @@ def largest(
     seconds: float,
     period: float,
 ) -> str:
-    """Find what explains a stall best."""
+    """Return the cause with the largest count, if it explains the stall."""
     found: list[tuple[float, str]] = []
     for key, value in after.items():
         if key in before:
             grown = value - before[key] - (0.5 * seconds if key[2].endswith("computed") else 0.0)
             found.append((grown, f"{key[0]} {key[2]}".replace(" '", "'")))
-    most, what = max(found, default=(0.0, ""))
-    return what if most >= SHARE * period else UNEXPLAINED
+    longest, what = max(found, default=(0.0, ""))
+    return what if longest >= SHARE * period else UNEXPLAINED

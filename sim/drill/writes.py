@@ -1,4 +1,4 @@
-"""An oracle of what a device may be given, recomputed from the device's own log and from nothing of the driver's."""
+"""Oracle of permitted forces, computed from the device's log and nothing of the driver's."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from typing import NamedTuple
 from messages.types import ZERO, Vector
 
 EPSILON = 1e-9
-"""Some hundred sums of newtons, each rounded once, are off by 1e-13 N; a nanonewton is no force."""
+"""Tolerance [N]: some hundred rounded sums of newtons are off by 1e-13 N."""
 
 
 class Promise(NamedTuple):
-    """What a driver was asked to keep.
+    """Limits that a driver must respect.
 
     Attributes
     ----------
     period : float
-        Of a tick [s].
+        Sampling period [s].
     peak : float
         Largest force on an axis [N].
     slew : float
         Largest change of the force on an axis in a tick [N].
     hold : float
-        After so long without a write the device has let go by itself [s].
+        Time without a write after which the device releases the force [s].
     ramp : float
-        Time in which a force that no motion made grows to its full size [s].
+        Time in which a force not caused by motion grows to its full size [s].
     regain : float
-        How much of it a gap costs: so many times as long as the gap.
+        Part of the ramp that a gap costs, as a multiple of the gap.
     """
 
     period: float
@@ -40,17 +40,17 @@ class Promise(NamedTuple):
 
 
 class Write(NamedTuple):
-    """One force that the device was given.
+    """One force that the device received.
 
     Attributes
     ----------
     at : float
-        When [s].
+        Time of the write [s].
     force : Vector
-        What [N].
+        Force [N].
     due : float
-        When its tick began [s], from any zero; NaN where that is not known. A ramp is counted in
-        ticks, and a driver that was held up writes the force of a tick late.
+        Start of its tick [s], from any zero; NaN if unknown. A ramp is counted in ticks, and a
+        delayed driver writes the force of a tick late.
     """
 
     at: float
@@ -59,17 +59,16 @@ class Write(NamedTuple):
 
 
 class LogFindings(NamedTuple):
-    """What an oracle found in a log.
+    """Result of judging a log.
 
     Attributes
     ----------
     broken : list of str
-        Each promise that was not kept; empty where all were.
+        Violations; empty if there are none.
     above : int
-        How many forces were above a limit.
+        Number of forces above a limit.
     steepest : float
-        Largest share of what its ramp allowed that a force used, while a ramp was due; 1 is the
-        ramp itself.
+        Largest ratio of a force to what its ramp allowed, while a ramp was due.
     """
 
     broken: list[str]
@@ -78,36 +77,35 @@ class LogFindings(NamedTuple):
 
 
 def broken(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> list[str]:
-    """Return each promise that a log breaks; see `judge`."""
+    """Return the violations in a log; see `judge`."""
     return judge(log, bounds, begins).broken
 
 
 def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> LogFindings:
     """Judge a log: peak, slew, the ramp after every gap and beginning, and zero at the end.
 
-    A ramp is due from the first write on, unless it is zero; from the first one after the device
-    let go; and from the first one after each of `begins`.
+    A ramp is due from the first write on, unless it is zero; from the first write after the device
+    released; and from the first one after each of `begins`.
 
     Parameters
     ----------
     log : sequence of Write
-        All that the device was given, in order.
+        All forces that the device received, in order.
     bounds : Promise
-        What was to be kept.
+        Limits to check.
     begins : sequence of float
-        When the position was elsewhere without a motion, or a force was due again after it had been
-        away [s].
+        Times of position jumps without motion, and of forces due again after an absence [s].
 
     Returns
     -------
     LogFindings
-        What it breaks, and how close it came.
+        Violations and margins.
     """
     found: list[str] = []
     above, steepest = 0, 0.0
     coming = sorted(begins)
     felt, last = ZERO, -math.inf
-    # When the ramp began that is due, and what was felt then; none before the first force.
+    # Start of the present ramp, and the force at that time; none before the first force.
     ramp_from, due_from, before = -math.inf, math.nan, ZERO
     changes: list[tuple[float, list[float]]] = []
     for n, (at, force, due) in enumerate(log):
@@ -121,7 +119,7 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
         if n == 0 and any(force):
             ramp_from, due_from, before = at, due, ZERO
         elif n > 0 and has_let_go:
-            # Of the ramp, what the gap costs: whole ticks, of which the first is not full.
+            # Part of the ramp that the gap costs, in whole ticks, the first one not full.
             cost = bounds.regain * (at - last - bounds.hold - bounds.period)
             over = at - max(at - max(bounds.ramp - cost, 0.0), min(ramp_from, at))
             ramp_from, due_from, before = at - over, due - over, ZERO
@@ -131,9 +129,8 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
         if max(map(abs, force)) > bounds.peak + EPSILON:
             above += 1
             found.append(f"{where}: {force} N, largest {bounds.peak:g} N")
-        # Within half a tick there is at most one boundary between two ticks, each of which has its
-        # slew; a driver that was held up begins several ticks late, one right after the other, so
-        # that what is known to belong to one tick is counted.
+        # Half a tick contains at most one boundary between two ticks, each with its slew. A
+        # delayed driver runs several late ticks at once, so changes are counted per tick if known.
         known = not math.isnan(due)
         changes = [
             one
@@ -149,8 +146,7 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
             found.append(
                 f"{where}: changed by {moved:g} N within {within}, slew {bounds.slew:g} N a tick"
             )
-        # The first force of a ramp is one step of it, and may come a tick after the write that the
-        # ramp is taken to begin at.
+        # The first force of a ramp is one step of it, and may come a tick after the assumed start.
         since = (
             at - ramp_from if math.isnan(due - due_from) else max(at - ramp_from, due - due_from)
         )

@@ -1,1 +1,1 @@
-"""Stand-ins for vendors' libraries and services, with an arm behind them that obeys physics, or misbehaves on command."""
+"""Emulators of vendors' libraries and services: an arm with real physics, or with faults."""

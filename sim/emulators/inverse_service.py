@@ -1,10 +1,10 @@
-"""A stand-in for Haply's Inverse Service: a WebSocket server with one Inverse3, its HTTP side and its events.
+"""Emulator of Haply's Inverse Service: WebSocket server, HTTP, events, and one Inverse3.
 
-As the vendor's: the first message is the whole inventory, then one state answers each message; what
-is zero is left out of a state; a force is forgotten soon after its message; forces of other
-sessions are added. It serves the arm of a world file (sim/emulators/world.py), whose faults it
-plays. ``fail`` names ``state`` to leave it out, ``session`` to end that, ``twice`` to send each
-state twice, ``nested`` to send JSON that is nested 50 000 deep, ``buttons`` to send 1500 of them:
+As the vendor's service does: the first message is the complete inventory, then one state answers
+each message; zeros are omitted from a state; a force expires soon after its message; forces of
+other sessions are added. It serves the arm of a world file (sim/emulators/world.py) with its
+faults. ``fail`` names ``state`` to omit it, ``session`` to end the session, ``twice`` to send each
+state twice, ``nested`` to send JSON nested 50 000 deep, ``buttons`` to send 1500 of them:
 
     python -m sim.emulators.inverse_service WORLD [--cold SECONDS] [--version 3.1]
 """
@@ -27,17 +27,17 @@ from websockets.sync.server import Server, ServerConnection, serve
 
 from sim.emulators.world import World
 
-FORGETS: Final = 0.02  # after so long without a message no force acts any more [s]
+FORGETS: Final = 0.02  # time without a message after which the force is zero [s]
 DEVICE: Final = "04BA"
 
 
 def _vector(numbers: tuple[float, float, float]) -> dict[str, float]:
-    """Write a vector; what is zero is left out."""
+    """Return a vector as JSON; zeros are omitted."""
     return {name: value for name, value in zip("xyz", numbers, strict=True) if value != 0.0}
 
 
 class Service:
-    """The service; version ``3.1`` takes forces under another name, and none of those of today."""
+    """The service; version ``3.1`` uses another name for forces than later versions."""
 
     def __init__(self, world: World, version: str) -> None:
         self._world, self._version = world, version
@@ -55,7 +55,7 @@ class Service:
         return {"inverse3": [device] if connected else [], "session_id": 1}
 
     def _state(self) -> dict[str, Any] | None:
-        """Give the state in the device's axes: right, forward, up; an identity is left out whole."""
+        """Return the state in the device's axes (right, forward, up), without identities."""
         read = self._world.read()
         if read is None:
             return None
@@ -79,7 +79,7 @@ class Service:
             for message in connection:
                 self._take(json.loads(message))
                 if world.state.frozen:
-                    # It goes on, but says nothing.
+                    # Running, but silent.
                     while world.state.frozen:
                         time.sleep(0.002)
                 failing = world.state.fail if world.state.fails else b""
@@ -121,7 +121,7 @@ class Service:
                     self._world.push((force["y"], -force["x"], force["z"]))
 
     def answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answer the HTTP side; a WebSocket goes on."""
+        """Answer an HTTP request; pass WebSocket requests on."""
         del connection
         if request.headers.get("Upgrade"):
             return None
@@ -136,7 +136,7 @@ class Service:
         return Response(HTTPStatus.OK, "OK", Headers({"Content-Length": str(len(body))}), body)
 
     def events(self, connection: ServerConnection) -> None:
-        """Tell events, one for each change of the world's ``cause`` and ``unplugged``."""
+        """Send an event for each change of the world's ``cause`` and ``unplugged``."""
         before = (0, 0)
         try:
             while True:
@@ -157,46 +157,46 @@ class Service:
 
 
 class Started(NamedTuple):
-    """A service that runs."""
+    """A running service."""
 
-    process: subprocess.Popen[str]  # its process
-    world: World  # its device's arm
-    # Where it listens.
+    process: subprocess.Popen[str]
+    world: World  # arm of its device
+    # Ports for states and events.
     port: int
     events_port: int
 
     def end(self) -> None:
-        """End it."""
+        """Terminate the service."""
         self.process.terminate()
-        # Which closes its output, too.
+        # Also closes its output.
         self.process.communicate()
 
 
 def start(folder: Path, *options: str) -> Started:
-    """Start the service in a process of its own, with the arm that was there before, if any."""
+    """Start the service in its own process, with the arm that existed before, if any."""
     world = World(folder / "inverse3.world")
     command = [sys.executable, "-P", "-m", __name__, str(world.path), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None  # noqa: S101  # it is a pipe
     line = process.stdout.readline()
     if not line:
-        raise OSError(f"the stand-in service ended with code {process.wait()}")
+        raise OSError(f"the emulated service ended with code {process.wait()}")
     port, events_port = map(int, line.split())
     return Started(process, world, port, events_port)
 
 
 def main() -> None:
-    """Serve until the process is ended."""
+    """Serve until terminated."""
     parser = argparse.ArgumentParser(
         description=__doc__.split("\n", maxsplit=1)[0] if __doc__ else ""
     )
     parser.add_argument("world", type=Path)
     parser.add_argument(
-        "--cold", type=float, default=0.0, help="so long after its start there is no device yet [s]"
+        "--cold", type=float, default=0.0, help="time after the start without a device [s]"
     )
     parser.add_argument("--version", default="3.5")
     parser.add_argument(
-        "--ports", type=int, nargs=2, default=(0, 0), help="to listen at, for states and events"
+        "--ports", type=int, nargs=2, default=(0, 0), help="ports for states and events"
     )
     arguments = parser.parse_args()
     world = World(arguments.world)

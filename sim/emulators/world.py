@@ -1,8 +1,8 @@
-"""The arm behind a stand-in: physics, what a driver has done to it, and the faults that it plays on command.
+"""The arm behind an emulator: physics, commands it received, and faults on demand.
 
-It lies in a file (world.h), which the stand-in in a node's process and what watches or breaks it
-both map. A stand-in of a library is compiled into a folder, with its world beside it; so two of
-them are two devices.
+It is stored in a file (world.h) that is mapped both by the emulator in a node's process and by the
+program that watches or disturbs it. An emulated library is compiled into a folder, with its world
+beside it; two copies are two devices.
 """
 
 import ctypes
@@ -20,7 +20,7 @@ HERE: Final = Path(__file__).parent
 
 
 class WorldState(ctypes.Structure):
-    """What world.h lays down."""
+    """Layout of world.h."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
         *((name, ctypes.c_double) for name in ("mass", "damping", "gravity", "resolution")),
@@ -67,7 +67,7 @@ class WorldState(ctypes.Structure):
 
 
 class World:
-    """One arm, in its file; where there is none, one of 0.1 kg that is held at the origin."""
+    """One arm in its file; a new one has 0.1 kg and is held at the origin."""
 
     def __init__(self, path: Path) -> None:
         made = not path.exists()
@@ -76,13 +76,13 @@ class World:
         with path.open("r+b") as file:
             self._mapped = mmap.mmap(file.fileno(), ctypes.sizeof(WorldState))
         self.path = path
-        # It, as it is now. Of the faults, ``unplugged`` fails every call; ``nan`` gives positions
-        # that are none; ``positive`` lets calls give remarks; ``block_ms`` lets the next read take
-        # so long; ``manual`` asks for a calibration by hand; ``cause`` keeps forces off; ``error``
-        # reports an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops the
-        # vendor's own thread; ``slow_ms`` lets each read take so long; ``stuck`` lets the encoders
-        # stand still; ``fails`` lets the call named ``fail`` fail; ``other`` is a force of somebody
-        # else [N]; ``late`` is the delay of the device itself [s].
+        # Present state. Faults: ``unplugged`` fails every call; ``nan`` returns NaN positions;
+        # ``positive`` makes calls return warnings; ``block_ms`` delays the next read;
+        # ``manual`` requires a manual calibration; ``cause`` disables forces; ``error`` reports
+        # an error once; ``refuse_rate`` refuses the servo rate; ``frozen`` stops the vendor's
+        # thread; ``slow_ms`` delays each read; ``stuck`` freezes the encoders; ``fails`` makes
+        # the call named ``fail`` fail; ``other`` is another session's force [N]; ``late`` is the
+        # device's own delay [s].
         self.state = WorldState.from_buffer(self._mapped)
         code = shared_library(
             "stand-in-world.so",
@@ -102,28 +102,28 @@ class World:
             s.serial, s.devices, s.rate = 1234, 1, 1000
 
     def fail(self, call: str) -> None:
-        """Let a call of the vendor's library fail from now on; none for an empty name."""
+        """Make a call of the vendor's library fail from now on; an empty name ends this."""
         self.state.fail, self.state.fails = call.encode(), bool(call)
 
     def force(self) -> tuple[float, float, float]:
-        """Tell what acts on it now [N]."""
+        """Return the force that acts on the arm now [N]."""
         self._code.stand_in_advance(ctypes.byref(self.state))
         x, y, z = self.state.force
         return x, y, z
 
     def read(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
-        """Read position [m] and velocity [m/s]; None when that fails."""
+        """Read position [m] and velocity [m/s]; None if that fails."""
         position, velocity = (ctypes.c_double * 3)(), (ctypes.c_double * 3)()
         if not self._code.stand_in_read(ctypes.byref(self.state), position, velocity):
             return None
         return (position[0], position[1], position[2]), (velocity[0], velocity[1], velocity[2])
 
     def push(self, force: tuple[float, float, float]) -> None:
-        """Give it a force [N]."""
+        """Apply a force [N]."""
         self._code.stand_in_push(ctypes.byref(self.state), (ctypes.c_double * 3)(*force))
 
     def drop(self, height: float, gravity: float = 9.81, at: float | None = None) -> None:
-        """Let it fall from a height [m], now or at a time of the monotonic clock [s]."""
+        """Drop the arm from a height [m], now or at a time of the monotonic clock [s]."""
         s = self.state
         s.position[:] = (0.0, 0.0, height)
         s.velocity[:] = (0.0, 0.0, 0.0)
@@ -132,20 +132,20 @@ class World:
 
 
 def library(name: str, folder: Path, *options: str) -> tuple[Path, World]:
-    """Compile a stand-in of a vendor's library into a folder, with its world: both."""
-    # A name of its own: who holds a device is told by the name of its library.
+    """Compile an emulated library into a folder; return its path and world."""
+    # A unique name, because the name of its library identifies who uses a device.
     path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
     subprocess.run(_command(name, "-shared", "-fPIC", *options, "-o", str(path)), check=True)
     return path, world_beside(path)
 
 
 def world_beside(path: Path) -> World:
-    """Give a library its world."""
+    """Return the world of an emulated library."""
     return World(path.with_name(path.name + ".world"))
 
 
 def archive(name: str, folder: Path, *options: str) -> Path:
-    """Make the stand-in a static library, as a vendor may ship it."""
+    """Compile the emulator as a static library, as some vendors ship it."""
     compiled, path = folder / f"{name}.o", folder / f"lib{name}.a"
     subprocess.run(_command(name, "-fPIC", "-c", *options, "-o", str(compiled)), check=True)
     subprocess.run(["ar", "rcs", str(path), str(compiled)], check=True)

@@ -25,9 +25,12 @@ from nodes.environment.shapes.tables import BOX, MESH, PLANE
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
-from sim.play.chain import SpatialTrace, play
+from sim.play.chain import Instead
+from sim.play.given import Given
 from sim.play.launched import parameters_of
+from sim.play.player import play
 from sim.play.touch import call_times, touch
+from sim.play.trace import ChainTrace
 
 # cells along the longest side to which a mesh's corners are drawn together
 _GRIDS = (24, 16, 12, 8)
@@ -363,10 +366,10 @@ def body_detail(
 ) -> Detail:
     """Play the path of a run through all levels of detail of a scene in which things move, from dynamic bodies to none."""
     finest = _Watched(launch)
-    path = play(launch, world=finest).position
+    path = play(launch, instead=Instead(world=finest)).measured
     # Once more, with the path given as to all others.
     finest = _Watched(launch)
-    ideal = play(launch, world=finest, path=path)
+    ideal = play(launch, instead=Instead(world=finest), given=Given(path=path))
     largest = float(np.linalg.norm(ideal.force, axis=1).max())
     limit = max(stiffness * resolution, fraction * largest)
     levels = [_level("dynamic", finest, ideal, ideal, limit)]
@@ -379,7 +382,8 @@ def body_detail(
     ]
     for name, made in coarser:
         world = made()
-        levels.append(_level(name, world, play(launch, world=world, path=path), ideal, limit))
+        found = play(launch, instead=Instead(world=world), given=Given(path=path))
+        levels.append(_level(name, world, found, ideal, limit))
         step(name)
     return Detail(tuple(levels), limit, stiffness * resolution, largest, ())
 
@@ -395,9 +399,7 @@ def _untouched(world: _Watched) -> _Watched:
     return world
 
 
-def _level(
-    name: str, world: _Watched, found: SpatialTrace, ideal: SpatialTrace, limit: float
-) -> Level:
+def _level(name: str, world: _Watched, found: ChainTrace, ideal: ChainTrace, limit: float) -> Level:
     difference = np.linalg.norm(found.force - ideal.force, axis=1)
     away = np.linalg.norm(found.proxy - ideal.proxy, axis=1)
     times = np.array(world.times, dtype=np.float64) / 1e3

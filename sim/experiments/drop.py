@@ -11,7 +11,7 @@ compare (drop and press read 70–99 % of the linear limit).
 import functools
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -133,6 +133,31 @@ def floor_force(
     head, _, touches = respond(x, PLANE, 0.0, 1.0, raw, history, head, length)
     force = evaluate(taps, recursive, memory, history, head)
     return head, one_sided(force, 1.0, force, touches, raw, clamp), touches
+
+
+def fall(
+    move: Callable[[float], float],
+    law: CompiledLaw,
+    height: float,
+    ticks: int,
+    convention: Convention = CONVENTION,
+) -> tuple[Array, Array]:
+    """Drop a device that only its caller can move; return position [m] and force [N] at each tick.
+
+    `move` holds a force [N] for one tick and returns the position after it [m]. The rigid device is
+    the player's (`dropped`); this is for other integrators and devices.
+    """
+    length = max(len(law.taps), 2)
+    recursive = [number for section in law.sections for number in section]
+    history, memory, head = [0.0] * (2 * length), [0.0] * (2 * len(law.sections)), 0
+    seen, x = np.empty((2, ticks)), height
+    for k in range(ticks):
+        head, force, _ = floor_force(
+            x, law.taps, recursive, memory, history, head, length, *convention
+        )
+        seen[:, k] = x, force
+        x = move(force)
+    return seen[0], seen[1]
 
 
 @kernel

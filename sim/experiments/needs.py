@@ -9,25 +9,23 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
+from nodes.coupling.parameters import PlantParameters
 from nodes.launcher.launch_spec import Launch, Model
+from nodes.launcher.plants import known_plant
+from nodes.parameters.store import convert
 from nodes.stability.k_max import k_max, with_spring
+from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.experiments.perception import tolerances
-from sim.experiments.spatial_terms import (
-    SPATIAL_CONVENTIONS,
-    SPATIAL_TERMS,
-    SpatialScene,
-    spatial_scene,
-)
+from sim.experiments.term_scene import Edit, TermScene, has_normal, meets, term_scene
 from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
 from sim.measure.stopwatch import Timing, interleaved
-from sim.play.chain import SpatialTrace
-from sim.play.launched import LaunchedScene
-from sim.play.one_axis import Trace
+from sim.play.player import How
+from sim.play.trace import ChainTrace
 
 # motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near
 # 250 Hz
@@ -35,11 +33,8 @@ BUZZ = 1e-6
 _FORCE = 0.01
 _TAIL = 5
 
-S = TypeVar("S")
-R = TypeVar("R")
-
-# How variants are played: one after another here, or side by side (`sim.cli.sweeps.spread`).
-Play = Callable[[Sequence[Callable[[], R]]], list[R]]
+# How variants are played: one after another here, or side by side (`sim.studies.sweeps.spread`).
+Players = Callable[[Sequence[Callable[[], ChainTrace]]], list[ChainTrace]]
 
 
 @dataclass(frozen=True)
@@ -105,20 +100,39 @@ class Needs:
         return tuple(f.term for f in self.findings if f.verdict == "missing")
 
 
-def outcome(scene: LaunchedScene, trace: Trace) -> Outcome:
+def plant_of(scene: TermScene) -> Plant | None:
+    """Return device and hand as the linear loop sees them, of a pair both; None where nobody knows a mass."""
+    run = scene.launch.run
+    known = known_plant(scene.launch, scene.namespace)
+    if "mass" not in known:
+        return None
+    plant: PlantParameters = convert(known, PlantParameters, scene.hops.coupling)
+    return plant.at(run.period, float(run.apply == "next_tick"))
+
+
+def stiffest(scene: TermScene) -> float | None:
+    """Return the stiffness H(1) at which the loop becomes unstable at the chain's wall or anchor [N/m]; None without one."""
+    laws, plant = scene.instead.law, plant_of(scene)
+    law = scene.laws.all[-1]
+    if scene.shortened and laws is not None:
+        law = [laws, *(swap.law for swap in scene.instead.swaps)][-1]
+    has_wall = meets(scene).get("kind") != "free" and not scene.shapes and len(scene.axes) == 1
+    if not has_wall or plant is None or law.evaluate is not None:
+        return None
+    return k_max(with_spring(law, -law.h1), plant).h1_max_n_per_m
+
+
+def outcome(scene: TermScene, trace: ChainTrace) -> Outcome:
     """Work out what came of a run."""
-    law = scene.last_law
-    poleless = scene.scene.surface.kind == "free" or law.evaluate is not None
-    stiffest = None if poleless else k_max(with_spring(law, -law.h1), scene.plant).h1_max_n_per_m
-    return _outcome(
-        np.asarray(trace.position)[:, None],
-        np.asarray(trace.force)[:, None],
-        trace.period,
-        stiffest,
+    axes = list(trace.axes)
+    return measured_outcome(
+        trace.position[:, axes], trace.force[:, axes], trace.period, stiffest(scene)
     )
 
 
-def _outcome(position: Array, force: Array, period: float, h1_max: float | None = None) -> Outcome:
+def measured_outcome(
+    position: Array, force: Array, period: float, h1_max: float | None = None
+) -> Outcome:
     """Work out what came of a run: positions and forces, (ticks, axes); lengths and forces are those in space."""
     tail = max(2, len(position) // _TAIL)
     end, rest = position[-tail:], force[-tail:].mean(axis=0)
@@ -160,98 +174,117 @@ def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]
     return figures
 
 
-class Variant(NamedTuple, Generic[S]):
+class Variant(NamedTuple):
     """A scene with something switched: what, the scene, and how (`Finding.switched`)."""
 
     terms: tuple[str, ...]
-    scene: S
+    scene: TermScene
     switched: str
     off: bool = False  # whether its terms were switched off
 
 
-def here(plays: Sequence[Callable[[], R]]) -> list[R]:
+def here(plays: Sequence[Callable[[], ChainTrace]]) -> list[ChainTrace]:
     """Play variants one after another."""
     return [play() for play in plays]
 
 
 def needs(
-    scene: LaunchedScene,
-    model: Model,
+    launch: Launch,
+    namespace: str = "",
+    model: Model | None = None,
     rounds: int = 5,
     step: Callable[[str], None] = lambda _: None,
-    players: Play[Trace] = here,
+    players: Players = here,
     tolerance: Callable[[str], float] | None = None,
 ) -> Needs:
-    """Switch every term of a scene; `tolerance` of each outcome, by default the model's."""
+    """Switch every term of a chain: what each moves, and what it costs.
 
-    def changes(changed: LaunchedScene, trace: Trace) -> dict[str, float]:
-        return movement(before, outcome(changed, trace), scene.scene.period)
+    Parameters
+    ----------
+    launch : Launch
+        The launch file, read.
+    namespace : str
+        Of the chain; empty for a launch of one.
+    model : Model, optional
+        What the scene is for; by default as the launch file says of the chain.
+    rounds : int
+        Interleaved rounds of timing; 0 times nothing.
+    step : callable
+        Called with what was timed.
+    players : callable
+        Plays the variants, here one after another.
+    tolerance : callable, optional
+        Change of an outcome that does not count; by default the model's.
 
-    contact = scene.scene.surface.kind == "plane"
-    variants, play = (
-        variants_of(scene, TERMS, CONVENTIONS if contact else {}, TOGETHER),
-        partial(_play, interpreted=True),
-    )
+    Returns
+    -------
+    Needs
+        A finding for each term, pair of terms and convention.
+
+    Raises
+    ------
+    ParameterError
+        As of `sim.play.player.play`; where a shape is to be replaced and nothing is touched.
+    """
+    scene = term_scene(launch, namespace)
+    model = (launch.models.get(namespace) or launch.model) if model is None else model
+    tolerance = tolerance or tolerances(model.tolerance, felt=False)
     with np.errstate(all="ignore"):
-        before = outcome(scene, play(scene))
-        findings, tick = judge(
-            scene, variants, play, changes, scene.ticks, model, rounds, step, players, tolerance
-        )
-    return Needs(before, findings, tick)
+        first = _play(scene)
+        before = outcome(scene, first)
+
+        def changes(changed: TermScene, trace: ChainTrace) -> dict[str, float]:
+            return movement(before, outcome(changed, trace), trace.period) | {
+                "force": apart(first.force, trace.force, first.force),
+                "proxy": apart(first.proxy, trace.proxy, first.proxy - first.measured),
+            }
+
+        variants = variants_of(scene, TERMS, CONVENTIONS if has_normal(scene) else {}, TOGETHER)
+        played = players([partial(_play, variant.scene) for variant in variants])
+        findings = [
+            _finding(variant, changes(variant.scene, trace), model, tolerance)
+            for variant, trace in zip(variants, played, strict=True)
+        ]
+        if not rounds:
+            return Needs(before, tuple(findings), None)
+        jobs = {
+            str(i): (one.ready(HOW), first.ticks)
+            for i, one in enumerate([scene, *(variant.scene for variant in variants)])
+        }
+        timings = interleaved(jobs, rounds, step)
+    costs = [
+        _with_cost(finding, variant, timings["0"], timings[str(i)], rounds)
+        for i, (finding, variant) in enumerate(zip(findings, variants, strict=True), 1)
+    ]
+    return Needs(before, tuple(costs), 1e6 * timings["0"].median)
 
 
-def _play(scene: Any, **how: Any) -> Any:
+HOW: How = "interpreted"  # what a term costs is told of plain Python
+
+
+def _play(scene: TermScene) -> ChainTrace:
     with np.errstate(all="ignore"):
-        return scene.play(**how)
+        return scene.play(HOW)
 
 
-def judge(
-    scene: S,
-    variants: Sequence[Variant[S]],
-    play: Callable[[S], R],
-    changes: Callable[[S, R], dict[str, float]],
-    ticks: int,
-    model: Model,
-    rounds: int,
-    step: Callable[[str], None],
-    players: Play[R] = here,
-    tolerance: Callable[[str], float] | None = None,
-) -> tuple[tuple[Finding, ...], float | None]:
-    """Play a scene and its variants: what each moves and, in turns, what it costs on this machine; time per tick [µs]."""
-    played = players([partial(play, variant.scene) for variant in variants])
-    jobs: dict[str, tuple[Callable[[], object], int]] = {
-        str(i): (partial(play, changed), ticks)
-        for i, changed in enumerate([scene, *(v.scene for v in variants)])
-    }
-    timings: dict[str, Timing] = interleaved(jobs, rounds, step) if rounds else {}
-    found = []
-    for i, variant in enumerate(variants, 1):
-        finding = _finding(
-            variant,
-            changes(variant.scene, played[i - 1]),
-            model,
-            tolerance or tolerances(model.tolerance, felt=False),
-        )
-        if timings:
-            whole, mine = timings["0"], timings[str(i)]
-            cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
-            spread = (
-                0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
-            )
-            known = finding.switched != "other" and spread is not None and abs(cost) > spread
-            finding = replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
-        found.append(finding)
-    return tuple(found), 1e6 * timings["0"].median if timings else None
+def _with_cost(
+    finding: Finding, variant: Variant, whole: Timing, mine: Timing, rounds: int
+) -> Finding:
+    """Add what a term costs a tick [µs], where that is more than the spread of its rounds."""
+    cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
+    spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
+    known = finding.switched != "other" and spread is not None and abs(cost) > spread
+    return replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
 
 
 def variants_of(
-    scene: S,
-    terms: Sequence[NeedTerm[S]],
-    conventions: Mapping[str, Callable[[S], S]],
+    scene: TermScene,
+    terms: Sequence[NeedTerm],
+    conventions: Mapping[str, Edit],
     together: Sequence[tuple[str, str]],
-) -> list[Variant[S]]:
+) -> list[Variant]:
     """Switch each term off where the scene has it and on where it has not, some together, and the conventions."""
-    found: list[Variant[S]] = []
+    found: list[Variant] = []
     by_name = {term.name: term for term in terms}
     for term in terms:
         if term.declared(scene):
@@ -274,7 +307,7 @@ def variants_of(
 
 
 def _finding(
-    variant: Variant[S], moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]
+    variant: Variant, moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]
 ) -> Finding:
     terms, switched = variant.terms, variant.switched
     counts: set[str] = {*model.outcome}
@@ -309,33 +342,3 @@ def apart(before: Array, after: Array, scale: Array) -> float:
     if not np.isfinite(difference):
         return float("inf")
     return difference / size if size > 0.0 else 0.0 if difference == 0.0 else float("inf")
-
-
-def spatial_needs(
-    launch: Launch,
-    rounds: int = 5,
-    step: Callable[[str], None] = lambda _: None,
-    players: Play[SpatialTrace] = here,
-    tolerance: Callable[[str], float] | None = None,
-) -> Needs:
-    """Switch every term of a scene with several axes, judged by force and proxy along its way too."""
-    scene, period = spatial_scene(launch), launch.run.period
-    with np.errstate(all="ignore"):
-        first = scene.play()
-        before = _outcome(first.position, first.force, period)
-        variants = variants_of(
-            scene, SPATIAL_TERMS, SPATIAL_CONVENTIONS, (("friction", "resolution"),)
-        )
-
-        def changes(changed: SpatialScene, trace: SpatialTrace) -> dict[str, float]:
-            del changed
-            return movement(before, _outcome(trace.position, trace.force, period), period) | {
-                "force": apart(first.force, trace.force, first.force),
-                "proxy": apart(first.proxy, trace.proxy, first.proxy - first.position),
-            }
-
-        ticks = len(first.position)
-        findings, tick = judge(
-            scene, variants, _play, changes, ticks, launch.model, rounds, step, players, tolerance
-        )
-    return Needs(before, findings, tick)

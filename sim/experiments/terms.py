@@ -1,142 +1,142 @@
-"""The terms a scene's model is made of, and how to switch each one off or on.
+"""The terms a scene's model is made of, and how to switch each one off or on: one list for every scene.
 
 Off means that the term does not exist (None, not a small number), on means what a Touch X or a
 usual loop would bring. A term is declared, left out on purpose (``model.leaves_out`` of the launch
 file), or simply not there.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-import msgspec
-
-from nodes.laws import CompiledLaw
-from sim.device.model import DeviceModel
-from sim.play.launched import LaunchedScene
-from sim.play.one_axis import SceneSurface
-
-S = TypeVar("S")
-
-Switch = Callable[[LaunchedScene], LaunchedScene]
+from nodes.environment.shapes.scene import SLIPPERY, Friction
+from nodes.environment.shapes.tables import MESH, PLANE
+from sim.experiments import term_scene as of
+from sim.experiments.term_scene import Ask, Edit, TermScene
 
 # Touch X: resolution and peak force from the data sheet, friction from memory (THEORY.md §4); the
 # response time is the median of four processes on one ordinary machine.
 RESOLUTION, FRICTION, PEAK_FORCE, GRAVITY, RESPONSE = 2.3e-5, 0.06, 7.9, 9.81, 250e-6
-_VERTICAL = 2
-_SHORTEST = 3
+ROUGH = Friction(0.3, 0.3)  # of a smooth hard surface under a hard tip, about
+# Mass along the other axes over that along the first: about what an arm with its motors on the base
+# has.
+UNEVEN = {"y": 1.5, "z": 2.0}
 
 
 @dataclass(frozen=True)
-class NeedTerm(Generic[S]):
-    """One term of a model, of whatever describes the scene."""
+class NeedTerm:
+    """One term of a model."""
 
     name: str  # as in ``model.leaves_out``
-    declared: Callable[[S], bool]  # from a scene to whether it has the term
-    without: Callable[[S], S]  # from a scene to the same scene without the term
+    declared: Ask  # from a scene to whether it has the term
+    without: Edit  # from a scene to the same scene without the term
     # From a scene to the same scene with a typical value; None where adding it would make another
     # scene.
-    typical: Callable[[S], S] | None = None
+    typical: Edit | None = None
     value: str = ""  # that value, for people
     simpler: str = ""  # what the scene has in its place without it, for people; empty for nothing
 
 
-def _device(scene: LaunchedScene, **changes: object) -> LaunchedScene:
-    device: DeviceModel = msgspec.structs.replace(scene.scene.device, **changes)
-    return replace(scene, scene=replace(scene.scene, device=device))
+def _weighed(scene: TermScene) -> TermScene:
+    return of.with_device(scene, gravity=GRAVITY) if "z" in scene.axes else scene
 
 
-def _has(name: str) -> Callable[[LaunchedScene], bool]:
-    return lambda scene: getattr(scene.scene.device, name) is not None
+def _uneven(scene: TermScene) -> TermScene:
+    mass = of.devices(scene)[0].mass
+    others = {
+        axis: {"mass": part * mass} for axis, part in UNEVEN.items() if axis in scene.axes[1:]
+    }
+    return of.with_device(scene, axes=others)
 
 
-def _set(name: str, value: object) -> Switch:
-    return lambda scene: _device(scene, **{name: value})
-
-
-def _driver(**changes: object) -> Switch:
-    return lambda scene: replace(scene, scene=replace(scene.scene, **changes))  # type: ignore[arg-type]
-
-
-def _without_delay(scene: LaunchedScene) -> LaunchedScene:
-    return _driver(next_tick=False)(_device(scene, delay=0.0))
-
-
-def _shortened(scene: LaunchedScene) -> LaunchedScene:
-    def half(law: CompiledLaw) -> CompiledLaw:
-        return replace(law, taps=law.taps[: max(_SHORTEST, (len(law.taps) + 1) // 2)])
-
-    return replace(
-        scene,
-        law=half(scene.law),
-        swaps=tuple(replace(swap, law=half(swap.law)) for swap in scene.swaps),
-    )
-
-
-def _longest(scene: LaunchedScene) -> int:
-    return max(len(law.taps) for law in (scene.law, *(swap.law for swap in scene.swaps)))
+def _is_shaped(scene: TermScene) -> bool:
+    return any(solid.kind != PLANE for solid in scene.shapes) or len(scene.shapes) > 1
 
 
 # All terms; ``memory`` stands for the older half of the longest law's taps.
-TERMS: tuple[NeedTerm[LaunchedScene], ...] = (
+TERMS: tuple[NeedTerm, ...] = (
     NeedTerm(
         "gravity",
-        lambda scene: bool(scene.scene.device.gravity),
-        _set("gravity", None),
-        lambda scene: _device(scene, gravity=GRAVITY) if scene.axis == _VERTICAL else scene,
+        of.has("gravity"),
+        of.set_to(gravity=None),
+        _weighed,
         f"{GRAVITY} m/s² on a vertical axis",
     ),
-    NeedTerm("damping", lambda scene: scene.scene.device.damping > 0.0, _set("damping", 0.0)),
+    NeedTerm("damping", of.has("damping"), of.set_to(damping=0.0)),
     NeedTerm(
         "friction",
-        _has("friction"),
-        _set("friction", None),
-        _set("friction", FRICTION),
-        f"{FRICTION} N",
+        of.has("friction"),
+        of.set_to(friction=None),
+        of.set_to(friction=FRICTION),
+        f"{FRICTION} N an axis",
     ),
     NeedTerm(
         "resolution",
-        _has("resolution"),
-        _set("resolution", None),
-        _set("resolution", RESOLUTION),
+        of.has("resolution"),
+        of.set_to(resolution=None),
+        of.set_to(resolution=RESOLUTION),
         f"{RESOLUTION:g} m",
     ),
     NeedTerm(
         "peak_force",
-        _has("peak_force"),
-        _set("peak_force", None),
-        _set("peak_force", PEAK_FORCE),
-        f"{PEAK_FORCE} N",
+        of.has("peak_force"),
+        of.set_to(peak_force=None),
+        of.set_to(peak_force=PEAK_FORCE),
+        f"{PEAK_FORCE} N an axis",
     ),
     NeedTerm(
         "delay",
-        lambda scene: scene.scene.device.delay > 0.0 or scene.scene.next_tick,
-        _without_delay,
-        lambda scene: _device(scene, delay=RESPONSE / scene.scene.period),
+        of.delayed,
+        of.without_delay,
+        lambda scene: of.with_device(scene, delay=RESPONSE / scene.launch.run.period),
         f"{1e6 * RESPONSE:g} µs",
     ),
-    NeedTerm("hand", _has("hand"), _set("hand", None)),
+    NeedTerm("hand", of.has("hand"), of.let_go),
     NeedTerm(
-        "contact",
-        lambda scene: scene.scene.surface.kind != "free",
-        lambda scene: _driver(surface=SceneSurface("free"))(scene),
+        "axes",
+        of.has("axes"),
+        of.set_to(axes={}),
+        _uneven,
+        ", ".join(f"{axis} {part:g} times as heavy" for axis, part in UNEVEN.items()),
+        "alike along all axes",
     ),
-    NeedTerm("limit", lambda scene: scene.scene.peak is not None, _driver(peak=None)),
-    NeedTerm("slew", lambda scene: scene.scene.slew is not None, _driver(slew=None)),
-    NeedTerm("workspace", lambda scene: scene.scene.workspace is not None, _driver(workspace=None)),
+    NeedTerm("guard", of.guard_on, of.unguarded),
+    NeedTerm("limit", of.limited("peak_force"), of.unlimited("peak_force")),
+    NeedTerm("slew", of.limited("slew"), of.unlimited("slew")),
+    NeedTerm("workspace", of.limited("workspace"), of.unlimited("workspace")),
+    NeedTerm("contact", lambda scene: of.meets(scene).get("kind") != "free", of.untouched),
+    NeedTerm("shape", _is_shaped, of.one_face, simpler="the plane that touches it"),
     NeedTerm(
-        "guard",
-        lambda scene: scene.scene.passivity is not None and scene.scene.passivity.guard == "on",
-        _driver(passivity=None),
+        "triangles",
+        lambda scene: any(solid.kind == MESH for solid in scene.shapes),
+        of.coarser,
+        simpler="half as many at most",
     ),
-    NeedTerm("memory", lambda scene: _longest(scene) > _SHORTEST, _shortened),
+    NeedTerm(
+        "surface_friction",
+        lambda scene: any(solid.friction != SLIPPERY for solid in scene.shapes),
+        of.rubbed(SLIPPERY),
+        of.rubbed(ROUGH),
+        f"{ROUGH.static}",
+    ),
+    NeedTerm(
+        "tool_radius",
+        lambda scene: of.tool_radius(scene) > 0.0,
+        lambda scene: of.with_surface(scene, {**of.meets(scene), "tool_radius": 0.0}),
+        simpler="a point",
+    ),
+    NeedTerm("bodies", of.bodies_move, of.held, simpler="held where they are"),
+    NeedTerm(
+        "memory",
+        lambda scene: of.longest(scene) > of.SHORTEST,
+        lambda scene: scene._replace(shortened=True),
+        simpler="the newer half of the taps",
+    ),
 )
-# What must be one way or the other: never superfluous and never missing, but worth knowing.
-CONVENTIONS: dict[str, Switch] = {
-    "clamp": lambda scene: replace(scene, scene=replace(scene.scene, clamp=not scene.scene.clamp)),
-    "history rule": lambda scene: replace(
-        scene, scene=replace(scene.scene, raw=not scene.scene.raw)
-    ),
+# What must be one way or the other where contact has an outside: never superfluous and never
+# missing, but worth knowing.
+CONVENTIONS: Mapping[str, Edit] = {
+    "clamp": of.flipped("clamp", True, False),
+    "history rule": of.flipped("history", "penetration", "position"),
 }
 # Terms that may only matter together (buzz at rest, THEORY.md §5).
 TOGETHER: tuple[tuple[str, str], ...] = (("friction", "resolution"),)

@@ -1,1 +1,1 @@
-"""From a recording to the device behind it: mass, damping, friction, delay and encoder, each with what is known of it."""
+"""Identify a device from a recording: mass, damping, friction, delay and encoder step."""

@@ -22,7 +22,7 @@ from nodes.client.launches import ask, roles
 from nodes.client.listen import listen
 from nodes.driver.node import LONGEST_PAUSE
 from nodes.launcher.runs import RunInfo
-from sim.identify.signals_once import undisturbed, whole
+from sim.measure.interrupts import deferred, undisturbed
 
 RAMP = 100  # cross-fade from and to the law that was there [ticks]
 # So long after the last renewal surface and law are put back; the law later, as it is the stiffer
@@ -160,7 +160,7 @@ class PushedLaunch:
 
         Raises RefusedError when the node refuses, or when the lease has run out.
         """
-        with whole():
+        with deferred():
             if node not in self.leased:
                 return ask(self.run, node, operation, **arguments)
             return ask(
@@ -263,7 +263,7 @@ class Borrowed:
         loop = self._loop
         longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
         # A node that refuses holds another's lease: what is there now may be another tuning's.
-        with whole():
+        with deferred():
             agreed: dict[str, Any] = {
                 "seconds": longer * seconds,
                 "then": revert,

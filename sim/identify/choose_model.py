@@ -46,6 +46,10 @@ HALVES = 0.5
 HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
 LEAST = 6  # fewer windows without such answers are too few to leave out the others
 PROMISES = 0.15  # part that a term must take up by the scan to be fitted in full
+# standard errors, over unseen windows, by which a joint's three unknowns must beat a term of one
+BETTER = 3.0
+CLOSE = 1.1  # or a factor of the error, where the windows differ much
+JOINT = "flexible mode"
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,10 @@ def _weighed(
     for choice, evidence in tried:
         left_out = remainder(experiment, choice.model, evidence, step)
         beyond = max(choice.model.rms**2 - (step or FINEST) ** 2 / 12.0, 0.0)
+        if JOINT in choice.terms and left_out.explained < NAMED:
+            # A joint beside something that nothing explains stands in for it (a gap, say): its
+            # frequency would be told with an interval, and is that of no joint.
+            continue
         if left_out.k_max_change <= REFUSED and (best is None or beyond <= HALVES * best[1]):
             best = _with(choice, left_out), beyond
     if best is not None:
@@ -255,7 +263,7 @@ def _richer(
     experiment: Experiment, choice: Choice, evidence: list[Evidence], windows: Windows, scale: float
 ) -> tuple[Fit, str] | None:
     """Fit every term that is left from where the scan puts it; the one that explains unseen windows best, if any does."""
-    best: tuple[float, Fit, str] | None = None
+    tried: list[tuple[Array, Fit, str]] = []
     before = choice.model
     at = np.isin(before.starts, windows.seen)
     for term, unknowns in TERMS.items():
@@ -277,14 +285,29 @@ def _richer(
             before.states[at],
             steps=30,
         )
-        error = float(
-            fit(experiment, windows.unseen, windows.length, found.theta, (), scale).errors.sum()
-        )
-        if best is None or error < best[0]:
-            best = error, found, term
-    if best is None or best[0] > 1.02 * float(choice.test.errors.sum()):
+        errors = fit(experiment, windows.unseen, windows.length, found.theta, (), scale).errors
+        tried.append((errors, found, term))
+    best = _simplest(tried)
+    if best is None or float(best[0].sum()) > 1.02 * float(choice.test.errors.sum()):
         return None
     return best[1], best[2]
+
+
+def _simplest(tried: list[tuple[Array, Fit, str]]) -> tuple[Array, Fit, str] | None:
+    """Return the fit with the least error in unseen windows; a joint only if it is better beyond chance."""
+    best = min(tried, key=lambda one: float(one[0].sum()), default=None)
+    if best is None or best[2] != JOINT:
+        return best
+
+    def as_good(errors: Array) -> bool:
+        more = errors - best[0]
+        close = float(errors.sum()) <= CLOSE * float(best[0].sum())
+        chance = BETTER * float(more.std(ddof=1)) / math.sqrt(len(more))
+        return close and float(more.mean()) <= chance
+
+    # Each other term has one unknown, and a blur resembles a stiff joint with much loss.
+    others = [one for one in tried if one[2] != JOINT and as_good(one[0])]
+    return min(others, key=lambda one: float(one[0].sum()), default=best)
 
 
 def _start(asked: Evidence) -> tuple[float, ...]:

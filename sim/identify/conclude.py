@@ -1,4 +1,4 @@
-"""From a fit to what it tells: estimates with 95 % intervals, and reasons where there are none."""
+"""Turn a fit into estimates with 95 % intervals, or reasons why there are none."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ CONFIDENCE = 0.95
 
 
 def nothing(experiment: Experiment, length: int, why: str) -> Identified:
-    """Tell what a run without a changing force tells: its delays and its encoder."""
+    """Return what a run without a changing force yields: its delays and its encoder step."""
     _, *delays, jitter = _delays(experiment)
     estimates: dict[str, Any] = dict.fromkeys(
         (name for _, name, _, _ in ROWS), Estimate(None, why=why)
@@ -36,15 +36,17 @@ def nothing(experiment: Experiment, length: int, why: str) -> Identified:
 
 
 def covariance_of(found: Fit) -> Array:
-    """Covariance of the unknowns, from how much the windows differ: rounding leaves errors that are not white."""
+    """Return the covariance of the unknowns from the differences between windows.
+
+    Rounding errors are not white, so the residual alone would underestimate it.
+    """
     matrix = found.matrices.sum(axis=0)
     size = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-60))
     values, vectors = np.linalg.eigh(matrix * np.outer(size, size))
-    # A direction without any information gets an error without bound, not a division by zero.
+    # A direction without information gets a very large error in place of a division by zero.
     inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T * np.outer(size, size)
     windows, p = len(found.starts), len(found.free)
-    # Each window's score without its own pull on the estimate (the jackknife's correction, to first
-    # order).
+    # Score of each window without its own influence on the estimate (first-order jackknife).
     scores = np.empty((windows, p))
     identity = np.eye(p)
     for w in range(windows):
@@ -53,7 +55,7 @@ def covariance_of(found: Fit) -> Array:
         )[0]
     between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows
     white = inverse * max(found.rms, 1e-12) ** 2
-    # Neither may promise more than the other: take the larger variance of each unknown.
+    # The larger variance of each unknown counts.
     wider = np.sqrt(
         np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0)
     )
@@ -61,14 +63,13 @@ def covariance_of(found: Fit) -> Array:
 
 
 class _Widths:
-    """Values of a fit's unknowns, each with the half width of its 95 % interval."""
+    """Values of a fit's unknowns with the half-widths of their 95 % intervals."""
 
     def __init__(self, found: Fit, moved: Sequence[float] = ()) -> None:
         from scipy.stats import t
 
         self._found, self._covariance = found, covariance_of(found)
-        # What terms that the model does not have may move each unknown by: no chance, so it is
-        # added to the width.
+        # The effect of unmodelled terms on each unknown is not random, so it is added to the width.
         self._moved = np.array(moved) if len(moved) else np.zeros(len(found.free))
         self._quantile = float(
             t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free)))
@@ -83,7 +84,7 @@ class _Widths:
         return which in self._index
 
     def per_mass(self, which: int) -> tuple[float, float]:
-        """Give an unknown times mass."""
+        """Return an unknown times mass, and its half-width."""
         index, g = self._index, self.mobility
         value = float(self._found.theta[which]) / g
         slope = np.zeros(len(self._found.free))
@@ -93,13 +94,13 @@ class _Widths:
         return value, chance + float(np.abs(slope) @ self._moved)
 
     def direct(self, which: int, unit: float = 1.0) -> tuple[float, float]:
-        """Give an unknown as it stands."""
+        """Return an unknown and its half-width."""
         i = self._index[which]
         width = self._quantile * math.sqrt(self._covariance[i, i]) + float(self._moved[i])
         return float(self._found.theta[which]) * unit, width * unit
 
     def total_delay(self) -> tuple[float, float]:
-        """Return the device's delay, the mean of a sensor that averages included [ticks]."""
+        """Return the device's delay including the mean delay of an averaging sensor [ticks]."""
         late, width = self.direct(motion.DELAY)
         if motion.AVERAGE not in self:
             return late, width
@@ -113,7 +114,7 @@ class _Widths:
 
 
 def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identified:
-    """Turn what was chosen into estimates; a refuted model gives its parameters no value."""
+    """Return the estimates of a chosen model; a refuted model gives its parameters no value."""
     found, test = choice.model, choice.test
     widths = _Widths(found, () if choice.why else choice.remainder.moved)
     own = _own_delay(experiment, choice, widths)
@@ -129,7 +130,7 @@ def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identifi
     if choice.why:
         unbelieved, unknown = estimates, Estimate(None, why=f"the model is refuted: {choice.why}")
         estimates = dict.fromkeys(estimates, unknown)
-    # The middle one: a window that a stall spoilt says nothing about the model.
+    # The median: a window disturbed by a stall does not count against the model.
     residual = math.sqrt(float(np.median(test.errors)) / (test.length - own_states(test.theta)))
     estimates |= {"encoder": grid, "jitter": jitter}
     return Identified(
@@ -150,15 +151,16 @@ def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identifi
         unbelieved=unbelieved,
         remainder=choice.remainder.cause,
         remainder_k_max=choice.remainder.k_max_change,
+        altered=choice.remainder.devices,
     )
 
 
 def _mechanics(
     experiment: Experiment, widths: _Widths, damping_per_mass: float
 ) -> dict[str, Estimate]:
-    """Estimate mass, damping, friction, stiffness and load: none of them where nothing tells the mass."""
+    """Estimate mass, damping, friction, stiffness and load; none if the mass is unknown."""
     g, relative = widths.mobility, widths.mass_off
-    force = float(np.std(experiment.force))  # how much it changed, root mean square [N]
+    force = float(np.std(experiment.force))  # root-mean-square variation of the force [N]
     if relative > 0.5:
         why = (
             f"its error would be {100 * relative:.0f} %: push with forces that change more, or"
@@ -173,7 +175,7 @@ def _mechanics(
     load, load_width = widths.per_mass(motion.LOAD)
     held = motion.STIFFNESS in widths
     return {
-        # An interval of 1/m is one of m, and not symmetric.
+        # The interval of 1/m gives that of m, which is not symmetric.
         "mass": Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative))),
         "damping": _bounded(
             *widths.per_mass(motion.DAMPING),
@@ -192,8 +194,8 @@ def _mechanics(
 def _own_delay(experiment: Experiment, choice: Choice, widths: _Widths) -> Estimate:
     """Estimate the device's own delay [ticks]."""
     late, width = widths.total_delay()
-    # Nobody knows how late an unsteady sample is on average; evenly spread from 0 on it is 1.7 of
-    # its standard deviations.
+    # The mean lateness of a jittering sample is unknown; uniform from 0, it is 1.7 of its standard
+    # deviations.
     width += 2.0 * choice.unsteady / experiment.period
     if width > 0.5:
         why = (
@@ -205,7 +207,7 @@ def _own_delay(experiment: Experiment, choice: Choice, widths: _Widths) -> Estim
 
 
 def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate]:
-    """Estimate what devices have beyond a rigid mass; of what the data do not ask for, the bound below which it would hide."""
+    """Estimate the terms beyond a rigid mass, or bounds below which they would not show."""
 
     def positive(value: float, width: float) -> Estimate:
         return Estimate(value, max(value - width, 0.0), value + width)
@@ -241,7 +243,7 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
 
 
 def _bounded(value: float, width: float, too_wide: float) -> Estimate:
-    """Estimate what cannot be negative; None when its error is as large as what it is estimated from."""
+    """Estimate a non-negative quantity; no value if its error exceeds `too_wide`."""
     if width > too_wide:
         return Estimate(
             None,
@@ -254,7 +256,10 @@ def _bounded(value: float, width: float, too_wide: float) -> Estimate:
 
 
 def _delays(experiment: Experiment) -> tuple[float, float, float, Estimate]:
-    """Median, shortest and longest delay of the loop, and its jitter with an interval from halves of the run."""
+    """Return median, shortest and longest delay of the loop, and its jitter.
+
+    The interval of the jitter is bootstrapped from ten blocks of the run.
+    """
     delay = experiment.delay
     if len(delay) < 100:
         return (

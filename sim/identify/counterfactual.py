@@ -1,10 +1,11 @@
-"""What a recorded hand and device would have felt with another law.
+"""Predict the motion of a recorded hand and device with another law.
 
-The model takes the device's place: a virtual device as it was declared, or one identified from this
-recording or another. What moved the recorded device besides the law (a hand) is estimated tick by
-tick as the force that the model lacks, and acts again. What is left are nudges: the least that keep
-the model in the encoder step that was read. With them the same law comes back to what was recorded;
-how far the model alone does not is the error of every prediction.
+A model replaces the device: a virtual device as declared, or one identified from this or another
+recording. The external force on the recorded device besides the law (a hand) is estimated tick by
+tick as the force missing in the model, and is applied again. The remaining error is corrected by
+nudges, the smallest changes that keep the model within the encoder step that was read. With nudges,
+the same law reproduces the recording; the deviation of the model without them is the error of every
+prediction.
 """
 
 from dataclasses import dataclass, replace
@@ -16,9 +17,12 @@ from sim.arrays import Array
 from sim.device.model import coefficients
 from sim.experiments.drop import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
-from sim.play.one_axis import Given, run
+from sim.play.chain import Instead
+from sim.play.given import Given
+from sim.play.one_axis import run
+from sim.play.player import play
 
-# largest motion over the last quarter of a run that counts as settled: that of the drop test [m]
+# largest motion over the last quarter of a run that counts as settled, as in the drop test [m]
 STILL = Criterion().tolerance
 
 
@@ -26,10 +30,10 @@ STILL = Criterion().tolerance
 class Felt:
     """One replayed run."""
 
-    measured: Array  # what the encoder reads at each tick [m], shape (N,)
-    force: Array  # force that the driver hands over in answer [N], shape (N,)
-    # Whether it comes to rest: by the drop test's verdict where the run is a drop, else by the
-    # motion of the last quarter.
+    measured: Array  # encoder reading at each tick [m], shape (N,)
+    force: Array  # force the driver hands over in answer [N], shape (N,)
+    # whether it comes to rest: by the verdict of the drop test if the run is a drop, else by the
+    # motion of the last quarter
     settled: bool
     peak_force: float  # largest magnitude of the force [N]
     rest: float  # mean position over the last quarter [m]
@@ -41,20 +45,34 @@ def replay(
     external: Array | None = None,
     nudged: Array | None = None,
 ) -> Felt:
-    """Play a recorded scene again, by default with what did render; `external` is of `missing_force`, `nudged` of `nudges`."""
+    """Replay a recorded scene, by default with the recorded laws.
+
+    law: another law for the whole run.
+    external: from `missing_force`.
+    nudged: from `nudges`.
+    """
     played, ticks = recorded.scene, len(recorded.position)
     first = played.law if law is None else law
     swaps = [swap for swap in played.swaps if swap.tick < ticks] if law is None else []
-    # In lockstep the recorded delay is that of the rule.
+    # In lockstep the delay follows from the launch file.
     arrivals = None if recorded.lockstep else (recorded.came, recorded.answers, recorded.given)
     given = Given(force=external, target=recorded.target, arrivals=arrivals, nudged=nudged)
-    # Interpreted: compiling the loop takes as long as a million ticks of it.
-    trace = run(played.scene, first, ticks, swaps, played.memory, True, given)
+    # Interpreted: compiling the loop takes as long as a million of its ticks.
+    trace = play(
+        recorded.launch,
+        ticks=ticks,
+        instead=Instead(law=first, swaps=swaps),
+        given=given,
+        how="interpreted",
+    ).along()
     return _judged(recorded, first, trace.measured, trace.force)
 
 
 def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
-    """Find the least jumps of position [m], velocity [m/s] and reading [m] that keep the model in what was read: (N, 3)."""
+    """Find the smallest jumps that keep the model within the positions read, shape (N, 3).
+
+    Columns: position [m], velocity [m/s] and reading [m].
+    """
     ticks = len(recorded.position)
     jumps = np.zeros((ticks, 3))
     arrivals = recorded.came, np.full(len(recorded.came), -1, dtype=np.int64), recorded.given
@@ -90,15 +108,18 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
 
 
 def missing_force(recorded: RecordedScene, noise: float) -> Array:
-    """Estimate the force that the model lacks, tick by tick [N]; `noise` is a measured position's standard deviation [m]."""
+    """Estimate the force missing in the model, tick by tick [N].
+
+    noise: standard deviation of a measured position [m].
+    """
     device, y = recorded.scene.scene.device, recorded.position
     step = coefficients(
         device.moving_mass, device.moving_damping, device.grip, recorded.scene.scene.period
     )
     known = _known(recorded)
     best, chosen = -np.inf, np.zeros(len(y))
-    # A random walk of the force, smoothed over the whole recording (Kalman; Rauch, Tung and
-    # Striebel), its size by likelihood.
+    # The force is a random walk, smoothed over the whole recording (Rauch–Tung–Striebel); its size
+    # maximises the likelihood.
     for walk in np.geomspace(1e-5, 1.0, 11).tolist():
         likelihood, force = _smooth(y, known, step, noise, walk)
         if likelihood > best:
@@ -107,7 +128,10 @@ def missing_force(recorded: RecordedScene, noise: float) -> Array:
 
 
 def _known(recorded: RecordedScene) -> Array:
-    """Tell what one tick of recorded forces, load and friction adds to position and velocity, from rest: (N, 2)."""
+    """Return the effect of a tick's forces, load and friction from rest, shape (N, 2).
+
+    Columns: position [m] and velocity [m/s].
+    """
     scene = recorded.scene.scene
     device, period, ticks = scene.device, scene.period, len(recorded.position)
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip

@@ -1,4 +1,4 @@
-"""What a recording holds for identification: positions at ticks, the forces with the instant of each, the encoder's grid."""
+"""Data of a recording for identification: positions, forces, encoder step."""
 
 import itertools
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ from sim.arrays import Array
 from sim.identify.forces import handed_over
 from sim.identify.identified import Estimate
 
-# So many ticks that the driver slept through do not end a stretch: forces held meanwhile, and the
-# motion is known [ticks].
+# A gap of up to this many ticks, in which the driver overran, does not end a segment: the forces
+# held meanwhile and the motion are known [ticks].
 BRIDGED = 50
-SHORTEST = 400  # fewer ticks in a row tell no device [ticks]
+SHORTEST = 400  # shortest run of ticks that can identify a device [ticks]
 
 
 @dataclass(frozen=True)
@@ -27,32 +27,33 @@ class Experiment:
 
     period: float  # sampling period T [s]
     position: Array  # measured position at each tick [m], shape (N,)
-    # First tick and end of each stretch without a long gap: indices into `position`, shape (s, 2).
+    # first tick and end of each segment without a long gap: indices into `position`, shape (s, 2)
     segments: tuple[tuple[int, int], ...]
-    # when each force was handed to the device [ticks since the first position], rising, shape (M,)
+    # when each force was handed to the device [ticks since the first position], ascending, shape
+    # (M,)
     at: Array
-    force: Array  # the force handed over then, which holds until the next [N], shape (M,)
-    # Delay of each answered tick, late ones too, as the driver measured it, the device's own not
-    # included [ticks], shape (D,).
+    force: Array  # the force handed over then, held until the next [N], shape (M,)
+    # delay of each answered tick, including late ones, as measured by the driver, without the
+    # device's own [ticks], shape (D,)
     delay: Array
     axis: str = "x"  # ``x``, ``y`` or ``z``
-    # Ticks whose position was not sampled: filled in for a first guess, never compared with a
-    # model, shape (N,), or None. None for none.
+    # ticks whose position was not sampled, shape (N,), or None: interpolated for the first guess,
+    # never compared with a model
     unread: NDArray[np.bool_] | None = None
-    # Ticks in which the answers of two earlier ones may have been handed over too: the driver tells
-    # where the force changed first and last, and the mean of all, shape (N,), or None for none.
+    # ticks in which the answers of two earlier ticks may both have arrived, shape (N,), or None;
+    # the driver reports the first and last change of the force and the mean only
     late: NDArray[np.bool_] | None = None
 
     @property
     def missing(self) -> NDArray[np.bool_]:
-        """Whether a tick's position was not sampled, shape (N,)."""
+        """Whether the position of each tick was not sampled, shape (N,)."""
         return np.zeros(len(self.position), dtype=bool) if self.unread is None else self.unread
 
 
 def lockstep(
     period: float, position: Array, force: Array, delay: float = 0.0, axis: str = "x"
 ) -> Experiment:
-    """Make an experiment of a run in which every tick was answered."""
+    """Return the experiment of a run in which every tick was answered."""
     ticks = len(position)
     where, given = np.asarray(position, dtype=np.float64), np.asarray(force, dtype=np.float64)
     return Experiment(
@@ -67,7 +68,11 @@ def lockstep(
 
 
 def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**53)) -> Experiment:
-    """Read one axis of a recording, from a tick to before another."""
+    """Read one axis of a recording within a range of ticks.
+
+    Without `axis`, the axis with the largest variation of force is used. Raise ValueError for too
+    few ticks, long gaps or a driver that reports no `mean_force`.
+    """
     recording = Recording(path)
     period = period_of(recording)
     states = [
@@ -87,7 +92,7 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
         state.mean_force[column] for state in states
     ):
         raise ValueError(
-            f"{path}: its driver tells no mean_force, so what acted within a tick is not known;"
+            f"{path}: its driver reports no mean_force, so the forces within a tick are unknown;"
             " record it again"
         )
     handed = handed_over(states, column)
@@ -103,13 +108,13 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     )
     if sum(last - first for first, last in segments) < SHORTEST:
         raise ValueError(
-            f"{path}: no {SHORTEST} ticks without gaps between them; record by a faster disk or a"
-            " shorter run"
+            f"{path}: no {SHORTEST} ticks without gaps between them; record to a faster disk, "
+            "or for a shorter time"
         )
     missing = ~np.isin(ticks, seq - seq[0])
     answers = np.array([state.force_seq for state in states], dtype=np.int64)
     fresh = answers[1:] != answers[:-1]
-    # Of the ticks sampled between two answers none was answered in its own time.
+    # Several ticks sampled between two answers: none of them was answered in its own time.
     skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 1
     late = np.zeros(len(ticks), dtype=bool)
     late[seq[:-1][skipped & fresh & (answers[:-1] >= 0)] - seq[0]] = True
@@ -119,23 +124,24 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     )
 
 
-LEAST_VALUES = 8  # fewer different positions could lie on many grids
-STRAY = 0.02  # how far from the grid a position may be, as a part of the step: rounding, not motion
+MIN_VALUES = 8  # fewer different positions would lie on many grids
+# tolerated distance of a position from the grid [share of the step]: rounding, not motion
+STRAY = 0.02
 
 
 def encoder(position: Array) -> Estimate:
-    """Find the grid that all positions lie on: the distance of neighbouring readings [m]."""
+    """Estimate the encoder step: the spacing of the grid that contains all positions [m]."""
     values = np.unique(position)
-    if len(values) < LEAST_VALUES:
+    if len(values) < MIN_VALUES:
         return Estimate(
             None,
             why=(
-                f"only {len(values)} different positions, at least {LEAST_VALUES} are needed: move"
+                f"only {len(values)} different positions, at least {MIN_VALUES} are needed: move"
                 " it more"
             ),
         )
     gaps = np.diff(values)
-    # Values closer than a millionth of the usual distance are one, rounded differently.
+    # Values closer than a millionth of the median distance are equal up to rounding.
     gaps = gaps[gaps > 1e-6 * float(np.median(gaps))]
     counts = np.round(gaps / gaps.min())
     step = float(np.sum(gaps) / np.sum(counts))
@@ -146,11 +152,10 @@ def encoder(position: Array) -> Estimate:
         return Estimate(
             None,
             why=(
-                "the positions lie on no even grid: the encoder is fine, or its axes are not those"
-                " of the message"
+                "the positions are on no regular grid: the encoder is very fine, or its axes "
+                "differ from the message's"
             ),
         )
-    # Rounding moves each reading by at most `stray`, so the two ends of the grid leave this much
-    # room.
+    # Rounding moves each reading by at most `stray`, which bounds the error of the spacing.
     error = 2.0 * (stray + float(np.spacing(np.abs(values).max()))) / float(counts[-1] - counts[0])
     return Estimate(float(slope), float(slope) - error, float(slope) + error)

@@ -1,10 +1,11 @@
-"""What a driver handed to its device and when, rebuilt from its states: for identification, and for replays.
+"""Forces a driver handed to its device, with their instants, rebuilt from its states.
 
-A state tells of the tick before it: where in it the force changed first (`changed_at`) and last
-(`delay − age`), the last force, and the mean of all that was on the device since the position
-before. So one force besides the last can be told: that of an earlier answer, or the answer's own,
-which the guard lowered at the end of the tick. Where there is none, the mean tells when the device
-let go by itself, or when the last force came, in ticks that the driver slept through.
+Used for identification and for replays. A state reports the tick before it: when the force changed
+first (`changed_at`) and last (`delay − age`), the last force, and the mean force since the previous
+position. So one more force can be derived: that of an earlier answer, or the answer's own before
+the guard lowered it at the end of the tick. If there is none, the mean gives the instant at which
+the device released the force itself, or at which the last force arrived in ticks missed by an
+overrun.
 """
 
 from collections.abc import Sequence
@@ -16,28 +17,32 @@ import numpy as np
 from messages.types import DeviceState
 from sim.arrays import Array, WholeArray
 
-SAME = 1e-9  # forces closer than this part of the largest are one force: a mean is rounded
+SAME = 1e-9  # forces closer than this share of the largest are equal: a mean is rounded
 
 
 @dataclass(frozen=True)
 class HandedOver:
-    """The forces of one axis, in turn."""
+    """The forces of one axis in order of time."""
 
-    at: Array  # when each was handed over [ticks], rising, shape (M,)
-    force: Array  # the force, which holds until the next [N], shape (M,)
-    # the tick that each answers; −1 for the driver's own, and where nobody tells, shape (M,)
+    at: Array  # when each was handed over [ticks], ascending, shape (M,)
+    force: Array  # the force, held until the next [N], shape (M,)
+    # tick that each force answers; −1 for the driver's own and if unknown, shape (M,)
     answers: WholeArray
-    unsure: WholeArray  # ticks of which only the mean is known, shape (U,)
+    unsure: WholeArray  # ticks of which only the mean force is known, shape (U,)
 
     @property
     def delay(self) -> Array:
-        """Ticks from each tick that was answered, however late, to its force, shape (D,)."""
+        """Return the delay from each answered tick, however late, to its force [ticks], (D,)."""
         answered = self.answers >= 0
         return self.at[answered] - self.answers[answered]
 
 
 def handed_over(states: Sequence[DeviceState], axis: int) -> HandedOver:
-    """Rebuild the forces of an axis; where a driver tells no means (PROTOCOL.md lets it), the last force of each tick alone."""
+    """Rebuild the forces of an axis from the states of a driver.
+
+    If the driver reports no means (optional in PROTOCOL.md), only the last force of each tick is
+    known.
+    """
     strongest = max(abs(state.force[axis]) for state in states)
     has_means = not strongest or any(state.mean_force[axis] for state in states)
     same, first = SAME * strongest, states[0]
@@ -46,10 +51,10 @@ def handed_over(states: Sequence[DeviceState], axis: int) -> HandedOver:
         (float(first.seq), first.force[axis], -1),
     ]
     unsure: list[int] = []
-    since = first.seq  # tick of the newest position: in a fault there is none, and the mean goes on
+    # tick of the newest position; in a fault there is none, and the mean continues
+    since = first.seq
     for before, state in pairwise(states):
-        # What the driver slept through is in the mean; ticks that only the recording lacks had
-        # states of their own.
+        # The mean covers overruns; ticks missing only in the recording had states of their own.
         covered = min(max(1 + state.overruns - before.overruns, 1), state.seq - before.seq)
         begin = state.seq - covered
         if not has_means:
@@ -81,7 +86,10 @@ def handed_over(states: Sequence[DeviceState], axis: int) -> HandedOver:
 
 
 def _last(before: DeviceState, state: DeviceState) -> tuple[float, int]:
-    """When the last force of a tick came [ticks since it began], and the tick it answers; −1 for the driver's own."""
+    """Return when the last force of a tick arrived [ticks] and the tick it answers.
+
+    The instant is relative to the begin of the tick; −1 stands for the driver's own force.
+    """
     if state.force_seq != before.force_seq and state.delay >= state.age:
         return min(state.delay - state.age, 1.0), state.force_seq
     return 1.0, -1
@@ -90,33 +98,33 @@ def _last(before: DeviceState, state: DeviceState) -> tuple[float, int]:
 def _changes(
     before: DeviceState, state: DeviceState, axis: int, covered: int, impulse: float, same: float
 ) -> tuple[list[tuple[float, float, int]], bool]:
-    """Tell which forces came in the last tick before a state, and in those slept through after it; and whether that is sure.
+    """Return the forces of the last tick before a state and of the overrun after it.
 
-    Each force with when it came [ticks since that tick began], and the tick it answers; together
-    they make `impulse` [N ticks].
+    Each force is given with its instant [ticks since that tick began] and the tick it answers. The
+    second value is False if they are not certain. Together they give `impulse` [N ticks].
     """
     tick, slept = state.seq - covered, covered - 1
     held, last = before.force[axis], state.force[axis]
     behind_gap = tick > before.seq
     first, (offset, answers) = state.changed_at, _last(before, state)
     if behind_gap:
-        # Nobody tells what was held until the first change.
+        # The force held until the first change is unknown.
         first = 0.0
     let_go = slept > 0 and state.safety == "zero" and not any(state.force)
     start, sure = min(first, offset), not (behind_gap and slept)
     if offset - start <= SAME:
         start = offset  # delay less age is rounded
-    left = impulse - held * start  # of what came at the first change and later
+    left = impulse - held * start  # from the first change onwards
     if start >= 1.0:
-        # The force before, and somewhere in what was slept through the last one: the device's own
-        # hold let go, or the force of `next_tick` had to wait for a tick.
+        # The previous force, then at an unknown instant of the overrun the last one: the device
+        # released the force itself, or the force of `next_tick` waited a tick.
         part = (left - last * slept) / (held - last) if abs(held - last) > same else 0.0
         if not slept or -SAME <= part <= slept + SAME:
             return [
                 (1.0 + min(max(part, 0.0), float(slept)), last, -1 if let_go else answers)
             ], sure
     if let_go or start >= 1.0:
-        # A force that nobody tells, for a time that nobody tells.
+        # An unknown force for an unknown time.
         until, told, sure = float(covered), (-1, -1), False
     elif start < offset:
         until, told = (
@@ -127,7 +135,7 @@ def _changes(
             ),
         )
     elif state.force_seq < tick:
-        # An answer that came late, lowered by the guard at the end of the tick.
+        # A late answer, lowered by the guard at the end of the tick.
         until, told = 1.0, (answers, -1)
     else:
         return [(offset, last, answers)], sure

@@ -1,12 +1,12 @@
-"""Motion of the identified device over windows of a recording, compiled; and what each unknown moves in it.
+"""Compiled motion of the identified device over windows, and its derivatives.
 
 Within a window the device moves by the exact map with Coulomb friction (`sim.device.friction`),
-from one force to the next wherever in the tick that one takes effect. What a richer model has
-besides is taken in quarters of a tick: the lag of the actuator by its exact mean, quadratic damping
-in the middle, a joint by the series of its own exact map. All per unit of mass.
+from the instants at which forces arrive. Further terms are integrated in quarters of a tick: the
+lag of the actuator by its exact mean, quadratic damping at the midpoint, a joint by the series of
+its exact map. All quantities are per unit of mass.
 
-Everything compiled that calls each other stands in this file: kept code is looked up by the file of
-the outermost function.
+All compiled functions that call each other are in this file, because numba looks up its cache by
+the file of the outermost function.
 """
 
 import math
@@ -34,18 +34,28 @@ from sim.play.compiled import compiled
     AVERAGE,
 ) = range(12)
 # The unknowns: 1/m [1/kg]; b/m [1/s]; c/m [m/s²]; k/m of a hand [1/s²]; load/m [m/s²]; delay
-# [ticks]; quadratic damping per mass [1/m]; lag [ticks]; part of the mass beyond a joint; frequency
-# [Hz] and damping ratio of the joint; part of the sample before in each reading.
+# [ticks]; quadratic damping per mass [1/m]; lag [ticks]; share of the mass beyond a joint;
+# frequency [Hz] and damping ratio of the joint; weight of the previous sample in each reading.
 NAMES = (
-    "mobility", "damping", "friction", "stiffness", "load", "delay", "quadratic", "lag", "share", "frequency", "loss",
+    "mobility",
+    "damping",
+    "friction",
+    "stiffness",
+    "load",
+    "delay",
+    "quadratic",
+    "lag",
+    "share",
+    "frequency",
+    "loss",
     "average",
-)  # fmt: skip
-# position [m] and velocity [m/s] of the motor's side, then what the joint is stretched by and how
-# fast
+)
+# position [m] and velocity [m/s] of the motor side, then stretch of the joint [m] and its rate
+# [m/s]
 STATES = 4
-_PARTS = 4  # steps of a tick in a richer model
-# of the series of the joint's map: 1e-9 at a quarter of a tick and the highest frequency that is
-# looked for
+_PARTS = 4  # steps per tick of a richer model
+# terms of the series of the joint's map: error 1e-9 for a quarter of a tick at the highest
+# frequency searched
 _ORDER = 10
 
 
@@ -61,7 +71,10 @@ def _flow(
     pulse: float,
     loss: float,
 ) -> None:
-    """Exact map of two masses on a joint under a held force, by its series; `stuck` keeps the first where it is."""
+    """Advance two masses on a joint under a held force by the series of the exact map.
+
+    `stuck` holds the first mass.
+    """
     own = 1.0 - share
     spring, damper = share * own * pulse * pulse, 2.0 * loss * share * own * pulse
     x, v, y, w = state[0], state[1], state[2], state[3]
@@ -95,7 +108,7 @@ def _slide_joint(
     pulse: float,
     loss: float,
 ) -> None:
-    """One step of two masses with Coulomb friction on the first; `before` is room for a state."""
+    """Advance two masses with Coulomb friction on the first; `before` is scratch space."""
     remaining = duration
     spring, damper = (
         share * (1.0 - share) * pulse * pulse,
@@ -125,7 +138,7 @@ def _slide_joint(
         )
         if state[1] * direction >= 0.0:
             return
-        # The velocity turned on the way: to where it is zero, by two secants, and on from there.
+        # The velocity changed sign: find its zero by secants and continue from there.
         low, high, at_low, at_high = 0.0, remaining, before[1], state[1]
         halt = 0.0
         for _ in range(3):
@@ -160,7 +173,7 @@ def _slide(
     stiffness: float,
     friction: float,
 ) -> tuple[float, float]:
-    """One step of a unit mass: compiled once, for all who call it."""
+    """Advance a unit mass by one step; a single compiled copy for all callers."""
     return slide(x, v, u, duration, coefs, 1.0, damping, stiffness, friction)
 
 
@@ -175,7 +188,7 @@ def _rigid(
     force: Array,
     out: Array,
 ) -> None:
-    """Positions of one window of a rigid device from its initial state."""
+    """Compute the positions of one window of a rigid device from its initial state."""
     mobility, damping, friction, stiffness, load, delay = (
         theta[0],
         theta[1],
@@ -185,7 +198,7 @@ def _rigid(
         theta[5],
     )
     x, v = state[0], state[1]
-    # The force that acts when the window begins: the last one that took effect until then.
+    # The force that acts at the start of the window: the last one in effect by then.
     j = np.searchsorted(at, start - delay, "right") - 1
     acting = force[j] if j >= 0 else 0.0
     known = period
@@ -216,7 +229,7 @@ def _rigid(
             )
 
 
-# Long: one device, drawn at random term by term.
+# Long because it is one compiled function.
 @compiled()
 def _richer(  # noqa: PLR0915
     theta: Array,
@@ -228,7 +241,7 @@ def _richer(  # noqa: PLR0915
     force: Array,
     out: Array,
 ) -> None:
-    """Positions of one window of a device with a lag, quadratic damping or a joint."""
+    """Compute the positions of one window of a device with lag, quadratic damping or a joint."""
     mobility, damping, friction, stiffness, load, delay = (
         theta[0],
         theta[1],
@@ -251,7 +264,7 @@ def _richer(  # noqa: PLR0915
     acting = force[j] if j >= 0 else 0.0
     given = acting
     if lag > 0.0:
-        # What the actuator gives by now, from the forces of twelve time constants before.
+        # Actuator output at this point, from the forces of the last twelve time constants.
         i = max(np.searchsorted(at, start - delay - 12.0 * lag, "right") - 1, 0)
         given = force[i] if j >= 0 else 0.0
         while i <= j:
@@ -302,7 +315,8 @@ def _richer(  # noqa: PLR0915
                             known = h
                         middle = state[1]
                         for again in range(2 if quadratic > 0.0 else 1):
-                            # Quadratic damping in the middle: a first try tells where that is.
+                            # Quadratic damping at the midpoint velocity: a first trial step
+                            # estimates it.
                             held = u + quadratic * (state[1] * abs(state[1]) - middle * abs(middle))
                             x, v = _slide(
                                 state[0],
@@ -333,15 +347,15 @@ def window(
     force: Array,
     out: Array,
 ) -> None:
-    """Positions that are read in one window, from its initial state."""
+    """Compute the positions read in one window from its initial state."""
     if theta[6] == 0.0 and theta[7] == 0.0 and theta[8] == 0.0:
         _rigid(theta, state, start, length, period, at, force, out)
     else:
         _richer(theta, state, start, length, period, at, force, out)
     part = theta[11]
     if part != 0.0:
-        # The sample before the first of a window is not known: drawn on with a constant
-        # acceleration, and never compared.
+        # The sample before the window is unknown: extrapolated with constant acceleration and
+        # never compared.
         before = 3.0 * out[0] - 3.0 * out[1] + out[2]
         for k in range(length):
             here = out[k]
@@ -366,8 +380,11 @@ def slopes(
     residuals: Array,
     out: Array,
 ) -> None:
-    """Residuals of windows (W, L), and what each unknown and each of their own states moves in them (W, p + s, L)."""
-    # In loops: compiled slices of arrays, and their products, take three times as long to compile.
+    """Compute residuals of windows and their derivatives by unknowns and initial states.
+
+    Shapes: residuals (W, L), derivatives (W, p + s, L).
+    """
+    # Explicit loops: compiled array slices and products take three times as long to compile.
     length, p = residuals.shape[1], len(free)
     here, there = np.empty(length), np.empty(length)
     moved, near = np.empty(len(theta)), np.empty(STATES)

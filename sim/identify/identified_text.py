@@ -1,9 +1,10 @@
-"""An identified device told: as figures with units in the keys, as a table, and as parameters of a launch."""
+"""An identified device as figures, as a table and as launch parameters."""
 
 import math
 from collections.abc import Mapping
 from typing import Any
 
+from sim.identify.altered import as_record, from_record
 from sim.identify.identified import Estimate, Identified
 
 # Key, attribute, name and unit of each parameter.
@@ -32,7 +33,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 
 
 def figures(found: Identified) -> dict[str, Any]:
-    """Give an identified device as figures."""
+    """Return an identified device as figures."""
     return {
         "axis": found.axis,
         "rate_hz": 1.0 / found.period,
@@ -45,6 +46,7 @@ def figures(found: Identified) -> dict[str, Any]:
         "remainder": {
             "cause": found.remainder,
             "k_max_change": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+            "devices": [as_record(device) for device in found.altered],
         },
         "unbelieved": {
             key: _estimate(found.unbelieved[name])
@@ -62,7 +64,7 @@ def figures(found: Identified) -> dict[str, Any]:
 
 
 def from_figures(record: Mapping[str, Any]) -> Identified:
-    """Read back what `figures` gave: the inverse, for a step that is run alone."""
+    """Return the device of given figures, the inverse of `figures`."""
     estimates: dict[str, Any] = {
         name: Estimate(**record[key]) for key, name, _, _ in ROWS if key in record
     }
@@ -88,19 +90,23 @@ def from_figures(record: Mapping[str, Any]) -> Identified:
 
 
 def _remainder(record: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Read back what is left; a recording of an earlier version told none."""
+    """Return the fields of the remainder; none for a record of an earlier version."""
     if record is None:
         return {}
     change = record["k_max_change"]
-    return {"remainder": record["cause"], "remainder_k_max": math.inf if change is None else change}
+    return {
+        "remainder": record["cause"],
+        "remainder_k_max": math.inf if change is None else change,
+        "altered": tuple(from_record(device) for device in record.get("devices", ())),
+    }
 
 
 def verdict(found: Identified) -> str:
-    """Say in one line whether the model holds."""
+    """Return one line on whether the model holds."""
     if found.refuted:
         return f"REFUTED, nothing to design on: {found.why}"
     if found.mass.value is None:
-        return f"cannot tell: {found.mass.why}"
+        return f"unknown: {found.mass.why}"
     model = " with ".join(["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])])
     if found.remainder:
         return (
@@ -108,11 +114,11 @@ def verdict(found: Identified) -> str:
             " model does not have and which may change K_max by"
             f" {100.0 * found.remainder_k_max:.2g} %"
         )
-    return f"holds: {model} leaves no more than noise in windows that it was not fitted to"
+    return f"holds: {model} leaves only noise in held-out windows"
 
 
 def text(found: Identified) -> str:
-    """Give an identified device as a table, the verdict first."""
+    """Return an identified device as a table, the verdict first."""
     lines = [
         verdict(found),
         f"axis {found.axis}, {'held by a hand' if found.held else 'free'}; 95 % intervals",
@@ -129,7 +135,7 @@ def text(found: Identified) -> str:
             by = "" if fitted is None else f" ({fitted:.5g} by the refuted model)"
             lines.append(f"  {label:30} not believed{by}")
         elif estimate.value is None:
-            lines.append(f"  {label:30} cannot tell: {estimate.why}")
+            lines.append(f"  {label:30} unknown: {estimate.why}")
         elif name == "average" and estimate.value == 0.0:
             continue
         elif name in ("quadratic", "lag") and estimate.value == 0.0:
@@ -147,7 +153,7 @@ def text(found: Identified) -> str:
     )
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
     left_out = (
-        f", {found.dropped} left out: a stall or a knock spoilt them" if found.dropped else ""
+        f", {found.dropped} left out: disturbed by a stall or a knock" if found.dropped else ""
     )
     windows = f"{found.windows} windows of {found.ticks} ticks{left_out}"
     lines.append(f"  residual {residual}; in held-out windows {held_out}; {windows}")
@@ -155,7 +161,7 @@ def text(found: Identified) -> str:
 
 
 def device_parameters(found: Identified) -> dict[str, Any]:
-    """Describe an identified device as the sim driver's parameter ``device``."""
+    """Return the parameter ``device`` of a sim driver for an identified device."""
     mass, _, _ = found.mass.known()
     optional = {
         "damping": found.damping,

@@ -1,8 +1,8 @@
-"""Identify a device from an experiment: each parameter with a 95 % interval, or with the reason why it cannot be told.
+"""Identify a device: parameters with 95 % intervals, or the reasons why not.
 
-The first guess comes from linear equations: there is no wrong valley to begin in. Multiply the
-equation of motion by a bump φ that vanishes with its slope at both ends, and integrate by parts:
-only φ is differentiated. What is left is linear in all unknowns but the delay, which is tried out.
+The first guess solves linear equations, so it has no local minima. The equation of motion is
+multiplied by a bump φ that vanishes with its slope at both ends, and integrated by parts, so only φ
+is differentiated. The result is linear in all unknowns but the delay, which is tried on a grid.
 Encoder rounding biases it by some percent.
 """
 
@@ -30,11 +30,17 @@ from sim.identify.identified_motion import (
 )
 from sim.identify.output_error import Fit, fit, windows
 
-WINDOW = 100  # ticks of a window
+WINDOW = 100  # length of a window [ticks]
 
 
 def identify(experiment: Experiment, held: bool | None = None, length: int = WINDOW) -> Identified:
-    """Identify a device from at least 12 windows; `held` by a hand or not, None finds out."""
+    """Identify a device from at least 12 windows.
+
+    held: whether a hand holds the device; None: decide from the data.
+    length: ticks of a window.
+
+    Raise ValueError if there are fewer than 12 windows.
+    """
     starts = windows(experiment, length)
     if len(starts) < 12:
         raise ValueError(
@@ -45,7 +51,8 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
         return nothing(
             experiment,
             length,
-            "the force never changed: nothing tells the device; push it (haptic launch identify)",
+            "the force never changed, so the device cannot be identified; push it (haptic "
+            "launch identify)",
         )
     within = np.zeros(len(experiment.position), dtype=bool)
     for first, end in experiment.segments:
@@ -58,7 +65,7 @@ def identify(experiment: Experiment, held: bool | None = None, length: int = WIN
 
 
 def initial_state(experiment: Experiment, found: Identified) -> tuple[float, float]:
-    """Find where an identified device begins, from its first window: position [m] and velocity [m/s]."""
+    """Return the initial position [m] and velocity [m/s] of an identified device."""
     first = _begun(experiment, found, np.zeros(1, dtype=np.int64))
     return float(first.states[0, 0]), float(first.states[0, 1])
 
@@ -66,7 +73,10 @@ def initial_state(experiment: Experiment, found: Identified) -> tuple[float, flo
 def followed(
     experiment: Experiment, found: Identified, count: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """Let a device move through the first windows of a run, each from where the run has it: first ticks, positions [m]."""
+    """Simulate the first windows of a run, each from its recorded initial state.
+
+    Return the first ticks and the positions [m].
+    """
     starts = windows(experiment, found.ticks)[:count]
     begun = _begun(experiment, found, starts)
     positions = np.empty((len(starts), found.ticks))
@@ -85,7 +95,7 @@ def followed(
 
 
 def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64]) -> Fit:
-    """Find where a device that is known begins each window, with all that was found of it."""
+    """Fit the initial state of each window for a known device."""
     mass, _, _ = found.mass.known()
     theta = np.zeros(len(NAMES))
     theta[MOBILITY] = 1.0 / mass
@@ -94,7 +104,7 @@ def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64])
     for name in ("share", "frequency", "loss"):
         theta[NAMES.index(name)] = getattr(found, name).value or 0.0
     theta[AVERAGE] = found.average.value or 0.0
-    # The mean delay of a sensor that averages is told with the device's own.
+    # The mean delay of an averaging sensor is included in the device's own delay.
     theta[DELAY] = max((found.device_delay.value or 0.0) - theta[AVERAGE], 0.0)
     theta[LAG] = (found.lag.value or 0.0) / experiment.period
     return fit(experiment, starts, found.ticks, theta, (), found.encoder.value or 1e-6)
@@ -103,7 +113,7 @@ def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64])
 def _search(
     experiment: Experiment, starts: NDArray[np.int64], length: int, scale: float, held: bool | None
 ) -> Fit:
-    """From the linear equations' guess to everything."""
+    """Fit all unknowns, starting at the guess of the linear equations."""
     free = (
         (MOBILITY, DAMPING, FRICTION, LOAD)
         if held is False
@@ -111,8 +121,7 @@ def _search(
     )
     full: Fit | None = None
     for stiff in (True, False)[held is False :]:
-        # The equations of a free device tell more when there is no hand; which of the two starts
-        # nearer decides.
+        # Without a hand the equations of a free device are more precise; the closer start is used.
         here = fit(experiment, starts, length, first_guess(experiment, stiff), free, scale, steps=5)
         here = fit(experiment, starts, length, here.theta, (*free, DELAY), scale, here.states)
         if full is None or here.rms < full.rms:
@@ -136,25 +145,26 @@ def _search(
 
 
 def _is_held(found: Fit) -> bool:
-    """Whether the stiffness of a hand stands out of its own error, and out of what it could be mistaken for."""
+    """Check that the hand's stiffness exceeds four of its standard deviations."""
     at = list(found.free).index(STIFFNESS)
     covariance = covariance_of(found)
     return float(found.theta[STIFFNESS]) > 4.0 * math.sqrt(covariance[at, at])
 
 
-HALF_WIDTH = 24  # half the length of the bump [ticks]
-DELAYS = np.arange(0.0, 12.01, 0.5)  # delays that are tried [ticks]
+HALF_WIDTH = 24  # half length of the bump [ticks]
+DELAYS = np.arange(0.0, 12.01, 0.5)  # delays tried [ticks]
 
 
 def first_guess(experiment: Experiment, held: bool) -> Array:
-    """Solve the linear equations at every delay and take the one that fits best."""
+    """Solve the linear equations at every delay and return the best fit."""
     period = experiment.period
     s = np.linspace(-1.0, 1.0, 2 * HALF_WIDTH + 1)
     unit = HALF_WIDTH * period
     bump = (1.0 - s**2) ** 4
     slope = -8.0 * s * (1.0 - s**2) ** 3 / unit
     bend = (-8.0 * (1.0 - s**2) ** 3 + 48.0 * s**2 * (1.0 - s**2) ** 2) / unit**2
-    # ∫ force dt at the forces' own instants is piecewise linear, and so exact at any delay.
+    # The integral of the force over its recorded instants is piecewise linear, so it is exact at
+    # any delay.
     impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
     best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 6]))
     parts = [part for part in experiment.segments if part[1] - part[0] > 3 * HALF_WIDTH]

@@ -1,8 +1,8 @@
-"""Judge a fit by what it leaves: whether that is no more than rounding and white noise, and which term the data ask for if not.
+"""Judge a fit by its residual: only rounding and white noise, or a missing term.
 
-Rounding is not white where the device is slow. So what a model that holds would leave is drawn: its
-own motion, rounded on grids that lie anywhere, with as much white noise before as the residual asks
-for (THEORY.md §12).
+Rounding is not white if the device is slow. So the residual of a valid model is simulated: its own
+motion, rounded on grids with random offsets, plus as much white noise as the residual requires
+(THEORY.md §12).
 """
 
 import math
@@ -15,33 +15,34 @@ from sim.identify.experiment import Experiment
 from sim.identify.output_error import Fit, left_over, own_states
 from sim.identify.suspects import Shapes, Suspect
 
-DRAWS = 40  # how often a model that holds is drawn
-# grid of an encoder whose own is not seen; what is left below its rounding is arithmetic [m]
+DRAWS = 40  # simulated residuals of a valid model
+# assumed grid of an encoder without a visible step; a residual below its rounding is numerical
+# error [m]
 FINEST = 1e-9
-LAGS = 20  # of the autocorrelation [ticks]
-SURE = 5.0  # so many standard deviations are no chance, among some hundred suspects
-QUANTILE = 1.96  # of a 95 % interval [standard deviations]
-IMPROBABLE = 1e-4  # whiteness below which a model does not hold
+LAGS = 20  # lags of the autocorrelation [ticks]
+SURE = 5.0  # significance threshold among about a hundred suspects [standard deviations]
+QUANTILE = 1.96  # half-width of a 95 % interval [standard deviations]
+IMPROBABLE = 1e-4  # whiteness below which a model is refuted
 
 
 @dataclass(frozen=True)
 class Left:
-    """What a fit leaves in its windows, freed of all that its unknowns and the windows' own states could still take up."""
+    """Residual after projecting out parameters and initial states."""
 
     residual: Array  # of the positions [m], shape (W, L)
-    draws: Array  # the same of models that hold, shape (B, W, L)
-    # Root mean square of the residual, and what rounding alone leaves [m].
+    draws: Array  # the same for simulated valid models, shape (B, W, L)
+    # root-mean-square of the residual, and the part due to rounding [m]
     size: float
     rounding: float
     modelled: Array  # positions of the model [m], shape (W, L)
-    # Orthonormal bases of what those move.
+    # orthonormal bases of the effects of initial states and unknowns
     states: Array
     unknowns: Array
-    slopes: Array  # what each unknown moves, freed of the windows' own states, shape (p, W L)
+    slopes: Array  # effect of each unknown after projecting out the initial states, shape (p, W L)
 
 
 def _freed(what: Array, states: Array, unknowns: Array) -> Array:
-    """Free shapes (..., W, L) of what states and unknowns take up."""
+    """Project out the effects of states and unknowns from shapes (..., W, L)."""
     what = what - np.einsum("wks,...ws->...wk", states, np.einsum("wks,...wk->...ws", states, what))
     if unknowns.size:
         flat = what.reshape(*what.shape[:-2], -1)
@@ -51,14 +52,14 @@ def _freed(what: Array, states: Array, unknowns: Array) -> Array:
 
 
 def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) -> Left:
-    """Take apart what a fit leaves."""
+    """Decompose the residual of a fit."""
     residual, moved = left_over(experiment, found, step or 1e-6)
     p, own = len(found.free), own_states(found.theta)
     rows = found.starts[:, None] + np.arange(found.length)
     unread = experiment.missing[rows]
     modelled = experiment.position[rows] - residual
-    # An orthonormal basis of what each window's own state moves, then one of what the unknowns move
-    # besides.
+    # An orthonormal basis of the effects of each window's initial state, then one of the remaining
+    # effects of the unknowns.
     columns = np.swapaxes(moved[:, p:], 1, 2)
     columns = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
@@ -84,8 +85,7 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
         error[:, unread] = 0.0
         return _freed(error, states, unknowns)
 
-    # Rounding alone first: what the residual is more than that is white noise in a model that
-    # holds.
+    # Rounding alone first; the rest of the residual counts as white noise of a valid model.
     draws = drawn(0.0)
     rounding = float(np.mean(np.sum(draws**2, axis=(1, 2)))) / samples
     noise = math.sqrt(max(size**2 - rounding, 0.0))
@@ -95,10 +95,10 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
 
 
 def whiteness(what: Left) -> float:
-    """Tell how probable it is that a model that holds leaves residuals at least so far from white."""
+    """Return the probability that a valid model leaves residuals at least as far from white."""
     from scipy.stats import gamma
 
-    # What fits to the bit (windows at rest) leaves nothing that could have a colour.
+    # An exact fit (windows at rest) has no residual to be correlated.
     if not np.any(what.residual):
         return 1.0
 
@@ -112,8 +112,8 @@ def whiteness(what: Left) -> float:
 
     drawn, seen = correlation(what.draws), correlation(what.residual)
     middle, spread = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
-    # How far models that hold are from their own mean: the lags are not independent where rounding
-    # is slow.
+    # Distance of valid models from their own mean: the lags are not independent if rounding errors
+    # vary slowly.
     own = np.mean(((drawn - middle) / spread) ** 2, axis=1) * (DRAWS + 1) / (DRAWS - 1)
     shape = float(own.mean() ** 2 / own.var(ddof=1))
     return float(
@@ -124,7 +124,10 @@ def whiteness(what: Left) -> float:
 
 
 def unsteady(experiment: Experiment, what: Left) -> tuple[float, float]:
-    """Tell the spread of the samples' instants [s], by what is left where it is fast, and how sure that is [deviations]."""
+    """Estimate the jitter of the sample instants [s] and its significance [deviations].
+
+    Jitter makes the residual grow with the speed.
+    """
     squared = np.gradient(what.modelled, experiment.period, axis=1) ** 2
     around = squared - squared.mean()
     slope = np.sum(what.residual**2 * around) / np.sum(around**2)
@@ -136,23 +139,22 @@ def unsteady(experiment: Experiment, what: Left) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Evidence:
-    """How much of the residual one suspect takes up."""
+    """How much of the residual one suspect explains."""
 
     suspect: Suspect  # the term
-    strength: float  # of its best factor, in standard deviations of the same in models that hold
-    share: float  # part that it takes up of what the residual has beyond rounding
-    factor: float  # of its first shape
-    visible: float  # factor that would have `SURE` standard deviations
-    factors: Array  # of each shape, fitted together, shape (g,)
-    # By how much more of itself the term may be, at 95 %, by how the windows differ about it.
+    strength: float  # of its best factor, in standard deviations for valid models
+    share: float  # explained share of the residual beyond rounding
+    factor: float  # factor of its first shape
+    visible: float  # factor with a significance of `SURE`
+    factors: Array  # factors of all shapes, fitted together, shape (g,)
+    # relative uncertainty of the term at 95 %, from the spread between windows
     margin: float
-    # what the unknowns of the fit would change by if the term were added, in the order of
-    # `Fit.free`
+    # change of each unknown of the fit if the term were added, in the order of `Fit.free`
     moves: Array
 
 
 def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
-    """Try every suspect on what is left, that which takes up most first."""
+    """Fit every suspect to the residual; return them sorted by explained share."""
     findings = []
     beyond = (
         max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size) if what.size else 1.0
@@ -183,13 +185,13 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
 
 
 def _carried(what: Left, suspect: Suspect, factors: Array, explained: Array) -> tuple[float, Array]:
-    """Return how much more of itself a term may be, and what it would move the unknowns of the fit by."""
+    """Return the relative uncertainty of a term and its effect on the unknowns of the fit."""
     size = float(np.linalg.norm(explained))
     windows = len(what.residual)
     if size == 0.0:
         return 0.0, np.zeros(len(what.slopes))
     unit = (explained / size).reshape(windows, -1)
-    # Each window's own vote: what is left besides, of whatever colour, makes them differ.
+    # One estimate per window: the remaining residual, whatever its spectrum, makes them differ.
     votes = np.sum(what.residual * unit, axis=1) - np.sum(unit**2, axis=1) * size
     margin = QUANTILE * math.sqrt(float(np.sum(votes**2)) * windows / max(windows - 1, 1)) / size
     whole = _freed(np.tensordot(factors, suspect.shapes, 1), what.states, what.unknowns[:, :0])

@@ -1,10 +1,10 @@
-"""Output error: the device whose exact motion under the recorded forces comes closest to the recorded positions.
+"""Output error: find the device whose exact motion best fits the recorded positions.
 
-The run is cut into windows, each with an initial state of its own, so that nothing has to be known
-before a window and no error grows from one into the next. The unknowns are taken where the motion
-(`sim.identify.identified_motion`) is nearly linear in them, per unit of mass. Gauss–Newton steps
-with Levenberg's damping find them all; the initial states are eliminated window by window.
-THEORY.md §12.
+The run is cut into windows, each with its own initial state, so nothing before a window needs to be
+known and no error propagates into the next. The unknowns are parametrised per unit of mass, where
+the motion (`sim.identify.identified_motion`) is nearly linear in them. They are found by
+Gauss–Newton steps with Levenberg damping; the initial states are eliminated window by window
+(THEORY.md §12).
 """
 
 import math
@@ -17,30 +17,29 @@ from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import SHARE, STATES, slopes
 
-# Smallest value of each unknown, in the order and the units of `NAMES`.
-LEAST = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0])
-# Largest value of each.
-MOST = np.array(
+# Smallest value of each unknown, in the order and units of `NAMES`.
+LOWER_BOUNDS = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0])
+# Largest value of each unknown.
+UPPER_BOUNDS = np.array(
     [1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0, 0.5]
 )
-_DIVERGED = 1e100  # of a position [m]: its square can still be added up
-# Differences that slopes are taken over, as a part of `_SIZES` or of the value, whichever is
-# larger.
+_DIVERGED = 1e100  # position beyond which a motion has diverged [m]; its square does not overflow
+# Finite-difference steps, relative to `_SIZES` or the value, whichever is larger.
 _STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3, 1e-3])
 _SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01, 1.0])
 
 
 @dataclass
 class Fit:
-    """What the search came to."""
+    """Result of the search."""
 
     theta: Array  # the unknowns, in the order of `NAMES`, shape (12,)
-    free: NDArray[np.int64]  # which of them were looked for
-    # Initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of
-    # a joint, shape (W, 4).
+    free: NDArray[np.int64]  # indices of the fitted unknowns
+    # initial position [m] and velocity [m/s] of each window, and stretch [m] and its rate [m/s] of
+    # a joint, shape (W, 4)
     states: Array
     errors: Array  # sum of squared residuals of each window [m²], shape (W,)
-    # Normal equations of each window at the end, the initial state eliminated.
+    # normal equations of each window at the solution, initial state eliminated
     matrices: Array
     sides: Array
     starts: NDArray[np.int64]  # first tick of each window, shape (W,)
@@ -48,13 +47,13 @@ class Fit:
 
     @property
     def rms(self) -> float:
-        """Root-mean-square residual, the windows' own degrees of freedom taken off [m]."""
+        """Return the root-mean-square residual, corrected for the initial states [m]."""
         samples = len(self.starts) * (self.length - own_states(self.theta))
         return math.sqrt(max(float(self.errors.sum()), 0.0) / samples)
 
 
 def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
-    """Cut an experiment into windows: first tick of each, shape (W,); none spans a gap."""
+    """Return the first tick of each window, shape (W,); no window spans a gap."""
     found = [
         start
         for first, end in experiment.segments
@@ -64,7 +63,7 @@ def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
 
 
 def first_states(experiment: Experiment, starts: NDArray[np.int64], length: int) -> Array:
-    """Guess the states (W, 4) at the beginning of windows from the positions after it; a joint begins at rest."""
+    """Estimate the initial states (W, 4) of windows from positions; a joint begins at rest."""
     reach = min(8, length - 1)
     x = experiment.position[starts]
     v = (experiment.position[starts + reach] - x) / (reach * experiment.period)
@@ -81,7 +80,7 @@ def fit(
     states: Array | None = None,
     steps: int = 60,
 ) -> Fit:
-    """Find the `free` unknowns from a first guess of all until no step lowers the error; `scale` is a small error [m]."""
+    """Fit the `free` unknowns until no step lowers the error; `scale` is a small error [m]."""
     theta = np.array(theta, dtype=np.float64)
     chosen = np.array(free, dtype=np.int64)
     states = first_states(experiment, starts, length) if states is None else states.copy()
@@ -99,9 +98,9 @@ def fit(
     for _ in range(steps):
         errors, matrices, sides, alone, along = now
         matrix, side = matrices.sum(axis=0), sides.sum(axis=0)
-        move = _step(matrix, side, damping, theta[chosen], LEAST[chosen])
+        move = _step(matrix, side, damping, theta[chosen], LOWER_BOUNDS[chosen])
         there = theta.copy()
-        there[chosen] = np.clip(theta[chosen] + move, LEAST[chosen], MOST[chosen])
+        there[chosen] = np.clip(theta[chosen] + move, LOWER_BOUNDS[chosen], UPPER_BOUNDS[chosen])
         moved_states = states + alone / (1.0 + damping) - along @ (there[chosen] - theta[chosen])
         new = equations(there, moved_states)
         before, after = float(errors.sum()), float(new[0].sum())
@@ -120,12 +119,12 @@ def fit(
 
 
 def own_states(theta: Array) -> int:
-    """Count the states that each window has of its own: 2, or 4 with a joint."""
+    """Return the number of initial states of a window: 2, or 4 with a joint."""
     return STATES if theta[SHARE] > 0.0 else 2
 
 
 def left_over(experiment: Experiment, found: Fit, scale: float) -> tuple[Array, Array]:
-    """Give what a fit leaves (W, L), and what each unknown and each window's own state moves (W, p + s, L)."""
+    """Return the residuals of a fit (W, L) and their derivatives (W, p + s, L)."""
     return _slopes(
         experiment, found.starts, found.length, found.theta, found.free, found.states, scale
     )
@@ -146,19 +145,34 @@ def _slopes(
         np.empty((len(starts), len(free) + own, length)),
     )
     slopes(
-        theta, free, widths, own, states, np.ascontiguousarray(starts), experiment.period, experiment.position,
-        experiment.missing, experiment.at, experiment.force, scale, residuals, moved,
-    )  # fmt: skip
+        theta,
+        free,
+        widths,
+        own,
+        states,
+        np.ascontiguousarray(starts),
+        experiment.period,
+        experiment.position,
+        experiment.missing,
+        experiment.at,
+        experiment.force,
+        scale,
+        residuals,
+        moved,
+    )
     return residuals, moved
 
 
 def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Array, ...]:
-    """Errors (W,), normal equations (W, p, p), (W, p) freed of initial states, and what moves those: (W, 4), (W, 4, p)."""
+    """Return errors, normal equations without initial states, and the states' own steps.
+
+    Shapes: (W,), (W, p, p), (W, p), then (W, 4) and (W, 4, p).
+    """
     windows, length = residuals.shape
     unknowns, initial, error = moved[:, :-own], moved[:, -own:], residuals[:, :, None]
     alone, along = np.zeros((windows, STATES)), np.zeros((windows, STATES, unknowns.shape[1]))
-    # What diverges has no slopes: a step that leads there is taken back, a term that begins there
-    # is left out.
+    # A diverged motion has no derivatives: a step to it is rejected, a term that starts there is
+    # left out.
     if not (np.abs(residuals).max() < _DIVERGED and np.abs(moved).max() < _DIVERGED):
         p = unknowns.shape[1]
         return (
@@ -168,7 +182,7 @@ def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Ar
             alone,
             along,
         )
-    # The states' own block, a hair away from singular where friction holds the device all the time.
+    # The states' block is regularised slightly: it is singular while friction holds the device.
     hair = np.where(np.arange(own) % 2 == 0, 1.0, (length * period) ** 2)
     block = initial @ initial.swapaxes(1, 2) + 1e-9 * length * np.diag(hair)
     cross = initial @ unknowns.swapaxes(1, 2)
@@ -180,7 +194,7 @@ def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Ar
 
 
 def _step(matrix: Array, side: Array, damping: float, at: Array, least: Array) -> Array:
-    """One damped step that leaves alone what would be pushed below its least value."""
+    """Return a damped step that does not push unknowns below their minimum."""
     move = np.zeros_like(at)
     inside = np.ones(len(at), dtype=bool)
     size = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))

@@ -14,8 +14,8 @@ from typing import Any
 from messages import topics
 from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
-from sim.identify.signals_once import undisturbed
-from sim.measure.measured_launch import beside, within
+from sim.measure.haptic_commands import start_command, within
+from sim.measure.interrupts import undisturbed
 
 # name that the excitation gets in the coupling; it stays defined afterwards, inactive
 LAW = "identify"
@@ -74,7 +74,9 @@ def push(
             loop.change(loop.coupling, "param.set", values=longer)
             # In lockstep a push is over in less time than a process takes to start.
             with loop.standing():
-                recorder = beside(*record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                recorder = start_command(
+                    *record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                )
                 within(lambda: recorder.poll() is not None or out.exists(), START)
             _watch(loop, duration, held, say, result)
     except KeyboardInterrupt:
@@ -122,7 +124,7 @@ def _watch(
         if state.safety not in ("fault", "zero", "stopped"):
             alarmed_since = state.seq
         elif (state.seq - alarmed_since) * loop.period >= ALARM:
-            result.reason = f"the driver took the force away ({state.safety}): {loop.why_stopped()}"
+            result.reason = f"the driver removed the force ({state.safety}): {loop.why_stopped()}"
             return
         if max(abs(state.position[i] - still_at[i]) for i in loop.axes) > MOVED:
             still_since, still_at = state.seq, state.position

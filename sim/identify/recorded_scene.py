@@ -1,4 +1,4 @@
-"""The scene behind a recording, rebuilt from what was recorded with it: launch file, arguments, parameters, receipts."""
+"""Rebuild the scene of a recording from the files recorded with it."""
 
 import tempfile
 from collections.abc import Mapping
@@ -24,45 +24,50 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.experiments.drop import SHORTEST
 from sim.identify.forces import handed_over
+from sim.play.hops import UNJUDGED
 from sim.play.launched import LaunchedScene, from_launch
 from sim.play.one_axis import PlannedSwap
 
 
 @dataclass(frozen=True)
 class RecordedScene:
-    """A recording and the scene that it was made of."""
+    """A recording and its scene."""
 
     path: Path  # the recording
-    scene: LaunchedScene  # device, surface, conventions, law and the swaps that really came
+    scene: LaunchedScene  # device, surface, conventions, law and recorded law changes
     launch: Launch  # as it was started
-    lockstep: bool  # whether every tick was answered and the delay is one number
-    # What is not replayed: of a real-time run the driver's ramp and motor heat under another law.
+    lockstep: bool  # whether every tick was answered with a constant delay
+    # limits that are not replayed: for a real-time run, the driver's ramp and motor heating under
+    # another law
     left_out: tuple[str, ...]
-    position: Array  # measured positions, one per recorded tick [m], shape (N,)
-    force: Array  # force handed to the device until that tick [N], shape (N,)
-    # When each force took over, rising, and when the driver got it [ticks], shape (M,).
+    position: Array  # measured position of each recorded tick [m], shape (N,)
+    force: Array  # force on the device until that tick [N], shape (N,)
+    # when each force took effect, ascending, and when the driver received it [ticks], shape (M,)
     took: Array
     came: Array
-    # the tick it answers; −1 for the driver's own, whose value is `given`, shape (M,)
+    # tick that each force answers; −1 for the driver's own, whose value is in `given`, shape (M,)
     answers: NDArray[np.int64]
     given: Array  # its recorded value [N], shape (M,)
-    # Where somebody dragged the device's hand [m]; None for a hand that kept to its path, shape
-    # (N,), or None.
+    # position of the device's hand if a user moved it [m], shape (N,); None for a hand on its own
+    # path
     target: Array | None
-    declared: bool  # whether the device is a virtual one whose parameters were recorded
-    # ticks in the recording; more than N where the driver slept: what follows is not replayed
+    declared: bool  # whether the device is virtual, with recorded parameters
+    # ticks in the recording; more than N if the driver overran: ticks after that are not replayed
     recorded_ticks: int
 
 
 def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
-    """Rebuild the scene of a recording."""
+    """Rebuild the scene of a recording; `device` replaces a real device.
+
+    Raise ValueError if too few ticks can be replayed or a real device has no model.
+    """
     recording = Recording(path)
     launch = _launch(recording)
     states = recording.messages(DEVICE_STATE)
     seq = np.array([state.seq for state in states], dtype=np.int64)
     whole = np.flatnonzero(np.diff(seq) != 1)
     if len(whole):
-        # What the driver slept through cannot be replayed; what came before can.
+        # An overrun cannot be replayed; the ticks before it can.
         states = states[: int(whole[0]) + 1]
     if len(states) < SHORTEST or seq[0] != 0:
         slept = " before one that the driver slept through" if len(whole) else ""
@@ -104,15 +109,14 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
 
 
 def _launch(recording: Recording) -> Launch:
-    """Read the recorded launch file with the recorded arguments, its nodes as they were started."""
+    """Read the recorded launch file with its arguments and the nodes' initial parameters."""
     text = recording.metadata.get("launch_file", {}).get("yaml")
     arguments = recording.manifest.get("arguments")
     if text is None or arguments is None:
         raise ParameterError(
             f"{recording.path}: was recorded without its launch file, so its scene is not known"
         )
-    # Its words are those of its writer: none of them may name a file here, to be written or to be
-    # read.
+    # The launch file comes from elsewhere: it must not name a file to be read or written here.
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
         file = Path(folder) / "recorded.yaml"
         file.write_bytes(
@@ -133,7 +137,10 @@ def _launch(recording: Recording) -> Launch:
 
 
 def _without_files(content: Any) -> Any:
-    """Leave out the parameter files that nodes watch: what they said at the start is among the recorded parameters."""
+    """Remove the watched parameter files of nodes.
+
+    The recorded parameters contain their initial values.
+    """
     if isinstance(content, dict) and content.get("include"):
         raise ParameterError(
             "a recording of a launch file that includes others: replay the recording of one of its"
@@ -153,9 +160,16 @@ def _without_files(content: Any) -> Any:
 
 
 def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple[str, ...], bool]:
-    """Put a device in the place of hardware; what is judged anew in lockstep only, and whether somebody could drag its hand."""
+    """Replace hardware by a virtual device.
+
+    Return the launch, the limits that only lockstep can replay, and whether a user could move the
+    hand.
+    """
     nodes, left_out, dragged = dict(launch.nodes), [], False
     for name, spec in launch.nodes.items():
+        if spec.kind == "coupling":
+            judged = {**spec.parameters, **UNJUDGED}
+            nodes[name] = msgspec.structs.replace(spec, parameters=judged)
         if not spec.kind.endswith("driver"):
             continue
         safety = spec.parameters.get("safety", {})
@@ -182,7 +196,7 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
 
 
 def _law_of(text: str, period: float) -> CompiledLaw:
-    """Compile the law that a receipt describes."""
+    """Compile the law described by a receipt."""
     described = parse_yaml(text, "receipt")
     name = described.pop("law", "law")
     return compile_law(parse_law(described, name), period, name)
@@ -191,13 +205,13 @@ def _law_of(text: str, period: float) -> CompiledLaw:
 def another_law(
     recorded: RecordedScene, given: Mapping[str, Any]
 ) -> tuple[CompiledLaw, dict[str, Any]]:
-    """Make the law that is asked for instead of the recorded one."""
+    """Return the law requested in place of the recorded one, compiled and as a mapping."""
     law = _wanted(recorded.launch, given)
     return compile_law(law, recorded.scene.scene.period, "law"), law_to_dict(law)
 
 
 def refuse_law(path: Path, given: Mapping[str, Any]) -> None:
-    """Refuse a law that is none before anything of the recording is rebuilt, which takes seconds."""
+    """Reject an invalid law before the recording is rebuilt, which takes seconds."""
     _wanted(_launch(Recording(path)), given)
 
 

@@ -1,11 +1,10 @@
-"""What a residual that is not noise may do to a design: to K_max, and to the intervals of the device.
+"""Effect of a significant residual on a design: on K_max and on the device's intervals.
 
-A recording of a few seconds sees terms that change nothing: 1 mN of cogging, half a step of the
-encoder's eccentricity. So a term that is seen does not refute a model by itself. Each term that
-takes up part of the residual is added to the device, at the largest size that the windows leave
-open, and the largest stable stiffness of a reference law tells what that matters (model error
-modelling: Ljung 1999; Reinelt, Garulli & Ljung 2002). What it would move the unknowns by widens
-their intervals.
+A recording of a few seconds reveals terms without consequence: 1 mN of cogging, half an encoder
+step of eccentricity. So a significant term does not refute a model by itself. Each term that
+explains part of the residual is added to the device, at the largest size that the windows allow,
+and the largest stable stiffness of a reference law gives its effect (model error modelling: Ljung
+1999; Reinelt, Garulli & Ljung 2002). Its effect on the unknowns widens their intervals.
 """
 
 from __future__ import annotations
@@ -20,47 +19,61 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.arrays import Array
 from sim.identify import identified_motion as motion
+from sim.identify.altered import AlteredDevice
 from sim.identify.experiment import Experiment
 from sim.identify.judge_fit import SURE, Evidence
 from sim.identify.output_error import Fit
 from sim.identify.suspects import describe
 
-REFUSED = 0.05  # change of K_max, as a part of it, beyond which a remainder refutes the model
-# gain B of the law that K_max is told for, in m/(T (1 + 2d)): a PD's in the middle of its range
+REFUSED = 0.05  # relative change of K_max above which a remainder refutes the model
+# gain B of the reference law, in m/(T (1 + 2d)): a PD in the middle of its range
 DAMPER = 0.3
-ALTERNATIVE = 0.3  # a term that takes up so much of what the best one does may be the cause as well
-CLEAR = 0.5  # where the best one takes up less, every term that is seen may be the cause
-NAMED = 0.27  # less of it tells no cause
-FLEXIBLE = 0.6  # part of the share of a term of several shapes that counts when one is named
-PARTS = 4  # of the run, and of the range of the motion
-# Terms whose factor is positive in every device: with the other sign a term only resembles what is
-# left.
+# terms that explain this share of what the best one explains are possible causes too
+ALTERNATIVE = 0.3
+CLEAR = 0.5  # if the best term explains less, every significant term is a possible cause
+NAMED = 0.27  # a term must explain at least this share to be named as the cause
+FLEXIBLE = 0.6  # factor on the share of a term with several shapes when a cause is named
+PARTS = 4  # parts of the run, and of the range of the motion
+# Terms whose factor is positive in every device; with a negative factor a term only resembles the
+# residual.
 POSITIVE = {
-    "flexible mode", "backlash", "actuator lag", "sensor filter", "presliding", "stribeck", "quadratic damping", "force steps",
-}  # fmt: skip
-WHOLE = 2.0  # largest factor of a term that is whole at 1, with room for its grid
-# terms that are tried, those that take up most first; then each other kind at the size that does
+    "flexible mode",
+    "backlash",
+    "actuator lag",
+    "sensor filter",
+    "presliding",
+    "stribeck",
+    "quadratic damping",
+    "force steps",
+}
+WHOLE = 2.0  # largest factor of a term that is complete at 1, with a margin for its grid
+# number of terms tried, best first; of each further kind only its best size
 SHOWN = 8
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """What the residual asks for that the model does not have."""
+    """What the residual shows and the model lacks."""
 
-    # the term that takes up most of it, in words; empty where the residual is noise
+    # the term that explains most, in words; empty if the residual is noise
     cause: str = ""
-    explained: float = 0.0  # part of the residual, beyond rounding, that the term takes up
-    # largest change of K_max by it or another term that may be the cause, as a part of K_max
+    explained: float = 0.0  # share of the residual, beyond rounding, that the term explains
+    # largest relative change of K_max by any possible cause
     k_max_change: float = 0.0
     # largest change of each unknown of the fit, in the order of `Fit.free`
     moved: tuple[float, ...] = ()
+    # the device with each of these terms, for the poles of a law that is designed later
+    devices: tuple[AlteredDevice, ...] = ()
 
 
 NOTHING = Remainder()
 
 
 def likeliest(seen: Sequence[Evidence]) -> Evidence | None:
-    """Return the term to name; one of several shapes fits anything a little, so only a part of its share counts."""
+    """Return the term to name as the cause.
+
+    A term with several shapes fits anything a little, so only part of its share counts.
+    """
     return max(
         seen,
         key=lambda one: one.share * (FLEXIBLE if len(one.suspect.shapes) > 1 else 1.0),
@@ -94,17 +107,17 @@ def _plant(experiment: Experiment, theta: Array) -> FlexiblePlant:
 
 
 def reference_gain(plant: FlexiblePlant, period: float) -> float:
-    """Return the gain B of the PD that K_max is told for [N s/m]."""
+    """Return the gain B of the reference PD [N s/m]."""
     return DAMPER * plant.mass / (period * (1.0 + 2.0 * plant.delay))
 
 
 def stiffest(
     plant: FlexiblePlant, period: float, gain: float, average: float = 0.0
 ) -> float | None:
-    """Return K_max [N/m] of a PD on a flexible device, behind a sensor that averages; None where no K is stable.
+    """Return K_max [N/m] of a PD on a flexible device; None if no K is stable.
 
-    All boundaries lie on one curve K = −1/P(z) − D(z) over the unit circle, as in
-    `nodes.stability.k_max`.
+    The law is behind a sensor that averages. All boundaries lie on one curve K = −1/P(z) − D(z)
+    over the unit circle, as in `nodes.stability.k_max`.
     """
     whole, numerator, denominator = plant.rational(period)
     mode = 2.0 * math.pi * plant.frequency * period if math.isfinite(plant.frequency) else math.pi
@@ -133,7 +146,7 @@ def stiffest(
 
 
 def _pd(stiffness: float, gain: float, period: float, average: float) -> CompiledLaw:
-    """Return PD behind a sensor that averages: taps of the two, one after the other."""
+    """Return a PD behind an averaging sensor: the convolution of their taps."""
     taps = np.convolve([stiffness + gain / period, -gain / period], [1.0 - average, average])
     return CompiledLaw(tuple(float(tap) for tap in taps))
 
@@ -141,9 +154,10 @@ def _pd(stiffness: float, gain: float, period: float, average: float) -> Compile
 def remainder(
     experiment: Experiment, found: Fit, evidence: Sequence[Evidence], step: float | None = None
 ) -> Remainder:
-    """Return what the terms that a residual shows may do, the largest of each; `evidence` has the strongest first.
+    """Return the largest effect of the terms that a residual shows.
 
-    `step` is that of the encoder [m].
+    evidence: all suspects, best first.
+    step: encoder step [m].
     """
     seen = [one for one in evidence if one.strength > SURE and _possible(one)]
     plant = plant_of(experiment, found)
@@ -152,22 +166,24 @@ def remainder(
     here = stiffest(_averaging(plant, average), experiment.period, gain, average)
     least = ALTERNATIVE * seen[0].share if seen and seen[0].share >= CLEAR else 0.0
     changes, moved = [0.0], np.zeros(len(found.free))
+    devices: list[AlteredDevice] = []
     if not seen or seen[0].share < NAMED:
         # No term tells what it is: how much the parts of the run differ does.
-        change, moved = _by_parts(experiment, found, here, gain)
+        change, moved, devices = _by_parts(experiment, found, here, gain)
         changes.append(change)
     for one in _alternatives([one for one in seen if one.share >= least]):
-        changes.append(_change(experiment, found, one, here, gain, step or 0.0))
+        devices.append(altered(experiment, found, one, step or 0.0))
+        changes.append(_change(experiment, devices[-1], here, gain))
         moved = np.maximum(moved, np.abs(_told(found, one)) * (1.0 + one.margin))
     cause, explained = "a residual that no term that was tried explains", 0.0
     first = likeliest(seen)
     if first is not None and first.share >= NAMED:
         cause, explained = describe(first.suspect.term, first.suspect.size), first.share
-    return Remainder(cause, explained, max(changes), tuple(moved.tolist()))
+    return Remainder(cause, explained, max(changes), tuple(moved.tolist()), tuple(devices))
 
 
 def _possible(one: Evidence) -> bool:
-    """Whether a device can have a term of this sign and size."""
+    """Check that a device can have a term of this sign and size."""
     factor = float(one.factors[0])
     return one.suspect.term not in POSITIVE or (
         factor > 0.0 and not (one.suspect.term == "force steps" and factor > WHOLE)
@@ -175,7 +191,10 @@ def _possible(one: Evidence) -> bool:
 
 
 def _told(found: Fit, one: Evidence) -> Array:
-    """Return what a term moves the unknowns by as they are told: the mean delay of a lag or a filter is in the delay."""
+    """Return a term's effect on the unknowns as they are reported.
+
+    The reported delay includes the mean delay of a lag or a filter.
+    """
     moves = one.moves.copy()
     if one.suspect.term in ("actuator lag", "sensor filter"):
         moves[found.free == motion.DELAY] += float(one.factors[0]) * one.suspect.start[0]
@@ -183,7 +202,7 @@ def _told(found: Fit, one: Evidence) -> Array:
 
 
 def _alternatives(seen: Sequence[Evidence]) -> list[Evidence]:
-    """Return the first of all, and of each kind of term the size that takes up most."""
+    """Return the best terms, and the best size of each further kind."""
     kinds = {one.suspect.term for one in seen[:SHOWN]}
     first = {one.suspect.term: one for one in reversed(seen)}
     return [*seen[:SHOWN], *(one for term, one in first.items() if term not in kinds)]
@@ -191,8 +210,12 @@ def _alternatives(seen: Sequence[Evidence]) -> list[Evidence]:
 
 def _by_parts(
     experiment: Experiment, found: Fit, here: float | None, gain: float
-) -> tuple[float, Array]:
-    """Return how K_max, as a part of it, and the unknowns differ between the quarters of a run, and of its range."""
+) -> tuple[float, Array, list[AlteredDevice]]:
+    """Return how K_max and the unknowns differ between quarters of a run and of its range.
+
+    K_max as a relative change, with the devices of the parts.
+    """
+    devices = []
     place = experiment.position[found.starts + found.length // 2]
     change, moved = 0.0, np.zeros(len(found.free))
     for order in (np.arange(len(place)), np.argsort(place)):
@@ -204,33 +227,39 @@ def _by_parts(
             theta[found.free] += step
             theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
             average = float(np.clip(theta[motion.AVERAGE], 0.0, 0.5))
+            devices.append(AlteredDevice("a part of the run", _plant(experiment, theta), average))
             there = stiffest(
-                _averaging(_plant(experiment, theta), average), experiment.period, gain, average
+                _averaging(devices[-1].plant, average), experiment.period, gain, average
             )
             if here is None or there is None:
                 change = change if here is there else math.inf
             else:
                 change = max(change, abs(there / here - 1.0))
-            # The mean of the parts is the fit: half of what one of them is off by.
+            # The fit is the mean of the parts, so half of the difference counts.
             moved = np.maximum(moved, 0.5 * np.abs(step))
-    return change, moved
+    return change, moved, devices
 
 
 def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
-    """Take the mean delay of a sensor that averages from a plant's: it stands in the law then."""
+    """Return a plant without the mean delay of its averaging sensor, which is in the law."""
     return replace(plant, delay=max(plant.delay - average, 0.0))
 
 
-def _change(
-    experiment: Experiment,
-    found: Fit,
-    one: Evidence,
-    here: float | None,
-    gain: float,
-    step: float = 0.0,
-) -> float:
-    """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
-    period, size = experiment.period, 1.0 + one.margin
+def altered(experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0) -> AlteredDevice:
+    """Return the device of a fit with one term at the largest size that the windows leave open.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The run.
+    found : Fit
+        The fit without the term.
+    one : Evidence
+        The term.
+    step : float
+        Step of the encoder [m].
+    """
+    size = 1.0 + one.margin
     theta = found.theta.copy()
     theta[found.free] += one.moves * size
     theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
@@ -238,11 +267,20 @@ def _change(
     plant, average, softer, stronger = _with(
         experiment, _plant(experiment, theta), one, size, own, step
     )
-    there = stiffest(_averaging(plant, average), period, gain, average)
+    cause = describe(one.suspect.term, one.suspect.size)
+    return AlteredDevice(cause, plant, average, softer, stronger)
+
+
+def _change(
+    experiment: Experiment, device: AlteredDevice, here: float | None, gain: float
+) -> float:
+    """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
+    average = device.average
+    there = stiffest(_averaging(device.plant, average), experiment.period, gain, average)
     if here is None or there is None:
         return 0.0 if here is there else math.inf
     # Springs beside the law's own and a gain before it act at once, at any K.
-    lowest = (there - softer) / stronger
+    lowest = (there - device.spring) / device.gain
     return max(abs(there / here - 1.0), 1.0 - lowest / here)
 
 
@@ -254,7 +292,11 @@ def _with(
     own: float,
     step: float,
 ) -> tuple[FlexiblePlant, float, float, float]:
-    """Return a device with a term: the plant, part that its sensor averages, spring to ground [N/m], and gain [1]."""
+    """Return a device with a term.
+
+    The values are the plant, the sensor's weight of the previous sample, the spring to ground [N/m]
+    and the gain [1].
+    """
     term, factor, period, mass = (
         one.suspect.term,
         float(one.factors[0]) * size,
@@ -269,10 +311,11 @@ def _with(
             plant, share=share, frequency=one.suspect.start[1], loss=one.suspect.start[2]
         )
     elif term == "backlash" and factor > 0.0:
-        # Within the gap only the motor's side moves.
+        # Within the gap only the motor side moves.
         plant = replace(plant, mass=mass / (1.0 + factor))
     elif term == "actuator lag" and factor > 0.0 and plant.lag == 0.0:
-        # A part of a lag blurs like a shorter one, whose square is that part; the mean delay stays.
+        # A share of a lag blurs like a shorter lag, of which the square is that share; the mean
+        # delay is unchanged.
         lag = one.suspect.start[0]
         short = lag * math.sqrt(factor)
         plant = replace(
@@ -285,7 +328,7 @@ def _with(
             average = 0.5 * (1.0 - math.sqrt(1.0 - 4.0 * blur))
             plant = replace(plant, delay=max(late, 0.0))
         elif plant.lag == 0.0:
-            # Two samples blur by no more: a longer filter, which is a lag of the same square.
+            # Two samples cannot blur more: a longer filter, equal to a lag of the same square.
             plant = replace(
                 plant, lag=math.sqrt(blur) * period, delay=max(late - math.sqrt(blur), 0.0)
             )
@@ -299,12 +342,12 @@ def _with(
     elif term == "encoder ripple":
         gain = 1.0 + float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
     elif term == "presliding" and one.suspect.size > step:
-        # Within less than a step of the encoder it is the friction that the model has.
+        # Below one encoder step it equals the friction of the model.
         spring = mass * factors[0] / one.suspect.size
     elif term == "gain by sign":
         gain = 1.0 + factors[0]
     elif term == "deadband":
-        # Steepest where the force is 0, or where it is largest.
+        # Steepest where the force is 0 or where it is largest.
         strongest = one.suspect.start[0]
         gain = 1.0 + size * max(
             0.0, float(one.factors[0]) / (0.1 * strongest), 2.0 * float(one.factors[1]) * strongest

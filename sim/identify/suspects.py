@@ -1,8 +1,8 @@
-"""What a device may have beyond the model: for each such term, what it would move the recorded positions by.
+"""Possible unmodelled terms of a device, each with its effect on the recorded positions.
 
-A term that acts as a force moves the device as any force does; one that the encoder adds is seen as
-it stands. Each shape is known up to a factor and a size or two, which are tried on a grid;
-`judge_fit` compares them with what a fit leaves.
+A term that acts as a force moves the device like any force; an encoder error adds directly. Each
+shape is known up to a factor and one or two sizes, which are tried on a grid; `judge_fit` compares
+the shapes with the residual of a fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,26 +16,27 @@ from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
 from sim.identify.output_error import Fit
 
-LOWEST = 8.0  # of a joint [Hz]; what is slower is a hand
-HIGHEST = 0.9  # of a joint, as a part of half the rate: faster ones cannot be told from slow ones
+LOWEST = 8.0  # lowest joint frequency [Hz]; anything slower is a hand
+# highest joint frequency [share of the Nyquist frequency]: above it, aliases are ambiguous
+HIGHEST = 0.9
 LOSSES = (0.02, 0.08)  # damping ratios of a joint
-LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the actuator [ticks]
-AVERAGES = (0.15, 0.5)  # part of the sample before in each reading
-FORCE_STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1)  # of what the motor gives [N]
+LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)  # lags of the actuator [ticks]
+AVERAGES = (0.15, 0.5)  # weight of the previous sample in each reading
+FORCE_STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1)  # resolution of the motor's force [N]
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A term of one size."""
+    """An unmodelled term of one size."""
 
     term: str  # its name
-    size: float  # what is tried on a grid, in the unit of `SIZES`
-    # what it moves the positions by, up to a factor for each of g parts, shape (g, W, L)
+    size: float  # grid value, in the unit of `SIZES`
+    # effect on the positions, up to a factor for each of g parts, shape (g, W, L)
     shapes: Array
-    start: tuple[float, ...] = ()  # sizes to begin a fit with
+    start: tuple[float, ...] = ()  # initial values for a fit
 
 
-# Words for each term, and the factor of its size.
+# Description of each term, and the factor of its size.
 SIZES: dict[str, tuple[str, float]] = {
     "flexible mode": ("a second mode at {:.0f} Hz", 1.0),
     "actuator lag": ("an actuator lag of about {:.1f} ms", 1.0),
@@ -64,13 +65,16 @@ SIZES: dict[str, tuple[str, float]] = {
 
 
 def describe(term: str, size: float) -> str:
-    """Tell a term in words."""
+    """Return a term in words."""
     words, factor = SIZES[term]
     return words.format(size * factor)
 
 
 def _filtered(numerator: Sequence[float], denominator: Sequence[float], what: Array) -> Array:
-    """Filter along the last axis; scipy's filters take half a second to load, and a report of a fit needs none."""
+    """Filter along the last axis.
+
+    scipy is imported here because its filters take 0.5 s to load and most reports need none.
+    """
     from scipy.signal import lfilter
 
     return np.asarray(lfilter(numerator, denominator, what))
@@ -80,7 +84,7 @@ class Shapes:
     """Shapes of all suspects for one fit."""
 
     def __init__(self, experiment: Experiment, found: Fit, modelled: Array) -> None:
-        """Take the motion from the model (W, L): smooth, and free of the encoder's rounding."""
+        """Use the modelled motion (W, L), which is smooth and free of encoder rounding."""
         theta, period = found.theta, experiment.period
         self._period, self._length, self._theta = period, found.length, theta
         self._rows = found.starts[:, None] + np.arange(found.length)
@@ -97,11 +101,11 @@ class Shapes:
         self._net = self._force - theta[FRICTION] * direction + theta[LOAD]
 
     def _mean(self, given: Array) -> Array:
-        """Return the mean over each tick, per mass, of forces that are given at the recorded instants."""
+        """Return the mean acceleration in each tick by forces at the recorded instants."""
         impulse = np.concatenate([[0.0], np.cumsum(given[:-1] * np.diff(self._at))])
 
         def pushed(until: Array) -> Array:
-            """Integral of the force up to an instant [N ticks]."""
+            """Return the integral of the force up to an instant [N ticks]."""
             then = np.interp(until, self._at, impulse)
             return np.asarray(then + given[-1] * np.maximum(until - self._at[-1], 0.0))
 
@@ -109,7 +113,7 @@ class Shapes:
         return np.asarray(self._theta[MOBILITY] * (pushed(late + 1.0) - pushed(late)))
 
     def _moved_by(self, force: Array) -> Array:
-        """Motion of the model by a force per mass (W, L), from rest in each window."""
+        """Return the model's motion under an acceleration (W, L), from rest in each window."""
         plant = held_plant(
             Plant(
                 self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])
@@ -118,7 +122,7 @@ class Shapes:
         return _filtered([0.0, *plant.numerator[:2]], plant.denominator, force)
 
     def all(self) -> Iterator[Suspect]:
-        """Give every suspect at every size."""
+        """Yield every suspect at every size."""
         parts = (
             self._modes,
             self._lags,
@@ -134,7 +138,7 @@ class Shapes:
 
     def _modes(self) -> Iterator[Suspect]:
         highest = HIGHEST * 0.5 / self._period
-        # 3 % apart: a joint that rings for some ten periods is not missed between two of them.
+        # 3 % apart: a joint that rings for about ten periods is not missed in between.
         for frequency in np.geomspace(
             LOWEST, highest, 1 + int(np.log(highest / LOWEST) / 0.03)
         ).tolist():
@@ -151,7 +155,7 @@ class Shapes:
             decay = np.exp(-1.0 / lag)
             mean = (1.0 - decay) * lag
             late = _filtered([1.0 - mean, mean - decay], [1.0, -decay], self._force)
-            # The same mean delay without a lag is what the model has already.
+            # Without its mean delay, which the model already has.
             shape = self._moved_by((late - self._force)[self._rows])
             yield Suspect("actuator lag", lag * self._period * 1e3, shape[None], (lag,))
 
@@ -168,7 +172,7 @@ class Shapes:
             )
 
     def _bristle(self, reach: float) -> Array:
-        """Deflection of something that is dragged along, and slips beyond its reach."""
+        """Return the deflection of a dragged bristle that slips beyond its reach [m]."""
         steps = np.diff(self._x, axis=1)
         out = np.zeros_like(self._x)
         z = reach * np.sign(steps[:, 0])
@@ -187,7 +191,10 @@ class Shapes:
             yield Suspect("backlash", gap, self._loose(gap)[None])
 
     def _loose(self, gap: float) -> Array:
-        """Where a second mass is in its gap: it flies freely between two impacts, and goes along after each."""
+        """Return the position of a second mass in its gap.
+
+        It moves freely between impacts and with the first mass after each impact.
+        """
         x, v = self._x, self._v * self._period
         out = np.zeros_like(x)
         y = 0.5 * gap * np.sign(v[:, 0])
@@ -232,5 +239,5 @@ class Shapes:
         x = self._x
         before = np.concatenate([3.0 * x[:, :1] - 3.0 * x[:, 1:2] + x[:, 2:3], x[:, :-1]], axis=1)
         for part in AVERAGES:
-            # Freed of what a delay moves by `judge_fit`: what is left is the blur.
+            # `judge_fit` projects out the effect of a delay, which leaves the blur.
             yield Suspect("sensor filter", part, (part * (before - x))[None], (part,))

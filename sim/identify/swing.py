@@ -1,12 +1,12 @@
-"""The swing of a device in contact, from a recording: what it says of K_max, and how surely (THEORY.md §9).
+"""K_max from the recorded swing of a device in contact, with an interval (THEORY.md §9).
 
-A swing is a pole of the loop: law, delay and the device's damping are known, so its frequency tells
-the mass, and the exact loop with this mass tells K_max. Dry friction changes how fast the swing
-dies, hardly how fast it turns: so with a known damping the decay is not used. Where the damping is
-not known it lies between none and what the decay shows.
+A swing is a pole of the loop. Law, delay and damping are known, so its frequency gives the mass,
+and the exact loop with this mass gives K_max. Dry friction changes the decay, but hardly the
+frequency: with known damping the decay is not used. Unknown damping lies between zero and the value
+that explains the decay.
 
-Windows of the contact are fitted one by one; how far they are apart is the interval. What is no
-swing of the linear loop is refused. How often the interval holds K_max is counted on random devices
+Windows of the contact are fitted one by one; their spread gives the interval. A motion that is not
+a swing of the linear loop is refused. The coverage of the interval is counted on random devices
 with friction and an encoder.
 """
 
@@ -37,42 +37,41 @@ from sim.experiments.drop import drop_scene
 from sim.play.one_axis import run
 
 _SHORTEST = 40
-# Parts of the contact that are fitted: what is left of the impact dies in the first eighth.
+# Fitted parts of the contact; the transient of the impact decays in the first eighth.
 _WINDOWS = ((0.12, 1.0), (0.25, 1.0), (0.12, 0.6), (0.4, 1.0))
-# least half width of the interval: over 360 drops on random devices the windows alone miss by less,
-# but for PDα
+# smallest half-width of the interval: over 360 drops of random devices the windows alone miss by
+# less, except with PDα
 _MARGIN = 0.01
-_RESIDUAL = 0.1  # largest residual of the fit, as a part of the swing
+_RESIDUAL = 0.1  # largest residual of the fit [share of the swing]
 
 
 class CannotTellError(HapticError, ValueError):
-    """The recorded contact says nothing of K_max; the text says why."""
+    """A recorded contact from which K_max cannot be estimated; the text gives the reason."""
 
 
 @dataclass(frozen=True)
 class Swing:
-    """What a recorded contact tells."""
+    """Result for a recorded contact."""
 
     omega_rad_per_s: float  # frequency of the swing [rad/s]
-    decay_per_tick: float  # factor by which it shrinks per tick; 1 at the edge
-    ticks: int  # length of the contact that it was measured over
-    stiffness_n_per_m: float  # nominal K that was rendered [N/m]
+    decay_per_tick: float  # factor of the amplitude per tick; 1 at the stability limit
+    ticks: int  # length of the contact measured
+    stiffness_n_per_m: float  # nominal K of the rendered law [N/m]
     k_max_n_per_m: tuple[float, float]  # interval of K_max [N/m], shape (2,)
-    # interval of the moving mass that the swing shows [kg], shape (2,)
+    # interval of the moving mass [kg], shape (2,)
     mass_kg: tuple[float, float]
-    # Damping that was taken: twice the known one, or from none to what the decay shows [N s/m],
-    # shape (2,).
+    # damping used: the known value twice, or from zero to the value that explains the decay [N
+    # s/m], shape (2,)
     damping_n_s_per_m: tuple[float, float]
-    # stiffness of the hand that was taken to hold the device, as it did then [N/m]
+    # stiffness of the hand assumed to hold the device, as during the recording [N/m]
     hand_n_per_m: float
-    # What the loop does at the middle of the interval, by Colgate's condition at the frequency that
-    # occurs there.
+    # behaviour of the loop at the middle of the interval, by Colgate's condition at its frequency
     edge: Edge
 
 
 @dataclass(frozen=True)
 class Decay:
-    """One decaying swing: ωT and decay per tick with their standard deviations, and the residual over the swing's size."""
+    """A decaying swing: ωT and decay per tick, standard deviations and relative residual."""
 
     theta: float
     decay: float
@@ -82,7 +81,7 @@ class Decay:
 
 
 def ringing(position: Array) -> Decay:
-    """Fit one decaying swing about a slowly moving rest."""
+    """Fit one decaying swing about a slowly moving rest position."""
     from scipy.optimize import least_squares
 
     size = float(np.ptp(position))
@@ -119,8 +118,8 @@ def ringing(position: Array) -> Decay:
 
 
 def _start(x: Array) -> tuple[float, float]:
-    """Decay and ωT from x[k] = a x[k−1] + b x[k−2] + c."""
-    # Instrumental variables two ticks further back: noise of the encoder does not bias the fit.
+    """Estimate decay and ωT from x[k] = a x[k−1] + b x[k−2] + c."""
+    # Instrumental variables two ticks further back avoid the bias by encoder noise.
     rows = np.column_stack([x[3:-1], x[2:-2], np.ones(len(x) - 4)])
     tools = np.column_stack([x[1:-3], x[:-4], np.ones(len(x) - 4)])
     a, b, _ = np.linalg.lstsq(tools.T @ rows, tools.T @ x[4:], rcond=None)[0]
@@ -134,10 +133,9 @@ def _start(x: Array) -> tuple[float, float]:
 
 
 def recorded_swing(path: Path, damping: float | None = None, hand: float | None = None) -> Swing:
-    """Measure the swing of a recording's longest contact, and what it says of K_max.
+    """Measure the swing of a recording's longest contact and estimate K_max.
 
-    Damping [N s/m] and hand [N/m] of a virtual device are those that were recorded, where they are
-    not given.
+    Damping [N s/m] and hand stiffness [N/m] of a virtual device default to the recorded values.
     """
     loop = measure(path)
     recording = Recording(path)
@@ -153,13 +151,13 @@ def recorded_swing(path: Path, damping: float | None = None, hand: float | None 
 
 
 def virtual_device(recording: Recording, axis: int) -> DeviceModel | None:
-    """Find the virtual device that was played, as it was along an axis; None for another device."""
+    """Return the recorded virtual device along an axis; None for a real one."""
     told = node_with(recording, "device")
     return convert(told["device"], DeviceModel, "device").along("xyz"[axis]) if told else None
 
 
 def windows(inside: Array) -> tuple[list[Decay], int]:
-    """Fit parts of a contact, the longest first; and how many ticks of it move."""
+    """Fit parts of a contact, longest first; also return how many ticks of it move."""
     moving = np.flatnonzero(np.abs(inside - inside[-len(inside) // 8 :].mean()) > 1e-9)
     end = int(moving[-1]) + 1 if moving.size else len(inside)
     fits: list[Decay] = []
@@ -179,7 +177,10 @@ def windows(inside: Array) -> tuple[list[Decay], int]:
 
 
 def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swing:
-    """Say what the positions of a contact tell of K_max [m]: period, delay and hand of the loop are known, its mass is not."""
+    """Estimate K_max from the positions of a contact [m].
+
+    Period, delay and hand of the loop are known, its mass is not.
+    """
     compiled = law.compile(loop.period)
     if compiled.evaluate is not None:
         raise CannotTellError(f"{law.kind} has code of its own, so no poles")
@@ -199,7 +200,9 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
     known = [plant for plant in plants if plant is not None]
     edges = [edge for plant in known if (edge := edge_of(derivative, plant)) is not None]
     if len(edges) < len(plants) or not edges:
-        raise CannotTellError("no mass makes this swing a pole of a loop that rings at its edge")
+        raise CannotTellError(
+            "no mass gives a loop that oscillates at its edge a pole at this swing"
+        )
     edges.sort(key=lambda edge: edge.k_exact_n_per_m)
     low, high = edges[0].k_exact_n_per_m, edges[-1].k_exact_n_per_m
     wider = _MARGIN * 0.5 * (low + high) + 0.5 * (high - low)
@@ -225,12 +228,12 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
 def _by_frequency(
     law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float
 ) -> Plant | None:
-    """Find the mass with which the loop has a pole at an angle; its decay comes out, too."""
+    """Find the mass with which the loop has a pole at an angle, with any decay."""
     return _solved(law, loop, decay, lambda second: (damping, second * cmath.exp(1j * theta)))
 
 
 def _by_pole(law: CompiledLaw, loop: Plant, theta: float, decay: float) -> Plant | None:
-    """Find the mass and the damping with which the loop has a pole."""
+    """Find mass and damping with which the loop has a given pole."""
     return _solved(law, loop, 1.0, lambda second: (max(second, 0.0), decay * cmath.exp(1j * theta)))
 
 
@@ -241,7 +244,7 @@ def _solved(
 
     _, z = trial(start)
     half = 0.5 * abs(cmath.phase(z))
-    # Of a lossless mass on a spring of this size (THEORY.md §9).
+    # Start: a lossless mass on a spring of this size (THEORY.md §9).
     mass = (
         abs(law.response(z) + loop.stiffness)
         * loop.period**2
@@ -265,7 +268,10 @@ def _solved(
 
 
 def _contact(recording: Recording) -> tuple[int, Array]:
-    """Find the axis that pushes most, and positions of the longest contact there; one law, no limit of the driver between."""
+    """Return the axis with most force and the positions of its longest contact.
+
+    Raise CannotTellError if the law changed or the driver limited the force meanwhile.
+    """
     states = recording.messages(DEVICE_STATE)
     force = np.array([state.force for state in states])
     if not force.any():
@@ -282,8 +288,7 @@ def _contact(recording: Recording) -> tuple[int, Array]:
             "the coupling's forces of the longest contact were not recorded, so the law is not"
             " known"
         )
-    # The law that is known is the launch's own: changes are counted from its start, whenever a
-    # recording began.
+    # The known law is that of the launch; revisions count from its start, whenever recording began.
     if any(answer.revision != 0 for answer in answers):
         raise CannotTellError("the law changed before the end of the longest contact")
     fresh = [state for state in inside if state.force_seq in rendered and state.age == 0]
@@ -295,7 +300,7 @@ def _contact(recording: Recording) -> tuple[int, Array]:
 
 
 def _contact_without_gaps(contact: NDArray[np.bool_], seq: NDArray[np.int64]) -> tuple[int, int]:
-    """Find the longest contact whose ticks were all recorded: the fit takes neighbours for one period apart."""
+    """Find the longest contact without missing ticks, as the fit requires."""
     ends = [0, *(np.flatnonzero(np.diff(seq) != 1) + 1).tolist(), len(seq)]
     runs = [(begin, longest(contact[begin:end])) for begin, end in itertools.pairwise(ends)]
     begin, (first, last) = max(runs, key=lambda run: run[1][1] - run[1][0])
@@ -303,7 +308,7 @@ def _contact_without_gaps(contact: NDArray[np.bool_], seq: NDArray[np.int64]) ->
 
 
 def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
-    """Longest run of true."""
+    """Return begin and end of the longest run of True."""
     runs = (
         np.flatnonzero(np.diff(np.concatenate([[0], contact.astype(int), [0]])))
         .reshape(-1, 2)
@@ -316,16 +321,16 @@ def longest(contact: NDArray[np.bool_]) -> tuple[int, int]:
 def _law(recording: Recording, path: Path) -> Law:
     node = node_with(recording, "laws")
     if not node:
-        raise ValueError(f"{path}: holds no coupling, so no law")
+        raise ValueError(f"{path}: contains no coupling, so the law is unknown")
     return parse_law(node["laws"][node["law"]], f"laws.{node['law']}")
 
 
-TICKS = 500  # of a drop
-RESOLUTION = 2.3e-5  # of the encoder [m]
+TICKS = 500  # ticks of a drop
+RESOLUTION = 2.3e-5  # encoder step [m]
 
 
 def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> dict[str, Any]:
-    """Drop a random device on a floor of 0.3 to 0.9 K_max, and look for K_max in its swing."""
+    """Drop a random device on a floor of 0.3 to 0.9 K_max and estimate K_max from its swing."""
     random = np.random.default_rng([7, number])
     plant = Plant(
         period,
@@ -362,7 +367,7 @@ def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> di
 
 
 def counted(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Count over many drops: refusals, intervals that hold K_max, and by how much the others miss it."""
+    """Count refusals, intervals that contain K_max, and the misses of the others."""
     result = [row for row in rows if row["between_n_per_m"]]
     ends = [[end / row["k_max_n_per_m"] for end in row["between_n_per_m"]] for row in result]
     misses = [max(low - 1.0, 1.0 - high, 0.0) for low, high in ends]

@@ -31,7 +31,7 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.lab.proxies import icosphere
 from sim.measure.measured_launch import launch as run_launch
-from sim.play.chain import play
+from sim.play.player import play
 from sim.play.touch import touch
 
 FRAMES = ("world", "surface")
@@ -218,7 +218,7 @@ def sliding_k_max(
     def calms(stiffness: float) -> bool:
         found = play(sliding(launch, stiffness, speed, frame, radius))
         # A run that overflowed has no growth that is a number: it grew.
-        return growth(found.position, found.proxy, found.contact) <= 1.0
+        return growth(found.measured, found.proxy, found.contact) <= 1.0
 
     low, high = (part * theory(launch.run.period) for part in SEARCHED)
     if not calms(low):

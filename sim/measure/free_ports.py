@@ -1,4 +1,4 @@
-"""Free tcp ports, for launches and drills that must not meet others on this machine."""
+"""Free tcp ports for launches and drills that must not collide on this machine."""
 
 import random
 import socket
@@ -10,7 +10,10 @@ LOWEST, HIGHEST = 10_000, 60_000
 
 
 def free_ports(count: int) -> int:
-    """Find the first of some adjacent free ports; where there are some, none that an outgoing connection may take meanwhile."""
+    """Return the first of `count` adjacent free ports.
+
+    If possible they lie outside the range of outgoing connections.
+    """
     outgoing = int(RANGE.read_text(encoding="ascii").split()[0])
     highest = outgoing if outgoing > LOWEST + 1000 else HIGHEST
     while True:

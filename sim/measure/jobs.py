@@ -1,9 +1,9 @@
-"""Independent jobs of a study, done in this process or by an executor: processes of this machine, or workers of a cluster.
+"""Run the independent jobs of a study in this process, local processes or a cluster.
 
-Whatever they run on, the figures are the same to the bit: so a worker that has another version of
-this project refuses its jobs, and one that dies loses none. A sweep keeps each result as a line of
-a ledger, keyed by the job's parameters: one that was interrupted goes on where it stopped, and one
-that is complete is only read; one of another version is refused.
+Results are identical to the bit wherever they run: a worker with another version of this project
+refuses its jobs, and the job of a worker that dies is repeated. A sweep stores each result as a
+line of a ledger, keyed by the job's parameters: an interrupted sweep continues, a complete one is
+only read, and one of another version is refused.
 """
 
 import contextlib
@@ -22,20 +22,20 @@ from messages.errors import RefusedError
 J = TypeVar("J")
 R = TypeVar("R")
 
-RETRIES = 3  # how often a job is given to another worker when one dies
-# Does the jobs of a part of a study, and tells each that is done.
+RETRIES = 3  # times that a job is given to another worker if one dies
+# Runs the jobs of a part of a study, and reports each one done.
 Runner = Callable[[list[Callable[[], Any]], Callable[[str, int], None]], list[Any]]
 _ROOT = Path(__file__).parents[2]
 
 
 def call(job: Callable[[], R]) -> R:
-    """Do a job that is a `functools.partial` of a module's function."""
+    """Run a job that is a `functools.partial` of a module's function."""
     return job()
 
 
 @functools.cache
 def program() -> str:
-    """Tell what program this is: a digest of its sources; figures of two programs do not belong in one study."""
+    """Return a digest of this project's sources, to keep versions apart in one study."""
     found = hashlib.sha256()
     for package in ("messages", "nodes", "sim"):
         for path in sorted((_ROOT / package).rglob("*.py")):
@@ -44,12 +44,12 @@ def program() -> str:
 
 
 def run_chunk(job: Callable[[J], R], chunk: Sequence[J], wanted: str) -> list[R]:
-    """Do some jobs one after another, in one process; refuse those of another program."""
+    """Run some jobs in one process; refuse those of another version."""
     if program() != wanted:
         raise RefusedError(
             f"the worker on {platform.node()} (process {os.getpid()}) has another version of"
-            f" haptic-nodes in {_ROOT}: its figures would not be those of this one; install the"
-            " same version there, and restart the worker"
+            f" haptic-nodes in {_ROOT}, so its results could differ; install the same version"
+            " there, and restart the worker"
         )
     return [job(parameters) for parameters in chunk]
 
@@ -57,7 +57,7 @@ def run_chunk(job: Callable[[J], R], chunk: Sequence[J], wanted: str) -> list[R]
 def done_by(
     pool: Executor, job: Callable[[J], R], jobs: Sequence[J], chunk: int = 1
 ) -> Generator[tuple[range, list[R]], None, None]:
-    """Give the jobs out, and yield what is done as it comes: which jobs, and their results."""
+    """Distribute jobs to a pool; yield index range and results of each chunk when done."""
     pending: dict[Future[list[R]], range] = {}
     for first in range(0, len(jobs), chunk):
         part = range(first, min(first + chunk, len(jobs)))
@@ -66,7 +66,7 @@ def done_by(
         for future in as_completed(pending):
             yield pending[future], _result(future)
     finally:
-        # Ctrl-C too: what has not begun need not begin.
+        # Cancel jobs not yet started, also after Ctrl-C.
         for future in pending:
             future.cancel()
 
@@ -76,31 +76,31 @@ def _result(future: Future[list[R]]) -> list[R]:
         return future.result()
     except CancelledError as error:
         raise RefusedError(
-            "--cluster: the scheduler is gone; what was done is kept where a study keeps it"
+            "--cluster: the scheduler has ended; finished jobs are stored in the study's ledger"
         ) from error
     except Exception as error:
-        # By name: Dask is an extra.
+        # Compared by name, because Dask is an optional extra.
         if type(error).__name__ == "KilledWorker":
             raise RefusedError(
-                f"--cluster: {RETRIES + 1} workers died over one job; their own logs say of what,"
-                " memory most often"
+                f"--cluster: {RETRIES + 1} workers died running one job; see their logs for the"
+                " reason, most often memory"
             ) from error
         raise
 
 
 SweepRow = dict[str, Any]
-# From the parameters of a job to its figures; a function of a module, so that other processes find
-# it by name.
+# Maps a job's parameters to its figures; a module's function, so that other processes can import
+# it.
 Job = Callable[[Mapping[str, Any]], SweepRow]
 
 
 def key_of(parameters: Mapping[str, Any]) -> str:
-    """Name a job by its parameters."""
+    """Return the ledger key of a job's parameters."""
     return json.dumps(dict(parameters), sort_keys=True)
 
 
 def read_ledger(path: Path) -> dict[str, SweepRow]:
-    """Read the results that there are; those of another version of this program are refused."""
+    """Read the existing results; refuse those of another version."""
     found: dict[str, SweepRow] = {}
     if path.exists():
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -111,9 +111,9 @@ def read_ledger(path: Path) -> dict[str, SweepRow]:
                 continue
             if entry.get("program") != program():
                 raise RefusedError(
-                    f"{path}: holds results of another version of haptic-nodes, which do not belong"
-                    " in one study with those of this one; --fresh begins anew and sets them"
-                    " aside, or go on with that version"
+                    f"{path}: has results of another version of haptic-nodes, which cannot be mixed"
+                    " with new ones; --fresh sets them aside and starts again, or use that"
+                    " version"
                 )
     return found
 
@@ -126,11 +126,11 @@ def sweep(
     chunk: int = 1,
     step: Callable[[str, int], None] = lambda *_: None,
 ) -> list[SweepRow]:
-    """Do all jobs that the ledger has no result of."""
+    """Run all jobs without a result in the ledger; return all results."""
     done = read_ledger(ledger)
     left = [parameters for parameters in jobs if key_of(parameters) not in done]
     if len(left) < len(jobs):
-        step(f"{len(jobs) - len(left)} of {len(jobs)} were done before", len(jobs) - len(left))
+        step(f"{len(jobs) - len(left)} of {len(jobs)} already done", len(jobs) - len(left))
     ledger.parent.mkdir(parents=True, exist_ok=True)
     whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
     with (

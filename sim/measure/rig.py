@@ -1,7 +1,7 @@
-"""A real launch to be maltreated: watched at its driver's topic, struck from outside, ended, and looked after.
+"""A launch under fault injection.
 
-The rig listens as any listener does and strikes with signals and control requests; nothing in the
-launch knows that it is a drill.
+The rig subscribes like any other subscriber and acts with signals and control requests; nothing in
+the launch knows that it is a drill.
 """
 
 import contextlib
@@ -21,18 +21,18 @@ from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
 from nodes.base.processor_wait import ProcessorWait, state_of
-from sim.measure.measured_launch import HAPTIC, Running, left_behind, processes_of, wait_for, within
+from sim.measure.haptic_commands import HAPTIC, wait_for, within
+from sim.measure.measured_launch import Running, left_behind, processes_of
 
-START = 30.0  # longest time from the first tick to the first messages [s]
-# longest time from the interrupt to the end, beside what the machine keeps a process of the launch
-# waiting [s]
+START = 30.0  # time limit from the first tick to the first messages [s]
+# Time limit from the interrupt to the end, without time spent waiting for a processor [s].
 END = 20.0
 
 
 def full_pipe() -> tuple[int, int]:
-    """Make a pipe that nobody reads: its writer waits."""
+    """Create a pipe that is full and never read, so that its writer blocks."""
     reading, writing = os.pipe()
-    # A description of its own: the pipe is filled without making the writer's end non-blocking.
+    # Open it once more, to fill the pipe without making the writer's end non-blocking.
     filling = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -45,7 +45,7 @@ def full_pipe() -> tuple[int, int]:
 
 
 class Rig(Running):
-    """One launch under maltreatment; `unread` when nobody reads its standard error."""
+    """A launch under fault injection; with `unread`, nobody reads its standard error."""
 
     def __init__(
         self,
@@ -54,23 +54,23 @@ class Rig(Running):
         unread: bool = False,
     ) -> None:
         self._pipe = full_pipe() if unread else ()
-        # Who does not end says where it is.
+        # A process that hangs prints its stack on SIGABRT.
         environment = {"PYTHONFAULTHANDLER": "1", **(environment or {})}
         super().__init__(
             "drill.yaml", environment=environment, stderr=self._pipe[1] if self._pipe else None
         )
         (self.folder / "drill.yaml").write_bytes(msgspec.json.encode(content))  # JSON is YAML
-        self.states: list[DeviceState] = []  # what the driver published, in the order of receipt
-        # what ``haptic launch --json`` answered; empty before the end
+        self.states: list[DeviceState] = []  # states published, in the order of receipt
+        # Result of ``haptic launch --json``; empty before the end.
         self.summary: dict[str, Any] = {}
         self.exit_code: int | None = None  # exit code of the launcher
         self.left: list[str] = []  # processes and files that outlived the launch
-        self.said = ""  # what it wrote to standard error, to its end
+        self.said = ""  # complete standard error
         self._ending = threading.Event()
         self._listener: threading.Thread | None = None
 
     def __enter__(self) -> Self:
-        """Wait for the first ticks, and listen."""
+        """Wait for the first ticks, and subscribe."""
         super().__enter__()
         try:
             inbox = Subscription(
@@ -94,17 +94,17 @@ class Rig(Running):
         inbox.close()
 
     def kill(self, node: str, number: signal.Signals = signal.SIGKILL) -> int:
-        """Send a signal to a node."""
+        """Send a signal to a node; return its process number."""
         pid = self.pid(node)
         os.kill(pid, number)
         return pid
 
     def let_pass(self, seconds: float) -> None:
-        """Let the launch run for a while, unless it ends."""
+        """Wait for some time, or until the launch ends."""
         within(lambda: self.process.poll() is not None, seconds)
 
     def beside(self, *words: str) -> subprocess.Popen[bytes]:
-        """Start another ``haptic`` command beside the launch, in its folder; what it says goes to `beside.txt` there."""
+        """Start another ``haptic`` command; its output goes to `beside.txt` in the folder."""
         with (self.folder / "beside.txt").open("ab") as said:
             return subprocess.Popen(
                 [*HAPTIC, *words],
@@ -116,7 +116,7 @@ class Rig(Running):
             )
 
     def end(self) -> None:
-        """Interrupt the launch, wait for its end, and see what it has left behind; its folder stays until `close`."""
+        """Interrupt the launch, wait for its end, and list what it left; the folder stays."""
         if self._ending.is_set():
             return
         self._ending.set()
@@ -134,7 +134,7 @@ class Rig(Running):
             self._listener.join()
 
     def _await_end(self) -> None:
-        """Wait for the launcher's end; on a machine that others use, as much longer as its processes wait for a processor."""
+        """Wait for the launcher's end, extended by the time its processes wait for a processor."""
         waits: dict[int, ProcessorWait] = {}
         begun, waited = time.monotonic(), 0.0
         while time.monotonic() - begun < END + waited:
@@ -142,10 +142,10 @@ class Rig(Running):
                 self.process.wait(0.5)
                 return
             for pid in (self.process.pid, *processes_of(self.runtime_dir)):
-                waited = max(waited, waits.setdefault(pid, ProcessorWait()).look(pid))
+                waited = max(waited, waits.setdefault(pid, ProcessorWait()).update(pid))
 
     def _whereabouts(self) -> str:
-        """Tell where a launcher is that does not end: what its threads wait for in the kernel, and its stack in Python."""
+        """Return where a launcher hangs: its threads' kernel waits and Python stack."""
         threads, state = [], state_of(Path(f"/proc/{self.process.pid}"))
         for path in Path(f"/proc/{self.process.pid}/task").iterdir():
             with contextlib.suppress(OSError):
@@ -160,7 +160,7 @@ class Rig(Running):
         return "\n".join([f"state {state}", *threads, self.errors[len(self.said) :]])
 
     def close(self) -> None:
-        """End the launch, whatever happened, and remove its folder."""
+        """End the launch and remove its folder."""
         try:
             self.end()
         finally:

@@ -1,8 +1,7 @@
-"""Timing that can be believed: interleaved, repeated, with its spread, on a machine that is named.
+"""Reliable timing: interleaved, repeated, with spread and the name of the machine.
 
-A shared machine drifts while one candidate after another is timed, so every round runs all of them,
-in an order that rotates; what is reported is the median over the rounds and the quartiles around
-it.
+A shared machine drifts while candidates are timed one after another, so every round runs all of
+them, in rotating order; the result is the median over the rounds with its quartiles.
 """
 
 import os
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from nodes.base.kept_line import columns, is_smart, keep
+from nodes.base.kept_line import columns, is_smart, rewrite
 
 
 @dataclass(frozen=True)
@@ -26,11 +25,11 @@ class Timing:
     # Lower and upper quartile [s].
     low: float
     high: float
-    rounds: int  # how many rounds
+    rounds: int  # number of rounds
 
 
 class Progress:
-    """A progress bar on standard error; a line for every tenth when that is not a terminal."""
+    """Progress bar on standard error; without a terminal, a line per tenth."""
 
     def __init__(self, total: int, stream: TextIO | None = None, after: float = 0.0) -> None:
         self._total = max(1, total)
@@ -41,7 +40,7 @@ class Progress:
         self._shown = -1
 
     def step(self, what: str, count: int = 1) -> None:
-        """Go on."""
+        """Advance by `count`."""
         self._done = min(self._total, self._done + count)
         if time.monotonic() < self._from:
             return
@@ -49,7 +48,7 @@ class Progress:
         if self._terminal:
             bar = "#" * (3 * tenths) + "." * (30 - 3 * tenths)
             percent = 100 * self._done // self._total
-            keep(self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)])
+            rewrite(self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)])
             if self._done == self._total:
                 self._stream.write("\n")
                 self._stream.flush()
@@ -64,7 +63,7 @@ def interleaved(
     rounds: int,
     step: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Timing]:
-    """Time several jobs against each other."""
+    """Time several jobs against each other, in rotating order."""
     names = list(jobs)
     seconds: dict[str, list[float]] = {name: [] for name in names}
     for name in names:
@@ -88,7 +87,7 @@ def _summary(values: list[float]) -> Timing:
 
 
 def machine() -> dict[str, Any]:
-    """Name the machine that figures were taken on."""
+    """Return a description of the machine that figures were measured on."""
     from importlib.metadata import version
 
     info = Path("/proc/cpuinfo")
@@ -105,14 +104,14 @@ def machine() -> dict[str, Any]:
     }
 
 
-SILENT = 5.0  # in a pipe a line comes at most so often [s]
+SILENT = 5.0  # shortest time between progress lines in a pipe [s]
 _last = [-SILENT]
 
 
 def say(words: str) -> None:
-    """Tell how it goes, on standard error; no words end the line."""
+    """Print progress on standard error; an empty text ends the line."""
     if is_smart(sys.stderr):
-        keep(sys.stderr, words[: columns(sys.stderr)])
+        rewrite(sys.stderr, words[: columns(sys.stderr)])
     elif words and (words.endswith("...") or time.monotonic() - _last[0] >= SILENT):
         _last[0] = time.monotonic()
         print(words, file=sys.stderr, flush=True)

@@ -1,236 +1,242 @@
-"""A launch of any axes in one process: the states and rules of the nodes themselves, tick by tick, as in lockstep.
+"""A chain of any launch file in one process: its nodes themselves, each tick's messages handed from one to the next.
 
-It plays what nodes can: shapes, things that move, several axes, laws with code of their own and
-swaps between them, all of the driver's safety. It is interpreted, for few runs (`sim.play.one_axis` is
-for thousands); no rule in it is its own.
+Driver, environment and coupling are made as their processes make them, without sockets: the tick is
+that of nodes/driver/tick.py in lockstep, whose port is `_Wire`. So it plays whatever its nodes can
+(shapes, things that move, pairs of devices, laws with code of their own, swaps, all of the driver's
+safety), and no rule in it is its own. It is interpreted; `sim.play.player` takes the compiled loop
+of one axis instead where that gives the same bits.
 """
 
-import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from messages.types import ZERO, Proxy, Vector
-from nodes.base.setup import AXIS_INDEX
-from nodes.coupling.law_book import LawBook
-from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
+from messages import topics
+from messages.codec import Decoder
+from messages.types import ZERO, DeviceState, Event, Force, Proxy
+from nodes.base.node_kinds import load
+from nodes.driver.plain_tick import state_message
+from nodes.driver.state import DriverState
+from nodes.driver.tick import GOT, Port, make_ticks
 from nodes.environment.bodies.moving_scene import MovingScene
-from nodes.environment.bodies.node import MujocoParameters, load_world
-from nodes.environment.meet import Numbers, meeting_of
-from nodes.environment.node import EnvironmentParameters
+from nodes.environment.bodies.node import MujocoEnvironment, load_world
+from nodes.environment.meet import Numbers
+from nodes.environment.node import Environment
 from nodes.environment.shapes.scene import Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
-from nodes.environment.surfaces import Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
-from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.plants import known_peak
-from nodes.parameters.store import ParameterError
-from sim.arrays import Array
-from sim.device.driver import SimDriverParameters, parts_of
-from sim.device.state import read_axis, write_axis
-from sim.play.driver_rules import DriverRules
-from sim.play.launched import parameters_of
-from sim.play.one_axis import MAX_TICKS
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError, convert
+from sim.device.state import AxisState
+from sim.play.chain_rows import Rows, parts_of_device
+from sim.play.given import Given
+from sim.play.hops import Hops, hops_of, setup_of
+from sim.play.one_axis import PlannedSwap
+from sim.play.trace import ChainTrace
 
 
-class SpatialTrace(NamedTuple):
-    """What happened, one row a tick."""
+@dataclass(frozen=True)
+class Instead:
+    """What a chain plays in place of what its launch file says; None for the launch file's own."""
 
-    position: Array  # what the encoders read [m], shape (ticks, 3)
-    proxy: Array  # where the proxy was [m], shape (ticks, 3)
-    # outward normal of what was touched; zero for a body that moves, shape (ticks, 3)
-    normal: Array
-    contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
-    force: Array  # force handed to the device, after all limits [N], shape (ticks, 3)
-    law: list[str]  # which law rendered
+    law: CompiledLaw | None = None  # the law of tick 0
+    swaps: Sequence[PlannedSwap] = ()  # swaps from `law` to others
+    solids: Sequence[Solid] | None = None  # what is touched
+    world: MovingScene | None = None  # the scene in which things move
+    # Parameters of the environment that change, each from a tick on.
+    environment: Sequence[tuple[int, Mapping[str, Any]]] = ()
 
-
-class _Coupling:
-    """The coupling node's renderer with its schedule."""
-
-    def __init__(self, launch: Launch) -> None:
-        name, parameters = parameters_of(launch, "coupling", CouplingParameters)
-        period = launch.run.period
-        book = LawBook(name, period)
-        self.renderer = renderer = Renderer(
-            [AXIS_INDEX[axis] for axis in launch.run.axes], parameters.memory
-        )
-        renderer.state.ease_peak = known_peak(launch, name.rpartition("/")[0]) or 0.0
-        settle_conventions(renderer.state, parameters, period)
-
-        def law(name: str) -> ActiveLaw:
-            return ActiveLaw(name, "", book.compile(parameters, name), renderer.histories)
-
-        renderer.fallback = ActiveLaw(
-            "fallback", "", parameters.fallback.compile(period), renderer.histories
-        )
-        renderer.law = law(parameters.law)
-        scheduled = sorted(parameters.schedule, key=lambda swap: swap.at)
-        self._schedule = [(round(swap.at / period), law(swap.law), swap.ramp) for swap in scheduled]
-
-    def answer(self, proxy: Proxy) -> Vector:
-        """Render the force of a tick."""
-        renderer = self.renderer
-        renderer.follow(proxy, proxy.seq - 1 if proxy.seq else -1)
-        while self._schedule and self._schedule[0][0] <= proxy.seq:
-            _, law, ramp = self._schedule.pop(0)
-            law.warm_up(renderer.histories)
-            renderer.swap(law, ramp)
-        due = renderer.due()
-        try:
-            force = renderer.render(proxy)
-        except Exception:
-            if not renderer.watched:
-                raise
-            # A law of another package may raise anything; the node falls back, too.
-            return renderer.fall_back(proxy, due)
-        return force if math.isfinite(force[0] + force[1] + force[2]) else renderer.fall_back(proxy)
+    @property
+    def is_scenery(self) -> bool:
+        """Whether what is met is another."""
+        return self.solids is not None or self.world is not None or bool(self.environment)
 
 
-class _Jumps:
-    """The latest jump that no motion made, as the environment counts it, and how far the force moves the proxy [m/N]."""
-
-    def __init__(self) -> None:
-        self.tick, self.compliance = 0, 0.0
-
-
-# From a tick, the position [m] and the force handed over last [N] to proxy, normal, distance and
-# contact.
-Ask = Callable[[int, Vector, Vector], Meeting]
-SurfaceChange = tuple[int, dict[str, Any]]  # the first tick on another surface, and its parameters
+def _made(launch: Launch, name: str) -> Any:
+    """Make a node that says nothing on standard error."""
+    setup = setup_of(launch, name)
+    node = load(setup.factory)(setup)
+    node.events.quiet = True
+    return node
 
 
-def _environment(
-    launch: Launch,
-    next_tick: bool,
-    solids: Sequence[Solid] | None,
-    world: MovingScene | None,
-    jumps: _Jumps,
-    changes: Sequence[SurfaceChange],
-) -> Ask:
-    """Make what the device meets: a surface, other solids in its place, or a scene in which things move."""
-    period = launch.run.period
-    kinds = {spec.kind for spec in launch.nodes.values()}
-    if "world" in kinds:
-        return _body(launch, float(next_tick), jumps)
-    if "mujoco" not in kinds:
-        name, environment = parameters_of(launch, "environment", EnvironmentParameters)
-        surface = parse_surface(environment.surface, f"{name}.surface")
-        meet_axes(surface, launch.run.axes, f"{name}.surface")
-        if solids is not None:
-            radius = getattr(surface, "tool_radius", 0.0)
-            meet = meeting_of(
-                Numbers(SHAPES, scene_table(solids, radius, period), new_memory(len(solids)))
+class _Wire:
+    """The driver's port: what goes through sockets otherwise is handed from node to node."""
+
+    def __init__(self, launch: Launch, hops: Hops, ticks: int, instead: Instead, given: Given):
+        self.driver = _made(launch, hops.driver)
+        self.environment = _made(launch, hops.environment)
+        self.coupling = _made(launch, hops.coupling)
+        self.driver.configure()
+        _begin_environment(self.environment, instead)
+        self.coupling.configure()
+        if instead.law is not None:
+            swaps = [(swap.tick, swap.law, swap.ramp) for swap in instead.swaps]
+            self.coupling.begin_with(instead.law, swaps)
+        self.device = self.driver.device
+        self.parts = parts_of_device(self.device)
+        self.axes = tuple(self.driver.driving.axis[: self.driver.driving.axes])
+        self._given = given.along(self.axes, ticks, launch.scenario)
+        if self._given.any and list(self.parts) != [""]:
+            raise ParameterError(
+                f"{hops.driver}: forces, targets and nudges are given to one virtual device, not"
+                f" to a {self.driver.setup.kind}"
             )
-            return lambda _, position, __: meet(position)
-        return _surfaces(surface, launch, jumps, sorted(changes, key=lambda change: change[0]))
-    name, bodies = parameters_of(launch, "mujoco", MujocoParameters)
-    scene = load_world(bodies, period, name) if world is None else world
-    delay = float(next_tick)
+        self._changes = sorted(instead.environment, key=lambda change: change[0])
+        self._proxies, self._forces = Decoder(Proxy), Decoder(Force)
+        self._state = DeviceState(seq=-1, stamp=0.0, position=ZERO)
+        self.rows = Rows(self, ticks)
 
-    def ask(tick: int, position: Vector, force: Vector) -> Meeting:
-        if scene.follow(tick, position, force, tick - 1, delay, tick == 0):
-            jumps.tick = tick
-        return scene.tool_position, ZERO, 0.0, True
+    # -- the port
+    def read(self, s: DriverState, seq: int) -> bool:
+        """Read the encoders, or take what is given in their place."""
+        given = self._given
+        for state in self.parts.get("", ()):
+            self._disturb(state, seq)
+        x, y, z = self.device.read_position(seq)
+        place = [x, y, z]
+        if given.nudged is not None:
+            for i in self.axes:
+                place[i] += float(given.nudged[seq, i, 2])
+        s.place[:] = place if given.path is None else given.path[seq].tolist()
+        s.target[:] = self.driver.target
+        return True
 
-    return ask
+    def _disturb(self, d: AxisState, seq: int) -> None:
+        """Let what is given besides the law act on an axis of the device in the tick that begins."""
+        given, i = self._given, d.axis
+        if given.force is not None:
+            d.push = float(given.force[seq, i])
+        if given.target is not None:
+            d.led, d.pull = 1, float(given.target[seq, i])
+        if given.nudged is None:
+            return
+        d.x += float(given.nudged[seq, i, 0])
+        d.v += float(given.nudged[seq, i, 1])
+
+    def publish(self, s: DriverState, seq: int, stamp: float) -> None:
+        """Hand the state of a tick to the environment."""
+        self._state = state_message(s, seq, stamp)
+        while self._changes and self._changes[0][0] <= seq:
+            parameters = self._changes.pop(0)[1]
+            node = self.environment
+            changed = {**node.setup.parameters, **parameters}
+            wanted = convert(changed, node.Parameters, node.setup.name)
+            node.prepare(wanted)(seq)
+            node.store.accept(wanted)
+
+    def receive(self, s: DriverState, until: float) -> int:
+        """Let environment and coupling answer."""
+        del until
+        state = self._state
+        proxy = self._proxies.decode(answer(self.environment, state))
+        force = self._forces.decode(answer(self.coupling, proxy))
+        s.got_seq = force.seq
+        s.got[:], s.got_normal[:], s.got_credit = force.force, force.normal, force.credit
+        self.rows.note(state, proxy, force)
+        return GOT
+
+    def write(self, s: DriverState, seq: int, offset: float) -> bool:
+        """Hand over a force; the tick passes."""
+        x, y, z = s.handed
+        self.rows.forces[s.seq] = x, y, z
+        self.device.write_force((x, y, z), seq, offset)
+        return True
+
+    def events(self) -> tuple[Event, ...]:
+        """Return what the nodes have published besides their ticks, in the order of ticks."""
+        found = []
+        for node in (self.driver, self.environment, self.coupling):
+            prefix = topics.event(node.setup.name).encode()
+            decoder = Decoder(Event)
+            found += [
+                decoder.decode(load_) for topic, load_ in node.events.outbox if topic == prefix
+            ]
+        return tuple(sorted(found, key=lambda event: event.seq))
 
 
-def _body(launch: Launch, delay: float, jumps: _Jumps) -> Ask:
-    """Make a world of one body."""
-    name, parameters = parameters_of(launch, "world", WorldParameters)
-    check_world(parameters, launch.run.period, name)
-    world = FeltWorld(parameters, launch.run.period, launch.run.axes)
-
-    def ask(tick: int, position: Vector, force: Vector) -> Meeting:
-        at = world.follow(tick, position, force, tick - 1, delay)
-        jumps.compliance = at.compliance
-        return at.proxy, ZERO, 0.0, True
-
-    return ask
+def answer(node: Any, message: Any) -> bytes:
+    """Have a node answer a message, as nodes/base/follow.py does."""
+    counters = node.counters
+    counters.seq = message.seq
+    payload: bytes | None = node.respond(message)
+    if payload is None:
+        raise ParameterError(f"{node.setup.name}: no answer to tick {message.seq}")
+    counters.answered = message.seq
+    counters.ticks += 1
+    return payload
 
 
-def _surfaces(surface: Surface, launch: Launch, jumps: _Jumps, changes: list[SurfaceChange]) -> Ask:
-    """Meet a surface, and others from some tick on, as the environment node changes them."""
-    period, changes = launch.run.period, list(changes)
-    place = TouchedSurface(surface, period)
+def _begin_environment(node: Any, instead: Instead) -> None:
+    """Make what is met: as the node makes it, or what is given instead."""
+    if isinstance(node, MujocoEnvironment):
+        parameters, setup = node.store.current, node.setup
+        node.begin_with(
+            load_world(parameters, setup.period, setup.name)
+            if instead.world is None
+            else instead.world
+        )
+        return
+    node.configure()
+    if instead.solids is not None and isinstance(node, Environment):
+        where = f"{node.setup.name}.surface"
+        radius = getattr(parse_surface(node.store.current.surface, where), "tool_radius", 0.0)
+        table = scene_table(instead.solids, radius, node.setup.period)
+        numbers = Numbers(SHAPES, table, new_memory(len(instead.solids)))
+        node.begin_with(TouchedSurface.of(numbers, node.counters.met))
 
-    def ask(tick: int, position: Vector, _: Vector) -> Meeting:
-        while changes and changes[0][0] <= tick:
-            parameters = changes.pop(0)[1]
-            if place.take(TouchedSurface(parse_surface(parameters, "surface"), period)):
-                jumps.tick = tick
-        met = place.meet(position)
-        if place.jumped:
-            jumps.tick = tick
-        return met
 
-    return ask
-
-
-def play(
+def play_chain(
     launch: Launch,
+    namespace: str = "",
     ticks: int | None = None,
-    solids: Sequence[Solid] | None = None,
-    path: Array | None = None,
-    world: MovingScene | None = None,
-    changes: Sequence[SurfaceChange] = (),
-) -> SpatialTrace:
-    """Play a launch file of one chain and virtual devices: the bits of a run in lockstep.
+    instead: Instead | None = None,
+    given: Given | None = None,
+) -> ChainTrace:
+    """Play a chain of a launch file with its own nodes: the bits of a run in lockstep.
 
-    `path`, shape (at least ticks, 3): where the encoders find the device [m], whatever the force;
-    no device is played then. `changes` are other surfaces, each from a tick on. `solids` and
-    `world` take the place of the launch file's own. ParameterError says what is wrong, as a launch
-    would.
+    Parameters
+    ----------
+    launch : Launch
+        The launch file, read.
+    namespace : str
+        Of the chain; empty for a launch of one.
+    ticks : int, optional
+        How long; by default as the launch file says, 10 s where it says nothing.
+    instead : Instead, optional
+        What is played in place of what the launch file says.
+    given : Given, optional
+        What happens to the chain besides.
+
+    Returns
+    -------
+    ChainTrace
+        Every tick.
+
+    Raises
+    ------
+    ParameterError
+        As a launch raises it, or where one process cannot play a node.
     """
-    run = launch.run
-    period, ticks = run.period, ticks or run.ticks or round(10.0 / run.period)
-    if ticks > MAX_TICKS:
-        raise ParameterError(
-            f"run.duration: {ticks} ticks, limit {MAX_TICKS} in one process; launch a longer run"
-        )
-    _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
-    next_tick = run.apply == "next_tick"
-    jumps = _Jumps()
-    meet = _environment(launch, next_tick, solids, world, jumps, changes)
-    axes = [AXIS_INDEX[axis] for axis in run.axes]
-    devices = parts_of(driver.device, run.axes, period, next_tick, driver.ends)
-    parts = [device.state for device in devices]
-    rules = DriverRules(driver.device, period, next_tick, driver.safety, driver.passivity, axes)
-    coupling = _Coupling(launch)
-    positions, proxies, normals, forces = (np.zeros((ticks, 3)) for _ in range(4))
-    contacts, laws = np.zeros(ticks, dtype=np.bool_), []
-    force = ZERO
-    for k in range(ticks):
-        if path is None:
-            place = [0.0, 0.0, 0.0]
-            for part in parts:
-                place[part.axis] = read_axis(part, k)
-        else:
-            place = path[k].tolist()
-        position = rules.sample(k, (place[0], place[1], place[2]))
-        proxy, normal, distance, contact = meet(k, position, force)
-        met: dict[str, Any] = {
-            "proxy": proxy,
-            "normal": normal,
-            "distance": distance,
-            "contact": contact,
-        }
-        met |= {"rebased": jumps.tick, "compliance": jumps.compliance}
-        wanted = coupling.answer(Proxy(seq=k, stamp=k * period, position=position, **met))
-        force = rules.command(k, wanted, normal if contact else ZERO)
-        for part in parts:
-            write_axis(part, force[part.axis], k, 0.0)
-        positions[k], proxies[k], normals[k], contacts[k], forces[k] = (
-            position,
-            proxy,
-            normal,
-            contact,
-            force,
-        )
-        laws.append(coupling.renderer.name)
-    return SpatialTrace(positions, proxies, normals, contacts, forces, laws)
+    hops = hops_of(launch, namespace)
+    ticks = ticks or launch.run.ticks or round(10.0 / launch.run.period)
+    wire = _Wire(launch, hops, ticks, instead or Instead(), given or Given())
+    s: DriverState = wire.driver.driving
+    s.until, s.most = ticks, ticks
+    port = Port(
+        clock=lambda _: 0.0,
+        sleep_until=lambda _, deadline: deadline,
+        read=wire.read,
+        write=wire.write,
+        publish=wire.publish,
+        receive=wire.receive,
+        aside=lambda _: None,
+        called=lambda _: False,
+    )
+    run: Callable[[Any], int] = make_ticks(port)[0]
+    while s.seq < ticks:
+        run(s)
+        wire.driver.report_notes()
+    return wire.rows.trace()

@@ -1,32 +1,53 @@
-"""A launch file played in one process: the same scene, law, swaps and conventions, thousands of times faster.
+"""What of a launch file one axis is: device, surface, conventions, laws and swaps, as the loop of one axis takes them.
 
-This is what holds the project together: a lockstep run through four processes and the same launch
-file played here give the same bits, for every scenario (tests/sim/play/test_lockstep.py).
+Where the chain is more than that (several axes, shapes, things that move, two devices, a law with
+code of its own that is swapped), `NotOneAxisError` says so and `sim.play.player` plays its nodes.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
-import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.driver.device import DeviceLimits
-from nodes.driver.limits import lower
+from nodes.driver.limits import SafetyParameters, lower
 from nodes.environment.node import EnvironmentParameters
-from nodes.environment.surfaces import parse_surface
+from nodes.environment.surfaces import Surface, numbers_of, parse_surface
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.plant import Plant
-from sim.device.driver import NO_END, SimDriverParameters, along
-from sim.play.one_axis import Given, PlannedSwap, Scene, SceneSurface, Trace, run
+from sim.arrays import Array
+from sim.device.driver import SimDriverParameters, along
+from sim.play.hops import Hops, hops_of
+from sim.play.one_axis import PlannedSwap, Scene, SceneSurface, Trace
+from sim.play.trace import ChainTrace
+
+
+class LawsOfRun(NamedTuple):
+    """Laws that a coupling renders."""
+
+    names: tuple[str, ...]  # of all, in the order in which they render
+    law: CompiledLaw  # law of tick 0
+    swaps: tuple[PlannedSwap, ...]  # scheduled swaps
+
+    @property
+    def all(self) -> list[CompiledLaw]:
+        """All laws, in the order in which they render."""
+        return [self.law, *(swap.law for swap in self.swaps)]
+
+
+class NotOneAxisError(ParameterError):
+    """A chain that the loop of one axis does not play."""
 
 
 @dataclass(frozen=True)
 class LaunchedScene:
-    """A launch file as the one-process loop takes it."""
+    """A chain of a launch file as the loop of one axis takes it."""
 
     scene: Scene  # device, surface, period and conventions
     law: CompiledLaw  # law of tick 0
@@ -34,6 +55,20 @@ class LaunchedScene:
     ticks: int  # ticks of the run
     memory: int  # deflections that the coupling remembers
     axis: int  # the one axis that the scene computes: 0, 1 or 2
+    names: tuple[str, ...]  # names of all laws, in the order in which they render
+    surface: Surface  # what is touched, in space
+    # What the driver does besides lowering forces; where it does, its nodes play the chain.
+    safety: SafetyParameters
+
+    @property
+    def laws(self) -> list[CompiledLaw]:
+        """All laws, in the order in which they render."""
+        return [self.law, *(swap.law for swap in self.swaps)]
+
+    def rendering(self, law: CompiledLaw, swaps: tuple[PlannedSwap, ...]) -> "LaunchedScene":
+        """Return the scene with other laws."""
+        names = ("given", *(f"given_{n}" for n in range(1, 1 + len(swaps))))
+        return replace(self, law=law, swaps=swaps, names=names)
 
     @property
     def last_law(self) -> CompiledLaw:
@@ -52,76 +87,93 @@ class LaunchedScene:
             body.grip,
         )
 
-    def play(
-        self, ticks: int | None = None, interpreted: bool = False, given: Given | None = None
-    ) -> Trace:
-        """Play the scene, for as many ticks as the launch file says when none are given; see `sim.play.one_axis.run`."""
-        return run(
-            self.scene, self.law, ticks or self.ticks, self.swaps, self.memory, interpreted, given
+    def in_space(self, trace: Trace) -> ChainTrace:
+        """Return what the loop of one axis played as the trace of a chain."""
+        ticks = len(trace.position)
+        measured = self._along(trace.measured)
+        proxy, normal, contact = self._met(measured)
+        rendered = np.zeros(ticks, dtype=np.intp)
+        for swap in self.swaps:
+            rendered[swap.tick :] += 1
+        final = np.zeros((2, 3))
+        final[:, self.axis] = trace.final
+        return ChainTrace(
+            period=trace.period,
+            axes=(self.axis,),
+            position=self._along(trace.position),
+            velocity=self._along(trace.velocity),
+            measured=measured,
+            deflection=self._along(trace.deflection),
+            proxy=proxy,
+            normal=normal,
+            contact=contact,
+            force=self._along(trace.force),
+            law=tuple(self.names[i] for i in rendered.tolist()),
+            final=final,
         )
 
+    def _along(self, values: Array) -> Array:
+        spread = np.zeros((len(values), 3))
+        spread[:, self.axis] = values
+        return spread
 
-def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
-    """Find the one node of a kind in a launch: its name and its parameters."""
-    found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
-    if len(found) != 1:
-        raise ParameterError(
-            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}; one process plays"
-            " exactly one"
-        )
-    name, spec = found[0]
-    return name, convert(spec.parameters, target, name)
+    def _met(self, measured: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return proxy [m], normal and contact at each tick, as the environment's rules have them."""
+        proxy, normal = measured.copy(), np.zeros(measured.shape)
+        kind = self.scene.surface.kind
+        contact = np.full(len(measured), kind == "anchor")
+        numbers = numbers_of(self.surface, self.scene.period)
+        if kind == "anchor" and numbers is not None:
+            proxy[:] = numbers.table[:3]
+        elif kind == "plane":
+            place, side, i = self.scene.surface.position, self.scene.surface.normal, self.axis
+            contact = (measured[:, i] - place) * side < 0.0
+            proxy[contact, i] = place
+            normal[:, i] = side
+        return proxy, normal, contact
 
 
-def from_launch(launch: Launch) -> LaunchedScene:
-    """Translate a launch file; ParameterError where it has several axes, other surfaces or swaps of a law with its own code."""
-    if len(launch.run.axes) != 1:
-        raise ParameterError(
-            f"{launch.scenario}.run.axes: {launch.run.axes}; one process plays one axis here;"
-            " sim.play.chain plays several"
-        )
-    axis = launch.run.axes[0]
-    period = launch.run.period
-    _, driver = parameters_of(launch, "sim_driver", SimDriverParameters)
-    device = along(driver.device, launch.run.axes)[0]
+def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
+    """Return a chain as the loop of one axis takes it.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch file, read.
+    namespace : str
+        Of the chain; empty for a launch of one.
+
+    Raises
+    ------
+    NotOneAxisError
+        Where the chain is more than one rigid device on one axis at a surface.
+    ParameterError
+        As a launch raises it.
+    """
+    hops = hops_of(launch, namespace)
+    axes = launch.axes.get(namespace) or launch.run.axes
+    _refuse_more(launch, hops, list(axes))
+    axis, period = axes[0], launch.run.period
+    driver: SimDriverParameters = convert(
+        launch.nodes[hops.driver].parameters, SimDriverParameters, hops.driver
+    )
+    environment: EnvironmentParameters = convert(
+        launch.nodes[hops.environment].parameters, EnvironmentParameters, hops.environment
+    )
+    coupling: CouplingParameters = convert(
+        launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
+    )
+    device = along(driver.device, axes)[0]
     if device.mass_by_position:
-        raise ParameterError(
-            f"{launch.scenario}: device.mass_by_position: one process plays one mass here; launch"
-            " it, or take sim.play.chain"
-        )
-    if any(spec.kind == "world" for spec in launch.nodes.values()):
-        raise ParameterError(
-            f"{launch.scenario}.nodes: a body of kind world; one process plays surfaces here;"
-            " sim.play.chain plays it"
-        )
-    name, environment = parameters_of(launch, "environment", EnvironmentParameters)
-    coupling_name, coupling = parameters_of(launch, "coupling", CouplingParameters)
-    surface = parse_surface(environment.surface, f"{name}.surface")
+        raise NotOneAxisError(f"{hops.driver}.device.mass_by_position: not one mass")
+    surface = parse_surface(environment.surface, f"{hops.environment}.surface")
     reduced = surface.on_axis(axis)
     if reduced is None:
-        raise ParameterError(
-            f"{name}.surface.kind: {surface.kind!r} has no form on one axis (on_axis), so one"
-            " process cannot play it; launch it"
+        raise NotOneAxisError(
+            f"{hops.environment}.surface.kind: {surface.kind!r} has no form on one axis (on_axis)"
         )
-    safety = driver.safety
-    limits = lower(safety, DeviceLimits(), period)
-    if safety.workspace is not None:
-        # Of one axis only the first counts.
-        safety = msgspec.structs.replace(
-            safety, workspace=(safety.workspace[AXIS_INDEX[axis]], *NO_END[1:])
-        )
-    book = LawBook(coupling_name, period)
-
-    def law(name: str) -> CompiledLaw:
-        compiled = book.compile(coupling, name)
-        if compiled.evaluate is not None and coupling.schedule:
-            raise ParameterError(
-                f"{coupling_name}.laws.{name}: has code of its own, which one process cannot swap;"
-                " launch it"
-            )
-        return compiled
-
-    swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
+    laws = laws_of(launch, hops)
+    limits = lower(driver.safety, DeviceLimits(), period)
     return LaunchedScene(
         scene=Scene(
             device=device,
@@ -131,17 +183,55 @@ def from_launch(launch: Launch) -> LaunchedScene:
             clamp=coupling.clamp,
             peak=limits.peak,
             slew=limits.slew,
-            workspace=None if safety.workspace is None else safety.workspace[0],
+            workspace=driver.safety.workspace and driver.safety.workspace[AXIS_INDEX[axis]],
             next_tick=launch.run.apply == "next_tick",
             passivity=driver.passivity,
             ease=round(coupling.ease / period),
-            safety=safety,
         ),
-        law=law(coupling.law),
-        swaps=tuple(
-            PlannedSwap(round(swap.at / period), law(swap.law), swap.ramp) for swap in swaps
-        ),
+        law=laws.law,
+        swaps=laws.swaps,
         ticks=launch.run.ticks or round(10.0 / period),
         memory=coupling.memory,
         axis=AXIS_INDEX[axis],
+        names=laws.names,
+        surface=surface,
+        safety=driver.safety,
     )
+
+
+def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
+    """Return the compiled laws that the coupling of a chain renders."""
+    coupling: CouplingParameters = convert(
+        launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
+    )
+    book, period = LawBook(hops.coupling, launch.run.period), launch.run.period
+    swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
+    names = (coupling.law, *(swap.law for swap in swaps))
+    first, *later = (book.compile(coupling, name) for name in names)
+    planned = tuple(
+        PlannedSwap(round(swap.at / period), law, swap.ramp)
+        for swap, law in zip(swaps, later, strict=True)
+    )
+    return LawsOfRun(names, first, planned)
+
+
+def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
+    """Refuse what has more than the loop of one axis knows."""
+    if len(axes) != 1:
+        raise NotOneAxisError(f"{launch.scenario}.run.axes: {axes}, not one axis")
+    for name, kind in ((hops.driver, "sim_driver"), (hops.environment, "environment")):
+        if launch.nodes[name].kind != kind:
+            raise NotOneAxisError(f"{name}: {launch.nodes[name].kind}, not {kind}")
+    if launch.nodes[hops.coupling].kind != "coupling":
+        raise NotOneAxisError(f"{hops.coupling}: {launch.nodes[hops.coupling].kind}, not coupling")
+
+
+def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
+    """Return the one node of a kind in a launch: its name and its parameters."""
+    found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
+    if len(found) != 1:
+        raise ParameterError(
+            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}, expected exactly one"
+        )
+    name, spec = found[0]
+    return name, convert(spec.parameters, target, name)

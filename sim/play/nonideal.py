@@ -68,8 +68,9 @@ class NonidealDevice:
 
 
 _ODD = (
-    "quadratic", "lag", "gap", "hardening", "presliding", "stribeck", "uneven", "cogging", "ripple", "warming", "deadband",
-    "average", "sensor_lag", "gain_by_sign", "force_step", "pitch",
+    "quadratic", "lag", "gap", "hardening", "presliding", "stribeck", "uneven", "cogging",
+    "ripple", "warming", "deadband", "average", "sensor_lag", "gain_by_sign", "force_step",
+    "pitch",
 )  # fmt: skip
 
 
@@ -230,7 +231,7 @@ def pushed(
     odd = np.array([rigid.grip, *(getattr(device, name) for name in _ODD)])
     _push(
         wanted, np.asarray(taps, dtype=np.float64), law,
-        (rigid.mass, rigid.damping, rigid.friction or 0.0, device.share, joint, loss), odd, sample, arrive, noise,
-        rigid.resolution or 1e-9, period, slew, positions, forces,
+        (rigid.mass, rigid.damping, rigid.friction or 0.0, device.share, joint, loss), odd, sample,
+        arrive, noise, rigid.resolution or 1e-9, period, slew, positions, forces,
     )  # fmt: skip
     return positions, forces

@@ -12,18 +12,14 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from nodes.driver.limits import SafetyParameters, start_ramp
 from nodes.driver.passivity import PassivityParameters, line_of
-from nodes.driver.safety import REACH
-from nodes.driver.safety_setup import pressed_ticks
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.laws import CompiledLaw
 from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.play.compiled import numbers_of
-from sim.play.driver_rules import DriverRules
+from sim.play.given import Given
 from sim.play.one_axis_loop import (
     Arrivals,
     Contact,
@@ -81,9 +77,6 @@ class Scene:
     # Ticks in which the force of a scene that begins in contact comes (the coupling's `ease`); 0
     # for at once.
     ease: int = 0
-    # Its ramp, its stop and the heating of its motor beside these limits, of which those that are
-    # None are off here too; None for the limits alone.
-    safety: SafetyParameters | None = None
 
     def __post_init__(self) -> None:
         if not self.period > 0.0:
@@ -133,26 +126,6 @@ class Trace:
         return np.arange(len(self.position), dtype=np.float64) * np.float64(self.period)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Given:
-    """What happens to a run beside its scene and law; None for what does not."""
-
-    # force on the device besides the law's, during each tick [N], shape (ticks,), or None
-    force: Array | None = None
-    # Where the device's hand pulls to during each tick instead of along its path [m], shape
-    # (ticks,), or None.
-    target: Array | None = None
-    # When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each
-    # answers, −1 for the driver's own; and the latter's value [N]. None for lockstep: each tick's
-    # own, by the rule.
-    arrivals: tuple[Array, NDArray[np.int64], Array] | None = None
-    # Jumps of position [m], velocity [m/s] and reading [m] at each tick, shape (ticks, 3), or None.
-    nudged: Array | None = None
-    # What an encoder has read [m]: the least jumps that keep the device there are noted in
-    # `nudged`, shape (ticks,), or None.
-    read: Array | None = None
-
-
 def run(
     scene: Scene,
     law: CompiledLaw,
@@ -171,23 +144,7 @@ def run(
     with code of its own runs so, and a scene whose driver does more than lower forces. ValueError
     refuses ticks, swaps and laws that cannot be.
     """
-    _check(law, ticks, swaps)
-    given = given or Given()
-    safety = scene.safety
-    if safety is None:
-        return _played(scene, law, ticks, swaps, memory, interpreted, given, None)[0]
-    if given.arrivals is None and not (safety.ramp or safety.continuous_force):
-        trace, asked = _played(scene, law, ticks, swaps, memory, interpreted, given, None)
-        begins = asked[0] != 0.0 and start_ramp(safety) > 0.0
-        if not (begins or _stops(safety, scene.peak, scene.period, asked, trace.measured)):
-            return trace
-    # Its ramp, its stop or its motor's heat had a say.
-    rules = None
-    if given.arrivals is None:
-        rules = DriverRules(scene.device, scene.period, scene.next_tick, safety, scene.passivity)
-    return _played(
-        scene, law, ticks, swaps, memory, interpreted or rules is not None, given, rules
-    )[0]
+    return run_with_asked(scene, law, ticks, swaps, memory, interpreted, given)[0]
 
 
 def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
@@ -218,31 +175,18 @@ def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
             )
 
 
-def _stops(
-    safety: SafetyParameters, peak: float | None, period: float, asked: Array, measured: Array
-) -> bool:
-    """Whether the driver might have stopped: the force came to its largest magnitude often, or the device went astray."""
-    if not np.all(np.abs(measured) <= REACH):
-        return True
-    if safety.stop_after is None or peak is None:
-        return False
-    sides = np.where(np.abs(asked) > peak, np.sign(asked), 0.0)
-    comes = np.count_nonzero((sides != 0.0) & (np.diff(sides, prepend=0.0) != 0.0))
-    stays = np.count_nonzero(sides) // pressed_ticks(safety.stop_after, period)
-    return int(comes + stays) >= safety.stop_after
-
-
-def _played(
+def run_with_asked(
     scene: Scene,
     law: CompiledLaw,
     ticks: int,
-    swaps: Sequence[PlannedSwap],
-    memory: int,
-    interpreted: bool,
-    given: Given,
-    rules: DriverRules | None,
+    swaps: Sequence[PlannedSwap] = (),
+    memory: int = 0,
+    interpreted: bool = False,
+    given: Given | None = None,
 ) -> tuple[Trace, Array]:
-    """Play once; what happened, and the forces that the driver's limits were asked for."""
+    """Play as `run` does; the trace, and the forces before the driver's limits [N], 0 in real time."""
+    _check(law, ticks, swaps)
+    given = given or Given()
     own = law.own_code()
     if own is not None:
         numbered = None if interpreted else numbers_of(own, ticks)
@@ -298,12 +242,11 @@ def _played(
         numbers([0.0] * (2 * ring)),
         numbers([0.0] * motion.waiting),
         records,
-        None if rules is not None else _guard_of(scene, numbers),
+        _guard_of(scene, numbers),
         own,
         arrivals,
         nudged,
         given.read,
-        rules,
     )
     position, velocity, measured, deflections, force, asked = (
         np.asarray(row, dtype=np.float64) for row in records
@@ -316,8 +259,8 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     device = scene.device
     if device.mass_by_position:
         raise ValueError(
-            "device.mass_by_position: this loop has one mass; sim.play.chain plays it, and so"
-            " does a launch"
+            "device.mass_by_position: the loop of one axis has one mass; sim.play.player plays it,"
+            " and so does a launch"
         )
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
     whole, part = split_delay(device.delay + (1.0 if scene.next_tick else 0.0))
@@ -400,7 +343,8 @@ def contact_of(scene: Scene) -> Contact:
 def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:
     if scene.passivity is None or scene.passivity.guard != "on":
         return None
-    line, part = line_of(scene.device.delay)
+    # As the driver has it of the device's latency in seconds.
+    line, part = line_of(round(scene.device.delay, 9))
     late = 1.0 if scene.next_tick else 0.0
     damping, allowance = scene.passivity.damping / scene.period, scene.passivity.allowance
     return Guard(damping, scene.passivity.stiffness, late, numbers(list(line)), part, allowance)

@@ -263,13 +263,11 @@ def play(  # noqa: C901, PLR0915
     arrivals: Arrivals | None = None,
     nudged: Values = None,
     read: Values | None = None,
-    rules: Any = None,
 ) -> tuple[float, float]:
     """Play a scene from rest; `sim.play.one_axis.run` prepares it and reads what was written down.
 
     `nudged` are jumps of position, velocity and reading at each tick; with `read`, the readings
-    that a recording holds, they are found here. `rules` are the driver's rules beyond guard, peak
-    and slew (sim/play/driver_rules.py), interpreted only.
+    that a recording holds, they are found here.
     """
     x, v = motion.position, motion.velocity
     length = len(history) // 2
@@ -327,8 +325,6 @@ def play(  # noqa: C901, PLR0915
             measured = quantise(x, motion.resolution)
             if nudged is not None:
                 measured += float(nudged[k, 2])
-            if rules is not None:
-                measured = rules.sample(k, (measured, 0.0, 0.0))[0]
             head, newest, touches = respond(
                 measured,
                 contact.kind,
@@ -383,18 +379,15 @@ def play(  # noqa: C901, PLR0915
             _note(records.deflections, k, newest)
             load = _load_at(motion.loads, motion.load, k)
             if arrivals is None:
-                if rules is not None:
-                    applied = rules.command(k, (force, 0.0, 0.0))[0]
-                else:
-                    pending = applied
-                    if guard is not None:
-                        energy, force = _guarded(guard, energy, force, step, pending, guard.late)
-                    _note(records.asked, k, force)
-                    applied = limit_within_tick(force, applied, contact.peak, contact.slew, 0.0)
-                    if guard is not None:
-                        acting = through(
-                            guard.line, applied if guard.late == 0.0 else pending, guard.part
-                        )
+                pending = applied
+                if guard is not None:
+                    energy, force = _guarded(guard, energy, force, step, pending, guard.late)
+                _note(records.asked, k, force)
+                applied = limit_within_tick(force, applied, contact.peak, contact.slew, 0.0)
+                if guard is not None:
+                    acting = through(
+                        guard.line, applied if guard.late == 0.0 else pending, guard.part
+                    )
                 # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts
                 # first, then tick k−i's.
                 commands[slot] = applied

@@ -1,35 +1,36 @@
-"""Another law under the same hand: the one-process loop plays what a running launch's hand and device would feel with it.
+"""Another law under the same hand: what a running launch's hand and device would feel with it.
 
 A view calls `play_beside` in a process of its own, off the loop's processors, with the targets that
-the driver told so far. It is the loop of `from_launch`, with that hand: the same bits as when the
-launch file is played with this law and this path.
+the driver told so far. It is a call of the player with that hand: the same bits as when the launch
+file is played with this law and this path.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import msgspec
+import numpy as np
 
-from nodes.base.setup import Setup
+from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
+from nodes.parameters.store import convert
 from sim.arrays import Array
-from sim.play.launched import from_launch
-from sim.play.one_axis import Scene, run
+from sim.device.driver import SimDriverParameters, along
+from sim.play.given import Given
+from sim.play.hops import UNJUDGED
+from sim.play.player import play
 
 
-def beside_scene(
+def shadow_launch(
     setups: Mapping[str, Setup],
     law: Mapping[str, Any],
-    targets: Sequence[float],
     begin: tuple[float, float],
     late: float = 0.0,
-) -> tuple[Scene, Any, int]:
-    """Make the scene of a launch with another law and the hand's targets as they were: scene, law and memory [ticks].
+) -> Launch:
+    """Return a running launch with another law, its device where it was.
 
-    `targets` are where the hand pulled to, tick by tick [m], `begin` is the position [m] and
-    velocity [m/s] of the device at the first of them, `late` the delay of the loop beyond that of
-    the device and of ``next_tick`` [ticks].
+    `begin` is the position [m] and velocity [m/s] of the device at the first tick, `late` the delay
+    of the loop beyond that of the device and of ``next_tick`` [ticks].
     """
     first = next(iter(setups.values()))
     nodes = {}
@@ -42,24 +43,31 @@ def beside_scene(
                 "laws": {"beside": dict(law)},
                 "schedule": [],
                 "ease": 0.0,
+                **UNJUDGED,
             }
         elif setup.kind == "sim_driver":
-            # What brings a force in after a gap has nothing to do here: there is no gap.
-            parameters["safety"] = {**parameters.get("safety", {}), "ramp": 0.0}
+            parameters = _begun(setup, begin, late)
         nodes[name] = NodeSpec(kind=setup.kind, parameters=parameters)
     spec = RunSpec(rate=1.0 / first.period, apply=first.apply, axes=list(first.axes))
-    launched = from_launch(
-        Launch(
-            scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes
-        )
+    return Launch(
+        scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes
     )
-    device = launched.scene.device
-    path = [(k * first.period, target) for k, target in enumerate(targets)]
-    hand = device.hand and msgspec.structs.replace(device.hand, path=path, repeat=None)
+
+
+def _begun(setup: Setup, begin: tuple[float, float], late: float) -> dict[str, Any]:
+    """Return the parameters of a driver whose device begins elsewhere, without a ramp: there is no gap."""
+    wanted: SimDriverParameters = convert(setup.parameters, SimDriverParameters, setup.name)
+    device = along(wanted.device, setup.axes)[0]
     device = msgspec.structs.replace(
-        device, position=begin[0], velocity=begin[1], delay=device.delay + late, hand=hand
+        device, position=begin[0], velocity=begin[1], delay=device.delay + late
     )
-    return replace(launched.scene, device=device), launched.law, launched.memory
+    safety = msgspec.structs.replace(wanted.safety, ramp=0.0)
+    return {
+        **setup.parameters,
+        "device": msgspec.to_builtins(device),
+        "preset": "",
+        "safety": msgspec.to_builtins(safety),
+    }
 
 
 def play_beside(
@@ -69,7 +77,13 @@ def play_beside(
     begin: tuple[float, float],
     late: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Play another law under the same hand, see `beside_scene`: what the encoder reads [m], and what is handed over [N]."""
-    scene, compiled, memory = beside_scene(setups, law, targets, begin, late)
-    trace = run(scene, compiled, len(targets), memory=memory)
-    return trace.measured, trace.force
+    """Play another law under the same hand: what the encoder reads [m], and what is handed over [N].
+
+    `targets` are where the hand pulled to, tick by tick [m]; `begin` and `late` as of
+    `shadow_launch`.
+    """
+    launch = shadow_launch(setups, law, begin, late)
+    target = np.array(targets, dtype=np.float64)
+    trace = play(launch, ticks=len(targets), given=Given(target=target))
+    axis = AXIS_INDEX[launch.run.axes[0]]
+    return trace.measured[:, axis], trace.force[:, axis]

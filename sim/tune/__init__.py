@@ -1,1 +1,1 @@
-"""From an identified device to a law that was tried on it: design, predict, knock, and deliver what held."""
+"""Design a law for an identified device, predict it and verify it on the device."""

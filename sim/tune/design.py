@@ -1,9 +1,10 @@
-"""From an identified device to its law: the stiffest that keeps a pole radius over all that the device may be, and lands.
+"""Design the stiffest law for an identified device.
 
-The design keeps a pole radius over the whole interval of mass, widened by a factor for what
-identification cannot know (another hand, another pose), and over the whole range of delay that was
-seen. Unless told otherwise, every drop on a floor settles too. What the law will do on the device
-as identified is predicted: its edge by poles and by knocks, drops, delays, rest.
+The law keeps a pole radius over the whole mass interval, widened by a factor for what
+identification cannot cover (another hand, another pose), and over the whole range of delay in the
+recording. By default it must also settle after every drop on a floor. `predict` computes its
+behaviour on the identified device: the stability edge by poles and by knocks, drops, delays and
+limit cycles.
 """
 
 import math
@@ -20,6 +21,7 @@ from sim.design.families import Tuned, best_pd, certificate, designed, latest_de
 from sim.design.hands import STYLUS, judge_grasps
 from sim.design.landing import drops
 from sim.device.model import DeviceModel, Hand
+from sim.identify.altered import worst_altered
 from sim.identify.identified import Identified
 from sim.play.nonideal import NonidealDevice
 from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
@@ -27,25 +29,27 @@ from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a tuning asks for."""
+    """Options of a tuning."""
 
-    taps: int = 4  # length of the law
-    spread: float = 1.25  # factor by which the mass may be off in either direction
+    taps: int = 4  # number of taps
+    spread: float = 1.25  # factor by which the mass may be wrong in either direction
     radius: float = 0.99  # largest pole radius
     nyquist: float = 1e4  # largest |H(−1)| [N/m]
-    land: bool = True  # whether every drop must settle too
-    # By how much the device is lighter and heavier in other poses than in the one that it was
-    # identified in [kg], shape (2,).
+    land: bool = True  # every drop must also settle
+    # mass difference of other poses from the identified one, lighter and heavier [kg], shape (2,)
     poses: tuple[float, float] = (0.0, 0.0)
 
 
 def demand(found: Identified, wanted: Wanted) -> Demand:
-    """Ask for a law that suits all that a device may be: its intervals, the mass widened; ValueError where one is not told."""
+    """Return the design demand for an identified device: its intervals, the mass widened.
+
+    Raise ValueError if a needed quantity was not identified.
+    """
     (_, lightest, heaviest), (_, damping, _) = found.mass.known(), found.damping.known()
     found.delay.known()
     _, softest, stiffest = found.stiffness.known()
     lighter, heavier = wanted.poses
-    # What is left of a hand's and a device's mass is a tenth at least.
+    # The remaining mass is at least a tenth of the identified one.
     lightest, heaviest = max(lightest - lighter, 0.1 * lightest), heaviest + heavier
     return Demand(
         mass=(lightest / wanted.spread, heaviest * wanted.spread),
@@ -61,7 +65,10 @@ def demand(found: Identified, wanted: Wanted) -> Demand:
 
 
 def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
-    """List the ends of the intervals of lag and joint, the frequency 5 % wider: a pose moves it."""
+    """Return the ends of the intervals of lag and joint.
+
+    The frequency interval is 5 % wider because it changes with the pose.
+    """
     if not {"actuator lag", "flexible mode"} & set(found.terms):
         return ()
     _, early, late = found.lag.known() if found.lag.value else (0.0, 0.0, 0.0)
@@ -83,7 +90,7 @@ def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
 
 
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
-    """Design taps, and tune PD in the same way to compare: the better of the two, PD, and what both keep."""
+    """Design taps, and tune PD for the same demand; return the stiffer, PD, and the demand."""
     asked = demand(found, wanted)
     law, pd = designed(asked, wanted.taps), best_pd(asked)
     if pd.found is not None and (law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m):
@@ -92,7 +99,10 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
 
 
 def model(found: Identified) -> DeviceModel | NonidealDevice:
-    """Put the identified device, the loop's whole delay in it, into a model: the richer one where the data asked for it."""
+    """Return a model of the identified device with the whole delay of the loop.
+
+    It is a `NonidealDevice` if identification found a lag, a joint or quadratic friction.
+    """
     mass, damping, delay = (one.known()[0] for one in (found.mass, found.damping, found.delay))
     hand = None
     if found.held and found.stiffness.value:
@@ -114,7 +124,7 @@ def model(found: Identified) -> DeviceModel | NonidealDevice:
 
 
 def plant_of(found: Identified) -> Plant:
-    """Put the identified device, with the whole delay of the loop, into a plant."""
+    """Return the plant of the identified device with the whole delay of the loop."""
     values = (found.mass.known()[0], found.damping.known()[0], found.delay.known()[0])
     return Plant(found.period, *values, found.stiffness.value or 0.0)
 
@@ -122,7 +132,7 @@ def plant_of(found: Identified) -> Plant:
 def knock_size(
     taps: tuple[float, ...], edge: float, found: Identified, peak: float | None
 ) -> float:
-    """Choose a knock that the driver does not limit: at most 1 mm, at least eight encoder steps [m]."""
+    """Return a knock the driver does not limit [m]: at most 1 mm, at least 8 encoder steps."""
     strongest = 0.8 * (peak or 4.0) / (edge * max(map(abs, taps)))
     return max(min(1e-3, strongest), 8.0 * (found.encoder.value or 1e-6))
 
@@ -130,7 +140,10 @@ def knock_size(
 def linear_edge(
     law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None
 ) -> float:
-    """Find the factor of all taps, 1 to 100, at which a pole of the loop reaches the unit circle; 1 for an unstable law."""
+    """Find the factor on all taps (1 to 100) at which a pole reaches the unit circle.
+
+    Return 1 for an unstable law.
+    """
 
     def radius(factor: float) -> float:
         if isinstance(plant, Plant):
@@ -149,7 +162,10 @@ def linear_edge(
 def predict(
     law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
 ) -> tuple[dict[str, Any], KnockedEdge, Plan]:
-    """Tell what a law will do on the identified device: figures, the knocks on the model, the steps to try for real."""
+    """Predict a law on the identified device.
+
+    Return the figures, the knocks on the model and the plan of the steps on the device.
+    """
     plant = plant_of(found)
     whole = found.plant()
     rigid = whole.rigid and whole.lag == 0.0
@@ -173,11 +189,32 @@ def predict(
     figures |= {"stable_up_to_delay_ticks": latest_delay(law, asked)}
     figures |= {"drops_settled": sum(dropped.values()), "drops": len(dropped)}
     figures["grasp"] = asdict(judge_grasps(law, asked, STYLUS, 20_000))
+    figures |= remainder_figures(law, found)
     return figures | _every_delay(law, asked) | _at_rest(law, found, plant), edge, plan
 
 
+def remainder_figures(law: CompiledLaw, found: Identified) -> dict[str, Any]:
+    """Return the worst pole radius of a law on what the recording's residual leaves open, and the term that does it.
+
+    Both are None for a device whose residual is noise.
+    """
+    radius, cause = worst_altered(law, found.period, found.altered) or (None, None)
+    return {"remainder_pole_radius": radius, "remainder_worst": cause}
+
+
+def remainder_refusal(law: CompiledLaw, found: Identified) -> str | None:
+    """Return why a law is not tried where the residual of the recording may make it unstable; None where it may not."""
+    worst = worst_altered(law, found.period, found.altered)
+    if worst is None or worst[0] < 1.0:
+        return None
+    return (
+        f"the law has a pole radius of {worst[0]:.4f} (limit: < 1) on a device with {worst[1]},"
+        " which the recording leaves open"
+    )
+
+
 def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
-    """Certify the law for every sequence of delays, where the range is within a tick."""
+    """Certify the law for every sequence of delays if their range is within a tick."""
     low, high = asked.delay
     answer = certificate(law, asked)
     if answer != "too wide":
@@ -189,7 +226,10 @@ def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
 
 
 def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:
-    """Compare the friction with what rest takes: a proof where it is above the bound, an estimate below."""
+    """Compare the friction with the friction needed for rest.
+
+    Above the bound this is a proof, below it an estimate.
+    """
     if found.encoder.value is None or found.friction.value is None:
         return {"limit_cycle_free": None}
     answer = rest(law, plant, found.encoder.value)

@@ -1,13 +1,12 @@
-"""Knock on a held device and see whether it comes to rest: how the edge of stability is approached, on a model and for real.
+"""Find the stability edge of a held device by step tests, on a model or on the device.
 
-The law on trial feels a step of the deflection from nothing (`nodes.laws.knock`). What is left of
-the motion at the end of the window decides; what is left but goes on dying is watched for longer.
-The predicted and the measured edge are found by the same steps and the same verdict, friction,
-encoder and limits of the driver included.
+The law on trial sees a step in the deflection (`nodes.laws.knock`). The motion left at the end of
+the window decides; a motion that still decays is watched for longer. The predicted and the measured
+edge use the same steps and the same verdict, including friction, encoder and driver limits.
 
-The steps begin far below the law and go up through it: large where the model sees no danger, of 2 %
-near the law's edge. When a large step does not come to rest, those below it are tried from the last
-that did; when the first does not, they go down.
+The steps begin far below the law and go up through it: large where the model predicts no danger, 2
+% near the law's edge. If a large step does not come to rest, those below it are tried from the last
+one that did; if the first does not, the steps go down.
 """
 
 import math
@@ -24,81 +23,81 @@ from sim.device.model import DeviceModel
 from sim.play.nonideal import NonidealDevice, pushed
 from sim.play.one_axis import Scene, SceneSurface, run
 
-WINDOW = 400  # ticks that a knock is watched
-LONGEST = 4 * WINDOW  # ticks that a knock is watched whose motion dies slowly
-STEP = 1.02  # factor between two stiffnesses near the edge
-STRIDE = 10  # so many of those steps are one large step, 22 %
-# where the climb begins where the model allows it: a quarter of the law [steps]
+WINDOW = 400  # ticks a knock is watched
+LONGEST_WINDOW = 4 * WINDOW  # ticks a slowly decaying knock is watched
+STEP = 1.02  # ratio of two stiffnesses near the edge
+STRIDE = 10  # number of steps in one large step, 22 %
+# where the climb begins if the model allows: a quarter of the law [steps]
 LOWEST = -7 * STRIDE
-# a law that does not rest at a fiftieth of itself is not tried any lower [steps]
+# lowest factor tried: a fiftieth of the law [steps]
 DEEPEST = -20 * STRIDE
-NEAR = 4  # so many steps below the predicted edge the small steps begin
-BEYOND = 12  # so many steps above the predicted edge it is given up: 27 %
-LEFT = 0.5  # part of the knock that may be left, peak to peak, in the last third of the window
-# a motion dies when the last third of the longest window has so much of the third before it
+NEAR = 4  # steps below the predicted edge at which the small steps begin
+BEYOND = 12  # steps above the predicted edge at which the climb is given up: 27 %
+LEFT = 0.5  # largest motion left, peak to peak in the last third of the window [share of the knock]
+# a motion decays if the last third of the longest window is below this share of the third before it
 DYING = 0.9
-GROWING = 1.05  # one that has more than this of it grows, and is watched no longer
-# Where in an encoder step a knock on a model begins: near the edge that decides, and the worst of
-# them counts.
+GROWING = 1.05  # a motion grows if it exceeds this share; it is watched no longer
+# positions within an encoder step at which a knock on a model begins; near the edge the position
+# decides, and the worst counts
 STARTS = (0.0, 0.25, 0.5, 0.75)
-FAR = 3.0  # a deflection of so many knocks ends the trial
+FAR = 3.0  # deflection that ends the trial [knocks]
 
 
 @dataclass(frozen=True)
 class KnockVerdict:
-    """What came of one knock."""
+    """Result of one knock."""
 
-    factor: float  # all taps were multiplied by it
-    left: float  # motion in the last third of the window, as a part of the knock, peak to peak
-    rests: bool  # whether that is little enough, or still dying after the longest window
-    why: str = ""  # what ended the trial before its time; empty when nothing did
-    # ``stop`` or ``fault`` of the driver, ``energy`` given out; empty when nothing of these
+    factor: float  # factor on all taps
+    left: float  # motion in the last third of the window, peak to peak [share of the knock]
+    rests: bool  # whether that is small enough, or still decays after the longest window
+    why: str = ""  # reason if the trial ended early; else empty
+    # ``stop`` or ``fault`` of the driver, ``energy`` exceeded; else empty
     ended_by: str = ""
 
 
 @dataclass
 class KnockedEdge:
-    """The steps towards the edge."""
+    """Steps towards the edge."""
 
-    steps: list[KnockVerdict] = field(default_factory=list)  # in the order of the stiffness
-    ended: str = ""  # why no more were tried
-    # whether the climb came to its own end: nothing refused or interrupted it
+    steps: list[KnockVerdict] = field(default_factory=list)  # sorted by stiffness
+    ended: str = ""  # why the climb ended
+    # whether the climb reached its own end, neither refused nor interrupted
     complete: bool = False
 
     @property
     def factor(self) -> float | None:
-        """Smallest factor that does not come to rest; None when all did."""
+        """Return the smallest factor that did not come to rest; None if all did."""
         return next((step.factor for step in self.steps if not step.rests), None)
 
     @property
     def rested(self) -> float | None:
-        """Largest factor up to which every one came to rest; None when none did."""
+        """Return the largest factor up to which every one came to rest; None if none did."""
         below = [
             step.factor for step in self.steps if self.factor is None or step.factor < self.factor
         ]
         return max(below, default=None)
 
     def add(self, verdict: KnockVerdict) -> None:
-        """Take a verdict in, in the order of the stiffness."""
+        """Insert a verdict, sorted by factor."""
         self.steps = sorted([*self.steps, verdict], key=lambda step: step.factor)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Which steps are tried: n stands for the factor `STEP` to the power of n."""
+    """Which steps are tried; step n means the factor `STEP` to the power of n."""
 
     first: int  # where the climb begins
-    near: int  # from here on every step is tried
+    near: int  # every step from here on is tried
     last: int  # where it ends at the latest
 
 
 def factor_of(step: int) -> float:
-    """Tell the factor of a step."""
+    """Return the factor of a step."""
     return STEP**step
 
 
 def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
-    """Judge the positions since a knock [m]; None when they are too few to tell."""
+    """Judge the positions since a knock [m]; None if there are too few."""
     with np.errstate(invalid="ignore", over="ignore"):
         away = np.abs(knock - (position - position[:1])) / abs(knock)
         if position.size and not bool(np.all(away <= FAR)):
@@ -106,9 +105,9 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
                 factor,
                 float(np.max(np.nan_to_num(away, nan=np.inf))),
                 False,
-                f"went {FAR:g} knocks far",
+                f"moved more than {FAR:g} knocks away",
             )
-        for ticks in (WINDOW, 2 * WINDOW, LONGEST):
+        for ticks in (WINDOW, 2 * WINDOW, LONGEST_WINDOW):
             if position.size < ticks:
                 return None
             third = ticks // 3
@@ -125,7 +124,10 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
 def climb(
     plan: Plan, knock: Callable[[int], KnockVerdict], steps: KnockedEdge | None = None
 ) -> KnockedEdge:
-    """Go up in steps until one does not come to rest, and find between which two that is; `steps` takes what is known."""
+    """Raise the factor in steps until one does not come to rest, and locate the edge.
+
+    The edge lies between two neighbouring steps. `steps` collects the verdicts.
+    """
     edge = KnockedEdge() if steps is None else steps
 
     def rests(step: int) -> bool:
@@ -148,12 +150,13 @@ def climb(
         large = known is None and here + STRIDE <= plan.near
         step = here + (STRIDE if large else 1)
         if here < 0 < step:
-            # The law itself is never passed over.
+            # The law itself is always tried.
             step = 0
         if not rests(step):
             if not large:
                 break
-            # Somewhere in this large step: again from the last that rested, by small ones.
+            # The edge is within this large step: continue from the last that rested, by small
+            # steps.
             known, top = factor_of(step), step - 1
             continue
         here = step
@@ -183,14 +186,14 @@ def knocked(
     slew: float | None,
     starts: Sequence[float] = STARTS,
 ) -> Callable[[int], KnockVerdict]:
-    """Make knocks on a model, each from several places in an encoder step."""
+    """Return a function that knocks on a model, from several places in an encoder step."""
     if isinstance(model, NonidealDevice):
         richer = model
         strongest, change = (math.inf if limit is None else limit for limit in (peak, slew))
 
         def on_richer(step: int) -> KnockVerdict:
             factor = factor_of(step)
-            told = (period, np.zeros(LONGEST), np.array(scaled(law, factor).taps))
+            told = (period, np.zeros(LONGEST_WINDOW), np.array(scaled(law, factor).taps))
             places = [
                 (knock, math.inf, strongest, start * (richer.rigid.resolution or 0.0))
                 for start in starts
@@ -219,13 +222,15 @@ def knocked(
     def once(step: int) -> KnockVerdict:
         factor = factor_of(step)
         tried = scaled(law, factor)
-        return worst(judge(run(scene, tried, LONGEST).measured, knock, factor) for scene in scenes)
+        return worst(
+            judge(run(scene, tried, LONGEST_WINDOW).measured, knock, factor) for scene in scenes
+        )
 
     return once
 
 
 def worst(verdicts: Iterable[KnockVerdict | None]) -> KnockVerdict:
-    """Take the first knock that does not come to rest, or the last one that does."""
+    """Return the first knock that does not come to rest, or else the last one."""
     last: KnockVerdict | None = None
     for last in verdicts:
         if last is not None and not last.rests:
@@ -235,13 +240,16 @@ def worst(verdicts: Iterable[KnockVerdict | None]) -> KnockVerdict:
 
 
 def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, KnockedEdge]:
-    """Knock on a model at every step about the edge that its poles have, and plan the climb on the device by it."""
+    """Knock on a model at every step around the edge of its poles, and plan the climb.
+
+    Raise ValueError if the law does not come to rest on the model.
+    """
     top = math.floor(math.log(linear) / math.log(STEP)) + BEYOND
     edge = KnockedEdge()
     for step in range(LOWEST, top + 1):
         edge.add(knock(step))
-        # Far below a law a light damper may take longer than any window: the climb begins where the
-        # model rests.
+        # Far below a law, little damping may take longer than any window: the climb begins where
+        # the model rests.
         if not edge.steps[-1].rests:
             if step >= 0:
                 break
@@ -256,6 +264,6 @@ def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, 
 
 
 def law_of(taps: list[float], factor: float, knock: float, load: float) -> dict[str, object]:
-    """Describe a law on trial, as a coupling takes it."""
-    limits = {"step": knock, "ticks": LONGEST, "far": FAR, "load": load}
+    """Return the parameters of a law on trial for the coupling."""
+    limits = {"step": knock, "ticks": LONGEST_WINDOW, "far": FAR, "load": load}
     return {"kind": Knock.kind, "taps": [factor * tap for tap in taps], **limits}

@@ -1,10 +1,10 @@
-"""Knock on the device of a running launch: each trial ends by itself, and everything is put back whatever happens.
+"""Step tests on the device of a running launch; everything is restored whatever happens.
 
-The law on trial gives up after its ticks, or as soon as the device swings far (`nodes.laws.knock`):
-counted by the loop itself, so in lockstep too. The driver's passivity guard watches with an
-allowance: a knock that dies down never meets it, and a loop that gives out more is held within a
-tick. A driver that stopped the loop has given its verdict: it does not rest. It takes forces again
-once the soft spring holds the device; with a real one only when the user has asked for it.
+The law on trial gives up after its ticks, or as soon as the device swings far (`nodes.laws.knock`).
+The loop itself counts the ticks, so this works in lockstep too. The driver's passivity guard gets
+an energy allowance: a knock that decays never reaches it, and a loop that emits more is limited
+within a tick. If the driver stops the loop, the verdict is "does not rest". The driver is rearmed
+once the soft spring holds the device; for a real device only if the user has asked for it.
 """
 
 import math
@@ -18,7 +18,7 @@ from nodes.client.launches import ask
 from sim.arrays import Array
 from sim.identify.borrowed import SOFT_LAW, SOFT_RAMP, SURFACE_LEASE, Borrowed, PushedLaunch
 from sim.tune.knocking import (
-    LONGEST,
+    LONGEST_WINDOW,
     WINDOW,
     KnockedEdge,
     KnockVerdict,
@@ -29,33 +29,36 @@ from sim.tune.knocking import (
     law_of,
 )
 
-AGAIN = 10  # how often one stiffness is tried when the machine stalls
-# how often the far end of the soft spring is put where the device is, which still creeps towards it
+MAX_ATTEMPTS = 10  # attempts at one stiffness when the machine stalls
+# times the soft spring is anchored at the position of the device, which still creeps
 HOLDS = 3
-TRIAL = "trial"  # name that the coupling gets for the law on trial
-# A knock has moved the device when its position went so far, and has not when less than that [parts
-# of the knock].
+TRIAL = "trial"  # name of the law on trial in the coupling
+# Position change after which a knock has moved the device, and below which it has not [share of the
+# knock].
 MOVES, STANDS = 0.5, 0.1
 UNMOVED = (
     "the position did not follow a knock: the encoder is stuck, or the device is held fast; nothing"
     " was verified by it"
 )
-STOPPED, TAKEN = "the driver stopped the loop", "the driver took the force away"
+STOPPED, TAKEN = "the driver stopped the loop", "the driver removed the force"
 
 
 class Cut(NamedTuple):
-    """What ended a trial before its time."""
+    """What ended a trial early."""
 
-    by: str = ""  # as `KnockVerdict.ended_by`
+    by: str = ""  # see `KnockVerdict.ended_by`
     why: str = ""
 
 
 class StalledError(RefusedError):
-    """The machine did not answer in time, again and again; nothing can be said of the loop."""
+    """The machine repeatedly answered late, so the loop could not be judged."""
 
 
 class Trials:
-    """Knocks on one device under its load [N]; whether the driver of a real one takes forces again after a stop is `rearm`."""
+    """Step tests on one device under its load [N].
+
+    `rearm`: rearm the driver of a real device after a stop.
+    """
 
     def __init__(
         self,
@@ -70,7 +73,7 @@ class Trials:
         self._loop, self._held, self._say = loop, held, say
         self._taps, self._knock, self._load = list(taps), knock, load
         self._near, self._sign, self._rearm, self._stirs = 0, -1.0, rearm, math.inf
-        # A launch that has a guard of its own keeps it.
+        # A guard set by the launch is left unchanged.
         self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
         self._guarded = not (self._own and self._own["guard"] == "on")
         self._allowance = {
@@ -78,11 +81,11 @@ class Trials:
         }
 
     def climb(self, plan: Plan, steps: KnockedEdge) -> KnockedEdge:
-        """Try the law from far below up to its edge; `steps` takes the verdicts as they come."""
+        """Try the law from far below up to its edge; `steps` collects the verdicts."""
         loop = self._loop
         self._near = plan.near
-        # The driver too: a process that was held up must not ask it for forces again, nor change
-        # its guard.
+        # The driver is leased too: after a stall this process must neither rearm it nor change its
+        # guard.
         if self._guarded:
             self._held.borrow(
                 loop.driver, SURFACE_LEASE, "param.set", values={"passivity": self._own}
@@ -96,7 +99,7 @@ class Trials:
         return found
 
     def hold_softly(self) -> None:
-        """Hold the device softly where it is."""
+        """Anchor a soft spring at the position of the device."""
         loop = self._loop
         loop.soften(self._load)
         for _ in range(HOLDS):
@@ -104,41 +107,41 @@ class Trials:
             loop.wait(SOFT_RAMP)
 
     def _verdict(self, step: int) -> KnockVerdict:
-        """Knock until one verdict was not disturbed; one that does not rest is confirmed by another."""
+        """Knock until one verdict was undisturbed; repeat to confirm one that does not rest."""
         factor, doubted, disturbed, rested = factor_of(step), False, "", 0
-        for _ in range(AGAIN):
+        for _ in range(MAX_ATTEMPTS):
             verdict, disturbed = self._try(factor)
             if verdict.ended_by in ("stop", "fault"):
                 return verdict
             rested += verdict.rests and not disturbed
             if verdict.rests and not disturbed and rested < 2 and step >= self._near:
-                # Near the edge it decides where in a step of the encoder a knock begins: once more,
-                # the other way.
+                # Near the edge the start within an encoder step decides: knock once more in the
+                # other direction.
                 continue
             if not disturbed and (verdict.rests or doubted):
                 self._say(
                     f"{factor:.3f} times the law: {100 * verdict.left:.0f} % of the knock left"
                 )
                 return verdict
-            # A machine that stalls shakes the device once, unseen perhaps; a loop that is unstable
-            # does it each time.
+            # A stall shakes the device once, perhaps unseen; an unstable loop shakes it every time.
             doubted = doubted or not disturbed
-            self._say(f"{factor:.3f} times the law: again, {disturbed or 'to be sure'}")
+            self._say(f"{factor:.3f} times the law: repeated, {disturbed or 'to confirm'}")
         raise StalledError(
-            f"at {factor:.3f} times the law the machine stalled {AGAIN} times in a row: {disturbed}"
+            f"at {factor:.3f} times the law the machine stalled {MAX_ATTEMPTS} times in a row:"
+            f" {disturbed}"
         )
 
     def _try(self, factor: float) -> tuple[KnockVerdict, str]:
-        """Knock once, and tell what disturbed it."""
+        """Knock once; return the verdict and what disturbed it."""
         loop = self._loop
         self._held.check()
-        # A driver that takes no force any more judges no law.
+        # A driver that accepts no force judges no law.
         loop.ready()
         self._sign = -self._sign
         law = law_of(self._taps, factor, self._sign * self._knock, self._load)
         loop.change(loop.coupling, "param.set", values={f"laws.{TRIAL}": law})
         if self._guarded:
-            # Afresh: every knock has the whole allowance.
+            # Reset, so that every knock has the whole allowance.
             loop.change(loop.driver, "param.set", values={"passivity": self._allowance})
         position, cut, disturbed = self._window(factor)
         self._expect_motion(position, factor, bool(cut.why or disturbed))
@@ -159,14 +162,17 @@ class Trials:
             disturbed = disturbed or f"the law overran its time budget: {left} rendered"
         loop.wait(WINDOW // 2)
         if cut.by != "stop" and loop.progress()["safety"] == "stopped":
-            # After the window, but by this knock: the next one would take it for its own.
+            # After the window, but caused by this knock: the next one would be blamed for it.
             why, disturbed = f"{STOPPED}: {loop.why_stopped()}", ""
             verdict = KnockVerdict(factor, verdict.left, False, why, "stop")
             self._start_again(why)
         return verdict, disturbed
 
     def _expect_motion(self, position: Array, factor: float, ended: bool) -> None:
-        """Refuse positions that stand still after a knock: a law at least as stiff as one that moved the device moves it."""
+        """Refuse a position that stays constant after a knock.
+
+        A law at least as stiff as one that moved the device must move it.
+        """
         moved = float(np.ptp(position)) / self._knock if len(position) else 0.0
         if moved >= MOVES:
             self._stirs = min(self._stirs, factor)
@@ -174,7 +180,7 @@ class Trials:
             raise RefusedError(f"{self._loop.driver}: at {factor:.3f} times the law {UNMOVED}")
 
     def _start_again(self, why: str) -> None:
-        """Let the driver take forces again, when the soft spring holds the device where it came to lie."""
+        """Rearm the driver when the soft spring holds the device where it came to rest."""
         loop = self._loop
         self._say(why)
         self.hold_softly()
@@ -186,7 +192,10 @@ class Trials:
         loop.wait(SOFT_RAMP)
 
     def _window(self, factor: float) -> tuple[Array, Cut, str]:
-        """Let the law on trial take over, and hear the positions until they tell: with why it ended, and what disturbed it."""
+        """Activate the law on trial and collect positions until they are decisive.
+
+        Return the positions, what ended the trial early and what disturbed it.
+        """
         loop = self._loop
         axis = loop.axes[0]
         positions: list[float] = []
@@ -201,7 +210,7 @@ class Trials:
             if state.seq < began:
                 continue
             if state.seq != began + len(positions):
-                return np.array(positions), Cut(), "ticks went by unheard"
+                return np.array(positions), Cut(), "states were missed"
             positions.append(state.position[axis])
             if state.safety == "fault":
                 return (
@@ -212,14 +221,14 @@ class Trials:
             if state.age > 1 or state.safety != "active" or state.overruns > overruns:
                 late += 1
             if state.energy - energy > self._allowance["allowance"]:
-                # A spring that was stretched by the knock holds ½ F x; far more than that was made
-                # by the loop.
+                # A spring stretched by the knock holds ½ F x; far more than that was generated by
+                # the loop.
                 cut = Cut(
-                    "energy", f"the loop gave out {state.energy - energy:.2g} J after one knock"
+                    "energy", f"the loop generated {state.energy - energy:.2g} J after one knock"
                 )
                 return np.array(positions), cut, ""
-            # Judged when a window is full, or each tick once it is far; the longest window always
-            # decides.
+            # Judged when a window is full, or on each tick once the device is far; the longest
+            # window always decides.
             if (
                 len(positions) % WINDOW == 0
                 or abs(positions[-1] - positions[0]) > 2.0 * self._knock
@@ -227,6 +236,6 @@ class Trials:
                 verdict = judge(np.array(positions), self._sign * self._knock, factor)
                 if verdict is not None:
                     break
-            if state.seq >= began + LONGEST:
+            if state.seq >= began + LONGEST_WINDOW:
                 break
         return np.array(positions), Cut(), f"{late} ticks were answered late" if late else ""

@@ -1,4 +1,4 @@
-"""What the knocks on a device say of the law that was tried: whether it holds, where its edge is, and how sure that is."""
+"""The verdict of the step tests: whether the law holds, where its edge is, how precisely."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -7,24 +7,23 @@ from typing import Any
 from sim.tune.knocking import STEP, KnockedEdge
 from sim.tune.tuning_text import number
 
-# An edge so far from the predicted one is another device's: then the model tells nothing of this
-# one's poles either.
+# An edge further from the predicted one belongs to another device, and the model's poles do not
+# describe this one.
 AGREES = 0.1
-# a law holds when it rests up to so many times itself: what dry friction lends a small knock, a
-# large one lacks
+# A law holds if it rests up to this factor: friction stabilises small knocks, but not large ones.
 MARGIN = 1.05
-# The edge by poles gets one figure where neither end of its interval is further from it; else the
-# interval alone.
+# The edge by poles gets a single value if both ends of its interval are within this factor;
+# otherwise the interval alone.
 CERTAIN = 1.05
 
 
 def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     """Judge a law by the knocks on its device.
 
-    Only a climb that came to its own end tells an edge. Knocks see it early where a motion dies
-    slowly, late where friction is strong (`by_poles`). Where device and model do not agree about
-    it, dry friction may hold a mode that the model lacks: such a law is not delivered, even if
-    small knocks on it come to rest.
+    Only a complete climb gives an edge. Knocks find it too low if a motion decays slowly, too high
+    if friction is strong (`by_poles`). If device and model disagree about the edge, friction may
+    damp a mode that the model lacks: such a law is not delivered, even if small knocks come to
+    rest.
     """
     h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
     expected = predicted["edge_factor"]
@@ -42,18 +41,19 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
         and below_law[-1].factor > 1.0 / STEP
     )
     rests = climbed and edge.complete and rested is not None and rested >= 1.0
-    # Without an edge it is what rested that tells.
+    # Without an edge, the stiffest factor that rested decides.
     surely = rested if ends is None else ends[0]
     holds = bool(rests and agrees and surely is not None and surely >= MARGIN)
     ended = edge.ended
     if rests and not agrees:
         ended = (
-            f"{ended}, where the model has {expected or 0.0:.3f}: the device is not the one that"
-            " was identified"
+            f"{ended}, where the model has {expected or 0.0:.3f}: the device differs from the "
+            "identified one"
         )
     if rests and ends is not None and not holds:
         ended = (
-            f"{ended}; a large motion may not at {ends[0]:.3f} times, and {MARGIN:g} is asked for"
+            f"{ended}; a large motion may be unstable from {ends[0]:.3f} times on, and "
+            f"{MARGIN:g} is required"
         )
     return {
         "holds": holds,
@@ -61,7 +61,7 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
         "complete": edge.complete,
         "edge_factor": factor,
         "edge_h1_n_per_m": None if factor is None else factor * h1,
-        # The lower end: a middle would lie above the true edge as often as below.
+        # The lower end: the middle would be above the true edge half of the time.
         "edge_by_poles_h1_n_per_m": (
             min(ends[0], rested or ends[0]) * h1 if ends and certain else None
         ),
@@ -74,18 +74,18 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
 
 
 def by_poles(measured: float, expected: float, linear: float) -> tuple[float, float]:
-    """Give the interval of the factor at which a pole of the device reaches the unit circle.
+    """Return the interval of the factor at which a pole of the device reaches the unit circle.
 
-    Friction that is a little off moves the measured knocks, times the ratio of poles and knocks on
-    the model, by several steps; a model that is wrong and not refuted moves its own poles. So the
-    interval holds both ways, and a step more on either side.
+    An error in friction moves the measured knocks, times the ratio of poles and knocks on the
+    model, by several steps; a wrong model that was not refuted moves its own poles. The interval
+    covers both estimates, and one step more on either side.
     """
     corrected = measured * linear / expected
     return min(linear, corrected) / STEP, max(linear, corrected) * STEP
 
 
 def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
-    """Compare the two edges: as a share, and in words, which know that both come in steps of 2 %."""
+    """Compare the two edges: as a ratio, and in words that respect the steps of 2 %."""
     if predicted is None or measured is None:
         return {"edge_error": None, "edge_compared": "not both have an edge"}
     error = measured / predicted - 1.0
@@ -99,14 +99,14 @@ def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
 
 
 def headline(record: Mapping[str, Any]) -> str:
-    """Say in one sentence what came of a tuning, the worst first."""
+    """Return the outcome of a tuning in one sentence, the worst first."""
     designed, after = record.get("designed"), record.get("verified")
     stopped = record.get("refused") or (
         f"interrupted during {record['interrupted']}" if record.get("interrupted") else ""
     )
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
-    lands = "" if designed["lands"] else "; it does not bear a landing"
+    lands = "" if designed["lands"] else "; it fails the drop test"
     if after is None or not (after["steps"] or after["ended"]):
         why = f" ({stopped})" if stopped else ""
         law = f"a law of {number(designed['h1_n_per_m'], 'N/m')}"
@@ -133,7 +133,7 @@ def headline(record: Mapping[str, Any]) -> str:
 
 
 def edge_in_words(after: Mapping[str, Any]) -> str:
-    """Return where the edge is: its lower end where the interval is known to 5 %, else the interval alone."""
+    """Describe the edge: its lower end if the interval is within 5 %, else the interval."""
     ends, edge = after["edge_by_poles_between_n_per_m"], after["edge_by_poles_h1_n_per_m"]
     if ends is None:
         return f"no edge was found up to {number(after['stiffest_at_rest_n_per_m'] or 0.0, 'N/m')}"

@@ -19,8 +19,8 @@ from nodes.client.launches import ask
 if TYPE_CHECKING:
     from sim.identify.borrowed import PushedLaunch
     from sim.identify.identified import Identified
+    from sim.tune.tune_options import TuneOptions
 
-STEPS = ("identify", "design", "predict", "verify", "apply")
 # What each step does anew; the rest of it was another law's, or another device's.
 OVERTAKES = {
     "identify": (
@@ -40,25 +40,6 @@ OVERTAKES = {
 RAMP = 250  # cross-fade to the tuned law [ticks]
 LAW = "tuned"  # name of the law that is delivered
 NYQUIST = (1e3, 1e4)  # the bound on |H(−1)| that friction asks for is kept within these [N/m]
-
-
-class Options(msgspec.Struct, frozen=True, kw_only=True):
-    """What a tuning is asked for."""
-
-    out: Path  # folder of what it leaves
-    taps: int = 4  # length of the law
-    # Factor by which the mass may be off; largest pole radius.
-    spread: float = 1.25
-    radius: float = 0.99
-    nyquist: float | None = None  # largest |H(−1)| [N/m]; None for what friction quiets
-    land: bool = True  # whether every drop must settle
-    refuted: bool = False  # whether to design on a model that the recording refutes
-    amplitude: float = 0.7  # of the push [N]: a force above it is taken for a hand's
-    # the force that carries the device's weight [N]; None for what acts at rest
-    load: float | None = None
-    # whether the driver of a real device takes forces again after it stopped a trial
-    rearm: bool = False
-    command: str = ""  # what was typed
 
 
 def _kept(file: Path) -> dict[str, Any]:
@@ -81,7 +62,7 @@ class Tuning:
 
     def __init__(
         self,
-        options: Options,
+        options: TuneOptions,
         running: Callable[[], PushedLaunch],
         identified: Callable[[], tuple[Path, str, Identified]],
         say: Callable[[str], None],
@@ -160,7 +141,7 @@ class Tuning:
         from sim.design.landing import drops, prove_over
         from sim.identify.identified import refusal
         from sim.identify.identified_text import from_figures
-        from sim.tune.design import Wanted, design
+        from sim.tune.design import Wanted, design, remainder_refusal
 
         chosen, identified = self._options, self._need("identified")
         found = from_figures(identified)
@@ -187,6 +168,11 @@ class Tuning:
         if law.found is None or law.law is None:
             raise RefusedError(
                 "no law keeps the demand: allow a larger --radius, less --spread or more --taps"
+            )
+        if (risk := remainder_refusal(law.found.law, found)) and not chosen.refuted:
+            raise RefusedError(
+                f"{risk}. Ask for a smaller --radius, or push longer (--duration);"
+                " --refuted designs it all the same"
             )
         lands = all(drops(law.found.law, asked).values())
         # A ratio between a law that lands and one that does not would compare two different things.

@@ -1,4 +1,4 @@
-"""A tuning told on one page: the verdict first, then device, law, predictions, measurements and pictures of them."""
+"""Report of a tuning on one HTML page: verdict, device, law, predictions, measurements."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ STYLE = (
     "vertical-align:top}img{max-width:100%}.verdict{font-size:1.2rem;border-left:.4rem solid"
     " #c33;padding-left:.8rem}"
     ".holds{border-color:#393}.by{opacity:.75}img{border-radius:.4rem;margin:.6rem 0}"
-    # In the dark a picture's paper is dark, too, and its colours stay what they are.
+    # With a dark colour scheme the background of a picture is dark too; its colours keep their hue.
     "@media(prefers-color-scheme:dark){img{filter:invert(.9) hue-rotate(180deg)}}"
 )
 
-# Units in which a device's small lengths and times are read, and how many of them one SI unit has.
+# Display unit of small lengths and times, and its number per SI unit.
 READ_IN = {"m": ("µm", 1e6), "s": ("ms", 1e3)}
 
 
 def page(record: Mapping[str, Any]) -> str:
-    """Write a tuning as HTML that needs no other file."""
+    """Return a tuning as a self-contained HTML page."""
     holds = " holds" if record.get("verified", {}).get("holds") else ""
     parts = [
         "<h1>From a device to its law</h1><p"
@@ -60,15 +60,17 @@ def page(record: Mapping[str, Any]) -> str:
         ("command", record.get("command")),
     ]
     parts.append(
-        f'<p class="by">{"<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)}</p>'
+        '<p class="by">'
+        + "<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)
+        + "</p>"
     )
     if record.get("interrupted"):
         parts.append(
-            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: what follows is what"
-            " was known.</p>"
+            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: the report covers "
+            "the steps done.</p>"
         )
     if record.get("not_put_back"):
-        parts.append(f"<p><b>Not put back</b>: {_plain(record['not_put_back'])}</p>")
+        parts.append(f"<p><b>Not restored</b>: {_plain(record['not_put_back'])}</p>")
     if "identified" in record:
         parts += ["<h2>The device</h2>", _device(record["identified"])]
     for title, key, rows in SECTIONS:
@@ -101,7 +103,7 @@ def _table(rows: Sequence[TextRow]) -> str:
 def _interval(low: float, high: float) -> str:
     if math.isclose(low, high, rel_tol=1e-12):
         return "exact"
-    # What is known to three digits and better is record by how far it may be off.
+    # An interval narrower than three digits is shown as a half-width.
     ends = number(low), number(high)
     return f"± {number((high - low) / 2.0)}" if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
 
@@ -110,18 +112,19 @@ def _device(record: Mapping[str, Any]) -> str:
     lines = ["<tr><th></th><th>value</th><th>95 % interval</th><th></th></tr>"]
     for key, _, name, unit in ROWS:
         one = record.get(key)
-        # A record of an earlier version lacks it, and most sensors do not average.
+        # Absent in a record of an earlier version; most sensors do not average.
         if one is None or (key == "sensor_average" and not one["value"]):
             continue
         if one["value"] is None:
             lines.append(
-                f"<tr><td>{name}</td><td colspan=3>cannot tell: {_plain(one['why'])}</td></tr>"
+                f"<tr><td>{name}</td><td colspan=3>unknown: {_plain(one['why'])}</td></tr>"
             )
         else:
             shown, factor = READ_IN.get(unit, (unit, 1.0))
             value, low, high = (factor * one[end] for end in ("value", "low", "high"))
             lines.append(
-                f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td><td>{shown}</td></tr>"
+                f"<tr><td>{name}</td><td>{number(value)}</td><td>{_interval(low, high)}</td>"
+                f"<td>{shown}</td></tr>"
             )
     refuted = (
         f"<p><b>The recording refutes this model: {_plain(record['why'])}</b></p>"
@@ -141,16 +144,16 @@ def _device(record: Mapping[str, Any]) -> str:
     return f"{refuted}<table>{''.join(lines)}</table><p>{ended}{residual}</p>"
 
 
-WINDOWS = 8  # windows of the recording that the picture of the fit shows
-FALL = 0.8  # how much of a fall on the wall is drawn [s]
+WINDOWS = 8  # windows of the recording in the picture of the fit
+FALL = 0.8  # drawn duration of a fall on the wall [s]
 
 
 def pictures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Draw what is known: of each picture what it shows, and its PNG in base64."""
+    """Draw the pictures of a record; return title and base64 PNG of each."""
     drawn = {
         "the model against the recording": _fit,
-        "the wall that is felt": _felt,
-        "what is left of each knock": _knocks,
+        "the rendered wall": _felt,
+        "motion left after each knock": _knocks,
     }
     found = [(name, draw(record)) for name, draw in drawn.items()]
     return [(name, _encoded(figure)) for name, figure in found if figure is not None]
@@ -164,7 +167,7 @@ def _encoded(figure: Figure) -> str:
 
 @styled
 def _fit(record: Mapping[str, Any]) -> Figure | None:
-    """Draw the first windows of the recording, the model's motion from each one's beginning, and what is left between them."""
+    """Draw the first windows of the recording, the model from each start, and the residual."""
     identified = record.get("identified")
     if identified is None or identified["mass_kg"]["value"] is None:
         return None
@@ -174,7 +177,7 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
     try:
         experiment = read(Path(identified["recording"]), identified["axis"])
     except (HapticError, ValueError, OSError):
-        # Removed since, or moved: the report is of what is still there.
+        # Removed or moved since: the report covers what still exists.
         return None
     starts, positions = followed(experiment, from_figures(identified).anyway(), WINDOWS)
     figure = new_figure(8.0, 4.4)
@@ -193,7 +196,7 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
         top.plot(time, 1e3 * modelled, color=COLOURS[0], ls="-", lw=1.0, label=named["model"])
         bottom.plot(time, 1e6 * (recorded - modelled), color=COLOURS[1], ls="-", lw=0.8)
     top.set(ylabel="position  [mm]", title="the model against the recording, window by window")
-    bottom.set(ylabel="left  [µm]", xlabel="time  [s]")
+    bottom.set(ylabel="residual  [µm]", xlabel="time  [s]")
     step = identified["encoder_m"]["value"]
     if step:
         low, high = bottom.get_ylim()
@@ -206,7 +209,7 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
 
 @styled
 def _felt(record: Mapping[str, Any]) -> Figure | None:
-    """Draw force over depth as the identified device falls on the wall of the law, beside the stiffness felt at rest."""
+    """Draw force over depth for a drop of the identified device, and the static stiffness."""
     if "designed" not in record or "identified" not in record:
         return None
     from nodes.laws import CompiledLaw
@@ -216,7 +219,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     designed, found = record["designed"], from_figures(record["identified"]).anyway()
     if None in (found.mass.value, found.damping.value, found.delay.value):
         return None
-    # Nobody holds what falls.
+    # The dropped device is not held.
     plant = replace(found.plant(), stiffness=0.0)
     ticks = round(FALL / found.period)
     position, force = fallen(
@@ -240,7 +243,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
     axes.set(
         xlabel="depth  [mm]",
         ylabel="force  [N]",
-        title="the wall that is felt, on the identified device",
+        title="the rendered wall on the identified device",
     )
     axes.legend(loc="upper left", bbox_to_anchor=(0.02, 0.85))
     return figure
@@ -248,7 +251,7 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
 
 @styled
 def _knocks(record: Mapping[str, Any]) -> Figure | None:
-    """Draw what is left of each knock against the stiffness; nothing before anything was knocked on."""
+    """Draw the motion left after each knock over the stiffness; None without knocks."""
     if "predicted" not in record:
         return None
     h1 = record["predicted"]["h1_n_per_m"]
@@ -263,13 +266,13 @@ def _knocks(record: Mapping[str, Any]) -> Figure | None:
             stiffness = [h1 * step["factor"] for step in steps]
             look: Any = {"color": COLOURS[k], "ls": LINES[k], "marker": MARKERS[k], "label": name}
             axes.plot(stiffness, [max(step["left"], 1e-3) for step in steps], **look)
-    axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="left of a knock  [1]")
-    axes.set_title("what is left of each knock after its window")
+    axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="motion left / knock  [1]")
+    axes.set_title("motion left after each knock's window")
     edge = record["predicted"]["edge_linear_h1_n_per_m"]
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, 0.8 * h1), 1.25 * max(high, edge))
-    threshold(axes, LEFT, f"{LEFT:g}: more is no rest")
-    # An edge lies at the law or above it: the names never meet.
+    threshold(axes, LEFT, f"{LEFT:g}: above, not at rest")
+    # An edge is never below the law, so the labels do not overlap.
     threshold(axes, h1, "the law", vertical=True, before=True)
     threshold(axes, edge, "pole on the unit circle", vertical=True)
     if any(steps for _, steps in runs):

@@ -1,4 +1,4 @@
-"""A tuning told to people: the same rows on the terminal and on the page, in words and units, with three digits."""
+"""Text of a tuning, with the same rows on the terminal and on the page."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,9 +9,9 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: Any, unit: str = "") -> str:
-    """Write a figure with three digits."""
+    """Format a number with three digits."""
     if value is None:
-        return "cannot tell"
+        return "unknown"
     if isinstance(value, bool):
         return "yes" if value else "NO"
     if isinstance(value, str):
@@ -24,7 +24,7 @@ def number(value: Any, unit: str = "") -> str:
 
 
 def _poses(record: Mapping[str, Any]) -> str:
-    """Tell what of a range of masses is that of other poses."""
+    """Describe the share of other poses in a mass range."""
     lighter, heavier = record.get("poses_kg") or (0.0, 0.0)
     return (
         f", with {number(lighter)} less and {number(heavier)} more in other poses"
@@ -34,7 +34,7 @@ def _poses(record: Mapping[str, Any]) -> str:
 
 
 def _proven(record: Mapping[str, Any]) -> list[TextRow]:
-    """Return what is proven of its landings (THEORY.md §19); tunings of earlier versions have nothing of it."""
+    """Return the rows on the landing proof (THEORY.md §19); none in older records."""
     proof = record.get("landing_proof")
     if proof is None:
         return []
@@ -47,21 +47,21 @@ def _proven(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
-    """Tell the designed law."""
+    """Return the rows on the designed law."""
     asked = record["demand"]
     gain = record["gain_over_pd"]
     compared = (
-        "no ratio: only laws that both land are compared"
+        "not compared: one of them fails the drop test"
         if gain is None
         else f"{gain:.3g} times the best PD"
     )
     worst = [record["worst"]] if "worst" in record else []
     return [
-        ("stiffness that is felt, H(1)", number(record["h1_n_per_m"], "N/m")),
-        ("beside PD of the same demand", compared),
+        ("felt stiffness, H(1)", number(record["h1_n_per_m"], "N/m")),
+        ("compared with PD for the same demand", compared),
         (
             "settles after every drop on a floor",
-            "yes" if record["lands"] else "NO: it does not survive a landing",
+            "yes" if record["lands"] else "NO: it fails the drop test",
         ),
         *_proven(record),
         ("taps", ", ".join(f"{tap:.4g}" for tap in record["taps_n_per_m"]) + " N/m"),
@@ -81,29 +81,42 @@ def law_rows(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
-    """Return how the law does in the grasp of a stylus; tunings of earlier versions have nothing of it."""
+    """Return the rows on the grasp of a stylus; none in older records."""
     if (judged := record.get("grasp")) is None:
         return []
     worst = judged["worst"]
     told = {True: "stable, certified", False: "NOT stable"}.get(
-        worst["certified"], "stable where it was tried, not certified"
+        worst["certified"], "stable at all points tried, not certified"
     )
     return [
         (
-            "held as a stylus is, by 0.2 kg behind 380 to 770 N/m",
+            "held like a stylus, 0.2 kg behind 380 to 770 N/m",
             f"{told}; pole radius {worst['radius']:.4f}",
         )
     ]
 
 
+def _left_open(record: Mapping[str, Any]) -> list[TextRow]:
+    """Return how the law does on what the recording left open; a residual that is noise leaves nothing."""
+    if (radius := record.get("remainder_pole_radius")) is None:
+        return []
+    told = "NOT stable" if radius >= 1.0 else "stable"
+    return [
+        (
+            "on what the recording leaves open",
+            f"{told}; pole radius {radius:.4f} with {record['remainder_worst']}",
+        )
+    ]
+
+
 def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
-    """Tell what the law does on the identified device."""
+    """Return the rows on the law's behaviour on the identified device."""
     knocked = record["edge_h1_n_per_m"]
     rest = record["limit_cycle_free"]
     later = record["stable_up_to_delay_ticks"]
     every = record["every_delay_stable"]
     decided = record.get("every_delay_why") or ("not decided" if every is None else number(every))
-    quiet = {True: "yes", "estimated": "by estimate", None: "cannot tell"}.get(rest, "not proven")
+    quiet = {True: "yes", "estimated": "by estimate", None: "unknown"}.get(rest, "not proven")
     return [
         (
             "edge, by knocks on the model",
@@ -114,16 +127,17 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
         ("drops that settle", f"{record['drops_settled']} of {record['drops']}"),
         (
             "stable up to a delay of",
-            "100 ticks and on" if later is None else number(later, "ticks"),
+            "100 ticks or more" if later is None else number(later, "ticks"),
         ),
         ("stable for every sequence of delays", decided),
         *_grasped(record),
-        ("comes to rest without a buzz", quiet),
+        *_left_open(record),
+        ("limit-cycle-free", quiet),
     ]
 
 
 def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
-    """Tell what was measured."""
+    """Return the rows on the measurement."""
     edge, rested = record["edge_h1_n_per_m"], record["stiffest_at_rest_n_per_m"]
     ends, poles = record["edge_by_poles_between_n_per_m"], record["edge_by_poles_h1_n_per_m"]
     between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
@@ -135,13 +149,13 @@ def verified_rows(record: Mapping[str, Any]) -> list[TextRow]:
             "edge, by knocks on the device",
             "none was found" if edge is None else number(edge, "N/m"),
         ),
-        ("edge, by poles: less what friction lends a knock", by_poles),
-        ("beside the prediction", record["edge_compared"]),
+        ("edge by poles, without the effect of friction", by_poles),
+        ("compared with the prediction", record["edge_compared"]),
         ("knocks", f"{len(record['steps'])} stiffnesses; {record['ended']}"),
     ]
 
 
-# Title, key and rows of each part.
+# Title, key and rows of each section.
 SECTIONS = (
     ("The law", "designed", law_rows),
     ("Predicted for the device as identified", "predicted", predicted_rows),
@@ -150,7 +164,7 @@ SECTIONS = (
 
 
 def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
-    """Tell the outcome on a terminal."""
+    """Return the report of a tuning for the terminal."""
     lines = [record["headline"]]
     if "identified" in record:
         from sim.identify.identified_text import from_figures
@@ -166,10 +180,7 @@ def text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
     if record.get("refused"):
         lines.append(f"stopped: {record['refused']}")
     if record.get("interrupted"):
-        lines.append(
-            f"interrupted during {record['interrupted']}; the law and the surface that were there"
-            " are back"
-        )
+        lines.append(f"interrupted during {record['interrupted']}; law and surface were restored")
     if record.get("not_put_back"):
-        lines.append(f"NOT put back: {record['not_put_back']}")
+        lines.append(f"NOT restored: {record['not_put_back']}")
     return "\n".join([*lines, *files.values()])

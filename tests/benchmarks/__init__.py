@@ -1,1 +1,4 @@
-"""Benchmarks of kernels, run once by default; with ``pytest -n 0 tests/benchmarks --benchmark-enable`` they are timed."""
+"""Benchmarks of kernels; run once by default, timed with ``--benchmark-enable``.
+
+``pytest -n 0 tests/benchmarks --benchmark-enable``
+"""

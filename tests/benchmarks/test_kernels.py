@@ -1,4 +1,7 @@
-"""What one tick costs, piece by piece: compare with ``--benchmark-enable --benchmark-compare``, never by absolute times."""
+"""Cost of the parts of a tick.
+
+Compare with ``--benchmark-enable --benchmark-compare``, never by absolute times.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is not a valid message is refused, told and counted, and never stops a node."""
+"""Invalid messages are refused, reported and counted, and never stop a node."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_requests_and_replies_are_one_bounded_frame() -> None:
 # Long: one garbage after the other against the same node.
 @pytest.mark.process
 def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> None:  # noqa: PLR0915
-    """A real coupling process, fed by the test in the place of the environment."""
+    """A real coupling process, fed by the test instead of the environment."""
     with private_runtime_dir() as folder:
         inbox, outbox, control = (
             f"ipc://{folder}/{name}" for name in ("environment.pub", "c.pub", "c.ctl")
@@ -193,7 +193,8 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
                 topic + b"/x",
                 encode(Proxy(seq=1, stamp=0.0, position=(0.0,) * 3, proxy=(0.0,) * 3)),
             )
-            good = Proxy(seq=1, stamp=0.002, position=(0.0, 0.0, -0.001), proxy=(0.0,) * 3, normal=(0.0, 0.0, 1.0),
+            good = Proxy(seq=1, stamp=0.002, position=(0.0, 0.0, -0.001), proxy=(0.0,) * 3,
+            normal=(0.0, 0.0, 1.0),
                          distance=-0.001, contact=True)  # fmt: skip
             rogue.send(topic, encode(good))
             frames = answers.receive(20_000)

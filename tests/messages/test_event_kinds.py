@@ -1,4 +1,4 @@
-"""Events: one list of kinds and numbers, the same in the code, on the page of the protocol and in every recording."""
+"""Events: the same kinds and numbers in the code, in PROTOCOL.md and in every recording."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ UNITS = {
     "bytes": "bytes",
     "m_per_s": "m/s",
 }
-"""Ends of names, and the units that they stand for."""
+"""Suffixes of names, and their units."""
 
 
 def rows(head: str) -> dict[str, list[str]]:
-    """Return the table of the page that begins with a head, by its first column."""
+    """Return the page's table with a given head, by its first column."""
     table = PAGE[PAGE.index(head) :].partition("\n\n")[0].splitlines()[2:]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
     return {row[0].strip("`"): row[1:] for row in cells}
@@ -101,7 +101,7 @@ def test_each_cause_carries_numbers_that_its_kind_has(cause: int) -> None:
 
 
 def calls() -> Iterator[tuple[str, ast.Call]]:
-    """Find each call that emits an event of a kind which is written down."""
+    """Yield each call that emits an event of a literal kind."""
     for package in ("nodes", "sim"):
         for path in (SOURCES / package).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -116,7 +116,7 @@ def calls() -> Iterator[tuple[str, ast.Call]]:
 
 
 def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -> None:
-    """A rare one, too: one that nobody registered would end the node that meets it."""
+    """Rare ones too: an unregistered kind would end the node."""
     # chosen by an expression
     used = {note.kind for note in NOTES.values()} | {"device_force", "device_force_back"}
     for place, call in calls():
@@ -188,13 +188,13 @@ def test_another_package_has_kinds_of_its_own() -> None:
 
 
 def test_an_event_without_numbers_is_read() -> None:
-    """Of an older recording, or of another language."""
+    """From an older recording, or another language."""
     old = {"seq": 1, "stamp": 0.0, "node": "driver", "kind": "safety", "reason": "waiting → active"}
     assert Decoder(Event).decode(msgspec.msgpack.encode(old)).data == {}
 
 
 def foxglove(described: dict[str, Any], path: str = "") -> None:
-    """Read a schema as Foxglove's parser does (packages/mcap-support/src/parseJsonSchema.ts): raise where it would."""
+    """Parse a schema as Foxglove's parseJsonSchema.ts does; raise where it would."""
     assert described["type"] == "object", path
     for name, field in described["properties"].items():
         if field["type"] == "object":

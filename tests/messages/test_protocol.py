@@ -1,4 +1,4 @@
-"""The wire protocol as messages/PROTOCOL.md tells it: everything here speaks with nothing but zmq and msgpack.
+"""The wire protocol of messages/PROTOCOL.md, spoken with nothing but zmq and msgpack.
 
 Nothing of messages/ or nodes/ is used to talk to the launch; the fixture only starts and ends it.
 """
@@ -21,33 +21,41 @@ from tests.support.launching import running, wait_for
 
 FIELDS: dict[str, dict[str, type | tuple[type, ...]]] = {
     "/device/state": {
-        "position": list, "force": list, "mean_force": list, "changed_at": float, "force_seq": int, "age": int,
-        "response": float, "lateness": float, "missed": int, "overruns": int, "safety": str, "energy": float,
+        "position": list, "force": list, "mean_force": list, "changed_at": float, "force_seq": int,
+        "age": int,
+        "response": float, "lateness": float, "missed": int, "overruns": int, "safety": str,
+        "energy": float,
         "delay": float, "guard": float, "rebased": int,
     },
     "/environment/proxy": {
-        "position": list, "proxy": list, "normal": list, "distance": float, "contact": bool, "delay": float,
+        "position": list, "proxy": list, "normal": list, "distance": float, "contact": bool,
+        "delay": float,
         "rebased": int, "ease": int,
     },
     "/coupling/force": {"force": list, "law": str, "revision": int},
     "/coupling/receipt": {
-        "action": str, "before": str, "after": str, "force_step": float, "ramp": int, "reason": str, "revision": int,
+        "action": str, "before": str, "after": str, "force_step": float, "ramp": int, "reason": str,
+        "revision": int,
     },
     "status": {
-        "node": str, "kind": str, "state": str, "pid": int, "ticks": int, "sent": int, "received": int, "refused": int,
-        "skipped": int, "gaps": int, "denied": int, "reason": str, "memory": float, "cpu": float, "clock_offset": float,
+        "node": str, "kind": str, "state": str, "pid": int, "ticks": int, "sent": int,
+        "received": int, "refused": int,
+        "skipped": int, "gaps": int, "denied": int, "reason": str, "memory": float, "cpu": float,
+        "clock_offset": float,
         "clock_error": float,
     },
     "event": {"node": str, "kind": str, "reason": str},
 }  # fmt: skip
-"""Fields of each topic as the page lists them; written here a second time on purpose."""
+"""Fields of each topic as on the page, repeated here on purpose."""
 
 BY_HAND = """\
 summary: A coupling in another language
 run: {{rate: 500.0, pace: {pace}, duration: {duration}}}
 nodes:
-  driver: {{kind: sim_driver, parameters: {{device: {{mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}}}}}
-  environment: {{kind: environment, parameters: {{surface: {{kind: plane, axis: z, position: 0.0, normal: 1}}}}}}
+  driver: {{kind: sim_driver,
+  parameters: {{device: {{mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}}}}}
+  environment: {{kind: environment,
+  parameters: {{surface: {{kind: plane, axis: z, position: 0.0, normal: 1}}}}}}
   coupling:
     kind: coupling
     by_hand: true
@@ -56,14 +64,14 @@ nodes:
 
 
 def decode(payload: bytes) -> dict[str, Any]:
-    """Unpack a payload as a foreign listener would."""
+    """Unpack a payload as a foreign subscriber would."""
     found = msgpack.unpackb(payload, raw=False, strict_map_key=True)
     assert isinstance(found, dict)
     return found
 
 
 def check(topic: str, message: dict[str, Any]) -> None:
-    """Assert that a message is what the page says."""
+    """Assert that a message has the page's fields."""
     fields = FIELDS.get(topic) or FIELDS[topic.rsplit("/", 1)[1]]
     assert set(fields) | {"seq", "stamp"} <= set(message), topic
     assert isinstance(message["seq"], int)
@@ -150,7 +158,7 @@ def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:
 
 
 class ForeignCoupling(threading.Thread):
-    """A spring in zmq and msgpack: what the page asks of a node that somebody else starts, and no more."""
+    """A spring in zmq and msgpack: exactly what the page requires of a foreign node."""
 
     def __init__(self, setup: dict[str, Any]) -> None:
         super().__init__(daemon=True)

@@ -1,4 +1,4 @@
-"""The scene in one process: compiled bits against interpreted ones, against the nodes' kernels by hand, and closed forms."""
+"""The one-process scene: compiled and interpreted bits, the nodes' kernels, closed forms."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_compiled_bits_of_a_diverging_run() -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_bits_of_the_nodes_kernels_by_hand(name: str) -> None:
-    """The order of calls that the contract of the nodes states, written out once more over `VirtualDevice`."""
+    """The order of calls that the contract of the nodes states, over `VirtualDevice`."""
     here = SCENES[name]
     # Each law with sections costs a compilation of its own per kind of scene; two of them show that
     # they are in order.

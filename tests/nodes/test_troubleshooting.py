@@ -24,7 +24,7 @@ QUOTED = sorted(
 
 @cache
 def texts() -> str:
-    """Every text of the sources, with … for what is filled in."""
+    """Return every text of the sources, with … for inserted values."""
     found = []
     for package in ("messages", "nodes", "sim"):
         for path in (ROOT / package).rglob("*.py"):

@@ -1,4 +1,4 @@
-"""What holds for every test of this package."""
+"""Fixtures for all tests of this package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support.overlap import checked_figures
 
 @pytest.fixture(autouse=True)
 def _texts_of_figures_stand_apart() -> Iterator[None]:
-    """In no figure that a test has drawn and saved does a text lie over another."""
+    """Assert that texts do not overlap in any figure that a test saved."""
     with checked_figures() as found:
         yield
     assert found == []

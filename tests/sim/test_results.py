@@ -1,4 +1,4 @@
-"""Files of studies: nothing that an earlier run left is overwritten; what is drawn can be read."""
+"""Files of studies: earlier results are not overwritten; figures can be read."""
 
 from __future__ import annotations
 

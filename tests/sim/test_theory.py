@@ -1,4 +1,4 @@
-"""Whoever cites THEORY.md finds there what is cited."""
+"""Citations of THEORY.md exist there."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_every_row_of_the_papers_table_has_code_and_a_test() -> None:
 
 
 def test_what_is_printed_cites_the_paper_or_this_page() -> None:
-    """The source of each claim that a study prints."""
+    """Each claim that a study prints has a source."""
     allowed = re.compile(r"^(paper\b|THEORY\.md §)")
     for path in sorted((ROOT / "sim").rglob("*.py")):
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -1,4 +1,4 @@
-"""THEORY.md §2, §3, §9, §13 and §17: formulas are read from the page and computed, against the exact loop."""
+"""Formulas of THEORY.md §2, §3, §9, §13, §17, computed from the page against the loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = 0.002
 
 
 def right_side(number: str, **values: object) -> complex:
-    """Compute what a formula of the page says its left side is, or is bounded by."""
+    """Return the right side of a formula of the page."""
     known = {
         "cos": np.cos,
         "sin": np.sin,
@@ -60,7 +60,7 @@ def test_k_max_of_pd_on_a_mass_without_damping(beta: float) -> None:
 
 @pytest.mark.parametrize(("law", "delay"), [("pd", 0.0), ("pd", 1.0), ("pd_alpha", 1.0)])
 def test_the_boundary_curve_ends_where_the_pole_radius_does(law: str, delay: float) -> None:
-    """The boundary curve (3.4) with the held device of (3.2) crosses the real axis at the K_max of the pole radius."""
+    """Curve (3.4) with the held device of (3.2) crosses the real axis at K_max."""
     form = {"kind": law, "stiffness": 1.0, "damping": 3.0} | (
         {"order": 0.5, "taps": 4, "gains": "paper"} if law == "pd_alpha" else {}
     )

@@ -1,4 +1,4 @@
-"""THEORY.md §18: its formulas are read from the page and computed, and its table too."""
+"""THEORY.md §18: its formulas computed from the page, and its table."""
 
 from __future__ import annotations
 

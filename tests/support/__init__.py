@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Support shared by the tests."""
 
 import os
 from collections.abc import Container, Iterable
@@ -12,11 +12,11 @@ FIXTURES = ROOT / "tests" / "fixtures"
 INSTALLED = {
     "PYTHONPATH": os.pathsep.join([str(FIXTURES / "installed"), os.environ.get("PYTHONPATH", "")])
 }
-"""The environment in which the package of tests/fixtures/installed is installed."""
+"""Environment in which the package of tests/fixtures/installed is installed."""
 
 
 def slowly(values: Iterable[Any], but: Container[Any] = ()) -> list[Any]:
-    """Parametrize a test with values of which all but some are slow: what they try differs in degree."""
+    """Parametrize a test with values of which all but some are marked slow."""
     return [
         value if value in but else pytest.param(value, marks=pytest.mark.slow) for value in values
     ]

@@ -1,4 +1,4 @@
-"""A kernel that cannot be compiled: it calls a function that it does not name, from a function that it does."""
+"""A kernel that cannot be compiled: a named function calls one that is not named."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from nodes.compiled.kernels.sources import kernel
 
 
 def unnamed(number: int) -> int:
-    """Give a number."""
+    """Return a number."""
     return number
 
 
 @kernel
 def named(number: int) -> int:
-    """Call what was forgotten."""
+    """Call the forgotten function."""
     return unnamed(number) + 1
 
 
 @compilable
 def ticks(address: int) -> int:
-    """Give the number after a number."""
+    """Return the next number."""
     return named(address)

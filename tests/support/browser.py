@@ -1,7 +1,6 @@
-"""A real browser for the tests: Debian's chromium through Playwright, whose own downloads are not used.
+"""A real browser for the tests: Debian's chromium through Playwright.
 
-Where it is installed, chromium's headless shell: the same engine without a window's own pages, at
-less than half the cost.
+If installed, chromium's headless shell is used: the same engine at less than half the cost.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ ARGUMENTS = [
 
 @contextlib.contextmanager
 def chromium() -> Iterator[Browser]:
-    """Start a browser for the length of a with block.
+    """Start a browser for a with block.
 
     Yields
     ------
@@ -61,7 +60,7 @@ def chromium() -> Iterator[Browser]:
 
 
 def url_of(launch: Running) -> str:
-    """Read the page's URL, the first line that a launch with --view --json prints.
+    """Return the page's URL, the first line that a launch with --view --json prints.
 
     Parameters
     ----------
@@ -71,7 +70,7 @@ def url_of(launch: Running) -> str:
     Returns
     -------
     str
-        Token included.
+        URL with the token.
     """
 
     def first() -> str:
@@ -85,7 +84,7 @@ def url_of(launch: Running) -> str:
 def viewing(
     launch_folder: Path, *words: str, environment: Any = None, stderr: Any = None
 ) -> Iterator[str]:
-    """Run ``haptic view`` for the length of a with block.
+    """Run ``haptic view`` for a with block.
 
     Parameters
     ----------
@@ -123,7 +122,7 @@ def viewing(
 
 
 def shown(page: Page, selector: str) -> str:
-    """Read what stands at a place of the page; a space that keeps number and unit on one line is read as any other.
+    """Return the text of a page element, with non-breaking spaces as plain ones.
 
     Parameters
     ----------
@@ -157,14 +156,14 @@ def bins(page: Page) -> int:
 
 
 class OpenPage:
-    """A page for the length of a with block, which must not have thrown anything by its end.
+    """A page for a with block; it must not have thrown any error by its end.
 
     Parameters
     ----------
     browser : Browser
         Playwright's.
     url : str
-        Token included.
+        URL with the token.
     **context : object
         Settings of its context; the size is 1366 × 768 unless given.
     """
@@ -185,6 +184,6 @@ class OpenPage:
         return self._page
 
     def __exit__(self, *error: object) -> None:
-        """Close it."""
+        """Close the page."""
         self._context.close()
         assert self._errors == []

@@ -1,4 +1,4 @@
-"""The commit under test: properties that are drawn from it try others with each commit, and the same ones again with it."""
+"""The commit under test, as a seed: random properties vary with each commit, reproducibly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support import ROOT
 
 @functools.cache
 def commit() -> str:
-    """Return its hash in hexadecimal digits; the day where there is no repository."""
+    """Return the hash of the commit in hexadecimal; the date without a repository."""
     done = subprocess.run(
         ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )

@@ -21,7 +21,7 @@ def free_port() -> int:
 
 
 def own_address() -> str:
-    """Find an address of this machine that is not loopback, where it has one: what the kernel would send from."""
+    """Return a non-loopback address of this machine, if there is one."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))
@@ -31,7 +31,7 @@ def own_address() -> str:
 
 
 class DaskCluster:
-    """Processes of a cluster; `workers` are in the order in which they were added.
+    """Processes of a cluster; `workers` in the order of their start.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class DaskCluster:
         self.scheduler: subprocess.Popen[bytes]
 
     def start(self, what: str, *words: str, root: Path = ROOT) -> subprocess.Popen[bytes]:
-        """Start one of its processes; what it says is in a file."""
+        """Start one of its processes; its output goes to a file."""
         environment = {
             **os.environ,
             "PYTHONPATH": str(root),
@@ -73,21 +73,29 @@ class DaskCluster:
             )
 
     def add_worker(self, root: Path = ROOT) -> subprocess.Popen[bytes]:
-        """Add a worker of one thread, that dies when it is killed."""
+        """Start a worker with one thread, without a nanny that would restart it."""
         words = ("--nthreads", "1", "--no-nanny", "--local-directory", str(self.folder))
         self.workers.append(self.start("worker", self.address, *words, root=root))
         return self.workers[-1]
 
     def options(self) -> list[str]:
-        """Give the options of a study that is to run there."""
+        """Return the options of a study that uses the cluster."""
         return ["--cluster", self.address, *self.tls]
+
+
+def keywords(words: Sequence[str]) -> dict[str, str]:
+    """Write options as keywords: ``--tls-key FILE`` is ``tls_key=FILE``."""
+    return {
+        flag.lstrip("-").replace("-", "_"): value
+        for flag, value in zip(words[::2], words[1::2], strict=True)
+    }
 
 
 @contextlib.contextmanager
 def dask_cluster(
     folder: Path, host: str = "127.0.0.1", tls: Sequence[str] = (), workers: int = 2
 ) -> Iterator[DaskCluster]:
-    """Start a scheduler and workers; all are gone afterwards."""
+    """Start a scheduler and workers; stop all afterwards."""
     protocol, port = "tls" if tls else "tcp", free_port()
     found = DaskCluster(f"{protocol}://{host}:{port}", tls, folder)
     found.scheduler = found.start(

@@ -1,7 +1,8 @@
-"""Every registered real device on its stand-in, ready to be driven and to be broken."""
+"""Every registered real device on its emulator, ready to be driven and disturbed."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import pytest
+import yaml
 
 from messages.types import Vector
 from nodes.base.node_kinds import NODES
@@ -20,21 +22,22 @@ from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
 from sim.emulators import inverse_service
 from sim.emulators.world import World, library, world_beside
+from tests.support import ROOT
 from tests.support.launching import wait_for
 
 LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}
-"""Of a device with a library: its stand-in, and the section of its parameters."""
+"""Emulator and parameter group of each device with a library."""
 
 GRIPPED: dict[str, dict[str, Any]] = {
     "touch_driver": {"calibration_time": 0.5},
     "force_dimension_driver": {"ready_time": 0.2, "workspace": [[-0.2, 0.2]] * 3},
     "inverse3_driver": {"start_time": 1.0},
 }
-"""Parameters with which a test does not wait for long."""
+"""Parameters that keep waiting times short."""
 
 
 class Bench(NamedTuple):
-    """A device on its stand-in.
+    """A device on its emulator.
 
     Attributes
     ----------
@@ -60,14 +63,14 @@ class Bench(NamedTuple):
     made: list[MailboxDevice]
 
     def written(self, mapping: dict[str, Any] | None = None, **given: Any) -> dict[str, Any]:
-        """Write its parameters as a launch file does."""
+        """Return its parameters as in a launch file."""
         return {
             self.section: {**self.parameters, **given},
             **({"mapping": mapping} if mapping else {}),
         }
 
     def device(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
-        """Make the device; it is not connected yet."""
+        """Create the device, unconnected."""
         made = self.driver.hardware(
             msgspec.convert(self.written(mapping, **given), self.driver.Parameters)
         )
@@ -75,14 +78,14 @@ class Bench(NamedTuple):
         return made
 
     def opened(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
-        """Make the device, connected and open."""
+        """Create the device, connected and open."""
         device = self.device(mapping, **given)
         device.connect()
         device.open()
         return device
 
     def press(self, device: MailboxDevice, force: Vector) -> None:
-        """Write a force until the arm has it."""
+        """Write a force until the arm receives it."""
 
         def arrives() -> bool:
             device.write_force(force, 0, 0.0)
@@ -92,7 +95,7 @@ class Bench(NamedTuple):
 
 
 def real_devices() -> dict[str, type[HardwareDriver]]:
-    """Find every registered driver of a real device."""
+    """Return every registered driver of a real device."""
     found, _ = NODES.all()
     return {
         name: kind
@@ -108,7 +111,7 @@ def _compiled(name: str) -> Path:
 
 @contextmanager
 def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
-    """Set a device up: its own library or service, its own arm."""
+    """Set up a device with its own library or service, and its own arm."""
     driver = real_devices()[kind]
     made: list[MailboxDevice] = []
     if kind in LIBRARIES:
@@ -132,3 +135,29 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
             device.close()
         if service is not None:
             service.end()
+
+
+needs_cc = pytest.mark.skipif(
+    shutil.which("cc") is None and shutil.which("gcc") is None and shutil.which("clang") is None,
+    reason="no C compiler: neither the stand-in for libHD nor the servo loop can be built",
+)
+
+
+SOFT = ("stiffness:=150", "damping:=0.5")
+"""So soft that the varying age of each servo sample hardly matters."""
+
+
+def through(stand: Bench, folder: Path, **parameters: Any) -> str:
+    """Write `floor_drop` with the device in place of the virtual one."""
+    content = yaml.safe_load((ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8"))
+    del content["model"]
+    for name in ("mass", "height"):
+        del content["arguments"][name]
+    # The arm of the stand-in is the scene's.
+    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.1, "damping": 1.0}
+    written = stand.written(**parameters)
+    content["nodes"]["driver"] = {"kind": stand.kind, "parameters": written}
+    content["nodes"]["logger"]["parameters"] = {"path": "run.mcap"}
+    path = folder / "drop.yaml"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return str(path)

@@ -1,4 +1,4 @@
-"""Numbered formulas of THEORY.md, turned from display maths into Python."""
+"""Numbered formulas of THEORY.md, converted from display maths to Python."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CLOSING = {"(": ")", "[": "]", "{": "}", "|": "|"}
 
 
 def formulas() -> dict[str, list[str]]:
-    """Return the statements of each formula by its number, in Python."""
+    """Return the statements of each formula in Python, by number."""
     return {
         number: [python(part) for part in re.split(r",\s*\\quad", text) if part.strip()]
         for text, number in DISPLAYED.findall(PAGE)
@@ -26,7 +26,7 @@ def formulas() -> dict[str, list[str]]:
 
 
 def readable(text: str) -> bool:
-    """Return whether a formula is one of plain arithmetic: no sums, integrals, matrices, signals or accents."""
+    """Whether a formula is plain arithmetic: no sums, integrals, matrices or accents."""
     return not re.search(
         r"\\(?:sum|int|max|begin|approx|binom|Gamma|mathbf|ldots)|''|!|\\cos"
         r" j|\[k\]|L\(|mathsf|sgn|atan2|physical",
@@ -35,14 +35,14 @@ def readable(text: str) -> bool:
 
 
 def python(text: str) -> str:
-    """Return a formula of LaTeX as Python."""
+    """Convert a formula from LaTeX to Python."""
     text = text.replace(r"\mathrm{Re}", r"\Re").replace(r"\mathrm{Im}", r"\Im")
     text = text.replace("H(1)", "H_{at1}").replace(r"f(\omega_c)", "f_{omega}")
     return _Reader(TOKEN.findall(text)).whole()
 
 
 class _Reader:
-    """Reads tokens of one formula; factors that stand side by side are multiplied."""
+    """Parser of one formula; adjacent factors are multiplied."""
 
     def __init__(self, tokens: list[str]) -> None:
         self.tokens = [mark for mark in tokens if mark not in IGNORED]
@@ -82,7 +82,10 @@ class _Reader:
         elif mark in FUNCTIONS or mark in (r"\Re", r"\Im"):
             name = {r"\Re": "real", r"\Im": "imag"}.get(mark) or FUNCTIONS[mark]
             opened = self._next()
-            read = f"{name}({''.join(self._terms(CLOSING[opened])) if opened in CLOSING else self._factor(opened)})"
+            inner = (
+                "".join(self._terms(CLOSING[opened])) if opened in CLOSING else self._factor(opened)
+            )
+            read = f"{name}({inner})"
         elif mark in CLOSING:
             inner = "".join(self._terms(CLOSING[mark]))
             read = f"abs({inner})" if mark == "|" else f"({inner})"

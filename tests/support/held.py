@@ -1,4 +1,4 @@
-"""A hand that holds the device below a floor, whatever a busy machine does; and the receipts of a launch."""
+"""A launch with a hand that holds the device below a floor, robust on a busy machine."""
 
 from __future__ import annotations
 
@@ -36,13 +36,15 @@ nodes:
       law: pd
       laws:
         pd: {kind: pd, stiffness: 500.0, damping: 3.0}
-        pd_alpha: {kind: pd_alpha, stiffness: 500.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}
+        pd_alpha:
+          {kind: pd_alpha, stiffness: 500.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}
       fallback: {damping: 5.0}
       stability: refuse
       plant: {mass: 0.1, damping: 1.0, delay: 2.0}
   logger: {kind: logger}
 """
-"""Whatever a busy machine does to the loop, the hand is damped and goes no deeper than its 3 mm. No core and no priority of
-its own: other loops on the machine must not starve this one. Laws are judged for a device and a
-delay that are worse than those it has, so what is refused here would still be stable.
+"""The hand is damped and stays within 3 mm, whatever a busy machine does.
+
+No core and no priority of its own, so that other loops are not starved. Laws are judged for a
+device and delay worse than the real ones, so what is refused here would still be stable.
 """

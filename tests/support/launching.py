@@ -1,4 +1,4 @@
-"""Real launches for the tests: what studies and benches start theirs with, and nothing left behind at the end.
+"""Real launches for the tests, started as studies do, with nothing left behind.
 
 ``with running(folder, "floor_drop", "duration:=0") as launch:`` starts ``haptic launch`` and yields
 it once its driver ticks; ``launch_json(folder, "floor_drop", "pace:=lockstep")`` runs one to its
@@ -21,15 +21,8 @@ import pytest
 
 from nodes.base.stderr_queue import STDERR, drain_stderr
 from nodes.cli.main import main
-from sim.measure.measured_launch import (
-    DEADLINE,
-    HAPTIC,
-    Running,
-    haptic,
-    left_behind,
-    processes_of,
-    wait_for,
-)
+from sim.measure.haptic_commands import DEADLINE, HAPTIC, haptic, wait_for
+from sim.measure.measured_launch import Running, left_behind, processes_of
 
 __all__ = [
     "DEADLINE",
@@ -55,7 +48,7 @@ def assert_nothing_left(runtime_dir: Path) -> None:
 
 @contextlib.contextmanager
 def private_runtime_dir() -> Iterator[Path]:
-    """Make a runtime directory that no other test sees, mode 0700, short enough for socket paths."""
+    """Create a private runtime directory (mode 0700) with a path short enough for sockets."""
     with tempfile.TemporaryDirectory(prefix="hapt-", dir="/tmp") as path:  # short: socket paths are
         yield Path(path)
 
@@ -69,7 +62,7 @@ def running(
     ready: bool = True,
     stderr: int | None = None,
 ) -> Iterator[Running]:
-    """Run a launch for the length of a with block; see `Running`."""
+    """Run a launch for a with block; see `Running`."""
     with Running(
         scenario, *assignments, folder=folder, environment=environment, ready=ready, stderr=stderr
     ) as launch:
@@ -85,13 +78,16 @@ def launch_json(
     code: int = 0,
     environment: Mapping[str, str] | None = None,
 ) -> dict[str, Any]:
-    """Run a launch to its end: the object of ``--json``, whose ``recording`` is relative to `folder`."""
+    """Run a launch to its end; return the object of ``--json``.
+
+    Its ``recording`` is relative to `folder`.
+    """
     with running(folder, scenario, *assignments, environment=environment, ready=False) as launch:
         return launch.finish(code=code)
 
 
 def exit_code(*words: str) -> int:
-    """Run a verb in this process; its exit code, also the parser's for words that it does not take."""
+    """Run a verb in this process; return its exit code, also for words the parser refuses."""
     try:
         return main(list(words))
     except SystemExit as ended:
@@ -99,13 +95,13 @@ def exit_code(*words: str) -> int:
 
 
 def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
-    """Run a verb beside a launch in this process, as `Running.haptic` does in one of its own; see `typed_in`."""
+    """Run a verb beside a launch in this process; see `typed_in` and `Running.haptic`."""
     return typed_in(launch.folder, *words, code=code, environment=launch.environment)
 
 
 @contextlib.contextmanager
 def _stderr_into(file: IO[bytes]) -> Iterator[None]:
-    """Let standard error go into a file, also what a launch writes past `sys.stderr` to its descriptor."""
+    """Redirect standard error to a file, including writes to its descriptor."""
     sys.stderr.flush()
     before = os.dup(STDERR)
     os.dup2(file.fileno(), STDERR)
@@ -124,10 +120,10 @@ def _stderr_into(file: IO[bytes]) -> Iterator[None]:
 def typed_in(
     folder: Path, *words: str, code: int | None = 0, environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Run a verb in this process, as `haptic` does in one of its own: starting one costs half a second.
+    """Run a verb in this process: starting a new one costs half a second.
 
-    For what a verb says, asks and returns, a launch's refusal too. What is of a process (signals,
-    pipes, how it starts) needs one.
+    For a verb's texts, requests, results and refusals. Tests of signals, pipes and start-up need a
+    real process.
     """
     out = io.StringIO()
     with tempfile.TemporaryFile() as told:

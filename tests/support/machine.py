@@ -1,4 +1,4 @@
-"""One machine for all workers of a run: several tests at a time, but of those marked ``realtime`` only one, or two of them."""
+"""Share one machine among all workers: several tests at a time, at most two ``realtime``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import IO
 
 
 def _either(halves: tuple[IO[str], ...]) -> None:
-    """Hold the half that is free first."""
+    """Lock whichever half is free first."""
     for half in itertools.cycle(halves):
         with contextlib.suppress(BlockingIOError):
             fcntl.flock(half, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -24,7 +24,7 @@ def _either(halves: tuple[IO[str], ...]) -> None:
 
 @contextlib.contextmanager
 def machine(run: str, alone: bool) -> Iterator[None]:
-    """Share the machine with the tests of the other workers of a run, or have half of it alone."""
+    """Share the machine with the other workers' tests, or reserve half of it."""
     # Who waits to be alone holds the queue, so that no test begins before it: without it, others
     # would never let it in.
     place = Path(tempfile.gettempdir()) / f"haptic-tests-{os.getuid()}-{run}"

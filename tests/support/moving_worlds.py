@@ -1,4 +1,4 @@
-"""Loops with a world that moves, closed apart from the project's own: by polynomials, matrix exponentials and ticks."""
+"""Loops with moving worlds, closed independently: polynomials, matrix exponentials, ticks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Z1, ONE_MORE, Z = np.array([1.0, -1.0]), np.array([1.0, 1.0]), np.array([1.0, 0.
 
 
 def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
-    """Position over force of an implicit body as numerator and denominator in z, from its difference equations."""
+    """Return numerator and denominator in z of an implicit body, position over force."""
     m, c, k = body.mass / period**2, body.damping / period, body.stiffness
     if body.integrator == "lossless":
         # F = (2 m (z − 1)/(z + 1) + c + (k/2)(z + 1)/(z − 1)) q, and y = q z/(z − 1).
@@ -37,7 +37,7 @@ def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
 
 
 def characteristic(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> Array:
-    """Polynomial of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
+    """Return the polynomial of 1 + H (P + Σ W), taps only; worlds as fractions in z."""
     held = held_plant(plant)
     above, below = (
         np.array(held.numerator),
@@ -53,7 +53,10 @@ def characteristic(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array,
 
 
 def stable_in_many_digits(law: CompiledLaw, plant: Plant, bodies: Sequence[Body]) -> bool:
-    """Tell by Schur and Cohn in 150 digits whether all poles are inside; bodies of backward Euler and trapezoidal ones."""
+    """Whether all poles are inside, by Schur and Cohn in 150 digits.
+
+    For bodies of backward Euler and of the trapezoidal rule.
+    """
     with mpmath.workdps(150):
         exact = np.vectorize(mpmath.mpf, otypes=[object])
         m = [
@@ -108,13 +111,13 @@ def _plus(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
 def polynomial_radius(
     law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]
 ) -> float:
-    """Largest root of 1 + H (P + Σ W), taps only; worlds in series, each a fraction in z."""
+    """Return the largest root of 1 + H (P + Σ W), taps only; worlds as fractions in z."""
     return float(np.abs(np.roots(characteristic(law, plant, worlds))).max())
 
 
 @dataclass(frozen=True)
 class Chain:
-    """A mass that the force moves, damped against the ground, and a second one that hangs on it; continuous, force held."""
+    """A mass that the force moves, damped to ground, with a second mass on it; continuous."""
 
     mass: float
     damping: float
@@ -151,7 +154,7 @@ def exact(own: Array, push: Array, duration: float) -> tuple[Array, Array]:
 def chains_radius(
     taps: Sequence[float], period: float, pushed_back: Chain, pushed_on: Chain
 ) -> float:
-    """Pole radius of a law between two chains; where both may drift together, the pole at 1 of that drift is left out."""
+    """Return the pole radius of a law between two chains, without a common drift's pole at 1."""
     waits = [math.floor(chain.delay) + 1 for chain in (pushed_back, pushed_on)]
     parts, longest, history = (
         [chain.continuous() for chain in (pushed_back, pushed_on)],
@@ -192,7 +195,7 @@ def chains_radius(
 
 
 def played(law: CompiledLaw, plant: Plant, body: Body, ticks: int) -> Array:
-    """Play taps, a device without a hand and an implicit body tick by tick, from 1 mm; the deflection."""
+    """Simulate taps, a device without a hand and an implicit body tick by tick, from 1 mm."""
     period, (own, push) = plant.period, Chain(plant.mass, plant.damping, 0.0).continuous()
     whole = math.floor(plant.delay)
     late = plant.delay - whole

@@ -1,4 +1,4 @@
-"""Nodes that behave badly, as a package of somebody else's, and a launch file for them."""
+"""Misbehaving nodes, as of a foreign package, and a launch file for them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Stubborn(Node):
             time.sleep(1.0)
 
 class Arm:
-    """Held 1 mm inside the floor; writes down every force, and fails after 100 ticks in the way it is told to."""
+    """Held 1 mm inside the floor; logs every force, and fails after 100 ticks as ordered."""
     limits = DeviceLimits(peak_force=10.0, hold=0.1, workspace=((-0.1, 0.1),) * 3)
     def __init__(self, path, fails):
         self.diary, self.fails, self.ticks = open(path, "a"), fails, 0
@@ -103,7 +103,7 @@ DIST_INFO = {
 
 @pytest.fixture
 def odd_nodes(tmp_path: Path) -> dict[str, str]:
-    """Install nodes that behave badly by PYTHONPATH; give the variables for a launch."""
+    """Install misbehaving nodes by PYTHONPATH; return the environment for a launch."""
     folder = tmp_path / "site"
     info = folder / "odd_nodes-0.dist-info"
     info.mkdir(parents=True)
@@ -116,7 +116,10 @@ def odd_nodes(tmp_path: Path) -> dict[str, str]:
 def scenario(
     folder: Path, duration: float = 0.0, loop: dict[str, Any] | None = None, **more: Any
 ) -> str:
-    """Write a launch file: a mass in free fall onto a floor, a logger, and more nodes; `loop` is added to the chain."""
+    """Write a launch file: a mass in free fall onto a floor, a logger, and more nodes.
+
+    `loop` is added to the chain.
+    """
     chain = loop or {}
     content = {
         "summary": "for a test",

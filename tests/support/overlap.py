@@ -1,4 +1,4 @@
-"""Whether texts of a figure lie over each other, found by drawing it."""
+"""Check whether texts of a figure overlap, by drawing it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 SLACK = 1.0
-"""How far two boxes may reach into each other [pixel]: they hold the room of descenders that a text does not have."""
+"""Allowed overlap of two boxes, which include unused space for descenders [pixel]."""
 
 
 def drawn_texts(figure: Figure) -> list[Text]:
-    """Draw a figure and collect the texts that were really drawn, tick labels out of view left out.
+    """Draw a figure and return the texts really drawn, without tick labels out of view.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def drawn_texts(figure: Figure) -> list[Text]:
 
 
 def overlaps(figure: Figure) -> list[str]:
-    """Find the texts of a figure that lie over each other, or reach out of it.
+    """Return the texts of a figure that overlap each other, or extend beyond it.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def overlaps(figure: Figure) -> list[str]:
 
 @contextmanager
 def checked_figures() -> Iterator[list[str]]:
-    """Check every figure that is saved within a with block, once for all formats: `save_figure` lays it out once, too.
+    """Check every figure saved within a with block, once for all formats.
 
     Yields
     ------

@@ -1,10 +1,10 @@
-"""The commands of a page as a reader would type them: blocks of ``sh``, line by line, from top to bottom.
+"""Run the commands of a page as typed by a reader: blocks of ``sh``, line by line.
 
-A block of ``text`` right after one of ``sh`` shows what that prints: each of its lines must be
-printed, with any numbers where it has numbers and anything where it has ``…``.
+A block of ``text`` right after one of ``sh`` shows the output: each of its lines must be printed,
+with any numbers in place of its numbers and anything in place of ``…``.
 
-What a launch started with ``&`` gives goes on until its block ends. Long commands are run with the
-options that their own ``--help`` offers for shortening; nothing else is changed.
+A launch started with ``&`` runs until its block ends. Long commands are run with the options that
+their own ``--help`` offers for shortening; nothing else is changed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import zmq
 
 from messages.transport.requests import ControlError, call
 from nodes.launcher.runs import RunInfo
-from sim.measure.measured_launch import PATIENCE
+from sim.measure.haptic_commands import COMPILE_TIMEOUT
 from tests.support.launching import DEADLINE, assert_nothing_left, wait_for
 
 _BLOCK = re.compile(r"^```sh\n(.*?)^```$(?:\n+^```text\n(.*?)^```$)?", re.MULTILINE | re.DOTALL)
@@ -54,7 +54,7 @@ class Block:
 
 
 def blocks(text: str) -> list[Block]:
-    """Collect the commands.
+    """Return the blocks of commands of a page.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def blocks(text: str) -> list[Block]:
 
 
 def promised(prints: Iterable[str], said: str) -> list[str]:
-    """Look for what a page promises in what was printed.
+    """Return the promised lines that were not printed.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def promised(prints: Iterable[str], said: str) -> list[str]:
 
 
 def written_files(text: str) -> dict[str, str]:
-    """Collect the files that a page shows: a path alone on a line, then a block of code.
+    """Return the files that a page shows: a path alone on a line, then a block of code.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def written_files(text: str) -> dict[str, str]:
 
 
 def links(text: str) -> list[str]:
-    """Collect what links and pictures point to.
+    """Return the targets of links and pictures.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def links(text: str) -> list[str]:
 
 
 def anchors(text: str) -> set[str]:
-    """Name the headings as links name them.
+    """Return the anchors of the headings.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class Command:
 
     @property
     def words(self) -> list[str]:
-        """Its words, up to the first operator of the shell."""
+        """Return its words, up to the first shell operator."""
         lexer = shlex.shlex(self.line, posix=True, punctuation_chars=_OPERATORS)
         lexer.whitespace_split = True
         found = []
@@ -180,7 +180,7 @@ class Command:
 
 
 def command(line: str, shorter: Mapping[str, str]) -> Command:
-    """Read a line, and shorten what it does.
+    """Parse a line, and shorten the command.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ class Shell:
         }
 
     def run(self, wanted: Command) -> str:
-        """Run one command: to its end, or in the background until it is up; ``wait`` waits for what ends by itself.
+        """Run a command to its end, or in the background until it is up; ``wait`` waits for it.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class Shell:
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
-            timeout=PATIENCE,
+            timeout=COMPILE_TIMEOUT,
             check=False,
         )
         assert done.returncode == 0, (
@@ -310,7 +310,7 @@ class Shell:
         return False
 
     def end_background(self) -> None:
-        """End what still runs as Ctrl-C does, and assert that nothing of it is left."""
+        """End background commands as Ctrl-C does, and assert that nothing is left."""
         for process in reversed(self.background):
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -324,7 +324,7 @@ class Shell:
 def shell(
     folder: Path, runtime_dir: Path, programs: Path = Path(sys.executable).parent
 ) -> Iterator[Shell]:
-    """Run commands for the length of a with block.
+    """Return a shell for a with block.
 
     Parameters
     ----------

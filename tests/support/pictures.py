@@ -1,4 +1,4 @@
-"""Whether a study drew its picture, in every format, and with the words that it needs."""
+"""Check that a study drew its figure in every format, with the required words."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from pathlib import Path
 
 
 def assert_drawn(path: str | Path, *words: str) -> None:
-    """Check that a picture is there as PNG, PDF and SVG.
+    """Check that a figure exists as PNG, PDF and SVG.
 
     Parameters
     ----------
     path : str or Path
         The PNG.
     *words : str
-        What must be written in it.
+        Words that it must contain.
     """
     picture = Path(path)
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -1,10 +1,10 @@
-"""Keep the marker ``process`` honest: a test that starts a process is marked so, and one that is marked starts one.
+"""Check the marker ``process``: a test has it if and only if it starts a process.
 
 A process costs a second of processor time where a call costs a millisecond, so README's line runs
 the tests without ``process``, and of those with it the ``smoke`` ones. An audit hook of the
-interpreter notices every start; a fixture's start counts for every test that uses the fixture.
-Where ``HAPTIC_TEST_COSTS`` names a file, each test leaves a line there: its name, the processor time
-of this process and of its children [s], and what it started.
+interpreter notices every start; a fixture's start counts for every test that uses the fixture. If
+``HAPTIC_TEST_COSTS`` names a file, each test appends a line: its name, the processor time of this
+process and of its children [s], and what it started.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import pytest
 
 STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"})
 ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
-"""Programs of some milliseconds, most of whose answers are kept: which test asks first is chance."""
-CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile")
-"""Modules that compile what the machine does not have yet: whether they start anything is chance too."""
+"""Programs of some milliseconds whose results are cached: the first caller is random."""
+CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile", "glfw.library")
+"""Modules that start a process at random: compilers, and version checks on first use."""
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
 
 class Watch:
-    """What the test that runs now has started, and the fixtures that are set up.
+    """Processes started by the running test, and fixtures set up.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Watch:
         self.fixtures: dict[int, list[str]] = {}
 
     def __call__(self, event: str, arguments: Any) -> None:
-        """Note a start; the interpreter's audit hook."""
+        """Record a start; called as the interpreter's audit hook."""
         if event not in STARTS or self.started is None:
             return
         program = _program(event, arguments)
@@ -84,7 +84,7 @@ watch: Final = Watch()
 
 
 def _spawn_is_told() -> None:
-    """Make multiprocessing tell of its spawned processes, which the interpreter does not."""
+    """Make multiprocessing report its spawned processes, which the interpreter does not."""
     spawn = util.spawnv_passfds
 
     def told(path: Any, arguments: Any, descriptors: Any) -> Any:
@@ -95,14 +95,14 @@ def _spawn_is_told() -> None:
 
 
 def pytest_configure() -> None:
-    """Watch from now on; once an interpreter, as a hook cannot be removed."""
+    """Install the watch, once per interpreter, as an audit hook cannot be removed."""
     sys.addaudithook(watch)
     _spawn_is_told()
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep ``smoke`` at the parameters that it names, ``smoke("a-b", "c")``; without any it is of all."""
+    """Limit ``smoke("a-b", "c")`` to the parameters it names; without names it covers all."""
     for item in items:
         names = [name for mark in item.iter_markers("smoke") for name in mark.args]
         if names and item.name.partition("[")[2].removesuffix("]") not in names:
@@ -136,7 +136,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_fixture_setup(fixturedef: Any) -> Iterator[Any]:
-    """Note what the fixture starts, for all tests that use it."""
+    """Record what the fixture starts, for all tests that use it."""
     outer, watch.started = watch.started, []
     try:
         return (yield)
@@ -147,7 +147,7 @@ def pytest_fixture_setup(fixturedef: Any) -> Iterator[Any]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[Any]:
-    """Fail a test whose marker does not say what it did; a slow one needs none."""
+    """Fail a test whose marker contradicts what it did; slow tests need none."""
     result = yield
     started = watch.of(item)
     if item.get_closest_marker("slow") is None:

@@ -1,7 +1,7 @@
-"""A ROS 2 node that knows nothing of this project: listens, pushes, pulls, sets parameters, and prints what came of it as JSON.
+"""An independent ROS 2 node: subscribes, pushes, pulls, sets parameters, prints JSON.
 
-Run by whichever Python has rclpy: ``python rclpy_probe.py SECONDS parameters|plain NAMESPACE``,
-which may be empty.
+Run by a Python that has rclpy: ``python rclpy_probe.py SECONDS parameters|plain NAMESPACE``; the
+namespace may be empty.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PUSH, PULL = 0.5, 0.012
 
 # Long: one run of a program that a test starts, in the order of its steps.
 def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa: PLR0915
-    """Do it."""
+    """Run the probe."""
     import rclpy
     from geometry_msgs.msg import PoseStamped, WrenchStamped
     from std_msgs.msg import Bool, String

@@ -1,4 +1,4 @@
-"""What the tests of realisations of D^α share: the loop's own rendering, the scale of rounding, the response."""
+"""Shared by tests of D^α: the loop's rendering, the scale of rounding, the response."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LENGTH = {**dict.fromkeys(KINDS, 64), **dict.fromkeys(RECURSIVE, 11)}
 
 
 def apply(law: CompiledLaw, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Output of a law from rest, by scipy's filters rather than the loop's kernels."""
+    """Return the output of a law from rest, by scipy's filters instead of the kernels."""
     output: NDArray[np.float64] = np.asarray(
         lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64
     )
@@ -39,7 +39,7 @@ def apply(law: CompiledLaw, samples: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def loop(law: CompiledLaw, samples: list[float]) -> list[float]:
-    """Render as the coupling does: its own kernels over its own ring."""
+    """Return the output as the coupling renders it: its own kernels over its own ring buffer."""
     length = max(len(law.taps), 2)
     history, head = [0.0] * (2 * length), 0
     flat = [c for section in law.sections for c in section]
@@ -55,7 +55,7 @@ def loop(law: CompiledLaw, samples: list[float]) -> list[float]:
 
 
 def size(law: CompiledLaw) -> float:
-    """Sum of the magnitudes a unit deflection is multiplied with: the scale of rounding."""
+    """Return the sum of the magnitudes of all weights of a unit deflection: scale of rounding."""
     return math.fsum(map(abs, law.taps)) + sum(
         float(np.sum(np.abs(lfilter([b0, b1], [1.0, a1, a2], np.eye(1, 4000)[0]))))
         for b0, b1, a1, a2 in law.sections
@@ -63,10 +63,10 @@ def size(law: CompiledLaw) -> float:
 
 
 def ticks(count: int, step: float) -> NDArray[np.float64]:
-    """Give the sampling instants."""
+    """Return the sampling instants [s]."""
     return np.arange(count, dtype=np.float64) * np.float64(step)
 
 
 def at(law: CompiledLaw, fraction: float) -> complex:
-    """Response at a fraction of Nyquist."""
+    """Return the response at a fraction of Nyquist."""
     return complex(response(law, np.array([math.pi * fraction]))[0])

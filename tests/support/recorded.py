@@ -1,4 +1,4 @@
-"""A drop onto a floor, tick by tick, as the messages of its nodes: what the tests of recordings read."""
+"""A drop onto a floor as the messages of its nodes, for tests of recordings."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PERIOD = 0.002
 PUBLISHES = json.dumps(
     {"driver": [DEVICE_STATE], "environment": [PROXY], "coupling": [FORCE, RECEIPT]}
 )
-"""Who publishes what, as a manifest has it."""
+"""Publishers by topic, as in a manifest."""
 MASS, STIFFNESS, DAMPING = 0.1, 1500.0, 3.0
 
 
 def drop(
     ticks: int, *, missed: tuple[int, ...] = (), switch: int | None = None
 ) -> Iterator[tuple[str, Message]]:
-    """Play the drop of 0.1 kg from 10 mm.
+    """Yield the messages of a drop of 0.1 kg from 10 mm.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def drop(
 
 
 def rewritten(path: Path, keep: Callable[[str, int], bool]) -> Path:
-    """Copy what is to be kept of a recording, by topic and seq, with all that was recorded beside the messages."""
+    """Copy a part of a recording by topic and seq, with all its metadata."""
     recording, out = Recording(path), path.with_suffix(".less.mcap")
     written = recording.metadata
     with RecordWriter(

@@ -1,4 +1,4 @@
-"""A driver's safety on a state of its own, driven as the driver's tick does it."""
+"""A driver's safety with its own state, driven as the driver's tick does."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def force(seq: int, z: float = 1.0) -> Force:
 
 
 def state_of(axes: tuple[int, ...] = (0, 1, 2), latency: float = 0.0) -> Any:
-    """Make a driver's state without limits; it keeps alive what it points to."""
+    """Create a driver's state without limits, which keeps its buffers alive."""
     s: Any = DriverState()
     s.period, s.virtual, s.axes, s.axis[:] = T, 1, len(axes), (*axes, 0, 0)[:3]
     s.kept = set_motion(s, latency)
@@ -30,7 +30,7 @@ def state_of(axes: tuple[int, ...] = (0, 1, 2), latency: float = 0.0) -> Any:
 
 
 class Port:
-    """A safety with its events, driven as the driver does it."""
+    """A safety with its events."""
 
     def __init__(
         self,
@@ -50,12 +50,12 @@ class Port:
 
     @property
     def state(self) -> str:
-        """What it does with forces now."""
+        """Present safety state."""
         return SAFETY[self.s.safety]
 
     @property
     def force(self) -> Vector:
-        """What was handed over last."""
+        """Last force handed over."""
         x, y, z = self.s.force
         return x, y, z
 
@@ -66,23 +66,23 @@ class Port:
 
     @property
     def limited(self) -> dict[str, int]:
-        """Forces lowered, by limit."""
+        """Forces limited, by limit."""
         return dict(zip(LIMITED, self.s.limited_by, strict=True))
 
     @property
     def events(self) -> list[tuple[str, str]]:
-        """Kind and reason of all that it had to say."""
+        """Kind and reason of all events."""
         self._events += [(note.kind, note.reason) for note in take_notes(self.s)]
         return self._events
 
     def moves(self, velocity: Vector) -> None:
-        """Let the device move."""
+        """Move the device."""
         self.s.before[:] = ZERO
         self.s.position[:] = [T * v for v in velocity]
         self.s.elapsed = 1
 
     def answer(self, message: Force, tick: int) -> bool:
-        """Let a force arrive; tell whether it was admitted."""
+        """Deliver a force; return whether it was admitted."""
         self.s.got_seq, self.s.got[:] = message.seq, message.force
         if not safety.admit(self.s, tick):
             return False
@@ -90,24 +90,24 @@ class Port:
         return True
 
     def missed(self, tick: int, velocity: Vector) -> Vector | None:
-        """Close a tick without a force; what is handed over, if anything."""
+        """Close a tick without a force; return what is handed over, if anything."""
         self.moves(velocity)
         is_written = safety.missed(self.s, tick)
         self.moves(ZERO)
         return self.force if is_written else None
 
     def watch_position(self, position: Vector, tick: int) -> bool:
-        """Read a position."""
+        """Process a position."""
         self.s.place[:] = position
         return safety.watch_position(self.s, tick)
 
     def watch_swings(self, energy: float, velocity: Vector, tick: int) -> None:
-        """Look for swings."""
+        """Run the detection of swings."""
         self.moves(velocity)
         self.s.energy = energy
         if self.s.stop_after:
             safety.watch_swings(self.s, tick)
 
     def changes(self) -> list[str]:
-        """List the changes of state that were told."""
+        """Return the changes of state reported."""
         return [text.split(" at tick")[0] for kind, text in self.events if kind == "safety"]

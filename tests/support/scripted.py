@@ -1,9 +1,9 @@
-"""A node on a scripted clock: time passes and messages come only as a test says, alike for interpreted and compiled ticks.
+"""A node on a scripted clock, for interpreted and compiled ticks alike.
 
-Compiled ticks call the clock, the waits and ZeroMQ by their addresses, so they are handed scripted
-ones; the interpreter gets the same script through the modules that it takes time and sockets from.
-Looking at the clock takes no time: only waits do. So what a node does depends on the script alone,
-and both ticks must do the same, to the bit and to the nanosecond.
+Compiled ticks call clock, waits and ZeroMQ by address, so they get scripted functions; the
+interpreter gets the same script through the modules it uses. Reading the clock takes no time, only
+waits do. So the node's behaviour depends on the script alone, and both ticks must agree to the bit
+and to the nanosecond.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from tests.support.setups import setup_of
 
 
 class Hand:
-    """A device whose positions are scripted; what it was given is kept.
+    """A device with scripted positions that records the forces it receives.
 
     Parameters
     ----------
@@ -89,32 +89,32 @@ class Hand:
             self.log.append((self.world.now, force))
 
     def open(self) -> None:
-        """Nothing to connect."""
+        """Do nothing."""
 
     def read_position(self, seq: int) -> Vector:
-        """Give the position, or raise."""
+        """Return the scripted position, or raise."""
         if seq in self._fails:
             self._fails.remove(seq)
             raise BlockingIOError(f"no position at tick {seq}")
         return self._at(seq)
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Keep what it is given."""
+        """Record a force."""
         self._take(force, seq, offset)
 
     def close(self) -> None:
-        """Nothing to disconnect."""
+        """Do nothing."""
 
 
 class HandInC(Hand):
-    """The same behind calls of its own, one of which fails where the methods do not."""
+    """A `Hand` with compiled calls, which can fail where the methods do not."""
 
     def read_position(self, seq: int) -> Vector:
-        """Give the position."""
+        """Return the scripted position."""
         return self._at(seq)
 
     def calls(self) -> Calls:
-        """Give its calls."""
+        """Return its compiled calls."""
 
         def read(_: int, seq: int, out: Any) -> int:
             if seq in self._fails:
@@ -135,32 +135,32 @@ class HandInC(Hand):
 
 
 class ScriptedDriver(Driver):
-    """The driver of hardware, with a `Hand` in its place."""
+    """A driver of hardware with a `Hand` as device."""
 
     Parameters = DriverParameters
     hand: Hand
 
     def make_device(self) -> Hand:
-        """Take the hand."""
+        """Return the hand."""
         return self.hand
 
 
 class ScriptedSimulation(ScriptedDriver):
-    """The same, of a device that can wait."""
+    """A `ScriptedDriver` whose device can wait."""
 
     virtual = True
 
 
 AHEAD = 5000.0
-"""How far the launcher's clock is ahead of a driver's [s]."""
+"""Offset of the launcher's clock to the driver's [s]."""
 
 
 # -- playing
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 class Outcome(NamedTuple):
-    """All that a node did, with the time at which it did it [ns]."""
+    """Everything that a node did, with times [ns]."""
 
     sent: list[tuple[int, tuple[bytes, ...]]]
     aside: list[bytes]
@@ -186,11 +186,11 @@ _NOT_ALIKE = {
         "met",
     ),
 }
-"""Fields that are addresses, or what compiled ticks keep for themselves."""
+"""Fields with addresses, or private to compiled ticks."""
 
 
 def _numbers(state: Any) -> dict[str, Any]:
-    """Give the numbers of a node's state, beyond what its compiled ticks need of the world."""
+    """Return the numbers of a node's state, without the compiled ticks' external data."""
     found: dict[str, Any] = {
         name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")
     }
@@ -208,18 +208,18 @@ def _numbers(state: Any) -> dict[str, Any]:
 
 
 class Script(NamedTuple):
-    """What happens to a node, and what it is made of.
+    """Events of a scripted run, and the node's set-up.
 
     Attributes
     ----------
     kind : type
         Its class.
     arrivals : sequence of Arrival
-        What comes.
+        Messages that arrive.
     parameters : dict
         Its parameters.
     late : mapping of int to int
-        By how much the sleep until a tick is too long [µs].
+        Excess of the sleep until a tick [µs].
     stalls : mapping of (int, str) to int
         For how long the process is stopped in a tick, by the place in it (`World`) [µs].
     ticks : int
@@ -242,7 +242,7 @@ class Script(NamedTuple):
 
 
 def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
-    """Play a script with one kind of tick; what the node did, and the node."""
+    """Run a script with one kind of tick; return the outcome and the node."""
     world = World(script.arrivals, script.late, script.stalls)
     name = script.kind.__name__.lower()
     for left in folder.glob("*.epoch"):
@@ -344,7 +344,7 @@ def _outcome(world: World, node: Any, script: Script) -> Outcome:
 
 
 def assert_alike(script: Script, folder: Path) -> tuple[Outcome, Any]:
-    """Play a script with both ticks, which must do the same; what they did, and the compiled node."""
+    """Run a script with both kinds of tick; assert equal outcomes, and return them."""
     plain, one = played(script, "plain", folder)
     compiled, other = played(script, "compiled", folder)
     for name in Outcome._fields:

@@ -1,6 +1,6 @@
-"""The clock and the sockets of a node as a script has them: for the interpreter, and by address for compiled ticks.
+"""Scripted clock and sockets of a node, for interpreted and compiled ticks.
 
-Looking at the clock takes no time: only waits do. So what a node does depends on the script alone.
+Reading the clock takes no time, only waits do, so a node's behaviour depends on the script alone.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ T = 0.002
 TICK = 2_000_000
 START = 1_000_000_000_000
 EPOCH = START + TICK
-"""Tick 0, as a driver sets it when it starts [ns]."""
+"""Time of tick 0, as a driver sets it when it starts [ns]."""
 
 _GRID = 1000
-"""Waits end so much after the time that was asked for, whatever was rounded on the way to them [ns]."""
+"""Offset of the ends of waits, so that rounding before them does not matter [ns]."""
 
 _SECOND = 10**9
 
 
 class Arrival(NamedTuple):
-    """A message of some frames, and when it is there [ns]."""
+    """A message of some frames, and its time of arrival [ns]."""
 
     at: int
     frames: tuple[bytes, ...]
 
 
 def at(tick: float, microseconds: float = 0.0) -> int:
-    """Give a time from the start of a tick on; never one at which a wait ends [ns]."""
+    """Return a time from the start of a tick, never one at which a wait ends [ns]."""
     return EPOCH + round(tick * TICK) + round(1000 * microseconds) + _GRID // 2
 
 
 def _end_of(wanted: float) -> int:
-    """When a wait ends; times are whole or half steps, give or take what was rounded on the way."""
+    """Return when a wait ends; times are whole or half steps, apart from rounding."""
     return (math.floor(wanted / _GRID + 0.25) + 1) * _GRID
 
 
 class World:
-    """The clock and the sockets of one node.
+    """Clock and sockets of one node.
 
     Parameters
     ----------
@@ -88,41 +88,41 @@ class World:
         self.errors: list[BaseException] = []
 
     def clock(self) -> float:
-        """Read it as the kernel does [s]."""
+        """Return the time, as the kernel's clock does [s]."""
         now = self.now
         self.looked()
         return float(now // _SECOND + now % _SECOND * 1e-9)
 
     def looked(self) -> None:
-        """Stop the process after a look at the clock, where the script says so."""
+        """Stop the process after a clock reading, if the script says so."""
         if self._stamps:
             self._stamps = False
             self.stall("stamped")
 
     def stall(self, place: str) -> None:
-        """Stop the process in a place of the present tick for as long as the script says, once."""
+        """Stop the process at a place of the present tick, once, as scripted."""
         self.now += 1000 * self._stalls.pop(((self.now - EPOCH) // TICK, place), 0)
 
     def sleep(self, seconds: float) -> None:
-        """Sleep at least for so long."""
+        """Sleep at least for a duration."""
         self.sleep_until(self.now + seconds * 1e9)
 
     def sleep_until(self, wanted: float) -> None:
-        """Sleep at least until then [ns]."""
+        """Sleep at least until a time [ns]."""
         self._wake(_end_of(wanted))
 
     def _wake(self, until: int) -> None:
-        """Let time pass until then, and for longer where the script says that the start of a tick is missed."""
+        """Advance the time, further if the script delays the start of a tick."""
         tick = round((until - EPOCH) / TICK)
         is_start = abs(until - EPOCH - tick * TICK) <= 2 * _GRID
         self.now = max(self.now, until) + (1000 * self._late.get(tick, 0) if is_start else 0)
 
     def is_ready(self) -> bool:
-        """Whether there is a frame to be received."""
+        """Whether a frame can be received."""
         return bool(self._frames or (self._coming and self._coming[0].at <= self.now))
 
     def wait(self, longest: float) -> bool:
-        """Wait for a frame, so many nanoseconds at most; whether there is one."""
+        """Wait for a frame for at most some nanoseconds; return whether there is one."""
         return self._wait_until(_end_of(self.now + longest))
 
     def _wait_until(self, until: float) -> bool:
@@ -137,7 +137,7 @@ class World:
         return True
 
     def receive(self, timeout_ms: int) -> bytes | None:
-        """Take the next frame, after some milliseconds at most; -1 waits without end."""
+        """Return the next frame within some milliseconds; -1 waits without limit."""
         until = self.now + 1_000_000 * timeout_ms if timeout_ms >= 0 else math.inf
         if timeout_ms > 0:
             # Every wait ends a step late, as that for a message does; of one that is followed by a
@@ -155,7 +155,7 @@ class World:
 
     @property
     def more(self) -> bool:
-        """Whether the message of the last frame goes on."""
+        """Whether the last frame's message continues."""
         return bool(self._frames)
 
     def send(self, socket: int, frame: bytes, more: bool) -> None:
@@ -173,7 +173,7 @@ class World:
 
 
 class ScriptedSocket:
-    """A scripted SUB socket, as pyzmq's."""
+    """A scripted SUB socket with pyzmq's interface."""
 
     underlying, FD, rcvhwm, rcvtimeo = INBOX, -1, 0, -1
 
@@ -181,27 +181,27 @@ class ScriptedSocket:
         self._world = world
 
     def setsockopt(self, option: int, value: int) -> None:
-        """Nothing to set."""
+        """Do nothing."""
 
     def recv(self, flags: int = 0) -> bytes:
-        """Take the next frame."""
+        """Return the next frame."""
         frame = self._world.receive(0 if flags & zmq.NOBLOCK else self.rcvtimeo)
         if frame is None:
             raise zmq.Again
         return frame
 
     def get(self, option: int) -> int:
-        """Tell what the socket has."""
+        """Return an option of the socket."""
         if option == zmq.RCVMORE:
             return int(self._world.more)
         return int(zmq.POLLIN) if self._world.is_ready() else 0
 
     def close(self, linger: int = 0) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
 
 class ScriptedPublisher(Publisher):
-    """The publisher, over scripted sockets."""
+    """The publisher over scripted sockets."""
 
     def __init__(self, world: World) -> None:
         self.apart, self.endpoint = True, ""
@@ -247,7 +247,7 @@ class ScriptedFunctions:
         def guarded(*given: int) -> int:
             try:
                 return call(*given)
-            except BaseException as error:  # noqa: BLE001  # nothing can be raised through compiled code
+            except BaseException as error:  # noqa: BLE001  # compiled code cannot propagate it
                 self._world.errors.append(error)
                 # Whoever waits comes to its end.
                 self._world.now += 1000 * _SECOND
@@ -256,7 +256,7 @@ class ScriptedFunctions:
         return guarded
 
     def zmq_recv(self, socket: int, room: int, size: int, flags: int) -> int:
-        """Give the next frame."""
+        """Return the next frame."""
         assert socket == INBOX
         frame = self._world.receive(0 if flags else self.socket.rcvtimeo)
         if frame is None:
@@ -265,12 +265,12 @@ class ScriptedFunctions:
         return len(frame)
 
     def zmq_send(self, socket: int, place: int, size: int, flags: int) -> int:
-        """Take a frame."""
+        """Send a frame."""
         self._world.send(socket, ctypes.string_at(place, size), bool(flags & zmq.SNDMORE))
         return size
 
     def zmq_getsockopt(self, socket: int, option: int, value: int, _: int) -> int:
-        """Tell what a socket has."""
+        """Return an option of the socket."""
         told = (
             self._world.more
             if option == zmq.RCVMORE
@@ -280,13 +280,13 @@ class ScriptedFunctions:
         return 0
 
     def clock_gettime(self, _: int, value: int) -> int:
-        """Tell the time."""
+        """Return the time."""
         (c_int64 * 2).from_address(value)[:] = [*divmod(self._world.now, _SECOND)]
         self._world.looked()
         return 0
 
     def clock_nanosleep(self, _: int, __: int, until: int, ___: int) -> int:
-        """Sleep as the script says."""
+        """Sleep as scripted."""
         seconds, rest = (c_int64 * 2).from_address(until)
         self._world.sleep_until(seconds * _SECOND + rest)
         return 0
@@ -297,5 +297,5 @@ class ScriptedFunctions:
         return int(self._world.wait(seconds * _SECOND + rest))
 
     def sched_yield(self, _: int) -> int:
-        """Go on at once."""
+        """Continue at once."""
         return 0

@@ -1,4 +1,4 @@
-"""Scripts for each kind of node: a driver that is answered, an environment and a coupling that are asked."""
+"""Scripts for each kind of node: driver, environment and coupling."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ KINDS: dict[str, tuple[type[Any], dict[str, Any]]] = {
         for law in LAWS
     },
 }
-"""Who follows a driver: class and parameters."""
+"""Followers of a driver: class and parameters."""
 
 
 def moving(seq: int) -> Vector:
-    """Move on two axes, never the same distance twice in a row."""
+    """Return positions that move on two axes, never the same distance twice in a row."""
     return 0.0, 1e-4 * (seq * 7 % 13), -1e-3 - 2e-5 * (seq * 5 % 17)
 
 
 def answer(seq: int, after: float = 600.0, force: Vector | None = None) -> Arrival:
-    """Answer a tick, some microseconds after its start."""
+    """Return the answer to a tick, some microseconds after its start."""
     given = (0.0, 0.1, 1.0 + 0.05 * (seq * 3 % 7)) if force is None else force
     return Arrival(
         at(seq, after), (topics.FORCE.encode(), encode(Force(seq=seq, stamp=0.0, force=given)))
@@ -48,7 +48,7 @@ def answer(seq: int, after: float = 600.0, force: Vector | None = None) -> Arriv
 
 
 def answers_but(*left_out: int) -> list[Arrival]:
-    """Answer every tick but some."""
+    """Return answers to every tick except some."""
     return [answer(seq) for seq in range(TICKS) if seq not in left_out]
 
 
@@ -61,7 +61,7 @@ def driver(
     ticks: int = TICKS,
     **safety: Any,
 ) -> Script:
-    """Make the script of a driver, whose first force has no ramp unless one is asked for."""
+    """Return the script of a driver; its first force has a ramp only if requested."""
     bears = DeviceLimits(
         **{"peak_force": 8.0, "hold": 10.0, "workspace": BOX, "latency": 0.0, **(limits or {})}
     )
@@ -79,7 +79,7 @@ def driver(
 
 
 def question(kind: str, seq: int, stamp: float) -> Message:
-    """Make what a node answers."""
+    """Return the message that a node answers."""
     depth = -1e-3 - 1e-5 * (seq * 7 % 11)
     position = (0.0, 0.0, depth)
     if kind == "environment":
@@ -99,7 +99,10 @@ def question(kind: str, seq: int, stamp: float) -> Message:
 
 
 def follower(kind: str, coming: Sequence[tuple[int, float]], pace: str = "realtime") -> Script:
-    """Make the script of a node that follows ticks, one a period; the question of each comes so much later [µs]."""
+    """Return the script of a node that follows ticks, one a period.
+
+    Each question comes `late` µs after its period's start.
+    """
     made, parameters = KINDS[kind]
     topic = made.listens_to[0].encode()
     arrivals = [

@@ -1,4 +1,4 @@
-"""What a node is started with, right in everything but what a test gives."""
+"""Set-ups of nodes, valid except for what a test changes."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _USUAL: dict[str, Any] = {
 
 
 def setup_of(**given: Any) -> Setup:
-    """Make a node's setup."""
+    """Return a node's set-up."""
     return Setup(**{**_USUAL, **given})
 
 
 class MadeLater:
-    """A file that another node makes while it is waited for: there first, and what is in it later; `asked` counts the looks."""
+    """A file that another node creates later, first empty; `asked` counts the checks."""
 
     def __init__(self, path: Path, make: Callable[[], None]) -> None:
         self._path, self._make, self.asked = path, make, 0
 
     def __call__(self) -> bool:
-        """Whether who waits has given up: never."""
+        """Return False: the waiting node never gives up."""
         self.asked += 1
         if self.asked == 2:
             self._path.touch()

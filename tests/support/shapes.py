@@ -1,4 +1,4 @@
-"""Shapes, paths and independent oracles for tests of the proxy: textbook distances, equilibrium by least squares."""
+"""Shapes, paths and independent oracles of the proxy: textbook distances, least squares."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def box_triangles(size: Any) -> Array:
-    """Twelve triangles of a box about the origin; shape (12, 3, 3)."""
+    """Return the twelve triangles of a box about the origin, shape (12, 3, 3)."""
     corners = (
         np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
     )
@@ -27,7 +27,7 @@ def box_triangles(size: Any) -> Array:
 
 
 def wander(rng: np.random.Generator, ticks: int, step: float, limits: Any, start: Any) -> Array:
-    """Random steps of up to a length, folded back into a box; shape (ticks, 3)."""
+    """Return random steps of limited length, folded back into a box, shape (ticks, 3)."""
     way = rng.normal(size=(ticks, 3))
     way *= rng.uniform(0.0, step, (ticks, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
     limits = np.asarray(limits, dtype=np.float64)
@@ -38,7 +38,7 @@ def wander(rng: np.random.Generator, ticks: int, step: float, limits: Any, start
 
 
 def distance_to(solid: Solid, point: Array) -> float:
-    """Signed distance by the textbook [m]; meshes unsigned, by brute force."""
+    """Return the signed textbook distance [m]; for meshes unsigned, by brute force."""
     given = np.array(solid.numbers)
     if solid.kind == PLANE:
         return float((point - given[:3]) @ given[3:])
@@ -61,10 +61,10 @@ def distance_to(solid: Solid, point: Array) -> float:
 
 
 def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Array) -> float:
-    """How far a proxy is from an equilibrium without friction [m]: its deflection less the nearest sum of pushes.
+    """Return the distance of a proxy from frictionless equilibrium [m].
 
-    Pushes go along the gradients of the distances of what is touched, by central differences:
-    nothing under test is used.
+    That is its deflection minus the nearest sum of pushes along the gradients of the distances of
+    touched solids, by central differences: nothing under test is used.
     """
     step = 1e-6
     pushes = []
@@ -97,5 +97,5 @@ def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Arr
 
 
 def turned(triangles: Array, roll: float, pitch: float, yaw: float) -> Array:
-    """Turn triangles about the origin."""
+    """Rotate triangles about the origin."""
     return np.ascontiguousarray(triangles @ np.array(rotation((roll, pitch, yaw))).T)

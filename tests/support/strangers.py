@@ -1,4 +1,4 @@
-"""Acting as another machine, with keys of its own."""
+"""Act as another machine, with its own keys."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from messages.transport.keys import Identity
 
 @contextlib.contextmanager
 def as_somebody_else(folder: Path) -> Iterator[Identity]:
-    """Act with the keys of a folder, made at the first use, for the length of a with block."""
+    """Use the keys of a folder, created at first use, for a with block."""
     before = os.environ["HAPTIC_KEYS"]
     os.environ["HAPTIC_KEYS"] = str(folder)
     try:

@@ -35,7 +35,7 @@ def _values(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
 
 
 def messages(message_type: type[Message]) -> st.SearchStrategy[Any]:
-    """Make messages of one type with any valid content.
+    """Return a strategy for messages of one type with any valid content.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A kernel that takes no time to compile: it counts."""
+"""A kernel that compiles quickly: it counts."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from nodes.compiled.kernels.machine import compilable
 
 @compilable
 def ticks(address: int) -> int:
-    """Give the number after a number."""
+    """Return the next number."""
     return address + 1

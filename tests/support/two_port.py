@@ -1,4 +1,4 @@
-"""Poles of two devices with their hands, coupled to each other: an independent oracle of nodes/stability/two_hands.py."""
+"""Poles of two coupled devices with hands: oracle of nodes/stability/two_hands.py."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = 0.002  # sampling period [s]
 def held(
     mass: float, damping: float, stiffness: float, share: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a share of a tick of m x'' + b x' + k x = u, by the matrix exponential of scipy."""
+    """Return the map of a share of a tick of m x'' + b x' + k x = u, by scipy's expm."""
     whole = np.zeros((3, 3))
     whole[0, 1], whole[1] = 1.0, (-stiffness / mass, -damping / mass, 1.0 / mass)
     found = expm(whole * T * share)
@@ -24,7 +24,7 @@ def held(
 
 
 def loop_radius(coupling: TwoHands, devices: tuple[tuple[float, float, float], ...]) -> float:
-    """Largest pole of both devices with their hands, every delay a shift register; nothing of the module under test."""
+    """Return the largest pole of both devices with hands, delays as shift registers."""
     depth = (
         math.floor(max(max(row) for row in coupling.delays))
         + 1

@@ -1,8 +1,8 @@
-"""Two machines for a test: two network namespaces, joined by a cable with delay, jitter and loss, and a clock each.
+"""Two machines for a test: network namespaces, a cable with delay, jitter, loss, clocks.
 
-The cable is a pair of TUN devices whose packets this process hands on, late or not at all, so it
-needs neither iproute2 nor the kernel's netem. No packet can leave: the namespaces have no other way
-out. Needs the right to make namespaces.
+The cable is a pair of TUN devices whose packets this process forwards, late or not at all, so it
+needs neither iproute2 nor the kernel's netem. No packet can leave: the namespaces have no other
+route. Needs the right to create namespaces.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _UP_AND_RUNNING = 0x41
 
 
 class NoRightsError(RuntimeError):
-    """No rights to make network namespaces or TUN devices on this machine; the text says which."""
+    """The machine does not allow network namespaces or TUN devices."""
 
 
 def _address(text: str) -> bytes:
@@ -46,7 +46,7 @@ def _address(text: str) -> bytes:
 
 
 class Host:
-    """A network namespace with one cable, and a monotonic clock of its own.
+    """A network namespace with one cable, and its own monotonic clock.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Host:
             self._error = error
 
     def _has_clock(self, libc: ctypes.CDLL) -> bool:
-        """Whether processes of this host get the clock that was asked for; not every kernel does it for all of them."""
+        """Whether processes of this host get the requested clock; not every kernel supports it."""
         with contextlib.suppress(OSError):
             self._set_clock_of_children(libc)
         words = [sys.executable, "-S", "-E", "-c", "import time; print(time.monotonic())"]
@@ -164,7 +164,7 @@ class Host:
         return started[0]
 
     def _set_clock_of_children(self, libc: ctypes.CDLL) -> None:
-        """Give the processes that this thread starts a clock of their own; the thread keeps its own."""
+        """Set the clock of processes that this thread starts; the thread keeps its own."""
         if libc.unshare(CLONE_NEWTIME):
             raise OSError(ctypes.get_errno(), "unshare")
         Path(f"/proc/{threading.get_native_id()}/timens_offsets").write_text(
@@ -172,14 +172,14 @@ class Host:
         )
 
     def close(self) -> None:
-        """Let the namespace go when its last process has ended."""
+        """Release the namespace when its last process has ended."""
         for descriptor in (self.tun, self._namespace):
             if descriptor >= 0:
                 os.close(descriptor)
 
 
 class Cable(threading.Thread):
-    """Hands packets from one host to the other.
+    """Forwards packets between the hosts.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class Cable(threading.Thread):
         self._closing = threading.Event()
 
     def run(self) -> None:
-        """Carry until closed."""
+        """Forward packets until closed."""
         under_way: list[tuple[float, int, int, bytes]] = []
         number = 0
         while not self._closing.is_set():
@@ -234,7 +234,7 @@ class Cable(threading.Thread):
                     self.carried += 1
 
     def close(self) -> None:
-        """Stop carrying."""
+        """Stop forwarding."""
         self._closing.set()
         self.join()
 
@@ -243,7 +243,7 @@ class Cable(threading.Thread):
 def two_hosts(
     delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0, ahead: float = 0.0
 ) -> Iterator[tuple[Host, Host, Cable]]:
-    """Make two hosts and a cable for the length of a with block.
+    """Create two hosts and a cable for a with block.
 
     Parameters
     ----------

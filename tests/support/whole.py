@@ -1,4 +1,4 @@
-"""A sound recording in memory, to cut, to damage and to count."""
+"""A sound recording in memory, to cut, damage and count."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write(path: Path, sent: list[tuple[str, Message]], flush_every: int = 120) -
 
 
 class Whole:
-    """A sound recording in memory, with the places of its chunks as the reference library tells them.
+    """A sound recording in memory, with the places of its chunks from the reference library.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Whole:
         assert len(self.ends) > 4
 
     def within(self, cut: int) -> int:
-        """Messages in chunks that end at or before a place.
+        """Return the number of messages in chunks that end at or before a place.
 
         Parameters
         ----------

@@ -1,1 +1,1 @@
-"""The tick's kernels. Only what compiles them imports this package: it needs numba, a node does not."""
+"""Kernels of the tick; imported only for compiling, because they need numba."""

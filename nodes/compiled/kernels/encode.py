@@ -1,4 +1,4 @@
-"""Writing a message as one MessagePack map: byte for byte what messages/codec.py writes."""
+"""Encoding a message as one MessagePack map, byte for byte as messages/codec.py does."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from nodes.compiled.published import Published
 
 @compilable
 def put_whole(at: int, value: int) -> int:
-    """Write an integer as short as it goes; where it ends."""
+    """Write an integer in the shortest form. Return the address after it."""
     if -0x20 <= value < 0x80:
         put_byte(at, value)
         return at + 1
-    # Four widths follow each other, those without a sign first: 0xCC to 0xCF, then 0xD0 to 0xD3.
+    # four widths, unsigned ones first: 0xCC to 0xCF, then 0xD0 to 0xD3
     first = 0xCC if value >= 0 else 0xD0
     if -0x80 <= value < 0x100:
         put_byte(at, first)
@@ -50,7 +50,7 @@ def put_whole(at: int, value: int) -> int:
 
 @compilable
 def put_double(at: int, value: float) -> int:
-    """Write a float; where it ends."""
+    """Write a float. Return the address after it."""
     put_byte(at, 0xCB)
     put_real(at + 1, value)
     return at + 9
@@ -59,7 +59,7 @@ def put_double(at: int, value: float) -> int:
 def make_encode(
     message: type[Message], offsets: Sequence[int] = ()
 ) -> Callable[[int, int, Any, Any, int, int], int]:
-    """Make the writer of one type of message, whose values stand at these offsets or in its slots."""
+    """Return the encoder of a message type, with values at these offsets or in its slots."""
     fields = fields_of(message)
     count = len(fields)
     if offsets:

@@ -1,4 +1,4 @@
-"""Following the ticks of another node, as nodes/base/follow.py does when nothing is out of the ordinary."""
+"""Following the ticks of another node, as nodes/base/follow.py does in the usual case."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from nodes.compiled.kernels.hop import has_message, monotonic
 from nodes.compiled.kernels.machine import compilable
 from nodes.compiled.layout import LoopState
 
-_MOST = MAX_COUNT
+_MAX_COUNT = MAX_COUNT
 
 
 @compilable
 def in_order(s: LoopState, seq: int) -> bool:
-    """Whether a message is the next one, or one after ticks that the driver left out, and not to be left to the plain tick."""
+    """Return whether a message is the next one, or one after skipped ticks."""
     if seq <= s.seq or seq >= s.until:
         return False
     return bool(seq == s.seq + 1 or s.seq >= 0)
@@ -20,19 +20,22 @@ def in_order(s: LoopState, seq: int) -> bool:
 
 @compilable
 def count_gap(s: LoopState, missing: int) -> None:
-    """Count ticks that were left out; no more than any status can tell."""
-    s.gaps = min(s.gaps + missing, _MOST)
+    """Count missing ticks, up to the largest count of a status."""
+    s.gaps = min(s.gaps + missing, _MAX_COUNT)
 
 
 @compilable
 def overtaken(s: LoopState, stamp: float) -> bool:
-    """Whether a message is older than a period and a newer one is there: then the node goes on with the newest."""
+    """Return whether a message is older than a period and a newer one waits.
+
+    The node then continues with the newest.
+    """
     if s.realtime == 0 or (s.skipping == 0 and monotonic(s) + s.clock_offset - stamp <= s.period):
         return False
     s.skipping = 1 if has_message(s, s.inbox) else 0
     if s.skipping != 0:
         s.skipped += 1
-        # should the newer one be unusual, the plain tick judges both
+        # if the newer one is unusual, the plain tick judges both
         s.payload, s.spare = s.spare, s.payload
         s.spare_size = s.payload_size
     return bool(s.skipping != 0)

@@ -1,4 +1,4 @@
-"""Receiving and sending as messages/transport/sockets.py does, on the addresses of its sockets."""
+"""Receiving and sending as messages/transport/sockets.py does, by socket address."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DONTWAIT = 1
 CLOCK_MONOTONIC = 1
 _RCVMORE, _EVENTS, _POLLIN = 13, 15, 1
 
-_LONGEST = MAX_PAYLOAD
+_MAX_PAYLOAD = MAX_PAYLOAD
 _ROOM, _ROOM_IN, _ROOM_TOPIC = LONGEST_OUT, LONGEST_IN, LONGEST_TOPIC
 
 
@@ -38,7 +38,7 @@ overload(monotonic)(lambda s: lambda s: _read_clock(s))  # noqa: ARG005
 
 @compilable
 def receive(s: LoopState, flags: int) -> bool:
-    """Take one message of the expected topic; what else came is left in the buffers to be put back."""
+    """Receive one message of the expected topic; another one stays in the buffers."""
     s.frames = 0
     size = call_pass(s.zmq_recv, (s.inbox, s.frame, _ROOM_TOPIC, flags))
     if size < 0:
@@ -54,19 +54,20 @@ def receive(s: LoopState, flags: int) -> bool:
     more[0] = 0
     call_option(s.zmq_getsockopt, (s.inbox, _RCVMORE, s.events, s.events_size))
     if more[0] == 0:
-        s.frames, s.payload_size = 2, 0  # A message of one frame: the next one is another message's
+        # a message of one frame: the next frame belongs to another message
+        s.frames, s.payload_size = 2, 0
         return False
     size = call_pass(s.zmq_recv, (s.inbox, s.payload, _ROOM_IN, flags))
     if size < 0:
         return False
     s.frames = 2
     s.payload_size = size
-    return bool(size <= _LONGEST)
+    return bool(size <= _MAX_PAYLOAD)
 
 
 @compilable
 def has_message(s: LoopState, socket: int) -> bool:
-    """Whether a socket has something to be received."""
+    """Return whether a message waits at a socket."""
     events = wholes_at(s.events, 1)
     events[0] = 0
     call_option(s.zmq_getsockopt, (socket, _EVENTS, s.events, s.events_size))
@@ -75,7 +76,7 @@ def has_message(s: LoopState, socket: int) -> bool:
 
 @compilable
 def out_at(s: LoopState) -> int:
-    """Choose where the next message is written: where it can wait for the listeners, if it has to."""
+    """Return the address for the next message: the batch for listeners, if there is one."""
     return int(s.held + s.held_count * _ROOM if s.aside != 0 else s.out)
 
 
@@ -88,7 +89,7 @@ def send_hop(s: LoopState, at: int, size: int) -> None:
 
 @compilable
 def flush(s: LoopState) -> None:
-    """Send what was collected for the listeners."""
+    """Send the batch for the listeners."""
     sizes = wholes_at(s.held_sizes, s.batch)
     for k in range(s.held_count):
         call_pass(s.zmq_send, (s.aside, s.topic, s.topic_size, SNDMORE))
@@ -97,8 +98,8 @@ def flush(s: LoopState) -> None:
 
 
 @compilable
-def keep(s: LoopState, size: int) -> bool:
-    """Keep the message written at `out_at` for the listeners; whether so many are kept that they should be sent."""
+def enqueue(s: LoopState, size: int) -> bool:
+    """Queue the message at `out_at` for the listeners. Return whether the batch is full."""
     if s.aside == 0:
         return False
     wholes_at(s.held_sizes, s.batch)[s.held_count] = size
@@ -110,7 +111,7 @@ def keep(s: LoopState, size: int) -> bool:
 def answer(s: LoopState, at: int, size: int) -> None:
     """Send a message to the next hop, then to the listeners."""
     send_hop(s, at, size)
-    if keep(s, size):
+    if enqueue(s, size):
         # Under FIFO the I/O thread, no more urgent than this one, still has the message for the
         # hop.
         call_yield(s.sched_yield, (0,))
@@ -120,17 +121,17 @@ def answer(s: LoopState, at: int, size: int) -> None:
 
 @compilable
 def called(s: LoopState) -> bool:
-    """Send what another thread has to say, once per batch; whether a listener has sent something, which Python takes in."""
+    """Send another thread's message, once per batch. Return whether listeners sent something."""
     s.unlooked += 1
     if s.unlooked < s.batch:
         return False
     s.unlooked = 0
-    if s.mail != 0:
+    if s.outgoing != 0:
         to = s.aside if s.aside != 0 else s.hop
-        call_pass(s.zmq_send, (to, s.mail_topic, s.mail_topic_size, SNDMORE))
-        call_pass(s.zmq_send, (to, s.mail_payload, s.mail_size, 0))
-        s.mailed += 1
-        s.mail = 0
+        call_pass(s.zmq_send, (to, s.outgoing_topic, s.outgoing_topic_size, SNDMORE))
+        call_pass(s.zmq_send, (to, s.outgoing_payload, s.outgoing_size, 0))
+        s.outgoing_sent += 1
+        s.outgoing = 0
     if has_message(s, s.hop) or (s.aside != 0 and has_message(s, s.aside)):
         s.upstream = 1
         return True

@@ -1,7 +1,7 @@
-"""What a kernel needs of the machine and numba does not give: bytes at an address, and functions that are called there.
+"""Memory access and calls by address, which numba lacks.
 
-Nothing here knows of Python's objects: compiled, a kernel refers to no symbol but libm's, and needs
-no interpreter lock.
+Nothing here uses Python objects: a compiled kernel refers to no symbol but libm's, and needs no
+GIL.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nodes.compiled.memory import pairs_at, shared_real, shared_whole
 from nodes.compiled.memory import reals_at as reals_at
 from nodes.compiled.memory import wholes_at as wholes_at
 
-# Of numba a type checker sees only a part.
+# a type checker knows only a part of numba
 types: Any = numba.types
 arrays: Any = arrayobj
 extending: Any = numba.extending
@@ -30,16 +30,15 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compilable(function: Function) -> Function:
-    """Let a function be compiled into those that call it; to a type checker it stays what it is."""
-    # Neither the interpreter nor C calls it: a way of calling it from there would be compiled for
-    # each.
-    compile_: Any = numba.njit  # of numba's options a type checker knows only the common ones
+    """Compile a function into its callers; type checkers see it unchanged."""
+    # Neither the interpreter nor C calls it: without wrappers, which would be compiled for each.
+    compile_: Any = numba.njit  # a type checker knows only numba's common options
     made: Function = compile_(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
     return made
 
 
 def _made(result: Any, takes: Sequence[Any], generate: Callable[..., Any]) -> Intrinsic:
-    """Make a function that exists in compiled code only: of what `generate` writes for one argument or two."""
+    """Return an intrinsic function of one or two arguments, written by `generate`."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         made = generate(context, builder, *arguments)
@@ -56,7 +55,7 @@ def _made(result: Any, takes: Sequence[Any], generate: Callable[..., Any]) -> In
 
 
 def _load(bits: int, result: Any) -> Intrinsic:
-    """Make a load of a big-endian number, at any address."""
+    """Return a load of a big-endian number, at any address."""
 
     def generate(_: Any, builder: Any, address: Any) -> Any:
         whole = ir.IntType(bits)
@@ -74,7 +73,7 @@ def _load(bits: int, result: Any) -> Intrinsic:
 
 
 def _store(bits: int, takes: Any) -> Intrinsic:
-    """Make a store of a big-endian number, at any address."""
+    """Return a store of a big-endian number, at any address."""
 
     def generate(_: Any, builder: Any, address: Any, value: Any) -> None:
         whole = ir.IntType(bits)
@@ -96,7 +95,7 @@ put_real = _store(64, types.float64)
 
 
 def _shared(result: Any) -> Intrinsic:
-    """Make a load of 8 bytes that another process may be writing: it happens before every later one."""
+    """Return an atomic load (acquire) of 8 bytes that another process may be writing."""
 
     def generate(_: Any, builder: Any, address: Any) -> Any:
         value = builder.load_atomic(
@@ -113,7 +112,7 @@ overload(shared_real)(lambda address: lambda address: _real(address))  # noqa: A
 
 
 def _copy(_: Any, builder: Any, target: Any, source: Any) -> None:
-    """Copy 16 bytes, at any addresses: what is shorter is overwritten by what follows."""
+    """Copy 16 bytes, at any addresses; the excess of a shorter piece is overwritten later."""
     block = ir.VectorType(ir.IntType(8), 16)
     value = builder.load(builder.inttoptr(source, block.as_pointer()))
     value.align = 1
@@ -124,7 +123,7 @@ copy16 = _made(types.void, [types.int64, types.int64], _copy)
 
 
 def record_at(record: Any) -> Intrinsic:
-    """Make a look at something of a type that somebody else holds."""
+    """Return an intrinsic that views memory as a type."""
 
     def generate(context: Any, builder: Any, address: Any) -> Any:
         return builder.inttoptr(address, context.get_value_type(record))
@@ -166,7 +165,7 @@ _look_at(pairs_at, types.float64, 2)
 
 
 def _foreign(*takes: Any) -> Intrinsic:
-    """Make a call of a C function that returns an int, by its address and a tuple of arguments."""
+    """Return a call of a C function that returns an int, by address and a tuple of arguments."""
     result = types.int32
 
     def generate(context: Any, builder: Any, address: Any, arguments: Any) -> Any:
@@ -199,7 +198,7 @@ call_sleep = _foreign(types.int32, types.int32, types.int64, types.int64)
 # int ppoll (struct pollfd *descriptors, nfds_t count, const struct timespec *longest, const
 # sigset_t *mask)
 call_poll = _foreign(types.int64, types.int64, types.int64, types.int64)
-# int sched_yield (void), which takes no notice of an argument
+# int sched_yield (void), which ignores the argument
 call_yield = _foreign(types.int64)
 # int read (int64_t context, int64_t seq, double *out) of a device, and int write (…, double *force,
 # int64_t seq, double offset)

@@ -1,8 +1,8 @@
-"""Reading a MessagePack map with known fields, in any order; unknown keys are skipped.
+"""Decoding a MessagePack map with known fields, in any order; unknown keys are skipped.
 
-What is read here is read exactly as messages/codec.py reads it. Anything unusual returns False (a
-wrong type, a value out of its bounds, text that is not ASCII, an extension, a malformed or
-truncated payload): the Python decoder then reads the payload and reports what is wrong with it.
+Values are decoded exactly as messages/codec.py does. Anything unusual returns False (a wrong type,
+a value out of its bounds, text that is not ASCII, an extension, a malformed or truncated payload):
+the Python decoder then reads the payload and reports the error.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from nodes.compiled.kernels.machine import be16, be32, be64, byte, compilable, r
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
 
-# arrays and maps under unknown keys that are skipped; deeper ones may be refused for their depth
+# arrays and maps skipped under unknown keys; deeper ones may be refused
 MOST_SKIPPED = 32
 
 
 @compilable
 def map_size(at: int, end: int) -> tuple[int, int]:
-    """Read the header of a map: entries (-1 for no map) and where they begin."""
+    """Return the number of entries of a map (-1: no map) and their address."""
     if at >= end:
         return -1, at
     first = byte(at)
@@ -39,7 +39,7 @@ def map_size(at: int, end: int) -> tuple[int, int]:
 
 @compilable
 def text_size(at: int, end: int) -> tuple[int, int]:
-    """Read the header of a text: bytes (-1 for no text, or a truncated one) and where they begin."""
+    """Return the length of a text (-1: no text, or truncated) and its address."""
     if at >= end:
         return -1, at
     first = byte(at)
@@ -59,7 +59,7 @@ def text_size(at: int, end: int) -> tuple[int, int]:
 
 @compilable
 def whole_number(at: int, end: int) -> tuple[bool, int, int]:
-    """Read an integer: whether there is one that fits 64 bits with a sign, the integer, and where it ends."""
+    """Decode an integer: whether it fits 64 bits with sign, its value, the address after it."""
     if at >= end:
         return False, 0, at
     first = byte(at)
@@ -93,7 +93,7 @@ def whole_number(at: int, end: int) -> tuple[bool, int, int]:
 
 @compilable
 def real_number(at: int, end: int) -> tuple[bool, float, int]:
-    """Read a finite number, a float or an integer: whether there is one, the number, and where it ends."""
+    """Decode a finite float or integer: whether there is one, its value, the address after it."""
     if at >= end:
         return False, 0.0, at
     first = byte(at)
@@ -110,7 +110,7 @@ def real_number(at: int, end: int) -> tuple[bool, float, int]:
 # Long: one branch a kind of value that msgpack knows.
 @compilable
 def after_value(at: int, end: int) -> int:  # noqa: C901
-    """Skip one value of any kind: where it ends, -1 when that is not to be said."""
+    """Return the address after a value of any kind, or -1 if unknown."""
     left = 1
     containers = 0
     while left > 0:
@@ -148,16 +148,16 @@ def after_value(at: int, end: int) -> int:  # noqa: C901
             size = 3
             containers += 1
         else:
-            return -1  # extensions, the largest containers, and what is no MessagePack
+            return -1  # extensions, the largest containers, and invalid MessagePack
         if size > end - at or containers > MOST_SKIPPED:
             return -1
         at += size
     return at
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long: one compiled function, because a call would cost more than it saves.
 def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:  # noqa: C901, PLR0915
-    """Make the scan of one type of message."""
+    """Return the scanner of a message type."""
     fields: tuple[Field, ...] = fields_of(message)
     count = len(fields)
     names = np.frombuffer(b"".join(field.name.encode() for field in fields), np.uint8).copy()
@@ -188,14 +188,14 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:  
                 return k
         return -1
 
-    # Long: one compiled function: a call across it would cost what it saves.
+    # Long: one compiled function, because a call would cost more than it saves.
     @compilable
     def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:  # noqa: C901
         entries, at = map_size(at, end)
         if entries < 0:
             return False
         seen = 0
-        guess = 0  # most senders keep the order of the fields
+        guess = 0  # most senders preserve the order of the fields
         for _ in range(entries):
             size, at = text_size(at, end)
             if size < 0:
@@ -261,7 +261,7 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:  
 
 
 def make_match(text: str) -> Callable[[Any], bool]:
-    """Make the question whether the text of a scanned message is a certain one."""
+    """Return a function that compares the text of a scanned message with `text`."""
     letters = np.frombuffer(text.encode(), np.uint8).copy()
     count, texts = len(letters), TEXTS
 

@@ -1,4 +1,4 @@
-"""Compiling the very functions that the nodes call: registered with numba as they are, without copies and without fastmath."""
+"""Registration of the nodes' own functions with numba: no copies, no fastmath."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Let compiled functions call a plain function, which itself stays as it is."""
-    # Only compiled code calls it: a way of calling it from C would be compiled for each.
+    """Make a plain function callable from compiled ones; it stays unchanged."""
+    # without a C wrapper, which would be compiled for each: only compiled code calls it
     same: Function = register_jitable(no_cfunc_wrapper=True)(function)
     return same
 
 
 def register_rules() -> None:
-    """Let compiled functions call every rule that was defined so far."""
+    """Make all rules defined so far callable from compiled functions."""
     while RULES:
         kernel(RULES.pop())
 
 
 def record_of(structure: type[Any]) -> Any:
-    """Give a struct of nodes/compiled/layout.py its type in kernels."""
+    """Return the type in kernels of a struct of nodes/compiled/layout.py."""
     return numba.from_dtype(np.dtype(structure))

@@ -121,7 +121,7 @@ class ForceDimensionDevice(MailboxDevice):
                 " have it?"
             )
         raise OSError(
-            f"Force Dimension: no device with serial number {self._wants.serial}; there are:"
+            f"Force Dimension: no device with serial number {self._wants.serial}; available:"
             f" {', '.join(seen)}"
         )
 

@@ -176,7 +176,7 @@ class Inverse3Device(MailboxDevice):
             chosen = [device for device in found if wants.serial in ("", device.device_id)]
             if not chosen:
                 asked = (
-                    f"no Inverse3 {wants.serial}; there are: {', '.join(names)}"
+                    f"no Inverse3 {wants.serial}; available: {', '.join(names)}"
                     if names
                     else "no Inverse3 is connected"
                 )

@@ -98,14 +98,14 @@ class HardwareDriver(Driver):
         super().check_health()
         if self.state == "running":
             # a device passes through poses without any request
-            self._masses.look(self.held.inertia())
+            self._masses.record(self.held.inertia())
 
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Return the operations, with the device's facts, its inertia and re-centring."""
         return {
             **super().operations(),
             "facts": lambda: self.held.facts,
-            "inertia": lambda: self._masses.look(self.held.inertia()),
+            "inertia": lambda: self._masses.record(self.held.inertia()),
             "recentre": self._recentre,
         }
 

@@ -40,7 +40,7 @@ class SeenMasses:
         self._lock = threading.Lock()
         self._range: tuple[float, float] | None = None
 
-    def look(self, inertia: Inertia | None) -> dict[str, Any] | None:
+    def record(self, inertia: Inertia | None) -> dict[str, Any] | None:
         """Record a pose. Return its masses and those of all poses so far [kg]; None if unknown."""
         if inertia is None:
             return None

@@ -240,6 +240,14 @@ class PairedDriver(Driver):
         return {**_pair(*known), **({"heaviest": heaviest} if heaviest > known[0]["mass"] else {})}
 
     @classmethod
+    def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
+        """Return whether both devices live in simulated time."""
+        return all(
+            _kind_of(member, f"{name}.{which}")[1].is_virtual(member.parameters, f"{name}.{which}")
+            for which, member in _both(convert(parameters, PairedDriverParameters, name))
+        )
+
+    @classmethod
     def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
         """Return the lowest of the pair's and the devices' limits [N]."""
         known = [super().largest_force(parameters, name, period)]

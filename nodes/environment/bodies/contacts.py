@@ -123,6 +123,6 @@ def contacts_text(found: Sequence[PairStiffness]) -> str:
         curved = pressed is not None and not 1.0 / _CURVED < pressed / stiffness < _CURVED
         told.append(
             f"{who} {stiffness:.3g} N/m"
-            + (f", {pressed:.3g} N/m under {_LOADS[2]:g} N: it is curved" if curved else "")
+            + (f", {pressed:.3g} N/m under {_LOADS[2]:g} N: it is nonlinear" if curved else "")
         )
     return "; ".join(told) or "none"

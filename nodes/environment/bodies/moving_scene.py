@@ -18,6 +18,7 @@ from typing import Any
 
 from messages.types import Vector
 from nodes.environment.bodies.contacts import PairStiffness, measure_contacts
+from nodes.environment.bodies.implicit import euler_step
 from nodes.environment.bodies.tool import (
     AXES,
     ToolParameters,
@@ -78,7 +79,7 @@ class MovingScene:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         if file.exists() and not (file.is_file() or file.is_dir()):
             # Reading a pipe would block, and a device has no end.
-            raise ParameterError(f"{where}.scene: {file} is no regular file")
+            raise ParameterError(f"{where}.scene: {file} is not a regular file")
         try:
             # Opened here because the operating system's message is clearer than MuJoCo's.
             with open(file, "rb") as opened:
@@ -123,6 +124,8 @@ class MovingScene:
                 f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected"
                 f" at most {WIDEST:g} m; MJCF is in metres"
             )
+        # Its own step, if all behind the tool is solved within it [s]; else None.
+        self.euler_step = euler_step(mujoco, self.model)
         # Sub-steps per tick: the scene's step is shortened so that a whole number fits.
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:
@@ -268,16 +271,13 @@ class MovingScene:
         self.hand_over(force, since, delay)
         self.advance(tick)
         if self.diverged():
-            why = (
-                "the scene diverged and was put back to its beginning; a smaller option timestep"
-                " may help"
-            )
+            why = "the scene diverged and was reset; a smaller option timestep may help"
         elif jumped:
             why = "the device's position jumped"
         elif (away := math.dist(self.tool_position, position)) > self.lost:
             why = (
-                f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: it was"
-                " thrown, or left behind"
+                f"the tool was {away:.3g} m away from the device, more than {self.lost:g} m: "
+                "it was thrown or left behind"
             )
         else:
             if self.inside:

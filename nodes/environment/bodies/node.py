@@ -74,7 +74,7 @@ class MujocoEnvironment(Node):
     def plant(
         cls, parameters: Mapping[str, Any], name: str, axes: Sequence[Axis]
     ) -> dict[str, float]:
-        """Return the tool's mass [kg] and damping [N s/m], for the coupling's stability checks."""
+        """Return the tool's mass [kg], damping [N s/m] and step [s], for the coupling's checks."""
         del axes
         wanted: MujocoParameters = convert(parameters, MujocoParameters, name)
         version = 0, 0
@@ -82,8 +82,9 @@ class MujocoEnvironment(Node):
         with contextlib.suppress(OSError):
             seen = Path(wanted.scene).expanduser().stat()
             version = seen.st_mtime_ns, seen.st_size
-        mass, damping = _tool_facts(wanted, name, *version)
-        return {"tool_mass": mass, "tool_damping": damping}
+        mass, damping, step = _tool_facts(wanted, name, *version)
+        facts = {"tool_mass": mass, "tool_damping": damping}
+        return facts if step is None else facts | {"tool_step": step}
 
     def make_counters(self) -> SpentCounters:
         """Return the tick counters."""
@@ -91,21 +92,34 @@ class MujocoEnvironment(Node):
 
     def configure(self) -> None:
         """Load the scene, measure its contacts, and report what the stability checks need."""
-        self._rebased = self._driver_rebased = 0
-        self._world = load_world(self.store.current, self.setup.period, self.setup.name)
+        self.begin_with(load_world(self.store.current, self.setup.period, self.setup.name))
         self._poses = Poses(
             poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True
         )
-        self._every = max(1, round(1.0 / (RATE * self.setup.period)))
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass);"
-            f" {self._world.steps} steps a tick; {response_text(self._world.response())}; its"
+            f" {self._world.steps} steps a tick; "
+            f"{response_text(self._world.response(), self._world.euler_step)}; its"
             f" contacts, measured: {contacts_text(self._world.stiffness())}",
             {"tool_mass_kg": self._world.mass, "steps": self._world.steps},
         )
 
-    def _answer(self, state: DeviceState) -> bytes | None:
+    _poses: Poses | None = None  # where pages find the bodies; None for no page
+
+    @property
+    def world(self) -> MovingScene:
+        """The scene that it steps."""
+        return self._world
+
+    def begin_with(self, world: MovingScene) -> None:
+        """Begin with a scene."""
+        self._rebased = self._driver_rebased = 0
+        self._world = world
+        self._every = max(1, round(1.0 / (RATE * self.setup.period)))
+
+    def respond(self, state: DeviceState) -> bytes | None:
+        """Answer a tick's state with a proxy."""
         simulated, world, seq = self.clock.simulated, self._world, state.seq
         if state.safety == "fault" and not simulated:
             return None
@@ -118,9 +132,9 @@ class MujocoEnvironment(Node):
         ):
             self._rebased, self._driver_rebased = seq, state.rebased
             if not first:
-                self.events.emit("bodies", f"{why}; the tool begins at the device again")
+                self.events.emit("bodies", f"{why}; the tool restarts at the device")
         if world.inside != inside:
-            unfelt = "begins inside of another body: nothing is felt until it is outside"
+            unfelt = "begins inside another body: nothing is felt until it is outside"
             self.events.emit(
                 "inside",
                 f"the tool {unfelt if world.inside else 'has come outside: all is felt now'}",
@@ -128,7 +142,7 @@ class MujocoEnvironment(Node):
         at = world.tool_position
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
-        if seq % self._every == 0:
+        if self._poses is not None and seq % self._every == 0:
             self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
         stamp = state.stamp if simulated else self.clock.now()
         # The tool is coupled from all sides: no normal, and no clamping.
@@ -144,21 +158,23 @@ class MujocoEnvironment(Node):
 
     def loop(self) -> None:
         """Answer device states until stopped. A repeated state (lockstep) steps the scene once."""
-        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self.respond)
 
 
 # period below every scene's own step [s]: nothing is stepped, only the mass is read
 _SHORT = 1e-6
 
 
-@functools.lru_cache(maxsize=64)  # called when a launch is read, and when it is wired
-def _tool_facts(parameters: MujocoParameters, name: str, *_version: int) -> tuple[float, float]:
-    """Return mass [kg] and damping [N s/m] of a scene's tool.
+@functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
+def _tool_facts(
+    parameters: MujocoParameters, name: str, *_version: int
+) -> tuple[float, float, float | None]:
+    """Return mass [kg], damping [N s/m] and step [s] of the tool of a scene.
 
-    `_version` changes with the file, so that the cache notices.
+    `_version` identifies a file that has been saved again; the step is None as of `euler_step`.
     """
     world = load_world(parameters, _SHORT, name)
-    return world.mass, world.damping
+    return world.mass, world.damping, world.euler_step
 
 
 def load_world(parameters: MujocoParameters, period: float, name: str) -> MovingScene:

@@ -163,15 +163,21 @@ def _moved(
     return np.array(found)
 
 
-def response_text(found: ToolResponse) -> str:
-    """Return a tool's response as text, and what it means for stability."""
+def response_text(found: ToolResponse, step: float | None = None) -> str:
+    """Return a tool's response as text, and what it means for stability.
+
+    `step`: of the scene, where all behind the tool is solved within it [s].
+    """
     text = (
-        f"pushed, it answers {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g}"
+        f"it answers a push {found.lag:.2f} ticks late, damped to ground by {found.damping:.3g}"
         " N s/m"
     )
     if found.damping > 0.0:
         return text
+    if step is not None:
+        return f"{text}: only its mass makes a law provably stable with what it touches"
     return (
-        f"{text}: no law is certain to be stable with what it touches until tool.damping gives it"
-        " some"
+        f"{text}: no law is provably stable with what it touches until tool.damping is above 0"
+        " (nor by its mass: something in the scene is not solved within a"
+        " step, such as a spring on a joint, a motor, or a contact with too little damping)"
     )

@@ -25,11 +25,11 @@ def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
     """
     kind = path.suffix.lower()
     if kind not in (".stl", ".obj"):
-        raise ParameterError(f"{where}: {path} is no .stl and no .obj file")
+        raise ParameterError(f"{where}: {path} is neither an .stl nor an .obj file")
     try:
         size = path.stat().st_size
         if not path.is_file():
-            raise ParameterError(f"{where}: {path} is no file")
+            raise ParameterError(f"{where}: {path} is not a file")
         if size > LARGEST:
             raise ParameterError(
                 f"{where}: {path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate"

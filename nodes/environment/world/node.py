@@ -235,7 +235,8 @@ class WorldEnvironment(Node):
 
         return apply
 
-    def _answer(self, state: DeviceState) -> bytes | None:
+    def respond(self, state: DeviceState) -> bytes | None:
+        """Answer a tick's state with a proxy."""
         simulated = self.clock.simulated
         if state.safety == "fault" and not simulated:
             return None
@@ -265,7 +266,7 @@ class WorldEnvironment(Node):
 
     def loop(self) -> None:
         """Answer device states until stopped. A repeated state (lockstep) moves the body once."""
-        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self._answer)
+        answer_ticks(self, DeviceState, topics.DEVICE_STATE, topics.PROXY, self.respond)
 
 
 def described(parameters: WorldParameters) -> str:

@@ -1,4 +1,4 @@
-// A | B: what the same hand feels with another law, played beside the launch, drawn over what the launch does.
+// A | B comparison: draw what the same hand feels with another law, simulated beside the launch.
 import { fixed, unbroken } from "./format.js";
 
 const KEPT = 8000;
@@ -29,7 +29,7 @@ export class Beside {
 
   clear() { this.times = []; this.position = []; this.force = []; }
 
-  // What has come before is replaced where it overlaps.
+  // Replace samples that overlap.
   show({ law, t, period, position, force, why }) {
     if (law !== this.law) this.clear();
     this.law = this.other.value = law;
@@ -45,7 +45,7 @@ export class Beside {
 
   get on() { return this.law !== "" && this.times.length > 0; }
 
-  // What is known of a time: B comes a little later than A.
+  // Return the samples of a time span; B's arrive a little later than A's.
   at(t) {
     if (!this.on || t < this.times[0]) return null;
     let low = 0, high = this.times.length - 1;

@@ -1,10 +1,11 @@
-// How late a virtual device answers: as far as the loop bears it, and past that only where the dial may go past, too.
+// Slider for the delay of a virtual device, up to the stability limit, or beyond it if the dial may
+// go there.
 import { fixed, unbroken } from "./format.js";
 
 const STEPS = 400, BELOW = 0.98, FARTHEST = 8, RESTS = 700;
 
 export class Delay {
-  // `change` is called with a delay of the device [ticks] and whether the loop swings at it.
+  // `change` is called with the device's delay [ticks] and whether the loop is unstable at it.
   constructor({ row, slider, told, beyond }, change) {
     Object.assign(this, { row, slider, told, box: beyond, change, ticks: null, edge: null, turning: -Infinity });
     slider.addEventListener("input", () => {
@@ -20,7 +21,7 @@ export class Delay {
 
   start({ delays, rate_hz: rate }) { Object.assign(this, { offered: delays, period: 1000 / rate, ticks: null }); this.row.hidden = !delays; }
 
-  // What the device answers with now, and the delay of the device at which the law would swing: null for a far one.
+  // Show the device's present delay, and the delay at which the law becomes unstable (null if far).
   show(ticks, edge) {
     Object.assign(this, { ticks, edge });
     if (performance.now() - this.turning > RESTS) this.fill();

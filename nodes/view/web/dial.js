@@ -1,10 +1,10 @@
-// One dial: how hard the wall is. On a real device it ends at the edge of stability; a virtual one may be let go past it.
+// Dial for the wall's stiffness. It ends at the stability limit; a virtual device may go beyond it.
 import { figure, unbroken } from "./format.js";
 
 const STEPS = 1000, SOFTEST = 0.02, BELOW = 0.98, PAST = 8, RESTS = 700;
 
 export class Dial {
-  // `change` is called with a stiffness [N/m] and whether it lies past the edge.
+  // `change` is called with a stiffness [N/m] and whether it is beyond the limit.
   constructor({ dial, hardness, edge, beyond, allowed }, change) {
     Object.assign(this, { dial, hardness, mark: edge, box: beyond, allowed, change, edge: null, stiffness: null, looked: false, turning: -Infinity });
     dial.addEventListener("input", () => {
@@ -15,7 +15,7 @@ export class Dial {
     });
     for (const event of ["change", "blur"]) dial.addEventListener(event, () => { this.turning = -Infinity; });
     beyond.addEventListener("change", () => {
-      // Whoever takes the permission back comes back with it.
+      // Revoking the permission returns the dial to the limit.
       if (!beyond.checked && this.isPast(this.stiffness)) change(this.ends()[1], false);
       this.fill();
     });
@@ -26,28 +26,30 @@ export class Dial {
     this.off = hello.replay;
   }
 
-  // What renders now, where the edge is for it, and whether it was looked for: null where the law has no stiffness, or no edge is known.
+  // Show stiffness, its limit and whether that was computed; null if the law has no stiffness or
+  // limit.
   show(stiffness, edge, looked) {
     this.looked = looked;
     const safe = this.edge;
     this.stiffness = stiffness;
-    // A trembling delay moves the edge a little, and must not move the dial under a hand.
+    // Ignore small changes of the limit, so that a varying delay does not move the dial under a
+    // hand.
     if (!edge || !safe || Math.abs(edge - safe) > 0.02 * safe) this.edge = edge;
-    // Not under a hand; one that rests on it is none.
+    // Do not move it while it is dragged; a focused but resting dial may move.
     if (performance.now() - this.turning > RESTS) this.fill();
   }
 
   isPast(stiffness) { return this.edge !== null && stiffness >= this.edge; }
 
   ends() {
-    // Where no edge is known, what renders now is the most that is offered.
+    // Without a known limit, the present stiffness is the maximum.
     const most = this.edge ?? this.stiffness ?? 1;
     return [most * SOFTEST, this.edge === null ? most : most * (this.box.checked ? PAST : BELOW)];
   }
 
   value() {
     const [least, most] = this.ends();
-    // Three digits are half a per cent off at most: still below the edge at the dial's end.
+    // Rounding to three digits changes half a per cent at most, which stays below the limit.
     return Number((least * (most / least) ** (this.dial.value / STEPS)).toPrecision(3));
   }
 
@@ -56,13 +58,13 @@ export class Dial {
     return Math.min(1, Math.max(0, Math.log(stiffness / least) / Math.log(most / least)));
   }
 
-  // As if it were turned there.
+  // Act as if the dial were turned to this value.
   set(stiffness) {
     const wanted = Math.min(this.ends()[1], Number(stiffness.toPrecision(3)));
     this.change(wanted, this.isPast(wanted));
   }
 
-  // Past the edge, where that is allowed.
+  // Allow stiffness beyond the limit.
   let(times) {
     if (this.allowed.hidden || this.edge === null) return;
     this.box.checked = true;

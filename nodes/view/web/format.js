@@ -1,7 +1,7 @@
-// Numbers as the page writes them: no minus before a zero, thin spaces between thousands, one item and several items.
+// Number formats of the page: no minus before zero, thin spaces between thousands, plurals.
 const THIN = "\u202f";
 
-// A fixed number of digits after the point.
+// Format with a fixed number of digits after the point.
 export function fixed(value, digits) {
   if (!Number.isFinite(value)) return "–";
   const text = value.toFixed(digits);
@@ -10,22 +10,22 @@ export function fixed(value, digits) {
   return part === undefined ? grouped : `${grouped}.${part}`;
 }
 
-// Three significant digits, or all of a larger whole number.
+// Format with three significant digits, or all digits of a larger integer.
 export function figure(value) {
   if (!Number.isFinite(value)) return "–";
   if (value === 0) return "0";
   return fixed(value, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
 }
 
-// A number and its unit stay on one line.
+// Join a number and its unit with a non-breaking space.
 export function unbroken(text) { return text.replace(/(\d) (?=(N|N\/m|N s\/m|mJ|mm|ms|µs|s|kg|Hz|ticks?|times|strokes)\b)/g, "$1\u00a0"); }
 
 export function count(number, word) { return `${fixed(number, 0)}\u00a0${word}${number === 1 ? "" : "s"}`; }
 
-// As many digits as tell one line of a ruler from the next.
+// Digits needed to distinguish neighbouring ruler marks.
 export function digits(step) { return Math.max(0, -Math.floor(Math.log10(step) + 1e-9)); }
 
-// Steps of 1, 2 or 5 times a power of ten, at least so long.
+// Return the smallest step of 1, 2 or 5 times a power of ten that is at least `least`.
 export function step(least) {
   const decade = 10 ** Math.floor(Math.log10(least));
   return decade * [1, 2, 5, 10].find((factor) => factor * decade >= least * (1 - 1e-9));

@@ -1,20 +1,21 @@
-// The mouse, a finger or the arrow keys as a hand: it takes hold of the hand's target, which never jumps.
+// Mouse, finger or arrow keys as a hand: moves the hand's target without jumps.
 const STEP = 0.0005;
 const GLIDE = 0.15;
 const NEAR = 44;
 
 export class Hand {
-  // `place` gives the coordinate of a pointer [m], the target as the driver tells it, both ends of what is in sight, and pixels per metre.
+  // `place` returns a pointer's coordinate [m], the present target, both ends of the view, and
+  // pixels per metre.
   constructor(canvas, place, move) {
     Object.assign(this, { canvas, place, move, held: null, by: "", grip: 0, wanted: 0, ready: false, used: false, finger: null });
     canvas.addEventListener("pointerdown", (event) => {
-      // A second finger is no hand.
+      // Ignore a second finger.
       if (!this.ready || event.button || this.finger !== null) return;
       this.finger = event.pointerId;
       canvas.setPointerCapture(event.pointerId);
       canvas.focus({ preventScroll: true });
       const target = this.held ?? this.place.target(), at = this.place.coordinate(event);
-      // Near the handle it is pulled from where it was touched; from afar it comes gliding.
+      // Near the handle, drag from the touched point; elsewhere, glide there.
       this.grip = Math.abs(at - target) * this.place.scale() < NEAR ? at - target : 0;
       this.take(target, at - this.grip, "pointer");
     });
@@ -26,7 +27,7 @@ export class Hand {
       this.finger = null;
       this.letGo();
     });
-    // Tab takes the keys away from the canvas, not the mouse that still holds on.
+    // Losing focus by Tab releases the keys, but not a mouse that still drags.
     canvas.addEventListener("blur", () => { if (this.by === "keys") this.letGo(); });
     canvas.addEventListener("keydown", (event) => {
       const step = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
@@ -55,7 +56,7 @@ export class Hand {
     this.step();
   }
 
-  // Once a frame: glide on, then tell. A hand that is close enough follows at once.
+  // Per frame: glide towards the pointer, then send. A hand close enough follows at once.
   step() {
     if (this.held === null) return;
     const now = performance.now(), most = GLIDE * Math.min(0.1, (now - this.since) / 1e3), way = this.wanted - this.held;
@@ -65,7 +66,7 @@ export class Hand {
     this.tell();
   }
 
-  // Ten times a second too, so that a still hand does not fall silent.
+  // Also ten times a second, so that a still hand does not fall silent.
   tell() { if (this.held !== null) this.move(this.held); }
 
   letGo() {

@@ -1,20 +1,23 @@
-// How long after the hand has moved the driver's force is that of its new place, and the picture shows it.
+// Measure the latency from a hand movement to the driver's force and to the picture.
 const KEPT = 200, MOVED = 1e-3, THERE = 5e-4;
 
 export class Lag {
   constructor() { Object.assign(this, { all: [], forces: [], sent: null, seen: null, axis: 0, back: Infinity }); }
 
-  // A target that leaves now [m]; one at a time is followed, along the axis that is looked at. One that is renewed tells nothing.
+  // Start following a target [m], one at a time, along the visible axis; a repeated target is
+  // ignored.
   leave(target) {
     if (target === null) this.sent = null;
     else if (this.sent === null && this.seen !== null && Math.abs(target[this.axis] - this.seen) > MOVED) this.sent = { wanted: target[this.axis], at: performance.now() };
   }
 
-  // The first bin in which the driver's hand comes by what was sent; `index` is that of the series of its target.
+  // Find the first bin in which the driver's target passes the sent one; `index` is the target's
+  // series.
   arrive({ now: { t, target }, times, count, low, high }, axis, index) {
     const here = performance.now(), { sent } = this;
     Object.assign(this, { axis, seen: target[axis] });
-    // The way back, in the page's time: the shortest so far, so that what is told of the force is rather too long.
+    // The return path in the page's time: the shortest so far, so the force latency is an upper
+    // estimate.
     if (Number.isFinite(t)) this.back = Math.min(this.back, here - 1e3 * t);
     if (!sent) return;
     const least = low(index), most = high(index);

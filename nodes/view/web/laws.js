@@ -1,4 +1,4 @@
-// The law: which one renders, and a control for each of its parameters, made from the law's own types and limits.
+// Law panel: the active law, and a control per parameter built from the law's types and limits.
 import { figure, unbroken } from "./format.js";
 
 const WAIT = 60;
@@ -37,11 +37,12 @@ export class Laws {
     return answer;
   }
 
-  // Controls go back to what renders, so nothing stays marked but the reason, until it is read or something else is taken.
+  // Reset controls to the active values; the reason stays marked until it is read or another change
+  // succeeds.
   refuse(error) {
-    const most = /the (largest|smallest) \S+?\.?(\w+) that would be taken is ([\d.e+-]+)/i.exec(error);
+    const most = /the (largest|smallest) \S+?\.?(\w+) that is accepted is ([\d.e+-]+)/i.exec(error);
     const short = document.createElement("summary"), whole = document.createElement("details");
-    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that would be taken is ${figure(Number(most[3].replace(/\.$/, "")))}.` : unbroken(error);
+    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that is accepted is ${figure(Number(most[3].replace(/\.$/, "")))}.` : unbroken(error);
     whole.append(short);
     if (most) whole.append(unbroken(error));
     this.refusal.replaceChildren(whole);
@@ -58,7 +59,7 @@ export class Laws {
     for (const { row } of this.controls.values()) row.classList.remove("refused");
   }
 
-  // A new state of the coupling: rebuild what changed in kind, refill what changed in value.
+  // Show a new state of the coupling: rebuild controls of changed kind, refill changed values.
   show(state) {
     const before = this.state;
     this.state = state;
@@ -71,7 +72,7 @@ export class Laws {
       this.shape = shape;
       this.controls.clear();
       this.sliders.replaceChildren();
-      // A control belongs to its law: what is still under way when another one renders is not for that.
+      // A pending change belongs to its law; drop it when another law becomes active.
       const { active } = state;
       if (law) for (const field of this.fields[law.kind] ?? []) this.control(field, law[field.name], field.name, (value) => this.change(field.name, value, false, active));
     }
@@ -79,7 +80,8 @@ export class Laws {
     this.fill();
   }
 
-  // The launch's own laws as buttons, all others that are installed in a list. What only moves a device to measure it is none.
+  // The launch's laws as buttons, other installed laws in a list, without laws that only measure a
+  // device.
   build(names) {
     const { named = names, active, laws } = this.state;
     const offered = names.filter((name) => laws[name].kind !== "excitation" || name === active);
@@ -103,7 +105,7 @@ export class Laws {
     if (!answer.ok) this.show(this.state);
   }
 
-  // -- controls ---------------------------------------------------------------------------------------------------
+  // -- controls -----------------------------------------------------------------------------------
 
   control(field, value, path, change) {
     if (field.type === "list") {
@@ -132,13 +134,14 @@ export class Laws {
     const law = this.state?.laws[this.state.active];
     if (!law) return;
     for (const [path, { set, row }] of this.controls) {
-      // Not under somebody's hand.
+      // Do not overwrite a control in use.
       if (row.contains(document.activeElement) && row.dataset.moving) continue;
       set(path.split(/[.[\]]+/).filter(Boolean).reduce((value, step) => value?.[step], law), path === "stiffness" ? this.edge : null);
     }
   }
 
-  // Of a slider that is drawn only the newest value is sent, one at a time; past the edge where that was asked for.
+  // Send only the newest value of a dragged slider, one request at a time; beyond the limit if
+  // asked to.
   change(name, value, beyond = false, law = this.state?.active ?? "") {
     this.wanted.set(name, { value, beyond, law });
     if (!this.busy) this.flush();
@@ -165,12 +168,12 @@ export class Laws {
   }
 }
 
-// "terms[0].gain" is the gain of the first term.
+// "terms[0].gain" becomes "term 1: gain".
 function words(path) { return path.replace(/(\w+?)s?\[(\d+)\]\./g, (_, list, k) => `${list} ${Number(k) + 1}: `).replaceAll("_", " "); }
 
-// -- one parameter ------------------------------------------------------------------------------------------------
+// -- one parameter --------------------------------------------------------------------------------
 
-// From 0…1 to a value: straight where both limits are near each other, else ever finer towards zero.
+// Map 0…1 to a value: linear if both limits are close, else logarithmic towards zero.
 function mapping(field, value, edge) {
   const least = field.ge ?? field.gt, most = field.le ?? field.lt;
   const whole = field.type === "integer";
@@ -201,13 +204,13 @@ function slider(field, row, change) {
   range.addEventListener("input", () => {
     row.dataset.moving = "1";
     let value = tidy(map.to(range.value / 1000));
-    // An open limit is not itself allowed.
+    // An exclusive limit is itself not allowed.
     if (field.gt !== undefined && value <= field.gt) value = tidy(map.to(0.004));
     if (field.lt !== undefined && value >= field.lt) value = tidy(map.to(0.996));
     number.value = value;
     change(value);
   });
-  // A key moves a whole number by one, however fine the scale.
+  // A key changes an integer by one, however fine the scale.
   range.addEventListener("keydown", (event) => {
     const by = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
     if (!map.whole || !by) return;
@@ -222,7 +225,7 @@ function slider(field, row, change) {
     set(value, edge) {
       if (value === undefined || value === null) { number.value = ""; return; }
       const low = map.least, high = map.most;
-      // The scale stays while the value fits it well.
+      // Rescale only if the value no longer fits well.
       if (!filled || value > high * 0.97 || value < low || (edge && Math.abs(edge - fitted) > 0.3 * edge) || (value && value < high / 50 && field.lt === undefined && field.le === undefined)) {
         map = mapping(field, value, edge);
         fitted = edge;
@@ -234,7 +237,7 @@ function slider(field, row, change) {
   };
 }
 
-// Another value that comes meanwhile does not overwrite what somebody types.
+// Do not overwrite a value that is being typed.
 function keepWhileTyped(input, row) {
   input.addEventListener("input", () => { row.dataset.moving = "1"; });
   for (const event of ["change", "blur"]) input.addEventListener(event, () => { delete row.dataset.moving; });

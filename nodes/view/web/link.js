@@ -1,4 +1,5 @@
-// The one connection: bins and documents in, requests out. It comes back by itself; nothing is queued while it is away.
+// The WebSocket: bins and documents in, requests out. It reconnects; nothing is queued while
+// offline.
 const HEAD = 16 + 22 * 8;
 const NOW = ["t", "position", "proxy", "normal", "asked", "force", "target", "distance", "contact", "delay"];
 const VECTORS = new Set(["position", "proxy", "normal", "asked", "force", "target"]);
@@ -9,7 +10,7 @@ export class Link {
     this.waiting = new Map();
     this.number = 0;
     this.pause = 250;
-    // When the last message came.
+    // Time of the last message.
     this.heard = -Infinity;
     this.connect();
   }
@@ -28,7 +29,7 @@ export class Link {
       for (const settle of this.waiting.values()) settle({ ok: false, error: "The connection was lost before the answer came." });
       this.waiting.clear();
       this.handlers.close();
-      // After an end too: a view that was ended alone is started again at its old place.
+      // Reconnect even after the end: a restarted view has the same address.
       setTimeout(() => this.connect(), this.pause);
       this.pause = Math.min(2000, this.pause * 1.6);
     };
@@ -45,7 +46,7 @@ export class Link {
     }
   }
 
-  // Ask; the answer is {ok, result, error}.
+  // Send a request; resolves to {ok, result, error}.
   ask(request) {
     if (!this.open) return Promise.resolve({ ok: false, error: "There is no connection to the run." });
     const id = ++this.number;
@@ -55,7 +56,8 @@ export class Link {
     });
   }
 
-  // The hand's target: only the newest counts, so no answer is waited for, and nothing is sent into a full line.
+  // Send the hand's target: only the newest counts, so without an answer, and not into a full
+  // buffer.
   hand(target) {
     if (this.open && (target === null || this.socket.bufferedAmount < 4096)) this.socket.send(JSON.stringify({ op: "hand", target }));
   }

@@ -1,4 +1,5 @@
-// A link that carries what the page shows: law, stiffness, delay, comparison, and whether the lab is open. After the # nothing is sent anywhere.
+// State in the page's link: law, stiffness, delay, comparison, open lab. The part after # is not
+// sent to a server.
 export function readState() {
   const found = new URLSearchParams(location.hash.slice(1)), stiffness = Number(found.get("k")), delay = Number(found.get("d"));
   return { law: found.get("law"), stiffness: stiffness > 0 ? stiffness : null, delay: delay > 0 ? delay : null, beside: found.get("b"), lab: found.has("lab") };

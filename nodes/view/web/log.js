@@ -1,4 +1,4 @@
-// What was changed, what was refused, what must not be overlooked; newest first.
+// Log of changes, refusals and important events; newest first.
 import { count, figure, fixed, unbroken } from "./format.js";
 
 const KEPT = 200;

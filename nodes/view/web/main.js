@@ -1,4 +1,4 @@
-// Wires the page: one connection, and what it brings to dial, scene, force, plots, law, map and log.
+// Connects the page's parts: one connection feeds dial, scene, force, plots, law, map and log.
 import { Beside } from "./beside.js";
 import { Delay } from "./delay.js";
 import { Dial } from "./dial.js";
@@ -59,7 +59,7 @@ const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("dela
 
 const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
 let overlaid = null;
-let asked = false; // whether a recording was asked for here
+let asked = false; // whether this page requested a recording
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
 
@@ -75,13 +75,13 @@ const link = new Link({
   open() { status.connected(true); },
   close() { status.connected(false); scene.letGo(); space.letGo(); },
   hello(found) {
-    // The same run again, or the view started anew: what was logged comes again too.
+    // The view restarted: it sends the log again.
     log.clear();
     plots.marks.length = 0;
     hello = found;
     offer(true);
     status.ended = false;
-    // What it waits for does not come to the old ring any more; how it stands is told again.
+    // The old ring gets no more data; the state is sent again.
     if (!slow.run?.begun) { stoppedAt = null; slow.end(); }
     store = new Store(found.series, found.bin_s, found.kept_s + 30);
     document.title = found.scenario;
@@ -145,7 +145,7 @@ const link = new Link({
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
   },
   record(found) {
-    // Who opens the page later reads it on the button.
+    // Also for pages opened later: the button shows the state.
     const knew = asked || $("record").getAttribute("aria-pressed") === "true";
     asked = false;
     $("record").setAttribute("aria-pressed", found.recording);
@@ -156,14 +156,14 @@ const link = new Link({
   },
   answer(found) {
     if (found.ok) return;
-    // One refusal is enough: whoever may not have the hand does not go on asking for it.
+    // After one refusal, stop asking for the hand.
     if (found.op === "hand") { scene.letGo(); space.letGo(); $("hint").textContent = "Another page holds the hand."; }
     refused(found.error);
   },
 });
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
-// Along one axis, or in three dimensions, of the same moment.
+// One axis or 3D, at the same moment.
 function lookAt(view) {
   const whole = view === "3-D";
   $("axis").value = view;
@@ -176,7 +176,7 @@ function lookAt(view) {
   $("plane").parentElement.hidden = $("section").hidden;
   space.section = $("section").hidden ? null : section;
   scene.look(whole ? hello.axes[0] : view, hello.hand && (whole || view === hello.axes[0]));
-  // Of three axes the plots show the two of the section; along one axis, that one.
+  // With three axes, plots show the two of the section; with one, that one.
   const letters = space.section ? [...section.plane] : [whole ? hello.axes[0] : view];
   strip.look(letters);
   plots.start(store, whole && !space.section ? hello.axes : letters, hello.hand || hello.has_hand);
@@ -184,7 +184,7 @@ function lookAt(view) {
 
 $("axis").addEventListener("change", () => lookAt($("axis").value));
 
-// The edge of another law is none of this one's: until its own map has come there is none.
+// A limit is valid for its law only; until the law's own map arrives there is none.
 function chart() {
   const fits = charted !== null && charted.law === laws.state?.active;
   if (!fits) map.forget();
@@ -200,12 +200,12 @@ function turn() {
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
-// -- what a link carries, and the tour ----------------------------------------------------------------------------
+// -- link state and tour --------------------------------------------------------------------------
 
 let wanted = readState();
 $("lab").open = wanted.lab;
 
-// Once the laws are known: what the link says, one after the other.
+// Apply the link's state in order, once the laws are known.
 async function open() {
   const { law, stiffness, delay: later, beside: other } = wanted;
   wanted = {};
@@ -234,7 +234,7 @@ const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-a
   compared: () => beside.law !== "" && beside.law !== laws.state.active,
 });
 
-// -- a stop, and again --------------------------------------------------------------------------------------------
+// -- stop and restart -----------------------------------------------------------------------------
 
 function watchSlowly(stop) {
   stoppedAt = stop.t;
@@ -253,19 +253,19 @@ function goOn() {
 $("once-more").addEventListener("click", () => { scene.trace.length = 0; slow.again(); });
 $("again").addEventListener("click", async () => {
   $("again").disabled = true;
-  // Back to where it is stable, or it would swing at once.
+  // Restart with a stable stiffness, or the loop would be unstable at once.
   await ask({ op: "again", stiffness: Number(((laws.edge ?? laws.state.laws[laws.state.active].stiffness) * 0.25).toPrecision(2)) });
   $("again").disabled = false;
 });
 
-// Nothing that turns the loop is offered where there is none.
+// Hide controls that change the loop if there is no loop.
 function offer(there) {
   map.movable = there && !hello.replay;
   for (const id of ["dial", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = !there;
   $("other").parentElement.inert = !there;
 }
 
-// -- buttons and keys ---------------------------------------------------------------------------------------------
+// -- buttons and keys -----------------------------------------------------------------------------
 
 $("lab").addEventListener("toggle", () => { plots.resize(); });
 $("span").addEventListener("change", (event) => { plots.span = Number(event.target.value); plots.follow(); });
@@ -290,9 +290,10 @@ addEventListener("keydown", (event) => {
   if (event.key in keys) { event.preventDefault(); keys[event.key](); }
 });
 
-// -- drawing ------------------------------------------------------------------------------------------------------
+// -- drawing --------------------------------------------------------------------------------------
 
-// As often as the screen while somebody moves something or slow motion runs; else half as often, and not at all where nothing comes.
+// Draw at the screen's rate while something is dragged or in slow motion, else at half of it; pause
+// without data.
 const LIVELY = 500, HALF = 30;
 let drawn = 0, plotted = 0, read = 0, touched = 0;
 for (const event of ["pointerdown", "pointermove", "wheel", "keydown", "click", "input", "change", "resize"]) {
@@ -312,17 +313,17 @@ function draw(time) {
     space.draw();
     if (space.section) section.draw(space.now, space.turn);
   }
-  // Half as often as the screen: nobody reads a plot faster.
+  // At half the screen's rate, which is enough for plots.
   if (time - plotted >= HALF) {
     strip.draw(past, beside, scene.now?.t);
     if ($("lab").open) plots.draw();
     plotted = time;
   }
-  // In slow motion the figures keep up with the picture.
+  // In slow motion the figures follow the picture.
   if (time - read > (past ? HALF : 120)) { if ($("space").hidden) scene.read(); else space.read($("reading")); read = time; }
 }
 requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);
 
-// For the console, and the tests.
+// For the console and the tests.
 Object.assign(globalThis, { haptic: { lag, scene, space, section, strip, plots, dial, delay, map, laws, slow, beside, sound, tour } });

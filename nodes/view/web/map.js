@@ -1,10 +1,11 @@
-// The map of stability: which K and B of the present kind of law the loop bears, and where the law stands.
+// Stability map: stable K and B for the active kind of law, and the present point.
 import { digits, figure, fixed, step, unbroken } from "./format.js";
 import { blank } from "./strokes.js";
 import { colour, onTheme } from "./theme.js";
 
 export class StabilityMap {
-  // `move` is called with what the dot is dragged to: stiffness and damping, or stiffness and delay of the device.
+  // `move` is called with the point dragged to: stiffness and damping, or stiffness and device
+  // delay.
   constructor(canvas, words, button, move) {
     this.trail = [];
     this.move = move;
@@ -23,7 +24,7 @@ export class StabilityMap {
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
-  // The dot is a handle: what is past the edge it only reaches where the dial may.
+  // The dot is a handle; it can go beyond the limit only if the dial may.
   drag(canvas) {
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.frame || !this.movable) return;
@@ -46,7 +47,7 @@ export class StabilityMap {
     this.move({ stiffness: wanted, [this.pulls]: later ? along - own : along }, wanted >= edge);
   }
 
-  // The device's own delay at which the present stiffness meets the edge; null for one that is farther than the map.
+  // Device delay at which the present stiffness becomes unstable; null if beyond the map.
   delayEdge() {
     const { map, own } = this;
     if (!map?.over_delay || (map.stable && map.delay_margin_ticks === null)) return null;
@@ -58,7 +59,7 @@ export class StabilityMap {
 
   show(map) {
     const before = this.map;
-    // How much of the delay that it was drawn for is the device's own: by now that may be another.
+    // The device's share of the delay for which the map was drawn; it may have changed since.
     this.own = map.device_delay ?? 0;
     this.map = map;
     if (before?.edge && map.edge && (before.k_n_per_m !== map.k_n_per_m || before.b_n_s_per_m !== map.b_n_s_per_m)) this.trail = [...this.trail.slice(-40), [before.b_n_s_per_m, before.k_n_per_m]];
@@ -69,7 +70,7 @@ export class StabilityMap {
     this.draw();
   }
 
-  // Of a law that renders no more. The place stays, so that nothing under it jumps.
+  // The map is of a law no longer active: keep its place, so that nothing below jumps.
   forget() {
     if (!this.map) return;
     this.map = this.frame = null;
@@ -85,7 +86,7 @@ export class StabilityMap {
     const { mass, heaviest } = map.plant, least = figure(mass), most = figure(heaviest ?? mass);
     const worst = heaviest ? ` and with ${figure(map.mass_kg)} kg, the worst of ${least} to ${most} kg` : "";
     const at = ` at a delay of ${fixed(map.delay_ticks, 2)} ticks${worst}`;
-    // What was seen counts more than what is computed.
+    // An observed instability outweighs the computation.
     if (this.stopped) return [bold("It swung, and the driver stopped it", true), map.stable ? `, though the declared device would be stable${at}: the real loop is not this one.` : `: unstable${at}.`];
     if (!map.stable) {
       const edge = map.k_max_n_per_m === null ? "no stiffness is stable" : `stable up to K = ${figure(map.k_max_n_per_m)} N/m`;
@@ -96,7 +97,7 @@ export class StabilityMap {
     return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), `. ${this.moving(map)}`];
   }
 
-  // What is certified when the wall moves: any passive world that answers in the same tick.
+  // Certified for a moving wall: any passive world that answers in the same tick.
   moving(map) {
     if (!map.any_world) return "";
     const k = map.k_max_any_world_n_per_m;
@@ -104,7 +105,7 @@ export class StabilityMap {
     return k === null ? `${worlds}: no K is certified.` : `${worlds}: K up to ${figure(k)} N/m (dashed).`;
   }
 
-  // Whether the driver has stopped the loop, whatever is computed.
+  // Whether the driver stopped the loop, whatever is computed.
   stop(stopped) {
     if (this.stopped === stopped) return;
     this.stopped = stopped;
@@ -118,7 +119,7 @@ export class StabilityMap {
     const rows = map.edge.filter(([b]) => this.whole || b <= map.near * 1.0001);
     const most = Math.max(map.k_n_per_m * 1.25, ...rows.map(([, , high]) => (high ?? 0) * 1.12));
     const right = this.whole ? Math.max(...rows.map(([b]) => b)) : map.near;
-    // Two panels over one K: what the damping does to the edge, and what the delay does.
+    // Two panels with a common K axis: limit over damping, and limit over delay.
     const left = 50, bottom = height - 30, top = 8, end = left + Math.round((width - left) * 0.58), begin = end + 20, last = width - 10;
     const over = map.over_delay, far = over.at(-1)[0], u = (delay) => begin + (delay / far) * (last - begin);
     const x = (b) => left + (b / right) * (end - left), y = (k) => bottom - (k / most) * (bottom - top);
@@ -159,7 +160,7 @@ export class StabilityMap {
     if ((high ?? most) < 0.9 * most) g.fillText("sings", x(stable[Math.floor(stable.length * 0.35)][0]), y(0.94 * most) + 16);
   }
 
-  // The edge over the delay of the whole loop.
+  // Limit over the delay of the whole loop.
   later(g, rows, u, y) {
     const { bottom, top, begin, last, most, far } = this.frame, stable = rows.filter(([, low]) => low !== null);
     g.save();
@@ -187,7 +188,7 @@ export class StabilityMap {
     g.fillText("delay [ticks]", last, bottom + 27);
   }
 
-  // The edge for any world that moves.
+  // Limit for any moving world.
   dashed(g, rows, across, y) {
     g.save();
     g.setLineDash([5, 4]);
@@ -203,7 +204,7 @@ export class StabilityMap {
     g.restore();
   }
 
-  // Where one was.
+  // Previous points.
   where(g, x, y) {
     this.trail.forEach(([b, k], n) => {
       g.globalAlpha = 0.15 + (0.45 * n) / this.trail.length;
@@ -256,7 +257,7 @@ export class StabilityMap {
   }
 }
 
-// Round numbers from 0 on, each with its text.
+// Round numbers from 0, with labels.
 function nice(most, count) {
   const every = step(most / count), found = [];
   for (let n = 0; n * every <= most; n++) found.push([n * every, fixed(n * every, digits(every))]);

@@ -1,4 +1,5 @@
-// Draws one axis of the scene on a canvas: wall, trail, hand, coupling, forces. Along the axis u, across it v, in pixels.
+// Draws one axis of the scene on a canvas: wall, trail, hand, coupling, forces. u runs along the
+// axis, v across [px].
 import { colour } from "./theme.js";
 import { digits, fixed, step } from "./format.js";
 import { blank, line, strokes } from "./strokes.js";
@@ -7,7 +8,8 @@ const ARROW = 110;
 const TRACE_SECONDS = 1.6;
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
-// `view` is what is in sight: upright, middle and half of the axis [m], and whether it is the lens. `it` is what is shown.
+// `view`: orientation, middle and half of the visible axis [m], and whether it is the lens. `it`:
+// data to show.
 export function paint(canvas, view, it) {
   const width = canvas.clientWidth, height = canvas.clientHeight;
   if (!width || !height) return;
@@ -36,7 +38,7 @@ function turned(p, draw) {
   p.g.restore();
 }
 
-// Upright text at a place that is given along and across the axis.
+// Draw upright text at a position along and across the axis.
 function text(p, u, v, words, align = "center") {
   const { g } = p;
   g.save();
@@ -56,7 +58,7 @@ function circle(g, tint, u, v, radius, width = 0) {
   if (width) g.stroke(); else g.fill();
 }
 
-// -- the ruler ------------------------------------------------------------------------------------------------------
+// -- the ruler ------------------------------------------------------------------------------------
 
 function rulerLines({ middle, half }, scale) {
   const every = step(70 / scale), written = digits(every * 1e3), found = [];
@@ -76,15 +78,15 @@ function labels({ g, upright, length, breadth }, lines, letter) {
     g.textAlign = upright ? "left" : "center";
     if (upright) g.fillText(words, 10 - breadth / 2, -u - 4); else g.fillText(words, u, breadth / 2 - 10);
   }
-  // In the small lens of a phone it would lie over what is looked at.
+  // In the small lens of a phone it would cover the content.
   if (Math.max(length, breadth) < 160) return;
   g.textAlign = "right";
   g.fillText(`${letter} [mm]`, (upright ? breadth : length) / 2 - 12, (upright ? length : breadth) / 2 - 26);
 }
 
-// -- the wall -------------------------------------------------------------------------------------------------------
+// -- the wall -------------------------------------------------------------------------------------
 
-// It dents where the device is, as deep as that is.
+// The wall dents as deep as the device penetrates.
 function wall(p, { now, axis, surface, forceScale }) {
   const { g, breadth, length } = p, at = p.at(surface.at), inward = -surface.side, end = inward * (length + Math.abs(at));
   const touches = now?.contact === 1, wide = p.lens ? 46 : 26;
@@ -101,7 +103,7 @@ function wall(p, { now, axis, surface, forceScale }) {
   g.fillStyle = colour("wall");
   g.fillRect(-length, -breadth, 2 * length, 2 * breadth);
   g.globalAlpha = 0.22;
-  // As many as cross what is in sight, each all the way through it, and all in one stroke.
+  // Hatching: all visible lines in one stroke, each across the whole view.
   const far = Math.max(0, length / 2 - inward * at), cross = [];
   for (let v = 14 * Math.ceil((-breadth / 2 - far) / 14); v < breadth / 2; v += 14) cross.push([[at, v], [at + inward * far, v + far]]);
   strokes(g, "wall-edge", 1.5, cross);
@@ -119,9 +121,9 @@ function wall(p, { now, axis, surface, forceScale }) {
   line(g, "wall-edge", 2, edge);
 }
 
-// -- what moves -----------------------------------------------------------------------------------------------------
+// -- moving parts ---------------------------------------------------------------------------------
 
-// What was: time runs away across the axis.
+// Trail of the past; time runs across the axis.
 function trail(p, { now, trace }) {
   const { g, breadth } = p;
   const point = ([t, x]) => [p.at(x), (-(now.t - t) / TRACE_SECONDS) * breadth * 0.5];
@@ -132,14 +134,14 @@ function trail(p, { now, trace }) {
   g.globalAlpha = 1;
 }
 
-// A zigzag between two places at the same height.
+// Draw a zigzag between two points at the same height.
 function spring(g, tint, from, to, v, width, turns = 8, high = 5) {
   const points = [[from, v]];
   for (let k = 1; k < turns; k++) points.push([from + ((to - from) * (k - 0.5)) / (turns - 1), v + (k % 2 ? high : -high)]);
   line(g, tint, width, [...points, [to, v]]);
 }
 
-// The hand: a spring from the device to where it is pulled, and the handle to pull it by.
+// The hand: a spring from the device to its target, and the handle to drag.
 function hand(p, { now, axis, held, asks, handle }) {
   const { g } = p, v = 30, u = p.at(now.position[axis]), taken = p.at(now.target[axis]);
   line(g, "target", 1.5, [[u, 8], [u, v]]);
@@ -148,14 +150,14 @@ function hand(p, { now, axis, held, asks, handle }) {
   g.globalAlpha = 1;
   circle(g, "target", taken, v, p.lens ? 5 : 9);
   if (p.lens) return;
-  // Where the hand is wanted; what it has taken lags behind at the speed limit.
+  // Where the hand is wanted; its target follows at the speed limit.
   if (held !== null) circle(g, "target", p.at(held), v, 14, 2);
   else if (handle) {
     const pulse = asks && !STILL.matches ? 2 + 2 * Math.sin(performance.now() / 250) : 0;
     circle(g, "target", taken, v, 14 + pulse, asks ? 2.5 : 1.5);
     if (asks) {
       g.fillStyle = colour("target");
-      // Its words stay inside the picture: where there is no room below it, beside it.
+      // Its label stays inside the picture, beside the handle if there is no room below.
       const most = p.length / 2 - 34, low = !p.upright && p.breadth < 210;
       text(p, p.upright ? taken : Math.min(most, Math.max(-most, taken + (low ? 50 : 0))), v + (p.upright ? 60 : low ? 0 : 34), "pull me");
     }
@@ -182,7 +184,7 @@ function bodies(p, it) {
   arrow(p, u, given, it.forceScale, "force", 4, true);
 }
 
-// A spring, and a damper below it: what a law of stiffness and damping stands for.
+// A spring with a damper below: symbol of a law with stiffness and damping.
 function coupling(g, from, to) {
   spring(g, "proxy", from, to, -7, 2, 8, 4);
   const middle = (from + to) / 2, half = Math.min(7, Math.abs(to - from) / 4) * Math.sign(to - from);
@@ -193,7 +195,7 @@ function coupling(g, from, to) {
 }
 
 function arrow(p, u, force, forceScale, tint, width, named = false) {
-  // On a phone it stays out of the corner where the lens is.
+  // On a phone, avoid the corner with the lens.
   const size = (force / forceScale) * Math.min(ARROW, 0.2 * p.length), v = -28;
   if (!(Math.abs(size) > 1.5)) return;
   const { g } = p, tip = u + size, sign = Math.sign(size);

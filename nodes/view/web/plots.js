@@ -1,4 +1,5 @@
-// Time plots: position, force, energy, response; each column of pixels shows its least and largest value.
+// Time plots of position, force, energy and response; each pixel column shows its smallest and
+// largest value.
 import { digits, fixed, unbroken } from "./format.js";
 import { colour, onTheme } from "./theme.js";
 
@@ -12,7 +13,8 @@ const PANELS = [
 ];
 
 export class Plots {
-  // `picked` is called with a time [s] that was clicked on; `over` gives other curves of the same time: times, and values by unit.
+  // `picked` is called with a clicked time [s]; `over` returns other curves of the same time:
+  // times, and values by unit.
   constructor(place, legend, values, viewChanged, picked) {
     Object.assign(this, { values, picked, over: null, at: null, fingers: new Map() });
     this.place = place;
@@ -65,7 +67,7 @@ export class Plots {
     const canvas = plot.root.querySelector("canvas");
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", title);
-    // What is being chosen holds still.
+    // Freeze while the user selects.
     plot.over.addEventListener("mousedown", () => { this.still = true; });
     plot.over.addEventListener("dblclick", () => this.follow());
     plot.over.addEventListener("click", (event) => { if (Math.abs(event.offsetX - this.pressed) < 4) this.picked(plot.posToVal(event.offsetX, "x")); });
@@ -74,7 +76,7 @@ export class Plots {
     for (const name of ["pointerup", "pointercancel"]) plot.over.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     plot.over.addEventListener("wheel", (event) => this.wheel(event, plot), { passive: false });
     const names = lines.filter(([name]) => name !== "target" || hand).map(([, , label]) => label || unit);
-    // Of several axes each line is named with its own.
+    // With several axes, each label names its axis.
     const each = axes.length > 1 && lines.length > 1 ? names.flatMap((name) => axes.map((axis) => `${name} ${axis}`)) : names;
     return { plot, wanted, factor, unit, lines: each, height: height + (unit === "response" ? 18 : 0) };
   }
@@ -85,12 +87,13 @@ export class Plots {
     this.dirty = true;
   }
 
-  // -- what is in sight -------------------------------------------------------------------------------------------
+  // -- visible time span --------------------------------------------------------------------------
 
-  // Live: the newest span. Otherwise the window that was chosen.
+  // Live: the newest span; otherwise the chosen window.
   sight() {
     if (this.window) return this.window;
-    // Of a recording a page that the moment shown goes through, so that any moment in it can be picked.
+    // Recording: the page of the time line that contains the present moment, so that any moment can
+    // be clicked.
     if (this.replayed && this.at !== null) {
       const { at, span } = this, begin = this.page ?? -Infinity;
       if (at < begin || at > begin + 0.95 * span || this.paged !== span) Object.assign(this, { page: Math.max(this.store.begin, at - 0.1 * span), paged: span });
@@ -124,7 +127,7 @@ export class Plots {
     this.look(at - (at - from) * factor, at + (to - at) * factor);
   }
 
-  // One finger moves, two zoom.
+  // One finger pans, two zoom.
   finger(event, plot) {
     if (event.pointerType !== "touch" || (event.type === "pointermove" && !this.fingers.has(event.pointerId))) return;
     const before = [...this.fingers.values()];
@@ -138,7 +141,7 @@ export class Plots {
     this.look(begin, begin + (to - from) * scale);
   }
 
-  // What stands under the pointer, in all panels.
+  // Values under the pointer, in all panels.
   read(plot) {
     const { left, idx } = plot.cursor;
     if (left < 0 || idx === null || idx === undefined || plot !== this.panels[0]?.plot) return;
@@ -162,7 +165,7 @@ export class Plots {
     this.look(from + by, to + by);
   }
 
-  // -- drawing ----------------------------------------------------------------------------------------------------
+  // -- drawing ------------------------------------------------------------------------------------
 
   draw() {
     if (!this.store || !this.panels.length || this.still || document.hidden) return;
@@ -181,7 +184,7 @@ export class Plots {
     }
   }
 
-  // Another law, or another recording, over the launch's own curves.
+  // Curves of another law or recording.
   drawOver(plot, unit) {
     const found = this.over?.(), values = found?.[unit];
     if (values && found.times.length) {
@@ -202,7 +205,7 @@ export class Plots {
       ctx.stroke();
       ctx.restore();
     }
-    // The moment that the scene shows.
+    // Cursor at the moment that the scene shows.
     if (this.at !== null) {
       const x = plot.valToPos(this.at, "x", true);
       plot.ctx.fillStyle = colour("ink");
@@ -245,7 +248,7 @@ export class Plots {
 function axis(shown) {
   return {
     stroke: () => colour("soft"), grid: { stroke: () => colour("grid"), width: 1 }, ticks: { show: false },
-    // uPlot scales whole pixels only.
+    // uPlot scales to whole pixels only.
     font: "12px system-ui, sans-serif", values: (_, splits, __, ___, every) => splits.map((at) => (at === null || !shown ? "" : fixed(at, digits(every)))),
     ...(shown ? {} : { size: 8 }),
   };
@@ -258,7 +261,7 @@ function entry(tint, label) {
   return found;
 }
 
-// Widens at once and narrows slowly, so that a plot does not breathe.
+// Widens at once and narrows slowly, so that the axis does not flicker.
 function calm(range, low, high) {
   if (low === null || high === null || !Number.isFinite(low)) return [range.low ?? -1, range.high ?? 1];
   const margin = Math.max((high - low) * 0.08, Math.abs(high) * 1e-3, 1e-6);

@@ -12,7 +12,7 @@ export class Replay {
     this.speed.addEventListener("change", () => this.ask({ op: "speed", factor: Number(this.speed.value) }));
   }
 
-  // To a moment that was clicked on.
+  // Seek to a clicked moment.
   go(t) { this.ask({ op: "seek", t: Math.min(Number(this.seek.max), Math.max(Number(this.seek.min), t)) }); }
 
   start(hello) {

@@ -1,4 +1,4 @@
-// The scene to scale along one axis of those that the loop computes, and beside it the last millimetre around the surface.
+// The scene along one axis, to scale, and beside it the last millimetre around the surface.
 import { fixed, unbroken } from "./format.js";
 import { Hand } from "./hand.js";
 import { paint } from "./picture.js";
@@ -41,7 +41,7 @@ export class Scene {
     this.clear();
     Object.assign(this, { axis: INDEX[letter], letter, upright: letter === "z" });
     this.draggable = hand;
-    // As an application it has its arrow keys to itself: a screen reader would keep them.
+    // With role "application" it gets its arrow keys; a screen reader would keep them.
     this.canvas.setAttribute("role", hand ? "application" : "img");
     this.canvas.setAttribute("aria-label", hand
       ? "Scene. Drag to move the hand, or use the arrow keys; Escape lets go."
@@ -65,7 +65,7 @@ export class Scene {
     return this.middle + along / this.scale();
   }
 
-  // -- what is shown ----------------------------------------------------------------------------------------------
+  // -- content ------------------------------------------------------------------------------------
 
   show(now) {
     this.now = now;
@@ -75,18 +75,19 @@ export class Scene {
     if (now.target[a]) this.hand = true;
     this.trace.push([now.t, now.position[a]]);
     while (this.trace.length && (this.trace[0][0] < now.t - TRACE_SECONDS || this.trace[0][0] > now.t)) this.trace.shift();
-    // Settles on the strongest force of late, so that arrows keep their meaning. Before the first answer there is none.
+    // Scale arrows to the strongest recent force, so that their meaning is stable; none before the
+    // first answer.
     const strongest = Math.max(...[now.force[a], now.asked[a]].map((force) => (Number.isFinite(force) ? Math.abs(force) : 0)));
     this.forceScale = Math.max(2, Math.min(strongest, this.limit ?? Infinity), this.forceScale * 0.999);
     this.deepest = Math.max(now.contact === 1 ? Math.abs(now.distance) || 0 : 0, this.deepest * 0.99);
     this.fit();
   }
 
-  // Keep all that matters in sight, without moving under somebody's hand.
+  // Keep everything relevant in view without moving under the user's hand.
   fit() {
     if (this.held !== null || !this.now) return;
     const a = this.axis, seen = [this.now.position[a], 0];
-    // Some of what lies behind the surface too: room to push.
+    // Include some space behind the surface, to push into.
     if (this.surface) seen.push(this.surface.at, this.surface.at - this.surface.side * ROOM);
     if (this.hand) seen.push(this.now.target[a]);
     const shown = seen.filter(Number.isFinite);
@@ -108,14 +109,14 @@ export class Scene {
     const beside = now && this.beside?.at(now.t);
     const it = { now, beside, axis, letter, surface, trace, hand, held, limit, forceScale, handle: this.draggable, asks: this.draggable && !this.grip.used };
     paint(this.canvas, { upright, middle: this.middle, half: this.half, lens: false }, it);
-    // In three dimensions there is no canvas to draw on.
+    // In 3D there is no canvas for one axis.
     this.lens.hidden = !surface || !this.canvas.clientWidth;
     if (this.lens.hidden) return;
     const half = LENSES.find((size) => size > this.deepest * 1.15) ?? this.half;
     paint(this.lens, { upright, middle: surface.at, half, lens: true }, it);
   }
 
-  // The figures of this very moment, a few times a second: faster cannot be read.
+  // Figures of this moment, updated only as fast as one can read.
   read() {
     const { now, axis } = this;
     if (!now) return;

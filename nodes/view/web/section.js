@@ -1,4 +1,5 @@
-// A plane of section through the device: what it cuts, and device, proxy and force as they lie in it. It says what the plots show.
+// Plane of section through the device: the cut, and device, proxy and force projected onto it;
+// plots use its axes.
 import { fixed, step } from "./format.js";
 import { colour } from "./theme.js";
 import { blank, dotAt, line, ring, zigzag } from "./strokes.js";
@@ -12,7 +13,7 @@ export class Section {
     picker.addEventListener("change", () => { this.plane = picker.value; turned([...this.plane]); });
   }
 
-  // The planes of a scene's axes; upright ones first, for most things lie below.
+  // Planes of the scene's axes; upright ones first, as most objects lie below.
   start(solids, axes) {
     this.solids = solids;
     const planes = ["xz", "yz", "xy"].filter((plane) => [...plane].every((letter) => axes.includes(letter)));
@@ -24,10 +25,11 @@ export class Section {
   get axes() { return [...this.plane].map((letter) => LETTERS.indexOf(letter)); }
   get across() { return 3 - this.axes[0] - this.axes[1]; }
 
-  // Where the plane cuts the scene; the same for the picture in three dimensions.
+  // Position of the plane; the 3D view shows the same.
   lines(now) { return this.solids.cut(this.across, now.position[this.across]); }
 
-  // `reach` is half of what is in sight [m], about the middle of the scene; what is nearer goes with the device.
+  // `reach`: half of the visible size [m], about the scene's middle; a close view follows the
+  // device.
   draw(now, { reach: whole, scale, middle: centre }) {
     const reach = (0.8 * whole) / scale;
     const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight;
@@ -49,7 +51,8 @@ export class Section {
   }
 
   words(g, width, height, pixels) {
-    // In the corner of a phone's scene it would lie over what is looked at; the plane is named beside it.
+    // In the corner of a phone's scene it would cover the content; the label beside it names the
+    // plane.
     if (width < 160) return;
     const long = step(50 / pixels), [u, v] = [width / 2 - 12, height / 2 - 14];
     line(g, "soft", 1.5, [[u - long * pixels, v], [u, v]]);

@@ -1,12 +1,12 @@
-// The last moments before a stop, played again from what the page has kept, slowly.
+// Replay of the last moments before a stop, from the page's stored bins, slowly.
 const BEFORE = 0.3, MARGIN = 0.04, SLOWER = 15;
-// The proxy is so far from a device that touches [m]: beyond what is rounded.
+// Smallest distance between proxy and device in contact [m]; above rounding errors.
 const TOUCHED = 1e-7;
 
 export class SlowMotion {
   constructor() { this.run = null; }
 
-  // Waits until the bins of the stop have come, and then keeps them. Of several axes the surface is where the proxy is.
+  // Wait for the bins of the stop, then store them. With several axes the proxy is at the surface.
   start(store, axis, { t, span_s: span }, surface) {
     this.run = { store, axis, from: t - Math.max(BEFORE, span + MARGIN), to: t + MARGIN, surface, begun: null };
   }
@@ -17,7 +17,8 @@ export class SlowMotion {
 
   get on() { return this.run !== null; }
 
-  // Where it is: the window, the time in it and its bins. It stays at its end until it is ended; a page that came too late has none.
+  // Return window, present time and bins. It stays at its end until closed; a page opened too late
+  // has none.
   window() {
     const { run } = this;
     if (!run || (run.begun === null && run.store.end < run.to)) return null;
@@ -29,13 +30,13 @@ export class SlowMotion {
     return { sight: [run.from, run.to], at: Math.min(run.to, run.from + (performance.now() - run.begun) / 1e3 / SLOWER), store: run.store };
   }
 
-  // What the scene shows at a time, put together from the bins.
+  // Return the scene's state at a time, from the bins.
   now(at) {
     const { store, axis, surface } = this.run, n = Math.min(store.find(at), store.head - 1) % store.size;
     const along = (name) => [..."xyz"].map((letter) => {
       const i = store.index(`${name}.${letter}`);
       if (i < 0) return 0;
-      // The stronger of a bin's two values: a spike is what is looked for here.
+      // Use the stronger of a bin's two values, to show spikes.
       const low = store.low[i][n], high = store.high[i][n];
       return Math.abs(low) > Math.abs(high) ? low : high;
     });

@@ -1,4 +1,5 @@
-// The solids of a scene as triangles in its own axes: those that stand, sent once, and bodies, each with its pose.
+// Solids of a scene as triangles in the scene's axes: static ones, sent once, and bodies with a
+// pose each.
 export const REACH = 0.08;
 
 export class Solids {
@@ -10,14 +11,15 @@ export class Solids {
     this.version = 0;
   }
 
-  // Of each body: its place, then its rotation matrix by rows.
+  // Per body: position, then rotation matrix by rows.
   pose(poses) {
     this.poses = poses;
     this.version++;
     this.placed = null;
   }
 
-  // All triangles where they are now: three corners, and whether they are the tool's.
+  // Return all triangles at their present place: three corners, and whether they belong to the
+  // tool.
   all() {
     if (!this.placed) {
       this.placed = this.still.map((points) => ({ points, tool: false }));
@@ -28,14 +30,14 @@ export class Solids {
     return this.placed;
   }
 
-  // Middle and half of what there is, with the origin, near which the device begins.
+  // Middle and half size of everything, including the origin, near which the device starts.
   extent() {
     const low = [0, 0, 0], high = [0, 0, 0];
     for (const { points } of this.all()) for (const point of points) for (let k = 0; k < 3; k++) { low[k] = Math.min(low[k], point[k]); high[k] = Math.max(high[k], point[k]); }
     return { middle: low.map((each, k) => (each + high[k]) / 2), reach: Math.max(0.02, Math.hypot(...high.map((each, k) => each - low[k])) / 2) };
   }
 
-  // Where a plane across an axis cuts them: pairs of points.
+  // Return the segments in which a plane across an axis cuts the solids.
   cut(axis, at) {
     const found = [];
     for (const { points, tool } of this.all()) {

@@ -1,4 +1,4 @@
-// The loop heard and felt: off until somebody clicks. On phones a knock is felt too.
+// Make the loop audible, and tangible on phones; off until clicked.
 const KNOCK = 0.5;
 
 export class Sound {
@@ -7,7 +7,7 @@ export class Sound {
     button.addEventListener("click", () => this.set(!this.on));
   }
 
-  // Of several axes the size of the force is heard: it may ring along any of them.
+  // With several axes, use the force's magnitude: ringing may occur along any axis.
   start(store, axes) {
     this.store = store;
     this.series = axes.map((letter) => store.index(`force.${letter}`));
@@ -28,7 +28,8 @@ export class Sound {
     return this.context.resume();
   }
 
-  // Called when new bins are there: each becomes one sample, the stronger of its two values. A recording is heard up to where it is.
+  // Called with new bins: each becomes one sample, the stronger of its two values. A recording is
+  // heard up to the cursor.
   hear(until = Infinity) {
     const { store } = this, head = !store ? 0 : until < store.end ? store.find(until) : store.head;
     if (!this.on || !this.node || this.from > head) { this.from = head; return; }

@@ -1,4 +1,5 @@
-// The scene in three dimensions: its solids, drawn again only when they or the camera move, and over them device, proxy and force.
+// The scene in 3D: solids redrawn only when they or the camera move; device, proxy and force on
+// top.
 import { fixed, unbroken } from "./format.js";
 import { Solids } from "./solids.js";
 import { dotAt, line, ring, zigzag } from "./strokes.js";
@@ -14,7 +15,7 @@ const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a
 const size = (a) => Math.sqrt(dot(a, a));
 
 export class Space {
-  // `move` is called with where the hand is wanted [m], or null when it lets go.
+  // `move` is called with the wanted position of the hand [m], or null on release.
   constructor(canvas, move) {
     Object.assign(this, { canvas, move, still: document.createElement("canvas"), shape: null, solids: null, section: null, finger: null, now: null, trace: [], held: null, ready: false, by: "" });
     this.turn = { yaw: -0.7, pitch: 0.45, scale: 1, middle: [0, 0, 0] };
@@ -36,7 +37,7 @@ export class Space {
     if (this.shape) Object.assign(this.turn, this.solids.extent());
   }
 
-  // Where the bodies are.
+  // Set the poses of the bodies.
   pose(poses) {
     if (!this.solids) return;
     const first = !this.solids.poses;
@@ -44,7 +45,7 @@ export class Space {
     if (first) Object.assign(this.turn, this.solids.extent());
   }
 
-  // -- the camera ---------------------------------------------------------------------------------------------------
+  // -- the camera ---------------------------------------------------------------------------------
 
   axes() {
     const { yaw, pitch } = this.turn;
@@ -52,14 +53,14 @@ export class Space {
     return { right, up: cross(right, away), away };
   }
 
-  // Pixels from the middle, and how far away [m].
+  // Project to pixels from the middle, and depth [m].
   seen(point) {
     const { right, up, away } = this.camera, from = minus(point, this.turn.middle);
     return [dot(from, right) * this.pixels, -dot(from, up) * this.pixels, dot(from, away)];
   }
 
   press(event) {
-    // A second finger is no hand.
+    // Ignore a second finger.
     if (event.button || this.finger !== null) return;
     this.finger = event.pointerId;
     this.canvas.setPointerCapture(event.pointerId);
@@ -70,7 +71,7 @@ export class Space {
     if (this.by === "hand") this.held = [...this.now.target];
   }
 
-  // The handle moves in the plane that the camera looks at; anywhere else turns the camera.
+  // The handle moves in the camera's plane; dragging anywhere else turns the camera.
   drag(event) {
     if (!this.by || event.pointerId !== this.finger) return;
     const du = event.offsetX - this.last[0], dv = event.offsetY - this.last[1];
@@ -80,7 +81,7 @@ export class Space {
       this.turn.pitch = Math.min(1.5, Math.max(-1.5, this.turn.pitch + dv * 0.008));
       return;
     }
-    // Let go meanwhile: the connection was lost, or another page holds it.
+    // Released meanwhile: the connection was lost, or another page holds the hand.
     if (!this.held) return;
     this.held = plus(plus(this.held, this.camera.right, du / this.pixels), this.camera.up, -dv / this.pixels);
     this.tell();
@@ -92,7 +93,8 @@ export class Space {
     this.letGo();
   }
 
-  // Arrow keys move the hand in the plane that the camera looks at, Page Up and Page Down away and nearer; Escape lets go.
+  // Arrow keys move the hand in the camera's plane, Page Up and Page Down in depth; Escape releases
+  // it.
   key(event) {
     if (event.key === "Escape") return this.letGo();
     const { right, up, away } = this.camera ?? {}, way = { ArrowRight: [right, 1], ArrowLeft: [right, -1], ArrowUp: [up, 1], ArrowDown: [up, -1], PageUp: [away, 1], PageDown: [away, -1] }[event.key];
@@ -102,7 +104,7 @@ export class Space {
     this.tell();
   }
 
-  // The wheel: nearer and farther of the hand while it is held, else of the camera.
+  // The wheel moves the hand in depth while it is held, else the camera.
   wheel(event) {
     event.preventDefault();
     if (this.held) {
@@ -119,7 +121,7 @@ export class Space {
     this.move(null);
   }
 
-  // -- what is shown --------------------------------------------------------------------------------------------------
+  // -- content ------------------------------------------------------------------------------------
 
   show(now) {
     this.now = now;
@@ -151,7 +153,7 @@ export class Space {
     if (this.now && this.now.position.every(Number.isFinite)) this.bodies(g);
   }
 
-  // From the farthest to the nearest, brighter towards the light.
+  // From far to near, brighter towards the light.
   paint(g) {
     const faces = [];
     for (const { points: [a, b, c], tool } of this.solids.all()) {
@@ -203,7 +205,7 @@ export class Space {
       if (!this.shape.bodies) dotAt(g, "proxy", proxy, 7);
       line(g, "wall-edge", 2, [proxy, this.seen(plus(now.proxy, now.normal, 0.008))]);
     }
-    // The device is a ghost where it is inside.
+    // Draw the device transparent while it is inside.
     g.globalAlpha = now.contact === 1 ? 0.55 : 1;
     dotAt(g, "device", device, 9);
     g.globalAlpha = 1;
@@ -217,7 +219,7 @@ export class Space {
     }
   }
 
-  // The figures of this very moment.
+  // Figures of this moment.
   read(place) {
     if (!this.now) return;
     const { contact, distance, normal, force } = this.now, parts = [];
@@ -225,7 +227,7 @@ export class Space {
     place.textContent = unbroken([...parts, `${fixed(Math.hypot(...force), 2)} N`].join("   ·   "));
   }
 
-  // Inside it the contact sticks; red when the force lies on it or beyond.
+  // Friction cone: inside it the contact sticks; red when the force is on it or outside.
   cone(g, { proxy, normal, force }) {
     const mu = this.shape.friction;
     if (!mu) return;

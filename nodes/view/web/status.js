@@ -1,4 +1,4 @@
-// How it stands: one sentence, and the figures.
+// Status: one sentence, and the figures.
 import { count, fixed, unbroken } from "./format.js";
 
 export class Status {
@@ -18,7 +18,7 @@ export class Status {
   show(found) {
     const words = unbroken(found.words), kind = words.replace(/[\d.]+/g, "");
     this.words.textContent = words;
-    // A screen reader is told when the sentence changes in kind, not five times a second for its numbers.
+    // Announce to screen readers only when the kind of sentence changes, not for each number.
     if (kind !== this.kind) Object.assign(this, { kind }).told.textContent = words;
     this.words.dataset.level = this.dot.dataset.level = found.level;
     this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");

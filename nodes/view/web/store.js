@@ -1,4 +1,4 @@
-// What the page keeps: a ring of bins, each series with its least and largest value. Its size never changes.
+// Ring buffer of bins, each series with its smallest and largest value; of fixed size.
 export class Store {
   constructor(names, binSeconds, seconds) {
     this.names = names;
@@ -31,7 +31,7 @@ export class Store {
   get begin() { return this.head ? this.times[this.first % this.size] : 0; }
   get end() { return this.head ? this.times[(this.head - 1) % this.size] : 0; }
 
-  // Number of the first bin at or after a time.
+  // Return the number of the first bin at or after a time.
   find(time) {
     let low = this.first, high = this.head;
     while (low < high) {
@@ -41,7 +41,7 @@ export class Store {
     return low;
   }
 
-  // A copy of the bins of a time, and one more on each side: the ring goes on and writes over them.
+  // Copy the bins of a time span and one more on each side, because the ring overwrites them later.
   part(from, to) {
     const first = Math.max(this.first, this.find(from) - 1), count = Math.max(0, Math.min(this.head, this.find(to) + 2) - first);
     const cut = (ring) => Float64Array.from({ length: count }, (_, k) => ring[(first + k) % this.size]), found = new Store(this.names, 1, count);
@@ -49,7 +49,8 @@ export class Store {
     return found;
   }
 
-  // Columns of a plot: least and largest value of all bins that fall into each, two points a column. A spike is never lost.
+  // Columns of a plot: smallest and largest value of all bins in a column, two points each. A spike
+  // is never lost.
   columns(series, from, to, count) {
     const width = (to - from) / count;
     const x = [], y = series.map(() => []);
@@ -60,7 +61,7 @@ export class Store {
       const at = (column + 0.5) * width;
       x.push(at, at);
       for (let s = 0; s < series.length; s++) {
-        // A column that does not know its order shows its least value first.
+        // Without a known order, a column shows its smallest value first.
         y[s].push(Number.isNaN(low[s]) ? null : low[s], Number.isNaN(high[s]) ? null : high[s]);
         low[s] = high[s] = NaN;
       }

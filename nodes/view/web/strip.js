@@ -1,4 +1,4 @@
-// The force under the scene: the last seconds, with the driver's limit, and the moments at which the limit held it back in red.
+// Force over the last seconds below the scene, with the driver's limit; limited moments are red.
 import { colour, onTheme } from "./theme.js";
 import { fixed } from "./format.js";
 import { blank } from "./strokes.js";
@@ -17,19 +17,19 @@ export class Strip {
     this.look([axes[0]]);
   }
 
-  // Along one axis, or the two of a section: the force of the second one is dotted.
+  // Set one axis, or the two of a section; the second one's force is dotted.
   look(letters) {
     this.letters = letters;
     this.series = [`law_force.${letters[0]}`, ...letters.map((letter) => `force.${letter}`)].map((name) => this.store.index(name));
   }
 
-  // A window of the past and the time in it that the scene shows; without one, what is now. And B, where there is one.
+  // Draw a past window with the scene's time in it, or the present; and B, if chosen.
   draw(window = null, beside = null, now = null) {
     const { canvas } = this, store = window?.store ?? this.store;
     const width = canvas.clientWidth, height = canvas.clientHeight;
     if (!store || !width) return;
     const g = blank(canvas);
-    // A recording's bins go on past the moment that is shown.
+    // A recording's bins continue after the shown moment.
     const last = this.replayed && Number.isFinite(now) ? now : store.end, [from, to] = window ? window.sight : [last - SPAN, last];
     const left = 66, right = width - 10, top = 16, bottom = height - 8;
     const [times, asked, force, second] = store.columns(this.series, from, to, Math.round(right - left));
@@ -50,7 +50,7 @@ export class Strip {
     g.restore();
   }
 
-  // Widens at once, narrows slowly; a law's demand far beyond the limit does not flatten the force.
+  // Widens at once, narrows slowly; a law's demand far above the limit does not flatten the force.
   settle(force) {
     const seen = force.filter((value) => value !== null && Number.isFinite(value));
     const high = Math.max(0.5, ...seen) * 1.15, low = Math.min(-0.5, ...seen) * 1.15;
@@ -101,7 +101,7 @@ export class Strip {
     g.setLineDash([]);
   }
 
-  // When the driver handed over its limit, and no more.
+  // Moments at which the driver handed over its limit.
   held(g, times, force, x, top) {
     if (!this.limit) return;
     g.fillStyle = colour("bad");

@@ -1,7 +1,8 @@
-// What pictures are drawn with: an empty canvas, lines, dots, rings and springs, in pixels.
+// Drawing primitives: cleared canvas, lines, dots, rings and springs, in pixels.
 import { colour } from "./theme.js";
 
-// An empty canvas whose unit is a pixel of the page. To give it a size costs a new one: only where it is shown in another.
+// Clear a canvas whose unit is a CSS pixel; resize it only if its size changed, because that is
+// slow.
 export function blank(canvas) {
   const { clientWidth: width, clientHeight: height } = canvas, ratio = devicePixelRatio || 1;
   for (const [side, long] of [["width", width], ["height", height]]) if (canvas[side] !== Math.round(long * ratio)) canvas[side] = Math.round(long * ratio);
@@ -15,7 +16,7 @@ export function line(g, tint, width, points, dash = []) {
   strokes(g, tint, width, [points], dash);
 }
 
-// Many lines at the price of one.
+// Many lines in one stroke, as cheap as one.
 export function strokes(g, tint, width, lines, dash = []) {
   g.strokeStyle = colour(tint);
   g.lineWidth = width;

@@ -1,4 +1,4 @@
-// Light or dark: as the system has it, or as chosen here.
+// Light or dark: the system's setting, or the choice made here.
 const system = matchMedia("(prefers-color-scheme: dark)");
 let chosen = null;
 try { chosen = localStorage.getItem("theme"); } catch { /* storage is switched off: follow the system */ }

@@ -1,4 +1,4 @@
-// Five sentences, each of which ends in something to do; the next one comes when it is done.
+// Tour of five sentences, each with an action; the next one appears when it is done.
 export class Tour {
   constructor({ tour, sentence, act, leave, begin }, page) {
     Object.assign(this, { place: tour, sentence, act, page, at: -1 });

@@ -1,13 +1,13 @@
-// From the loop's forces to sound: what is heard is the force itself, 500 samples a second, some 50 ms late.
+// Convert the loop's force to sound: the force itself, 500 samples a second, about 50 ms late.
 const BEHIND = 0.05, KEPT = 4096, LOUD = 0.25;
 
 export class Voice {
-  // `rate` is the sound card's [Hz].
+  // `rate`: sample rate of the sound card [Hz].
   constructor(rate) {
     Object.assign(this, { rate, times: new Float64Array(KEPT), forces: new Float32Array(KEPT), head: 0, at: null, before: 0, steady: 0 });
   }
 
-  // One value per tick of the run [s, N].
+  // Add one value per tick of the run [s, N].
   feed(times, forces) {
     for (let k = 0; k < times.length; k++) {
       this.times[this.head % KEPT] = times[k];
@@ -15,14 +15,14 @@ export class Voice {
       this.head++;
     }
     const newest = times[times.length - 1];
-    // In the beginning, after silence or a seek, and when it has run away: so far behind the newest, from here on.
+    // Synchronise at the start, after silence or a seek, and when too far behind the newest value.
     if (newest !== undefined && (this.at === null || Math.abs(newest - BEHIND - this.at) > 4 * BEHIND)) {
       this.at = newest - BEHIND;
       this.next = Math.max(0, this.head - KEPT);
     }
   }
 
-  // The force at the moment that is heard [N]: straight between two ticks.
+  // Force at the moment heard [N], linear between two ticks.
   force() {
     while (this.next < this.head && this.times[this.next % KEPT] <= this.at) this.next++;
     const after = this.next % KEPT, before = (this.next + KEPT - 1) % KEPT;
@@ -31,7 +31,7 @@ export class Voice {
     return this.forces[before] + (this.forces[after] - this.forces[before]) * Math.max(0, part);
   }
 
-  // Fill a block of the sound card. A force that stays is silent: only its changes are heard.
+  // Fill a block of the sound card. A constant force is silent: only changes are heard.
   fill(block) {
     for (let k = 0; k < block.length; k++) {
       if (this.at === null) { block[k] = 0; continue; }
@@ -39,7 +39,7 @@ export class Voice {
       this.steady = force - this.before + 0.998 * this.steady;
       this.before = force;
       block[k] = Math.tanh(LOUD * this.steady);
-      // What is lost is waited for, not guessed.
+      // Wait for lost values instead of guessing them.
       if (this.next < this.head) this.at += 1 / this.rate;
     }
   }

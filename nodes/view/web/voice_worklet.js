@@ -1,4 +1,4 @@
-// Runs the voice on the sound card's own thread.
+// Runs the voice on the audio thread.
 import { Voice } from "./voice.js";
 
 registerProcessor("voice", class extends AudioWorkletProcessor {

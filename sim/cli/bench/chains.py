@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from nodes.base.setup import Tick
-from nodes.cli.quantities import SECONDS, declare, whole
 from nodes.compiled.choose_tick import choose
 from nodes.launcher import launch_file
 from nodes.launcher.wiring import kernel_modules
+from nodes.parameters.quantities import SECONDS, declare, whole
 from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress

@@ -29,8 +29,8 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.types import DeviceState, Force
 from nodes.base import realtime
 from nodes.base.setup import Scheduling, Setup
-from nodes.cli.quantities import ROUNDS, declare, whole
 from nodes.launcher.child import PYTHON
+from nodes.parameters.quantities import ROUNDS, declare, whole
 from nodes.recording.summary import quantile
 from sim.cli.answers import add_answer, report
 from sim.measure.free_ports import free_ports

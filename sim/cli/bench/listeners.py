@@ -8,11 +8,12 @@ import time
 from typing import Any
 
 from messages.topics import DEVICE_STATE
-from nodes.cli.quantities import ROUNDS, SECONDS, declare
+from nodes.parameters.quantities import ROUNDS, SECONDS, declare
 from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from sim.cli.answers import add_answer, report
-from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in, wait_for
+from sim.measure.haptic_commands import HAPTIC, wait_for
+from sim.measure.measured_launch import Running, machine, responses_in
 from sim.measure.stopwatch import Progress
 
 LISTENERS = 4

@@ -13,9 +13,9 @@ from typing import Any
 
 from nodes.base.realtime import awake, quietest_processor
 from nodes.base.setup import Tick
-from nodes.cli.quantities import COUNT, ROUNDS, SECONDS, whole
 from nodes.compiled.choose_tick import choose
 from nodes.launcher.launch_spec import AWAKE_RATE
+from nodes.parameters.quantities import COUNT, ROUNDS, SECONDS, whole
 from sim.cli.answers import add_answer, idle, report
 from sim.lab.bench import bare
 from sim.lab.bench.bare import BARE, bare_loop, c_loop

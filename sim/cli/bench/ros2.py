@@ -4,7 +4,7 @@ import argparse
 import statistics
 from typing import Any
 
-from nodes.cli.quantities import ROUNDS, SECONDS
+from nodes.parameters.quantities import ROUNDS, SECONDS
 from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress

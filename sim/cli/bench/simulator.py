@@ -2,7 +2,7 @@
 
 import argparse
 
-from nodes.cli.quantities import ROUNDS, whole
+from nodes.parameters.quantities import ROUNDS, whole
 from sim.cli.answers import add_answer, report
 
 

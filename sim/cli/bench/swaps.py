@@ -16,7 +16,7 @@ from typing import Any
 from messages.topics import DEVICE_STATE, FORCE, RECEIPT
 from messages.transport.requests import ControlError
 from messages.types import DeviceState, Receipt
-from nodes.cli.quantities import COUNT, SECONDS, declare
+from nodes.parameters.quantities import COUNT, SECONDS, declare
 from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.cli.main import add_json
-from nodes.cli.quantities import ROUNDS
+from nodes.parameters.quantities import ROUNDS
 from nodes.recording.figure_style import new_figure, save_figure, styled, threshold
 from sim.cli.answers import report
 from sim.results import fresh

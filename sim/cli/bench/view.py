@@ -19,13 +19,14 @@ from messages.errors import UsageError
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.base.realtime import memory_bytes, off
-from nodes.cli.quantities import ROUNDS, SECONDS, declare, positive
+from nodes.parameters.quantities import ROUNDS, SECONDS, declare, positive
 from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
 from sim.cli.answers import add_answer, idle, report
 from sim.lab.bench.page_pictures import take
-from sim.measure.measured_launch import HAPTIC, Running, machine, responses_in
+from sim.measure.haptic_commands import HAPTIC
+from sim.measure.measured_launch import Running, machine, responses_in
 from sim.measure.stopwatch import Progress
 
 BROWSER = [

@@ -23,7 +23,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.child import PYTHON
 from nodes.parameters.yaml_io import read_yaml
 from sim.emulators.world import library
-from sim.measure.measured_launch import MeasurementError
+from sim.measure.haptic_commands import MeasurementError
 
 BARE = (*PYTHON, "-m", "sim.lab.bench.bare_loop")  # the yardstick: bare pyzmq and msgpack
 

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from sim.measure.measured_launch import Running, wait_for
+from sim.measure.haptic_commands import wait_for
+from sim.measure.measured_launch import Running
 from sim.results import fresh
 
 # In the page: turn the dial to a part of its way.

@@ -25,7 +25,7 @@ from nodes.stability.k_max import with_spring
 from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients
 from sim.experiments.drop import Criterion, drop_scene, settles
-from sim.measure.measured_launch import MeasurementError
+from sim.measure.haptic_commands import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
 from sim.play.one_axis import Scene, contact_of, motion_of
 from sim.play.one_axis_loop import LawTables, Records, play_compiled

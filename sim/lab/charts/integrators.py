@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nodes.laws.pd import PD
 from sim.device.model import advance, coefficients
-from sim.experiments.drop import CONVENTION, GRAVITY, floor_force
+from sim.experiments.drop import GRAVITY, fall
 from sim.lab.charts.derivatives import largest_stable
 from sim.lab.charts.points import Extra, Group, Point
 from sim.measure.stopwatch import interleaved
@@ -65,15 +65,14 @@ def reference() -> Step:
 
 def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
     """Drop the device on a floor rendered by a spring and a damper, forces held between ticks."""
-    taps = _LAW.compile(PERIOD).taps
-    x, v, head = _HEIGHT, 0.0, 0
-    history = [0.0] * (2 * len(taps))
-    heights = np.empty(ticks)
-    for k in range(ticks):
-        heights[k] = x
-        head, force, _ = floor_force(x, taps, (), (), history, head, len(taps), *CONVENTION)
+    x, v = _HEIGHT, 0.0
+
+    def move(force: float) -> float:
+        nonlocal x, v
         x, v = step(x, v, force - MASS * GRAVITY)
-    return heights
+        return x
+
+    return fall(move, _LAW.compile(PERIOD), _HEIGHT, ticks)[0]
 
 
 def spring_limit(step: Step) -> float:

@@ -17,7 +17,7 @@ from sim.identify.identified import refusal
 from sim.identify.identify import identify
 from sim.lab.monte_carlo.virtual import draw, draw_outside, excite, excite_outside
 from sim.play.nonideal import NonidealDevice
-from sim.tune.design import Wanted, design, predict
+from sim.tune.design import Wanted, design, predict, remainder_refusal
 from sim.tune.knocking import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified
 
@@ -46,6 +46,8 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
             return row | {"stopped": "no law keeps the demand"}
         compiled = law.found.law
         row["h1_n_per_m"], row["taps_n_per_m"] = compiled.h1, list(compiled.taps)
+        if risk := remainder_refusal(compiled, found):
+            return row | {"stopped": f"refused: {risk}"}
         figures, _, plan = predict(compiled, asked, found, PEAK, None)
     except ValueError as error:
         return row | {"stopped": str(error)}

@@ -236,7 +236,7 @@ def bounce() -> BeyondEdge:
 def slide() -> BeyondEdge:
     """Return the edge of a device that a hand draws along a rough plane: by poles, and by playing the launch in space."""
     from nodes.launcher import launch_file
-    from sim.play.chain import play
+    from sim.play.player import play
 
     margin, gain = 0.1, 2.0
     plant = Plant(PERIOD, 0.15, 3.0, 0.0, 150.0)
@@ -248,7 +248,7 @@ def slide() -> BeyondEdge:
         launch = launch_file.read(
             "rough_plane", {"stiffness": stiffness, "damping": gain, "duration": 2.0}
         )
-        position = play(launch).position
+        position = play(launch).measured
         # What a hand and a slide do bends slowly; an unstable contact turns every few ticks.
         turns = np.diff(position[len(position) // 2 :], 2, axis=0)
         return bool(np.sqrt(np.mean(np.sum(turns**2, axis=1))) < TURNS)

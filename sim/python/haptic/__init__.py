@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from nodes.laws.parse import LawRefusedError
     from nodes.stability.plant import Plant
     from sim.api.laws import law, laws, scenarios
-    from sim.api.loops import drop, k_max, play, poles
+    from sim.api.loops import k_max, poles
+    from sim.api.played import drop, play
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
     from sim.api.responses import bode, response, z_width
@@ -55,7 +56,8 @@ _NAMES = {
     "nodes.laws.parse": ("LawRefusedError",),
     "nodes.stability.plant": ("Plant",),
     "sim.api.laws": ("law", "laws", "scenarios"),
-    "sim.api.loops": ("drop", "k_max", "play", "poles"),
+    "sim.api.loops": ("k_max", "poles"),
+    "sim.api.played": ("drop", "play"),
     "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
     "sim.api.recordings": ("plot", "read"),
     "sim.api.responses": ("bode", "response", "z_width"),

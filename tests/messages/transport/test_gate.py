@@ -1,4 +1,4 @@
-"""What peers cannot do to a process: end it, fill it, or stay when their key is revoked."""
+"""Peers cannot end a process, fill it, or stay when their key is revoked."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class Guarded:
-    """A publisher and a request socket behind a gate, as a node has them."""
+    """A publisher and a request socket behind a gate, as in a node."""
 
     def __init__(self, context: Context, publish: str, control: str) -> None:
         self.denied: list[str] = []
@@ -45,12 +45,12 @@ class Guarded:
         self.gate.start()
 
     def evict(self) -> None:
-        """As in nodes/base/process.py."""
+        """Evict connections as nodes/base/process.py does."""
         self.publisher.evict()
         self.reopening.ask()
 
     def listeners(self) -> int:
-        """Tend both sockets, as the node's threads do all the time, and count who listens."""
+        """Maintain both sockets as the node's threads do, and count subscribers."""
         self.reopening.maintain()
         return self.publisher.listeners()
 
@@ -79,7 +79,7 @@ bind(reply, sys.argv[4])
 threading.Thread(target=sys.stdin.read, daemon=True).start()
 print("ready", flush=True)
 for seq in range(1_000_000):
-    # Long enough for what a listener leaves behind to fill a queue; a stalled node is what it waits for.
+    # Time for a leaving subscriber's data to fill a queue, while the node is stalled.
     time.sleep(0.05)
     publisher.send(b"/t", b"x")
     publisher.maintain()
@@ -105,7 +105,7 @@ print("ended", flush=True)
 def test_no_listener_however_unruly_ends_the_process(
     context: Context, place: str, which: str
 ) -> None:
-    """ZeroMQ aborts (``!_io_error``) when it writes a heartbeat to a peer that left while its input was stopped."""
+    """ZeroMQ aborts on a heartbeat to a peer that left while its input was stopped."""
     places = {
         "hop": place,
         "listeners": place + "l",
@@ -171,7 +171,7 @@ def test_a_listener_that_fills_the_memory_of_an_open_port_is_put_out(
 
 
 # -- who
-# --------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -199,7 +199,7 @@ def drain(listener: Subscription) -> None:
 
 
 def take_away(how: str, folder: Path) -> None:
-    """Take the key of ``other`` away, in one of the ways in which people do."""
+    """Remove the key of ``other`` in one of the usual ways."""
     allowed = folder / "allowed"
     path = allowed / "other.key"
     if how == "revoke":
@@ -250,7 +250,7 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     take_away(how, keys.key_dir())
     wait_for(
         lambda: any(
-            f"the key {other.public} is not allowed any more" in told for told in encrypted.denied
+            f"the key {other.public} is no longer allowed" in told for told in encrypted.denied
         ),
         "it is told",
     )
@@ -271,7 +271,7 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
 def test_the_other_machines_connections_survive_a_revocation(
     encrypted: Guarded, context: Context, tmp_path: Path
 ) -> None:
-    """All are on one address here, the hardest case: they stumble, and are let in again."""
+    """All share one address here, the hardest case: they reconnect."""
     with as_somebody_else(tmp_path / "other") as other:
         pass
     keys.allow("other", other.public)
@@ -300,7 +300,7 @@ def test_without_an_identity_nobody_is_oneself(encrypted: Guarded, context: Cont
 def test_revoke_on_the_command_line(tmp_path: Path, me: Identity) -> None:
     keys.allow("robot", me.public)
     told = typed_in(tmp_path, "keys", "revoke", "robbie", code=2).stderr
-    assert "there is: robot" in told
+    assert "available: robot" in told
     assert "no longer allowed" in typed_in(tmp_path, "keys", "revoke", "robot").stdout
     assert keys.allowed() == {}
     with pytest.raises(KeyRefusedError, match="none"):

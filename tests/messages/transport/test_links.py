@@ -1,4 +1,4 @@
-"""Links that ZeroMQ gives up are connected anew, and told with the reason."""
+"""Links that ZeroMQ gives up are reconnected, and reported with the reason."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Ear:
-    """A subscription that is looked after, as a node's is."""
+    """A maintained subscription, as in a node."""
 
     def __init__(self, context: Context, endpoint: str) -> None:
         self.told: list[str] = []
@@ -38,7 +38,7 @@ class Ear:
         self.inbox = Subscription(context, [endpoint], ["/t"], links=self.links)
 
     def hears(self, publisher: Publisher, payload: bytes = b"x") -> Callable[[], bool]:
-        """Whether what is published arrives."""
+        """Whether published messages arrive."""
 
         def look() -> bool:
             publisher.send(b"/t", payload)
@@ -48,12 +48,12 @@ class Ear:
         return look
 
     def maintain(self, heard: int | None = None) -> None:
-        """Do what the two threads of a node do."""
+        """Do the work of a node's two threads."""
         self.links.poll(heard)
         self.links.maintain()
 
     def tended(self, found: object, heard: int | None = None) -> object:
-        """Hand on what was found so far, and look once more."""
+        """Report what was found so far, and check again."""
         self.maintain(heard)
         return found
 
@@ -92,7 +92,7 @@ def test_a_publisher_respawned_after_a_message_above_the_limit_is_heard(
 
 
 class Impostor:
-    """Somebody else's service on a port; ``close`` frees it."""
+    """A foreign service on a port."""
 
     def __init__(self, port: int, greeting: bytes) -> None:
         self._server = socket.create_server(("127.0.0.1", port))
@@ -110,7 +110,7 @@ class Impostor:
             client.sendall(self._greeting)
 
     def close(self) -> None:
-        """Go away."""
+        """Free the port."""
         self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
         for client in self._held:
@@ -135,7 +135,7 @@ def test_another_service_on_the_port_before_the_node(
 def test_a_node_that_ends_in_the_middle_of_a_greeting_is_no_intruder(
     context: Context, place: str
 ) -> None:
-    """`haptic stop` during the start of a launch was once told as an attack by oneself."""
+    """`haptic stop` during a start was reported as an attack."""
     name = place.removeprefix("ipc://")
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(name)
@@ -187,7 +187,9 @@ def test_a_publisher_without_the_key_in_place_of_a_killed_one(
         forger.bind(f"tcp://127.0.0.1:{port}")
         ear = Ear(context, endpoint)
         wait_for(
-            lambda: ear.tended([one for one in ear.denied if "does not have the key" in one]),
+            lambda: ear.tended(
+                [one for one in ear.denied if "does not have the expected key" in one]
+            ),
             "who it is not",
         )
         # Long enough for ZeroMQ to give it up.
@@ -215,7 +217,7 @@ def test_silence_is_told_with_the_state_of_the_link(
 def test_who_is_connected_and_starved_is_waited_for(
     context: Context, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It once was connected anew each 3 s, so that a loop on a starved machine never met again."""
+    """A starved peer was reconnected every 3 s, so the loop never met again."""
     monkeypatch.setattr("messages.transport.links.SILENCE", 0.02)
     publisher, ear = Publisher(context, place), Ear(context, place)
     wait_for(ear.hears(publisher), "the publisher")
@@ -249,7 +251,7 @@ def test_a_revoked_key_is_not_listened_to_any_more(
     wait_for(ear.hears(publisher), "the allowed machine")
     keys.revoke("far")
     ear.maintain()
-    assert "not allowed here any more" in ear.told[-1]
+    assert "no longer allowed here" in ear.told[-1]
     while ear.inbox.receive(200) is not None:
         pass
     for _ in range(50):

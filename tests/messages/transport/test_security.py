@@ -1,4 +1,4 @@
-"""Who may take part: keys in private files, encrypted endpoints, and everybody else turned away, counted and told."""
+"""Access: keys in private files, encrypted endpoints, everybody else refused and counted."""
 
 from __future__ import annotations
 
@@ -39,8 +39,10 @@ SCENE = """\
 summary: A coupling behind an encrypted endpoint, on loopback
 run: {{rate: 250.0, duration: 0.0, port: {base}}}
 nodes:
-  driver: {{kind: sim_driver, parameters: {{device: {{mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}}}}}
-  environment: {{kind: environment, parameters: {{surface: {{kind: plane, axis: z, position: 0.0, normal: 1}}}}}}
+  driver: {{kind: sim_driver, parameters: {{device: {{mass: 0.1, damping: 1.0, gravity: 9.81,
+    position: 0.001}}}}}}
+  environment: {{kind: environment, parameters: {{surface: {{kind: plane, axis: z, position: 0.0,
+    normal: 1}}}}}}
   coupling:
     kind: coupling
     host: 127.0.0.1
@@ -51,7 +53,7 @@ nodes:
 
 
 # -- files
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_key_files_are_private_whatever_the_umask(
@@ -145,11 +147,11 @@ def test_keys_on_the_command_line(tmp_path: Path) -> None:
 
 
 # -- sockets
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 class Door:
-    """An encrypted publisher and request socket behind a gate, as a node has them."""
+    """An encrypted publisher and request socket behind a gate, as in a node."""
 
     def __init__(self, context: Context, me: Identity) -> None:
         self.denied: list[str] = []
@@ -179,7 +181,7 @@ def door(context: Context, me: Identity) -> Iterator[Door]:
 
 
 def hears(door: Door, subscription: Subscription) -> bool:
-    """Whether a listener gets something while it is sent fifty times."""
+    """Whether a subscriber receives one of fifty messages."""
     for _ in range(50):
         door.publisher.send(b"/t", b"x")
         if subscription.receive(20) is not None:
@@ -189,7 +191,7 @@ def hears(door: Door, subscription: Subscription) -> bool:
 
 @contextlib.contextmanager
 def plainly_listening(context: Context, endpoint: str) -> Iterator[zmq.Socket[bytes]]:
-    """Listen without a key, as this project's own sockets refuse to."""
+    """Subscribe without a key, which this project's own sockets refuse."""
     with context.socket(zmq.SUB) as plain:
         plain.linger = 0
         plain.connect(split(endpoint)[0])
@@ -265,7 +267,7 @@ def test_without_a_gate_nobody_is_let_in(context: Context, me: Identity) -> None
 def test_a_forger_bound_in_a_nodes_place_is_not_heard(
     context: Context, me: Identity, tmp_path: Path
 ) -> None:
-    """The driver's side: it expects the key `me` at an endpoint where somebody else answers."""
+    """The driver expects the key `me` at an endpoint where another server answers."""
     port = free_ports(1)
     told: list[str] = []
     forgeries = new_context()
@@ -285,7 +287,7 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(
         assert victim.receive(5) is None
         links.poll()
         links.maintain()
-        return any("does not have the key" in reason for reason in told)
+        return any("does not have the expected key" in reason for reason in told)
 
     wait_for(forged, "the report about the forger")
     links.close()
@@ -296,7 +298,7 @@ def test_a_forger_bound_in_a_nodes_place_is_not_heard(
 
 
 class Replayer(threading.Thread):
-    """Stands on the wire: hands everything on, keeps what the client sends, then sends it all again on a new connection."""
+    """A man in the middle that forwards and records the client's data, then replays it."""
 
     def __init__(self, target: int) -> None:
         super().__init__(daemon=True)
@@ -307,7 +309,7 @@ class Replayer(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        """Hand on one connection."""
+        """Forward one connection."""
         client, _ = self._server.accept()
         with client, socket.create_connection(("127.0.0.1", self._target)) as server:
             back = threading.Thread(target=self._pump, args=(server, client, None), daemon=True)
@@ -323,7 +325,7 @@ class Replayer(threading.Thread):
                 sink.sendall(data)
 
     def replay(self) -> None:
-        """Send again, to the real server, every byte that the honest client sent."""
+        """Send every byte of the honest client again to the real server."""
         with socket.create_connection(("127.0.0.1", self._target), timeout=10.0) as again:
             again.sendall(bytes(self.kept))
             with contextlib.suppress(OSError):
@@ -352,7 +354,7 @@ def test_a_replayed_request_is_not_heard(door: Door, context: Context, me: Ident
 
 
 # -- a launch
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process

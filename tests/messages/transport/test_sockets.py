@@ -1,4 +1,4 @@
-"""Sockets as the loop needs them: nothing left open, waits to the microsecond, one frame or three are survived."""
+"""Sockets: nothing left open, waits exact to the microsecond, odd frame counts survived."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_nothing_is_left_open(place: str) -> None:
 
 @pytest.mark.filterwarnings("ignore:Unclosed socket:ResourceWarning")
 def test_a_context_ends_whatever_line_of_a_socket_s_life_a_signal_interrupts() -> None:
-    """Of 54 drills that SIGTERM ended in their start one waited for ever, for a socket that was half made."""
+    """A SIGTERM at start-up left a half-made socket, on which the context hung."""
     interrupted: list[BaseException] = []
     for line in range(1, 1000):
         left = line
@@ -126,7 +126,7 @@ def test_receive_until_waits_until_the_deadline_and_not_in_milliseconds(
 
 
 def test_receive_until_loses_no_wake_up(context: Context, place: str) -> None:
-    """The descriptor is edge-triggered: a message that comes between looking and waiting must still wake it."""
+    """The descriptor is edge-triggered: a message between check and wait must still wake it."""
     publisher, subscription = connected(context, place)
     count = 2000
 
@@ -273,7 +273,7 @@ def test_loopback_is_shared_by_all_users_and_needs_one_too(endpoint: str, contex
 
 
 def test_what_is_opened_to_all_can_only_be_listened_to(context: Context) -> None:
-    """A display that knows neither ipc nor CURVE, of any user of this machine."""
+    """For a display without ipc and CURVE, of any user of this machine."""
     with socket.create_server(("127.0.0.1", 0)) as found:
         port = found.getsockname()[1]
     opened = OpenPort(context, f"tcp://127.0.0.1:{port}", print)
@@ -318,7 +318,7 @@ def test_the_directory_of_the_sockets_is_private(
         assert new_run_dir("r").stat().st_mode & 0o777 == 0o700
     finally:
         os.umask(before)
-    with pytest.raises(RunError, match="exists already"):
+    with pytest.raises(RunError, match="already exists"):
         new_run_dir("r")
 
 

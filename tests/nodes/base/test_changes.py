@@ -1,4 +1,4 @@
-"""Changes on their way from the control thread to the loop: applied once, or withdrawn, or made again; never half."""
+"""Changes from the control thread: applied once, withdrawn or repeated; never half."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GainParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
 
 class Amplifier(Node):
-    """A node whose changes do nothing but say at which tick they were applied."""
+    """A node whose changes only report the tick at which they are applied."""
 
     Parameters: ClassVar[type[msgspec.Struct]] = GainParameters
 
@@ -83,7 +83,7 @@ def test_a_change_is_applied_once_between_two_ticks() -> None:
 def test_what_the_loop_does_not_take_up_is_withdrawn_for_good() -> None:
     node = Amplifier()
     with pytest.raises(
-        ParameterError, match=r"not taken up by the loop within 0\.1 s; nothing was changed"
+        ParameterError, match=r"not applied by the loop within 0\.1 s; nothing was changed"
     ):
         node.changes.hand_over(lambda seq: node.applied.append((seq, 0.0)), timeout=0.1)
     node.between_ticks(1)

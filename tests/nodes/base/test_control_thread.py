@@ -1,4 +1,4 @@
-"""The control thread under floods, exhaustion and at its end: it goes on, it keeps the lease, and nothing waits for it."""
+"""The control thread under floods, exhaustion and at its end: it keeps the lease."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def server(context: Context, folder: Path, **operations: Any) -> ControlServer:
 
 @pytest.mark.parametrize("first", ["thread", "stop", "never started"])
 def test_its_end_waits_for_nobody(context: Context, first: str) -> None:
-    """Whichever comes first: a thread that has ended by itself takes no request that would wake it."""
+    """A thread that has ended by itself accepts no request that would wake it."""
     with private_runtime_dir() as folder:
         control = server(context, folder)
         if first != "never started":
@@ -58,7 +58,7 @@ def test_its_end_waits_for_nobody(context: Context, first: str) -> None:
 
 
 def test_forty_ends_in_a_row(context: Context) -> None:
-    """One in forty hung when the thread ended at the very moment at which it was woken."""
+    """One in forty hung if the thread ended just when it was woken."""
     with private_runtime_dir() as folder:
         for i in range(40):
             control = server(context, folder)
@@ -92,7 +92,7 @@ def test_a_request_without_an_end_does_not_hold_up_the_node(
 
 
 def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> None:
-    """Floods take the interpreter from the loop; who floods waits, and so does nobody else for long."""
+    """A flood takes the interpreter from the loop: only the flooding client waits."""
     with private_runtime_dir() as folder:
         control = server(context, folder)
         control.start()
@@ -110,7 +110,7 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
 
 
 def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Context) -> None:
-    """REP of libzmq loses the answer to the next request, whosever it is."""
+    """REP of libzmq loses the answer to the next request, of any client."""
     with private_runtime_dir() as folder:
         control = server(context, folder)
         with zmq.Context() as others:
@@ -131,7 +131,7 @@ def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Conte
 
 @pytest.mark.process
 def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) -> None:
-    """ZeroMQ aborts a process that has none left when somebody connects: a node takes what it may, or ends while it can."""
+    """ZeroMQ aborts without free descriptors: a node limits connections, or ends in time."""
     with running(tmp_path, "wall_press", "duration:=0") as launch:
         driver = launch.run.nodes["driver"].control
         pid = launch.pid("driver")
@@ -170,7 +170,7 @@ def test_descriptors_that_run_out_end_no_loop_with_a_force_on(tmp_path: Path) ->
 def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Strangers keep every place that they are given, and keep coming; the lease is the node's own clock."""
+    """Strangers occupy every connection; the lease runs on the node's own clock."""
     monkeypatch.setenv("HAPTIC_KEYS", str(tmp_path / "keys"))
     me = keys.new_identity()
     port = free_ports(2)

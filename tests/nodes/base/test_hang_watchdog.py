@@ -1,4 +1,4 @@
-"""A loop that stands still: how long is counted per thing that it is at."""
+"""A hanging loop: the time is counted per activity."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from nodes.base import hang_watchdog
 def test_what_begins_has_not_stood_however_long_the_wait_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A driver that waited long for its start was once taken to hang in its first ticks."""
+    """A driver that waited long for its start counted as hung in its first ticks."""
     clock = [0.0]
     monkeypatch.setattr(hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     watched = hang_watchdog.HangWatchdog()
     for clock[0] in (0.5, 1.0, 1.5, 20.0):
-        stood = watched.look("waits for the start")
+        stood = watched.check("waits for the start")
     # A look after 18.5 s counts as two at most: the thread that looks was held up itself.
-    assert stood == pytest.approx(0.5 + 0.5 + 2.0 * hang_watchdog.LOOK)
-    clock[0] += 0.5 * hang_watchdog.LOOK
-    assert watched.look("a tick") == 0.0
+    assert stood == pytest.approx(0.5 + 0.5 + 2.0 * hang_watchdog.CHECK_INTERVAL)
+    clock[0] += 0.5 * hang_watchdog.CHECK_INTERVAL
+    assert watched.check("a tick") == 0.0
     clock[0] += 0.5
-    assert watched.look("a tick") == pytest.approx(0.5)
+    assert watched.check("a tick") == pytest.approx(0.5)

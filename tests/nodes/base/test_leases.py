@@ -1,4 +1,4 @@
-"""Leases: each is one holder's, until it is given back or has run out."""
+"""Leases: each has one holder, until it is returned or has expired."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nodes.parameters.store import ParameterError
 def leases_of(
     path: Path | None = None,
 ) -> tuple[Leases, list[tuple[str, Mapping[str, Any]]], dict[str, Any]]:
-    """Return the leases of a node, what they had it do, and their operations by the last part of their names."""
+    """Return a node's leases, its recorded operations, and the operations by short name."""
     done: list[tuple[str, Mapping[str, Any]]] = []
     leases = Leases("coupling", lambda op, args: done.append((op, args)), path)
     return (
@@ -29,13 +29,13 @@ def leases_of(
 def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The second one replaced it, and put back at its end what the first had only borrowed."""
+    """The second holder replaced it, and restored the first one's temporary state."""
     leases, _, operations = leases_of()
     take, end = operations["take"], operations["end"]
     asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch"}
     take(**asked, args={"law": "pd"})
     with pytest.raises(
-        ParameterError, match=r"coupling: lease 'borrowed' is held by somebody else; .* 5 s after"
+        ParameterError, match=r"coupling: lease 'borrowed' is held by another client; .* 5 s after"
     ):
         take(**asked, args={"law": "trial"})
     # Not even one that has run out, before what was agreed is done.
@@ -50,7 +50,7 @@ def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
 
 
 def test_whoever_held_one_before_neither_renews_nor_ends_that_of_another() -> None:
-    """One that was held up for longer than agreed went on with the launch that another had by then, and put its law back."""
+    """A delayed client continued with another's lease and restored its own law."""
     _, _, operations = leases_of()
     take, renew, end = (operations[name] for name in ("take", "renew", "end"))
     asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch", "args": {"law": "pd"}}
@@ -69,7 +69,7 @@ def test_whoever_held_one_before_neither_renews_nor_ends_that_of_another() -> No
 def test_a_change_is_made_under_its_own_lease_and_refused_under_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A client that was held up set its law again after the lease had run out, and nothing ever reverted that."""
+    """A delayed client changed the law after its lease had expired; nothing reverted it."""
     leases, done, operations = leases_of()
     take, change, end = (operations[name] for name in ("take", "change", "end"))
     wanted = {"name": "borrowed", "operation": "law.switch", "args": {"law": "trial"}}
@@ -100,7 +100,7 @@ def test_a_change_is_made_under_its_own_lease_and_refused_under_none(
 def test_a_lease_outlives_the_process_of_its_node(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A coupling that was started again while a law was on trial went on with it for good: its parameters outlive it too."""
+    """A coupling restarted during a trial kept the trial law for good."""
     path = tmp_path / "coupling.leases"
     _, _, operations = leases_of(path)
     agreed = {"seconds": 5.0, "then": "law.switch", "args": {"law": "pd", "ramp": 100}}

@@ -1,4 +1,4 @@
-"""What a process that is started again goes on with: what was granted before, and neither more nor less."""
+"""A restarted process continues with exactly the accepted parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from nodes.base.node import Node
-from nodes.base.saved_parameters import keep, resume
+from nodes.base.saved_parameters import resume, save_parameters
 from nodes.coupling.node import Coupling
 from nodes.driver.passivity import PassivityParameters
 from nodes.parameters.store import ParameterError
@@ -20,12 +20,12 @@ UNSTABLE = {"laws.pd.stiffness": 1e6}
 
 
 def started_again(node: type[Node], folder: Path, values: dict[str, Any], **given: Any) -> Any:
-    """Start a node, change its parameters as somebody does while it runs, and start it again."""
+    """Start a node, change its parameters while it runs, and restart it."""
     setup = setup_of(run_dir=str(folder), **given)
     first = node(setup)
     first.watched = (1, 2, 3)
     first.store.accept(first.store.changed(values))
-    keep(first)
+    save_parameters(first)
     second = node(setup)
     resume(second)
     second.configure()

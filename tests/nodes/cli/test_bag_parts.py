@@ -1,4 +1,4 @@
-"""Parts of recordings: cut, filter, played from an offset and under other names; regular expressions choose topics."""
+"""Parts of recordings: cut, filter, play with offset and remapping; topics by pattern."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
-from sim.measure.measured_launch import beside
+from sim.measure.haptic_commands import start_command
 from tests.support.launching import Running, launch_json, running, typed, wait_for
 
 
@@ -55,10 +55,10 @@ def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["cut", "--from", "2", "--to", "1"], "the end comes after the beginning"),
+        (["cut", "--from", "2", "--to", "1"], "the end must come after the beginning"),
         (["cut", "--from", "50"], "no message of these topics from 50 s"),
-        (["filter", "-e", "("], "no regular expression"),
-        (["filter", "-e", "nothing"], "no topic fits; there are"),
+        (["filter", "-e", "("], "not a regular expression"),
+        (["filter", "-e", "nothing"], "no topic matches; there are"),
         (["filter", "--topics", "/device"], "no topic '/device'"),
         (["play", "--remap", "/a:=/b"], "no topic '/a'"),
         (["play", "--remap", "/device/state"], "expected OLD:=NEW"),
@@ -127,7 +127,7 @@ def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     # From 2.3 s on the hand rests before the wall, and the law gives nothing.
     wait_for(lambda: wall.ticks() > 1300, "the hand to rest")
     words = ("topic", "pub", "/external/wrench", "{force: [0.25, 0, 0]}", "-r", "100", "-t", "300")
-    with beside(
+    with start_command(
         *words, cwd=wall.folder, env=wall.environment, stdout=subprocess.DEVNULL
     ) as pushing:
         try:
@@ -148,7 +148,7 @@ def test_what_cannot_be_published_is_refused(wall: Running) -> None:
         in typed(wall, "topic", "pub", "/external/target", "[0.005, 0, 0]", "--once").stdout
     )
     for topic, why in (
-        ("/device/state", "each tick has one"),
+        ("/device/state", "publishes one per tick"),
         ("/nothing", "there are /external/wrench"),
     ):
         assert why in typed(wall, "topic", "pub", topic, "[0, 0, 0]", code=2).stderr
@@ -162,4 +162,4 @@ def test_debug_tells_the_launch_and_its_processes(wall: Running) -> None:
     told = wall.errors
     assert "stiffness: 1000.0" in told
     assert f"driver: pid {wall.pid('driver')}, processors" in told
-    assert "takes /coupling/force from ipc://" in told
+    assert "receives /coupling/force from ipc://" in told

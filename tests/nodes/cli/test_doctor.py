@@ -1,14 +1,18 @@
-"""haptic doctor: what is there, what is missing, and exit codes a script can rely on."""
+"""haptic doctor: findings, remedies, and exit codes for scripts."""
 
 from __future__ import annotations
 
 import json
 import os
+import platform
+import re
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import zmq
 
 from nodes.base import realtime
 from nodes.cli.doctor import OPEN_FILES, interpreter, wake_ups
@@ -127,3 +131,50 @@ def test_an_interpreter_is_judged_by_what_is_known_of_its_build(
     )
     python = interpreter()
     assert (python.state, python.found.split(", ")[-1]) == found
+
+
+def test_a_report_has_versions_machine_load_and_configuration_and_names_nobody(
+    tmp_path: Path,
+) -> None:
+    home = tmp_path / "somebody"
+    (home / "keys" / "allowed").mkdir(parents=True)
+    (home / "keys" / "allowed" / "a-friend.key").touch()
+    environment = {"HOME": str(home), "HAPTIC_KEYS": str(home / "keys"), "HAPTIC_COMPILE": "asked"}
+    with private_runtime_dir() as runtime_dir:
+        environment["HAPTIC_RUNTIME_DIR"] = str(runtime_dir)
+        done = typed_in(tmp_path, "doctor", "--report", code=0, environment=environment)
+    said = done.stdout
+    for section in ("### Versions", "### Machine", "### Configuration", "### haptic doctor"):
+        assert section in said
+    for told in (
+        f"- Python: CPython {platform.python_version()}",
+        f"- pyzmq: {zmq.__version__}",
+        f"- libzmq: {zmq.zmq_version()}",
+        f"- numpy: {np.__version__}",
+        "- HAPTIC_COMPILE: asked",
+        "- HAPTIC_KEYS: ~/keys",
+        "- keys: 1 machines are allowed",
+        "- launches that run: none",
+    ):
+        assert told in said
+    assert re.search(r"- load over 1, 5 and 15 min: \d+\.\d\d, \d+\.\d\d, \d+\.\d\d$", said, re.M)
+    # Of the user's own limits, not of the processor that the wake-ups are measured on.
+    assert f" {len(os.sched_getaffinity(0))} to be used" in said
+    assert re.search(r"- haptic-nodes: \d+\.\d+\.\d+", said)
+    assert str(home) not in said
+    assert "a-friend" not in said
+
+
+def test_a_report_is_answered_as_figures_too(tmp_path: Path) -> None:
+    with private_runtime_dir() as runtime_dir:
+        done = typed_in(
+            tmp_path,
+            "doctor",
+            "--report",
+            "--json",
+            code=0,
+            environment={"HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+        )
+    figures = json.loads(done.stdout.splitlines()[-1])
+    assert figures["versions"]["libzmq"] == zmq.zmq_version()
+    assert {"machine", "configuration", "checks"} <= set(figures)

@@ -1,4 +1,4 @@
-"""What a first user trips over: no traceback, no alarm, no escape codes, nothing made that was not asked for."""
+"""A first user's mistakes: no traceback, no alarm, no escape codes, no unwanted files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_an_unknown_ending_is_no_directory(
 ) -> None:
     out = recording.with_name("x.foo")
     assert main(["bag", "export", str(recording), "--out", str(out)]) == 2
-    assert "'foo' is no format" in capsys.readouterr().err
+    assert "'foo' is not a format" in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -1,4 +1,4 @@
-"""What a ROS 2 user's hands expect: options by their names, HAPTIC_RUN, haptic stop, completion, a line that fits, colours."""
+"""ROS 2 habits: option names, HAPTIC_RUN, haptic stop, completion, status line, colours."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from nodes.base.kept_line import ERASE
 from nodes.cli import main
 from nodes.cli.completion import candidates
 from nodes.cli.main import VERBS, coloured
-from nodes.cli.status_line import KEEP, ORDER, fitted
+from nodes.cli.status_line import ORDER, PRIORITY, fitted
 from nodes.recording.reader import Recording
 from tests.support import slowly
 from tests.support.launching import (
@@ -57,7 +57,7 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 
 
 # -- topic
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -70,7 +70,7 @@ def test_topic_options_of_ros2(launch: Running) -> None:
 
 
 # -- bag
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -272,7 +272,7 @@ def test_stop_ends_a_launch_in_order(tmp_path: Path) -> None:
 
 
 # -- completion
-# ------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["fig2", "coverage", "two_rate"])
@@ -361,7 +361,7 @@ def test_what_is_shown_fits(width: int, parts: dict[str, str]) -> None:
     assert len("  ".join(parts[name] for name in shown)) <= width
     assert shown == [name for name in ORDER if name in shown]
     # The first of those to keep that fits is there.
-    first = next((name for name in KEEP if parts.get(name) and len(parts[name]) <= width), None)
+    first = next((name for name in PRIORITY if parts.get(name) and len(parts[name]) <= width), None)
     assert first is None or first in shown
 
 
@@ -372,9 +372,9 @@ def resize(terminal: int, columns: int) -> None:
 def on_terminal(
     words: list[str], columns: int, environment: dict[str, str], folder: Path, narrow: int = 0
 ) -> str:
-    """Run a command with a terminal of so many columns as its standard error; give what it wrote there.
+    """Run a command with a terminal of some columns as standard error; return its output.
 
-    `narrow`: to so many columns it is made narrower when a law is shown, which is marked by a bell.
+    `narrow`: columns to which it shrinks when a law is shown, which a bell marks.
     """
     ours, theirs = pty.openpty()
     resize(theirs, columns)

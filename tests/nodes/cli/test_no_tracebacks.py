@@ -1,4 +1,4 @@
-"""What a careless shell, a bad file or a full disk does to the command: one line that says so, never a traceback."""
+"""A careless shell, a bad file or a full disk: one line of error, never a traceback."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_runtime_directory_that_is_none(what: str, tmp_path: Path) -> None:
 
 @pytest.mark.process
 def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
-    """A full disk: /dev/full cannot hold a directory, a tmpfs of no inodes can be mounted where one may."""
+    """A full disk, by /dev/full or a tmpfs without inodes."""
     mounted = tmp_path / "full"
     mounted.mkdir()
     script = (
@@ -159,7 +159,7 @@ def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) 
 
 
 def catches_interrupts(pid: int) -> bool:
-    """Whether a process has a handler of its own for SIGINT, as an interpreter has from its start on."""
+    """Whether a process has installed its SIGINT handler, as an interpreter does at its start."""
     status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
     caught = next(line for line in status.splitlines() if line.startswith("SigCgt:"))
     return bool(int(caught.split()[1], 16) & 1 << (signal.SIGINT - 1))

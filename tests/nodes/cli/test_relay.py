@@ -1,4 +1,4 @@
-"""``haptic relay`` as PlotJuggler's ZeroMQ subscriber meets it: one SUB socket, one address, topic and MessagePack map."""
+"""``haptic relay`` as PlotJuggler sees it: one SUB socket, topic and MessagePack."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.support.launching import HAPTIC, Running, private_runtime_dir, runnin
 
 @contextlib.contextmanager
 def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
-    """Listen as PlotJuggler's plug-in does: one SUB socket that connects, and takes everything."""
+    """Return a SUB socket connected as PlotJuggler's plug-in does, subscribed to everything."""
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.connect(endpoint)
         socket.subscribe("")
@@ -32,7 +32,7 @@ def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
 
 @contextlib.contextmanager
 def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a relay beside the block; it is gone at its end, whatever happened."""
+    """Run a relay beside the block, and end it in any case."""
     with subprocess.Popen(
         [*HAPTIC, "relay", *words, "--json"],
         env=environment,
@@ -47,7 +47,7 @@ def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess
 
 
 def end(process: subprocess.Popen[str]) -> Any:
-    """End a relay as Ctrl-C does; give its answer."""
+    """End a relay as Ctrl-C does; return its answer."""
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=30.0)
     assert process.returncode == 0
@@ -58,11 +58,11 @@ Series = dict[str, list[tuple[float, float]]]
 
 
 def take(socket: zmq.Socket[bytes], series: Series) -> str:
-    """Take one message as PlotJuggler 3.10 and later do, with protocol msgpack and ``stamp`` used as timestamp.
+    """Parse one message as PlotJuggler 3.10, protocol msgpack, with ``stamp`` as timestamp.
 
     From its source (DataStreamZMQ, nlohmann_parsers): the first of several frames is the topic, the
     second the payload, a third would be the time. Maps and arrays become series named by their
-    path; numbers and booleans are values, texts are left out.
+    path; numbers and booleans are values, texts are ignored.
     """
     frames = socket.recv_multipart()
     assert len(frames) == 2
@@ -144,7 +144,7 @@ def test_the_address_stays_from_launch_to_launch(tmp_path: Path) -> None:
 @pytest.mark.process
 def test_what_is_refused(launch: Running, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["relay", "tcp://0.0.0.0:9872"]) == 2
-    assert "nothing is published for other machines" in capsys.readouterr().err
+    assert "a relay serves this machine only" in capsys.readouterr().err
     done = typed(
         launch, "relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2
     )

@@ -40,7 +40,7 @@ from tests.support.setups import setup_of
 
 RATE = 250.0
 SLACK = 0.5
-"""What a process may wait for its turn on a loaded machine before the flush that is due [s]."""
+"""Time that a process may wait on a loaded machine before its next flush [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_echo(launch: Running) -> None:
 
 
 # -- hz, bw, delay
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -209,7 +209,7 @@ def test_lockstep_has_no_delay(
             RunInfo(run="quick", scenario="quick", launcher=os.getpid(), nodes={"driver": driver}),
         )
         assert main.main(["topic", "delay", DEVICE_STATE]) == 2
-    assert "stamps are simulated time in lockstep" in capsys.readouterr().err
+    assert "in lockstep stamps are simulated time" in capsys.readouterr().err
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=50))
@@ -229,7 +229,7 @@ def test_spread_is_that_of_the_statistics_module(values: list[float]) -> None:
 
 
 # -- bag record
-# ------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -246,14 +246,14 @@ def test_record_for_a_while(launch: Running) -> None:
     # It came late, and from then on has everything.
     assert recording.topics[DEVICE_STATE].first_seq > 0
     assert {DEVICE_STATE, PROXY, FORCE, "/driver/status"} <= set(recording.topics)
-    assert "exists already" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
+    assert "already exists" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
     told(launch, "bag", "record", FORCE, "--duration", "0.3", "--out", str(path), "--force")
     assert list(Recording(path).topics) == [FORCE]
 
 
 @pytest.mark.process
 def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
-    """On a machine that needs longer to connect than is to be recorded, nothing was recorded."""
+    """If connecting took longer than the duration, nothing was recorded."""
     path = tmp_path / "late.mcap"
     with running(tmp_path, "floor_drop", "duration:=0", "--without", "logger") as launch:
         launch.wait_ticks(10)
@@ -275,7 +275,7 @@ def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
 
 @contextlib.contextmanager
 def recording_into(launch: Running, path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Record until the block ends, which begins when something was flushed."""
+    """Record until the block ends; it begins after the first flush."""
     with subprocess.Popen(
         [*HAPTIC, "bag", "record", "--out", str(path), "--json"],
         env=launch.environment,
@@ -312,7 +312,7 @@ def test_record_until_a_signal(launch: Running, number: int) -> None:
 
 @pytest.mark.process
 def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: Running) -> None:
-    """It says that Ctrl-C ends it: so it does from there on. Nobody reads that line here, so that it stands still there."""
+    """Once it announces Ctrl-C, it obeys. Its output pipe is full here, so it blocks there."""
     path = launch.folder / "begun.mcap"
     reading, writing = full_pipe()
     words = [*HAPTIC, "bag", "record", "--out", str(path), "--json"]

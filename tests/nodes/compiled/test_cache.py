@@ -1,4 +1,4 @@
-"""Compiled code is the user's own, whole, and of today's sources, or it is not run: planted, cut, damaged and old entries."""
+"""Compiled code runs only if it is the user's own, whole and current."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ needs_root = pytest.mark.skipif(
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Keep compiled code in a folder of the test's own."""
+    """Use a compiled-code folder of the test's own."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
     return cache.folder()
 
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compile the tiny kernel once: the folder that it was kept below."""
+    """Compile the tiny kernel once; return the cache folder."""
     base = tmp_path_factory.mktemp("tiny")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("NUMBA_CACHE_DIR", str(base))
@@ -48,7 +48,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def kept(tiny: Path, place: Path) -> Path:
-    """Begin with the tiny kernel: its file."""
+    """Compile the tiny kernel; return its cache file."""
     shutil.copytree(tiny, place.parent.parent)
     return place / f"{TINY}.tick"
 
@@ -197,7 +197,7 @@ def test_sources_are_those_that_are_loaded() -> None:
 
 
 class Evil:
-    """A pickle that runs what it likes when it is read."""
+    """A pickle that executes code when read."""
 
     def __reduce__(self) -> tuple[Callable[..., None], tuple[str]]:
         return os.mkdir, ("evil",)
@@ -212,7 +212,7 @@ print(compiled()(fir)((2.0, 1.0), (1.0, 3.0), 0))
 
 
 def scene(folder: Path) -> subprocess.CompletedProcess[str]:
-    """Compile a function of the one-process loop, in a process of its own."""
+    """Compile a function of the one-process loop in a separate process."""
     return subprocess.run(
         [sys.executable, "-c", SCENE], capture_output=True, text=True, check=False, cwd=folder
     )
@@ -300,7 +300,7 @@ def test_who_waited_for_an_entry_finds_it(place: Path, monkeypatch: pytest.Monke
             assert beside.submit(found).result(60.0) == ENTRY
     held = locked(folder, lock)
     assert held is not None
-    monkeypatch.setattr(cache, "PATIENCE", 0.0)
+    monkeypatch.setattr(cache, "LOCK_TIMEOUT", 0.0)
     assert found() == ENTRY
     os.close(held)
     os.close(folder)
@@ -343,7 +343,7 @@ def test_where_nothing_can_be_kept_one_line_says_so(
 
 @pytest.mark.process
 def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) -> None:
-    """As in a container whose root file system is read-only; root goes without the right to write anywhere."""
+    """As in a container with a read-only root; root drops its write permission."""
     base = tmp_path / "base"
     base.mkdir(mode=0o500)
     without: list[str] = []

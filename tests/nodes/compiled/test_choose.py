@@ -1,8 +1,7 @@
-"""Which tick a launch takes, and that the plain one runs, with a reason, where the compiled one cannot be had."""
+"""Choice of the tick: the plain one runs, with a reason, if there is no compiled one."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 from pathlib import Path
@@ -15,6 +14,7 @@ from nodes.compiled.build import expected_seconds, find, reason
 from nodes.compiled.choose_tick import choose, compile_later
 from nodes.compiled.library import functions, library_of_pyzmq, obtain
 from nodes.compiled.message_fields import NotCompilableError
+from tests.support.background import background
 from tests.support.launching import running, wait_for
 
 TINY = "tests.support.tiny_kernel"
@@ -29,7 +29,7 @@ KERNELS = sorted(
 
 @pytest.fixture
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Forget what was compiled before."""
+    """Empty the cache of compiled code."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     return tmp_path
 
@@ -47,7 +47,7 @@ def test_plain_and_auto_never_wait_for_the_compiler(empty_cache: Path) -> None:
 def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
     empty_cache: Path,
 ) -> None:
-    """The doctor said "built …, auto takes it", and a launch below 1 kHz nothing."""
+    """The doctor said "built …, auto uses it"; a launch below 1 kHz said nothing."""
     failed = cache.CacheEntry(kind="failed", content=f"{KERNEL}: no such type".encode())
     cache.write(f"{KERNEL}.tick", failed, {})
     told: list[str] = []
@@ -58,12 +58,12 @@ def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
     found = CHECKS["compiled tick"]()
     assert found.state == "limited"
     assert (
-        f"cannot be compiled here: {KERNEL}: no such type; auto takes the plain tick" in found.found
+        f"cannot be compiled here: {KERNEL}: no such type; auto uses the plain tick" in found.found
     )
 
 
 def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: Path) -> None:
-    """It ended every launch: a folder cannot be read as a file."""
+    """A folder in place of a file ended every launch."""
     cache.write(f"{KERNEL}.tick", cache.CacheEntry(kind="so", content=b""), {})
     entry = cache.folder() / f"{KERNEL}.tick"
     entry.unlink()
@@ -95,7 +95,7 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
 
 @pytest.mark.parametrize("module", KERNELS)
 def test_every_kernel_compiles_from_the_present_sources(module: str) -> None:
-    """What this compiles, once for these sources, the other tests of the run find."""
+    """Other tests of the run reuse what this compiles."""
     told: list[str] = []
     assert choose("compiled", [module], told.append) == "compiled", told
     assert reason(find(module)) == ""
@@ -154,18 +154,6 @@ def test_a_function_that_its_kernel_does_not_name_is_named_with_its_place(
 def test_the_library_is_the_one_that_pyzmq_uses() -> None:
     assert "zmq" in Path(library_of_pyzmq()).name
     assert all(functions().values())
-
-
-def background(base: Path) -> dict[int, str]:
-    """List the processes that compile in the background into a folder."""
-    found = {}
-    for process in Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            if process.name.isdigit() and str(base).encode() in (process / "environ").read_bytes():
-                line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                if "nodes.compiled.build --idle" in line:
-                    found[int(process.name)] = line
-    return found
 
 
 @pytest.mark.process

@@ -1,4 +1,4 @@
-"""A coupling's compiled ticks beside its plain ones, on real sockets: ticks that were left out, messages that are too late."""
+"""A coupling's compiled and plain ticks on real sockets: omitted ticks, late messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from messages.types import Force, Proxy
 from nodes.compiled.choose_tick import choose
 from nodes.compiled.load import load_kernel
 from nodes.coupling.node import Coupling
-from sim.measure.measured_launch import wait_for
+from sim.measure.haptic_commands import wait_for
 from tests.support.setups import setup_of
 
 # One of taps alone, one with a recursive section, which sees what is bridged too.
@@ -58,7 +58,7 @@ def answered(
     schedule: Sequence[dict[str, Any]] = (),
     made: list[Coupling] | None = None,
 ) -> tuple[list[Force], Coupling]:
-    """Run a coupling on this thread while another one feeds it; what it answered."""
+    """Run a coupling on this thread, fed by another; return its answers."""
     assert choose(tick, [Coupling.kernel_module], print) == tick  # type: ignore[arg-type]
     context = new_context()
     source, sink = f"ipc://{place}/proxy", f"ipc://{place}/force"
@@ -169,7 +169,7 @@ def test_of_messages_that_are_too_late_the_newest_is_answered(tmp_path: Path, ti
 
 
 def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
-    """Compiled ticks took payloads up to 64 bytes too long; a message of one frame cost plain ticks the next one too."""
+    """Compiled ticks accepted payloads up to 64 bytes too long; plain ones lost a tick."""
 
     def padded(seq: int, size: int) -> bytes:
         plain: dict[str, Any] = msgspec.to_builtins(proxy_of(seq, 0.002 * seq))
@@ -207,7 +207,7 @@ def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
 
 
 def test_swaps_and_fades_stay_compiled_with_the_same_bits(tmp_path: Path) -> None:
-    """Swaps hard and faded, recursive laws that come and go, a gap in mid-fade, and swaps that come during a fade."""
+    """Swaps hard and faded, recursive laws, a gap in mid-fade, swaps during a fade."""
     schedule = [
         {"at": 0.020, "law": "pd_filtered", "ramp": 12},
         {"at": 0.060, "law": "pd", "ramp": 9},

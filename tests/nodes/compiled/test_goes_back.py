@@ -1,4 +1,4 @@
-"""What sends a compiled tick back to the interpreter: the table of nodes/ARCHITECTURE.md, row by row, and nothing else."""
+"""What sends a compiled tick back to the interpreter: the table of nodes/ARCHITECTURE.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nodes.driver.node import Driver
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.surfaces import Meeting, Plane
-from sim.measure.measured_launch import wait_for
+from sim.measure.haptic_commands import wait_for
 from tests.support import ROOT
 from tests.support.scripted import HandInC, Script, ScriptedSimulation, assert_alike
 from tests.support.scripted import played as scripted
@@ -35,10 +35,10 @@ TICKS = 12
 
 
 class Bowl(Plane, frozen=True, kw_only=True):
-    """A surface that answers as it likes."""
+    """A surface with Python code."""
 
     def meeting(self) -> Callable[[Vector], Meeting]:
-        """Answer as a plane does, for once."""
+        """Return the contact of a plane."""
         return super().meeting()
 
 
@@ -71,7 +71,7 @@ def proxy_of(seq: int, depth: float = -1e-3) -> Proxy:
 
 
 class Case(NamedTuple):
-    """A node, what it gets (bytes are refused), what is asked of it after the tick 5, and which ticks are plain."""
+    """A node, its messages (bytes are refused), requests after tick 5, expected plain ticks."""
 
     kind: type[Node]
     parameters: dict[str, Any]
@@ -154,7 +154,7 @@ STAYS = {
 
 
 def played(place: Path, case: Case) -> tuple[Node, int]:
-    """Run a node in lockstep on this thread while another one feeds it; the node, and how often it answered."""
+    """Run a node in lockstep on this thread, fed by another; return it and its answer count."""
     context = new_context()
     source, sink = f"ipc://{place}/in", f"ipc://{place}/out"
     heard = case.kind.listens_to[0]
@@ -235,7 +235,7 @@ def test_what_is_not_in_the_table_stays_compiled(row: str, tmp_path: Path) -> No
 
 
 def test_gaps_without_an_end_are_still_a_count(tmp_path: Path) -> None:
-    """Two jumps to the largest tick were more than any status can tell, and nobody could read it any more."""
+    """Two jumps to the largest tick overflowed the status' counter."""
     jumps = [state_of(seq) for seq in (0, MAX_COUNT - 1, MAX_COUNT, 0, MAX_COUNT - 1, MAX_COUNT)]
     node, _ = played(tmp_path, environment(jumps, 0))
     assert Decoder(NodeStatus).decode(encode(node.status())).gaps == MAX_COUNT
@@ -249,7 +249,7 @@ SILENT = range(20, 70)
 
 
 def in_lockstep(script: Script, silence: int) -> Script:
-    """Let a device that can wait be answered so many milliseconds after the answer before it, at one tick."""
+    """Delay one answer to a device that can wait by some milliseconds."""
     arrivals = [
         Arrival(at(0, 100.0 * seq + 1000.0 * silence * (seq >= 5)), arrival.frames)
         for seq, arrival in enumerate(script.arrivals)

@@ -1,4 +1,4 @@
-"""Whoever writes to a node's socket: both ticks refuse, count and answer the same, whatever comes and in whatever order."""
+"""Hostile messages: both ticks refuse, count and answer the same, in any order."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def compiled_before() -> None:
 
 
 def changed(message: Message, **given: Any) -> bytes:
-    """Encode a message with fields that its type would not let through."""
+    """Encode a message with fields that its type would refuse."""
     return msgspec.msgpack.encode({**msgspec.to_builtins(message), **given})
 
 
 def padded(message: Message, size: int) -> bytes:
-    """Encode a message so long, by a field that nobody knows."""
+    """Encode a message made long by an unknown field."""
     empty = len(changed(message, later=bytes(60_000))) - 60_000
     payload = changed(message, later=bytes(size - empty))
     assert len(payload) == size
@@ -96,7 +96,7 @@ def message_of(kind: str, seq: int, stamp: float) -> Message:
 
 
 def script_of(kind: str, coming: list[tuple[float, float, int, Frames]], pace: str) -> Script:
-    """Make a script of messages: the place and by how much later [µs] they come, their tick, and what was done to them."""
+    """Return a script of messages: place, delay [µs], tick and modification of each."""
     base = follower(kind, [], pace) if kind in KINDS else driver([], ticks=32)
     if pace == "lockstep" and kind == "driver":
         base = base._replace(kind=ScriptedSimulation, pace=pace)
@@ -109,7 +109,7 @@ def script_of(kind: str, coming: list[tuple[float, float, int, Frames]], pace: s
 
 
 def with_one_refused(kind: str, made: Frames, pace: str) -> Script:
-    """Put what is to be refused between the messages of two ticks, 20 times; then a stream without it."""
+    """Insert a refused message between two ticks, 20 times; then a stream without it."""
     coming = [(float(seq), 500.0, seq, GOOD["as it is"]) for seq in range(32)]
     # In lockstep a driver that was answered asks at once; so the bad one comes right before the
     # good one.
@@ -118,7 +118,7 @@ def with_one_refused(kind: str, made: Frames, pace: str) -> Script:
 
 
 def without_texts(outcome: Outcome) -> Outcome:
-    """Leave out the words of refusals: what a message of one frame is found to be depends on what comes after it."""
+    """Remove the texts of refusals, which depend on what follows a message of one frame."""
     return outcome._replace(events=[(kind, "", 0, 0.0) for kind, *_ in outcome.events])
 
 
@@ -224,7 +224,7 @@ def test_late_repeated_overtaken_and_damaged_messages_in_any_order(
 
 
 def test_the_answers_of_this_suite_are_answers(tmp_path: Path) -> None:
-    """A stream that is not hostile is answered tick by tick: else the comparisons above would compare nothing."""
+    """A normal stream is answered tick by tick, or the comparisons would be empty."""
     outcome, node = assert_alike(driver([answer(seq) for seq in range(32)], ticks=32), tmp_path)
     assert node.driving.missed == 0
     assert any(force != (0.0, 0.0, 0.0) for _, force, _ in outcome.given)

@@ -1,4 +1,4 @@
-"""What a node tells while it is in compiled ticks: they do not stop for it, and nothing that it tells is old or lost."""
+"""Outgoing messages during compiled ticks: ticks do not stop, and nothing is lost or old."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_all_that_was_told_was_sent_and_counted(
 
 
 def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) -> list[str]:
-    """Let a node tell things while its compiled ticks go on, which these are scripted to do; what leaves after them."""
+    """Send while a node runs its scripted compiled ticks; return what leaves afterwards."""
     context = new_context()
     source = f"ipc://{place}/proxy"
     parameters = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}}
@@ -113,8 +113,8 @@ def test_what_is_told_leaves_in_its_order(tmp_path: Path) -> None:
         node.events.emit_each(OtherKind("test.kind"), "1")
         # As the kernel does when it has sent it: what is told now must not leave before what waits
         # for the loop.
-        assert b"0" in ctypes.string_at(state.mail_payload, state.mail_size)
-        state.mail = 0
+        assert b"0" in ctypes.string_at(state.outgoing_payload, state.outgoing_size)
+        state.outgoing = 0
         node.events.emit_each(OtherKind("test.kind"), "2")
 
     assert told_during(tmp_path, unsent) == ["0", "1", "2", "3", "4"]

@@ -1,4 +1,4 @@
-"""Compiled reading and writing of messages, against msgspec: whatever is read compiled is read as the plain tick reads it."""
+"""Compiled reading and writing of messages, against msgspec and the plain tick."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from messages.codec import Decoder, MessageRefusedError, encode
 from messages.types import MAX_COUNT, DeviceState, Force, Message, Proxy
 from nodes.compiled.kernels.encode import make_encode
-from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.message_fields import (
     FLAG,
     TEXT,
@@ -30,56 +29,9 @@ from nodes.compiled.message_fields import (
     fields_of,
     key_blocks,
 )
+from tests.support.scanned import assert_read_alike, scanner
 
 TYPES = (DeviceState, Proxy, Force)
-
-
-@cache
-def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
-    scan: Any = make_scan(message)
-    compiled = numba.njit(lambda at, end, reals, wholes: scan(at, end, reals, wholes))
-
-    def read(payload: bytes) -> dict[str, Any] | None:
-        # What stood there before must not be taken for what was read.
-        reals, wholes = np.full(32, 77.0), np.full(16, 77)
-        at = ctypes.create_string_buffer(payload, len(payload) + 16)
-        begin = ctypes.addressof(at)
-        if not compiled(begin, begin + len(payload), reals, wholes):
-            return None
-        found: dict[str, Any] = {}
-        for field in fields_of(message):
-            if field.kind == VECTOR:
-                found[field.name] = tuple(float(v) for v in reals[field.slot : field.slot + 3])
-            elif field.kind in (WHOLE, FLAG):
-                found[field.name] = int(wholes[field.slot])
-            elif field.kind != TEXT:
-                found[field.name] = float(reals[field.slot])
-        return found
-
-    return read
-
-
-def numbers(message: Message) -> dict[str, Any]:
-    """Give what the plain tick reads: all but the texts."""
-    return {
-        name: value
-        for name, value in msgspec.structs.asdict(message).items()
-        if not isinstance(value, str)
-    }
-
-
-def assert_read_alike(message: type[Message], payload: bytes) -> bool:
-    """Check that what is read compiled, msgspec reads too, and the same; tell whether it was."""
-    found = scanner(message)(payload)
-    if found is None:
-        return False
-    expected = numbers(Decoder(message).decode(payload))
-    assert found == expected
-    # Equality does not know the sign of zero.
-    assert repr(found) == repr(
-        {name: int(v) if isinstance(v, bool) else v for name, v in expected.items()}
-    )
-    return True
 
 
 reals = st.floats(allow_nan=False, allow_infinity=False)
@@ -234,7 +186,7 @@ codes = st.one_of(
 def test_in_any_order_with_any_width_and_unknown_keys(
     order: list[str], values: Any, more: list[tuple[bytes, bytes]], wide: bool, data: Any
 ) -> None:
-    """Each message is refused by both, left to msgspec, or read alike."""
+    """Both refuse each message, or leave it to msgspec, or read it alike."""
     seq, stamp, force, law, revision = values
     known = {
         "seq": seq,

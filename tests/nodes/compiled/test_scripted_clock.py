@@ -1,18 +1,15 @@
-"""Every rule of time on a scripted clock: ticks that are late, lost or jumped over, interpreted and compiled alike to the bit.
+"""Rules of time on a scripted clock: late, lost and skipped ticks, both ticks bit-equal.
 
-Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so that
-what a busy machine does once in an hour is played in a millisecond, and played again by the other
-tick.
+Nothing here runs in real time. Time passes as a script says (tests/support/scripted.py), so what a
+busy machine does once in an hour is played in a millisecond, and repeated by the other tick.
 """
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import msgspec
 import pytest
@@ -26,11 +23,11 @@ from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
-from nodes.driver.state import DAMPING, FAULT, NOTHING, RAMP, STOPPED
 from nodes.environment.node import Environment
-from tests.support.scripted import AHEAD, Hand, Script, assert_alike, played
+from tests.support.rules_of_time import ANSWERED, BEARS, RULES
+from tests.support.scripted import AHEAD, Hand, assert_alike, played
 from tests.support.scripted_world import EPOCH, TICK, Arrival, T, at
-from tests.support.scripts import BOX, KINDS, TICKS, answer, answers_but, driver, follower, moving
+from tests.support.scripts import BOX, KINDS, TICKS, answer, driver, follower, moving
 
 KERNELS = [Driver.kernel_module, Environment.kernel_module, Coupling.kernel_module]
 
@@ -42,193 +39,6 @@ def compiled_before() -> None:
 
 # -- the driver: each rule of time, and that it acted
 # ------------------------------------------------------------------
-
-
-ANSWERED = answers_but()
-
-
-class Rule(NamedTuple):
-    """A script in which a rule acts, and what shows that it did, on arrival; with next_tick it may act elsewhere."""
-
-    script: Script
-    acted: Callable[[Any], bool]
-
-
-SILENT = tuple(range(20, 70))
-BEARS = DeviceLimits(peak_force=8.0, hold=10.0, workspace=BOX, latency=0.0)
-RULES = {
-    "nothing unusual": Rule(
-        driver(ANSWERED), lambda s: s.ticks == TICKS and s.missed == s.overruns == 0
-    ),
-    "watchdog, damping, zero": Rule(
-        driver(answers_but(*SILENT), watchdog=5, damping_ticks=20),
-        lambda s: (s.entered[DAMPING], s.entered[NOTHING], s.missed) == (1, 1, len(SILENT)),
-    ),
-    "the watchdog's last tick in time": Rule(
-        driver(answers_but(*range(20, 24)), watchdog=5),
-        lambda s: s.entered[DAMPING] == 0 and s.missed == 4,
-    ),
-    "the ramp at the start, and after damping": Rule(
-        driver(answers_but(*SILENT), ramp=0.02, recovery=0.04, watchdog=5),
-        lambda s: s.entered[RAMP] == 2,
-    ),
-    "a hand that is pushed by the ramp": Rule(
-        driver(
-            answers_but(*SILENT),
-            recovery=0.05,
-            watchdog=5,
-            position=lambda seq: (0.0, 0.0, 1e-3 * max(seq - 69, 0)),
-        ),
-        lambda s: s.entered[RAMP] == 1 and s.safety == RAMP,
-    ),
-    "slew": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, 5.0 * (seq // 10 % 2))) for seq in range(TICKS)],
-            slew=500.0,
-        ),
-        lambda s: s.limited_by[1] > 10,
-    ),
-    "slew after lost ticks is that of one": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, 0.0 if seq < 40 else 6.0)) for seq in range(TICKS)],
-            {40: 9_000, 60: 4_000},
-            slew=500.0,
-        ),
-        lambda s: s.overruns == 6 and s.force[2] == 6.0,
-    ),
-    "ticks lost": Rule(
-        driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}), lambda s: s.overruns == 1 + 10
-    ),
-    "lost ticks and no answers": Rule(
-        driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5),
-        lambda s: s.overruns == 5 and s.entered[DAMPING] == 1,
-    ),
-    "hold: the device lets go in a silence": Rule(
-        driver(answers_but(*SILENT), limits={"hold": 6 * T}, watchdog=30),
-        lambda s: s.entered[NOTHING] == 1,
-    ),
-    "hold: it lets go while the driver is held up": Rule(
-        driver(ANSWERED, {30: 21_000}, limits={"hold": 4 * T}),
-        lambda s: s.entered[NOTHING] == 1 and s.overruns == 10,
-    ),
-    "hold that ends within a tick": Rule(
-        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30),
-        lambda s: s.entered[NOTHING] == 1,
-    ),
-    "continuous force, two gaps in one window": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, 7.9)) for seq in range(TICKS)],
-            {20: 18_000, 40: 18_000},
-            continuous_force=1.75,
-            thermal_time=0.2,
-            slew=100.0,
-            peak_force=7.9,
-        ),
-        lambda s: s.limited_by[2] > 0 and s.overruns == 18,
-    ),
-    "age: answers that are none to five ticks old": Rule(
-        driver(
-            [answer(seq, 600.0 + 2000.0 * (seq // 20)) for seq in range(TICKS)],
-            max_age=3,
-            watchdog=20,
-        ),
-        # On arrival a driver that is answered late waits for it, and leaves ticks out; under
-        # next_tick it does not.
-        lambda s: (
-            s.overruns > 0
-            if s.next_tick == 0
-            else s.refused_for[2] > 0 and s.oldest_age >= 3 and s.entered[DAMPING] == 1
-        ),
-    ),
-    "samples that are late, with answers beyond their tick": Rule(
-        driver(
-            [answer(seq, 2_200.0 if seq % 4 == 0 else 500.0) for seq in range(TICKS)],
-            dict.fromkeys(range(0, TICKS, 4), 1_500),
-        ),
-        lambda s: s.missed == 30 and s.overruns == 0,
-    ),
-    "every answer late": Rule(
-        driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0
-    ),
-    "every answer twice": Rule(
-        driver(
-            [answer(seq, 600.0 if seq % 2 else 2_200.0) for seq in range(TICKS)]
-            + [answer(seq, 900.0, (0.0, 0.0, 0.5)) for seq in range(TICKS)]
-        ),
-        lambda s: s.refused_for[1] > 50,
-    ),
-    "forces for ticks that have not been": Rule(
-        driver([*ANSWERED, *(answer(seq, -3_000.0) for seq in range(10, 40))]),
-        lambda s: s.refused_for[0] == 30,
-    ),
-    "a flood of old forces": Rule(
-        driver(
-            [*ANSWERED]
-            + [
-                Arrival(at(seq, 100.0 + 10.0 * n), answer(max(seq - 2, 0)).frames)
-                for seq in range(10, 20)
-                for n in range(TICKS)
-            ]
-        ),
-        lambda s: s.skipped > 500 and s.refused_for[1] > 500,
-    ),
-    "outside the workspace, and back": Rule(
-        driver(
-            ANSWERED,
-            position=lambda seq: (0.0, 0.0, 0.2 if 30 <= seq < 40 else -1e-3),
-            recovery=0.02,
-        ),
-        lambda s: s.entered[FAULT] == 1 and s.missed == 0,
-    ),
-    "a loop that swings": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, 20.0 * (-1) ** (seq // 5))) for seq in range(TICKS)],
-            position=lambda seq: (0.0, 0.0, -1e-3 * abs(seq % 10 - 5)),
-            peak_force=7.9,
-            stop_after=4,
-        ),
-        lambda s: s.entered[STOPPED] == 1,
-    ),
-    "a jump of the position": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, 2.0 if seq < 30 else -5.0)) for seq in range(TICKS)]
-        )._replace(hand=lambda: Hand(BEARS, moving, jumps_at=[30, 70])),
-        lambda s: s.entered[RAMP] == 1 and s.rebased == 70,
-    ),
-    "a first force that is not zero": Rule(
-        driver(ANSWERED, ramp=None), lambda s: s.entered[RAMP] == 1
-    ),
-    "a force that stays at its limit": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, 20.0)) for seq in range(TICKS)],
-            position=lambda seq: (0.0, 0.0, 1e-5 * seq),
-            peak_force=7.9,
-            stop_after=64,
-        ),
-        # Once for coming there, seen by the sample of tick 1, and then every 1 s / 64 while 79 µJ
-        # more a tick are given out.
-        lambda s: s.peaks_count == 1 + (TICKS - 1) // 8,
-    ),
-    **{
-        f"held up in mid-tick, {place}": Rule(
-            driver(ANSWERED, limits={"hold": 5 * T})._replace(
-                stalls={(40, place): 21_000, (70, place): 4_000}
-            ),
-            lambda s: s.entered[NOTHING] == 1 and s.entered[RAMP] == 1,
-        )
-        for place in ("read", "publish", "answer", "stamped")
-    },
-    "the guard": Rule(
-        driver(
-            [answer(seq, force=(0.0, 0.0, -2.0)) for seq in range(TICKS)],
-            {50: 5_000},
-            position=lambda seq: (0.0, 0.0, -1e-4 * seq),
-            guard={"stiffness": 500.0, "damping": 5.0},
-            limits={"latency": 0.6 * T},
-        ),
-        lambda s: s.lowered > 0,
-    ),
-}
 
 
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
@@ -262,7 +72,7 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
 
 
 def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
-    """It squared by `** 2`: a power in the interpreter, a product in compiled code, whose last bits differ now and then."""
+    """`** 2` is a power in the interpreter and a product in compiled code."""
     drawn = random.Random(1)  # noqa: S311  # no secret
     forces: list[Vector] = []
     while len(forces) < TICKS:
@@ -279,7 +89,7 @@ def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
 
 
 def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path) -> None:
-    """Plain ticks took this machine's: recordings of a driver elsewhere had positions from hours before their forces."""
+    """Plain ticks used this machine's time, hours away from the forces'."""
     outcome, _ = assert_alike(RULES["nothing unusual"].script, tmp_path)
     stamps = [Decoder(DeviceState).decode(frames[1]).stamp - AHEAD for _, frames in outcome.sent]
     # A scripted sleep ends one step of the script's grid late: 1 µs. A clock at 6000 s has steps of
@@ -290,7 +100,7 @@ def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path)
 
 
 def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
-    """A compiled tick that stopped half-way, for a message that it could not read, forgot what had acted until then."""
+    """A compiled tick interrupted by an unreadable message forgot the force so far."""
     arrivals = [
         *(answer(seq, force=(0.0, 0.0, 1.0)) for seq in range(4)),
         # The force of tick 4 comes in tick 5, then what cannot be read, then tick 5's own.
@@ -313,7 +123,7 @@ def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path
 
 
 def test_who_was_silent_is_not_waited_for_whatever_else_comes(tmp_path: Path) -> None:
-    """A message that compiled ticks could not read made the plain one wait 1 ms too long, and the next sample late."""
+    """After an unreadable message the plain tick waited 1 ms too long."""
     damaged = Arrival(at(6, 1_700.0), (topics.FORCE.encode(), b"no message"))
     script = driver([*(answer(seq) for seq in range(4)), damaged], {6: 1_500}, ticks=9)
     outcome, _ = assert_alike(script, tmp_path)
@@ -402,7 +212,7 @@ def test_who_follows_a_driver_follows_alike(
 
 
 # -- in every order
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 micros = st.integers(0, 9_000)
 lates = st.dictionaries(

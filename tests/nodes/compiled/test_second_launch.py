@@ -1,9 +1,8 @@
-"""A launch that lacked compiled ticks has them made, and the next one runs them; here of sources in which one rule was changed.
+"""The first launch builds compiled ticks, the second runs them; with a changed rule.
 
-So it shows two things at once, with real launches and a real compiler: that whoever never asked for
-compiled ticks has them from the second launch on, and that a rule of the tick stands in one place:
-changed there, the interpreter, the compiled nodes, the scene in one process and the replay of a
-recording all keep the new one, to the bit.
+With real launches and a real compiler it shows that whoever never asked for compiled ticks has them
+from the second launch on, and that a rule of the tick exists once: changed there, interpreter,
+compiled nodes, one-process scene and replay follow it to the bit.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from messages.topics import DEVICE_STATE
 from nodes.compiled.cache import folder
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.play.launched import from_launch
-from tests.nodes.compiled.test_choose import background
+from sim.play.player import play
 from tests.support import ROOT
+from tests.support.background import background
 from tests.support.launching import private_runtime_dir, wait_for
 
 RULE = (
@@ -34,7 +33,7 @@ RULE = (
     "share = s.regained / s.ramp_ticks",
     "share = (s.regained / s.ramp_ticks) ** 2",
 )
-"""The ramp by which a force is let in grows with the square of the time."""
+"""Changed rule: the ramp grows with the square of time."""
 
 KERNELS = (
     "nodes.driver.kernel",
@@ -51,16 +50,18 @@ from pathlib import Path
 from nodes.launcher import launch_file
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
-from sim.play.launched import from_launch
+from sim.play.player import play
 
-scene = from_launch(launch_file.read("floor_drop", launch_file.parse_assignments(["duration:=0.6"]), (Path("slow.yaml"),)))
-forces = {"one process": scene.play().force, "replay": replay(rebuild(Path(sys.argv[1]))).force[: scene.ticks]}
+assigned = launch_file.parse_assignments(["duration:=0.6"])
+trace = play(launch_file.read("floor_drop", assigned, (Path("slow.yaml"),))).along()
+again = replay(rebuild(Path(sys.argv[1])))
+forces = {"one process": trace.force, "replay": again.force[: len(trace.force)]}
 print(json.dumps({name: [float(value) for value in row] for name, row in forces.items()}))
 """
 
 
 class Changed(NamedTuple):
-    """A copy of this project with another rule, a folder to launch in, and an empty cache of its own."""
+    """A copy of this project with another rule, a launch folder, and an empty cache."""
 
     sources: Path
     folder: Path
@@ -68,7 +69,7 @@ class Changed(NamedTuple):
     environment: dict[str, str]
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """Run python in the folder."""
+        """Run Python in the folder."""
         return subprocess.run(
             [sys.executable, *words],
             cwd=self.folder,
@@ -80,7 +81,7 @@ class Changed(NamedTuple):
         )
 
     def launch(self, *words: str) -> tuple[dict[str, Any], str]:
-        """Launch the scenario; its summary, and what it said."""
+        """Launch the scenario; return its summary and output."""
         done = self.run("-m", "nodes.cli.command", "launch", *WORDS, *words, "--json")
         return json.loads(done.stdout.splitlines()[-1]), done.stderr
 
@@ -112,10 +113,9 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Changed]:
 
 
 def keep_what_is_compiled(changed: Changed) -> None:
-    """Put what is compiled of the sources as they are into the copy's cache: half a minute less for the compiler.
+    """Copy the present compiled code into the copy's cache, to save half a minute.
 
-    What the rule touches counts as absent there, by its digest; were it taken, the rule would be
-    the old one.
+    Modules that the rule affects are absent there by digest; otherwise the old rule would run.
     """
     there = Path(
         changed.run("-c", "from nodes.compiled.cache import folder; print(folder())").stdout.strip()
@@ -174,8 +174,8 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
     # times its share of the ramp.
     given = launch_file.parse_assignments(["duration:=0.6"])
     old = (
-        from_launch(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",)))
-        .play()
+        play(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",)))
+        .along()
         .force.tolist()
     )
     touched = next(tick for tick, force in enumerate(old) if force)

@@ -1,4 +1,4 @@
-"""The coupling's parts: rendering to the bit, warm-up of recursive laws, fades, swaps all or nothing, the law book's checks."""
+"""The coupling's parts: rendering to the bit, warm-up, fades, swaps, the law book."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def filled(values: list[float], length: int) -> History:
 
 
 # -- taps
-# ------------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 finite = st.floats(-1e6, 1e6)
 
@@ -87,7 +87,7 @@ def test_a_law_longer_than_the_history_is_refused_at_the_edge() -> None:
 
 
 # -- history
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_bridge_is_a_straight_line_up_to_the_next_deflection() -> None:
@@ -140,7 +140,7 @@ def test_a_snapshot_taken_while_the_loop_pushes_belongs_to_one_tick() -> None:
 
 
 class _Busy(array):  # type: ignore[type-arg]
-    """A ring that the loop pushes into while it is copied."""
+    """A ring buffer that the loop writes while it is copied."""
 
     history: History
     copies: int
@@ -174,7 +174,7 @@ def test_a_snapshot_of_a_history_that_goes_on_all_the_time_has_an_end() -> None:
 
 
 # -- recursive sections
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_warmed_up_law_is_where_it_would_be_had_it_run_all_along() -> None:
@@ -233,11 +233,11 @@ def test_sections_see_the_ticks_that_were_bridged() -> None:
 
 
 # -- fades and swaps
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def proxy_at(z: float, seq: int = 0) -> Proxy:
-    """Meet a floor at z = 0."""
+    """Return the contact with a floor at z = 0."""
     surface = (0.0, 0.0, 0.0 if z < 0.0 else z)
     return Proxy(
         seq=seq,
@@ -411,7 +411,7 @@ def test_a_law_that_fades_out_is_watched_until_it_is_gone() -> None:
 
 
 # -- budget
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excused() -> None:
@@ -438,12 +438,12 @@ def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excus
 
 
 class Slow(Law, frozen=True, kw_only=True):
-    """Takes 20 ms."""
+    """A law that takes 20 ms."""
 
     kind: ClassVar[str] = "slow"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Taps are not enough."""
+        """Compile to taps and slow code."""
         del period
 
         def evaluate(history: Sequence[float], head: int) -> float:

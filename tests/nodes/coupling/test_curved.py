@@ -1,4 +1,4 @@
-"""A law on a curved surface: what a history of deflections in the world's axes renders along it, against closed forms."""
+"""Laws on curved surfaces: the effect of a history in world axes, against closed forms."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LAWS: dict[str, Law] = {
 
 
 def led_round(name: str, frame: str, ticks: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """Lead a device round a sphere at one depth: forces along the way and along the normal [N]."""
+    """Move a device round a sphere at constant depth; return tangential and normal forces [N]."""
     law = LAWS[name].compile(PERIOD)
     renderer = Renderer([0, 1, 2], 16)
     begin_turning(renderer.state, frame)
@@ -61,7 +61,7 @@ def touching(k: int, normal: np.ndarray, depth: float = DEPTH) -> Proxy:
 
 @pytest.mark.parametrize("name", LAWS)
 def test_a_history_in_the_worlds_axes_pushes_along_a_curved_way(name: str) -> None:
-    """Led round a sphere at one depth, nothing but the normal changes: tap j pulls by −h_j d sin(jθ) along the way."""
+    """Round a sphere only the normal changes: tap j pulls by −h_j d sin(jθ)."""
     law = LAWS[name].compile(PERIOD)
     along, across = led_round(name, "world")
     taps = np.array(law.taps)
@@ -79,7 +79,7 @@ def test_a_history_in_the_worlds_axes_pushes_along_a_curved_way(name: str) -> No
 
 @pytest.mark.parametrize("name", LAWS)
 def test_in_axes_that_turn_with_the_surface_the_way_is_not_felt(name: str) -> None:
-    """All deflections are alike then: the spring alone, and nothing along the way."""
+    """All deflections are equal then: only the spring, no tangential force."""
     along, across = led_round(name, "surface")
     settled = len(LAWS[name].compile(PERIOD).taps)
     # Rounding of some newtons, as above.
@@ -119,7 +119,7 @@ def test_at_an_edge_and_off_the_surface_the_axes_stay() -> None:
 
 
 def test_a_frame_may_change_while_a_law_renders() -> None:
-    """What was pushed stays true: the force goes on without a jump, though the axes have turned by a right angle."""
+    """The force continues without a jump, though the axes turn by a right angle."""
     law = LAWS["pd"].compile(PERIOD)
     renderer = Renderer([0, 1, 2], 16)
     begin_turning(renderer.state, "auto")

@@ -1,4 +1,4 @@
-"""A jump that no motion made is no velocity and no impact: the force leaves what was felt by a ramp, in every player."""
+"""Jumps without motion: no velocity, no impact; the force is ramped, in every player."""
 
 from __future__ import annotations
 
@@ -25,8 +25,12 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import convert
-from sim.play.chain import SpatialTrace, play
-from sim.play.launched import from_launch
+from sim.play.chain import Instead
+from sim.play.given import Given
+from sim.play.launched import LaunchedScene, from_launch
+from sim.play.one_axis import run
+from sim.play.player import play
+from sim.play.trace import ChainTrace
 from tests.support.setups import setup_of
 from tests.support.shapes import wander
 
@@ -38,13 +42,27 @@ STIFFNESS, DAMPING = 800.0, 2.0
 EPSILON = 1e-12  # rounding of forces of some 100 N
 
 
-def drop(law: str, height: float, **coupling: Any) -> Any:
+def drop(law: str, height: float, **coupling: Any) -> LaunchedScene:
     """Prepare the drop of the paper from a height [m]."""
     return from_launch(with_values(dropped(law, height), "coupling", coupling))
 
 
+def force_of(scene: LaunchedScene, ticks: int | None = None) -> np.ndarray[Any, Any]:
+    """Play a drop by the loop of one axis, interpreted; return its force [N]."""
+    return run(scene.scene, scene.law, ticks or scene.ticks, interpreted=True).force
+
+
+def led(
+    launch: Launch, path: np.ndarray[Any, Any], changes: Sequence[tuple[int, dict[str, Any]]]
+) -> ChainTrace:
+    """Play a way that the device is led, over surfaces that change."""
+    surfaces = [(tick, {"surface": surface}) for tick, surface in changes]
+    instead = Instead(environment=surfaces)
+    return play(launch, ticks=len(path), instead=instead, given=Given(path=path))
+
+
 def dropped(law: str, height: float) -> Launch:
-    """Read the drop of the paper, without the driver's own ramp."""
+    """Return the launch of that drop without the driver's own ramp."""
     launch = launch_file.read("floor_drop", {"law": law, "height": height, "duration": 0.6})
     return with_values(
         launch, "driver", {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}}
@@ -52,12 +70,12 @@ def dropped(law: str, height: float) -> Launch:
 
 
 def gain_at_rest(law: CompiledLaw) -> float:
-    """Return force over deflection of a law that has always seen the same one [N/m]."""
+    """Return force over deflection of a law at constant deflection [N/m]."""
     return sum(law.taps) + sum((b0 + b1) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections)
 
 
 def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
-    """Set parameters of a node of a launch."""
+    """Return a launch with parameters of a node changed."""
     node = launch.nodes[name]
     parameters = {**node.parameters, **values}
     nodes = {**launch.nodes, name: msgspec.structs.replace(node, parameters=parameters)}
@@ -67,36 +85,33 @@ def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 @pytest.mark.parametrize("height", [-0.002, -0.0005])
 def test_a_drop_that_begins_inside_the_floor_begins_softly(law: str, height: float) -> None:
-    """The first force was B/T times the depth beside K times it: 5.0, 4.6 and 6.3 N where 2.0 N hold."""
+    """The first force was B/T times the depth too: 5.0, 4.6 and 6.3 N instead of 2.0 N."""
     scene = drop(law, height)
-    force = scene.play(interpreted=True).force
+    force = force_of(scene)
     assert 0.0 < force[0] == pytest.approx(-gain_at_rest(scene.law) * height / RAMP, rel=1e-9)
     # It never pushes harder than a device that is let down on the surface itself.
-    assert force.max() < 1.3 * drop(law, 0.0).play(interpreted=True).force.max()
+    assert force.max() < 1.3 * force_of(drop(law, 0.0)).max()
 
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
 def test_a_drop_that_begins_free_has_the_bits_of_one_without_easing(law: str) -> None:
     for height in (0.0, 0.01):
-        eased_, hard = (
-            drop(law, height, ease=ease).play(200, interpreted=True) for ease in (EASE, 0.0)
-        )
+        drops = (drop(law, height, ease=ease) for ease in (EASE, 0.0))
+        eased_, hard = (run(one.scene, one.law, 200, interpreted=True) for one in drops)
         assert np.array_equal(eased_.force, hard.force)
         assert np.array_equal(eased_.measured, hard.measured)
 
 
 def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
-    assert drop("pd", -0.002, ease=0.0).play(10, interpreted=True).force[0] == pytest.approx(
-        2.0, rel=1e-12
-    )
+    assert force_of(drop("pd", -0.002, ease=0.0), 10)[0] == pytest.approx(2.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str) -> None:
-    """One process, interpreted over the loop's own rules, and over the nodes' renderer and driver."""
-    played = drop(law, -0.0012)
-    trace = played.play(150, interpreted=True)
-    assert np.array_equal(play(dropped(law, -0.0012), 150).force[:, 2], trace.force)
+    """One process, interpreted over the loop's own rules and over the nodes' own parts."""
+    force = force_of(drop(law, -0.0012), 150)
+    nodes = play(dropped(law, -0.0012), ticks=150, how="nodes")
+    assert np.array_equal(nodes.force[:, 2], force)
 
 
 @given(
@@ -108,7 +123,7 @@ def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str
 def test_an_eased_force_lies_between_what_was_felt_and_what_is_asked(
     felt: float, asked: float, later: list[float], ramp: int
 ) -> None:
-    """Of each tick's change the ramp makes its share of the step, the rest is a change of what is asked."""
+    """The ramp adds its share of the step; the rest follows the requested force."""
     before = felt
     for done, wanted in enumerate([asked, *later]):
         force = eased(wanted, felt, felt - asked, min(done, ramp), ramp)
@@ -184,27 +199,27 @@ FIRST_TAPS = np.array([STIFFNESS + DAMPING / PERIOD, -DAMPING / PERIOD])
 
 
 def with_surface(surface: dict[str, Any], **given_: Any) -> Launch:
-    """Read the scene in space with a surface."""
+    """Return the scene in space with a surface."""
     launch = launch_file.read(str(FIXTURES / "space.yaml"), given_)
     node = msgspec.structs.replace(launch.nodes["environment"], parameters={"surface": surface})
     return msgspec.structs.replace(launch, nodes={**launch.nodes, "environment": node})
 
 
 def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
-    """Return the parameters of the coupling in space."""
+    """Return the coupling's parameters in space."""
     made: CouplingParameters = convert(
         with_surface(surface, law=law).nodes["coupling"].parameters, CouplingParameters, "coupling"
     )
     return made
 
 
-def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
-    """Return the largest change of force per tick beyond ramp and motion, of pd in the world's axes [N].
+def unexplained(found: ChainTrace, changes: Sequence[int]) -> float:
+    """Return the largest force change per tick beyond ramp and motion, for pd [N].
 
-    What is asked is computed from the trace by the law's own equation, with no velocity over a
-    jump; the ramp may add its share of each jump's step, as long as it lasts.
+    The requested force is computed from the trace by the law's equation in world axes, without
+    velocity over a jump; the ramp may add its share of each jump's step while it lasts.
     """
-    deflection = np.where(found.contact[:, None], found.proxy - found.position, 0.0)
+    deflection = np.where(found.contact[:, None], found.proxy - found.measured, 0.0)
     before = np.vstack([deflection[:1], deflection[:-1]])
     for tick in changes:
         before[tick] = deflection[tick]
@@ -235,14 +250,14 @@ def unexplained(found: SpatialTrace, changes: Sequence[int]) -> float:
 def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
     surfaces: list[dict[str, Any]], start: tuple[float, float, float], gaps: list[int], seed: int
 ) -> None:
-    """Random surfaces, starts, ways and live changes, one into the easing of another."""
+    """Random surfaces, starts, paths and live changes, also during easing."""
     path = np.array(start) + wander(
         np.random.default_rng(seed), 240, 2e-4, (0.02, 0.02, 0.02), (0.0, 0.0, 0.0)
     )
     path += np.array(start) - path[0]
     ticks = np.cumsum(gaps)[: len(surfaces) - 1].tolist()
     changes = list(zip(ticks, surfaces[1:], strict=False))
-    found = play(with_surface(surfaces[0], frame="world"), len(path), path=path, changes=changes)
+    found = led(with_surface(surfaces[0], frame="world"), path, changes)
     jumps = [
         tick
         for tick, one, other in zip(ticks, surfaces, surfaces[1:], strict=False)
@@ -256,7 +271,7 @@ def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
 def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
     law: str, frame: str
 ) -> None:
-    """Pressed 3 mm deep for a while, then it comes 10 mm nearer: 40 N and more at once, before."""
+    """Pressed 3 mm deep, the surface comes 10 mm nearer: before, 40 N at once."""
     path = np.concatenate(
         [
             np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.027], 100),
@@ -266,9 +281,7 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
     ball, moved = (
         {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.01)
     )
-    found = play(
-        with_surface(ball, law=law, frame=frame), len(path), path=path, changes=[(1200, moved)]
-    )
+    found = led(with_surface(ball, law=law, frame=frame), path, [(1200, moved)])
     force = found.force[:, 2]
     step = np.abs(np.diff(force[1100:])).max()
     gain = gain_at_rest(LawBook("coupling", PERIOD).compile(couplings(ball, law), law))
@@ -284,7 +297,7 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
 def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_ramp(
     radius: float, moved: float
 ) -> None:
-    """Eased in full, 80 N were at the driver's 7.9 N after a tenth of the ramp; from 12 N they fell in its last part."""
+    """The requested 80 N reached the driver's 7.9 N after a tenth of the ramp."""
     path = np.concatenate(
         [np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100), np.tile([0.0, 0.0, 0.02], (300, 1))]
     )
@@ -292,7 +305,7 @@ def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_r
     limits = {**launch.nodes["driver"].parameters["safety"], "peak_force": 7.9, "slew": 4000.0}
     launch = with_values(launch, "driver", {"safety": limits})
     changes = [(250, {"kind": "sphere", "radius": radius + moved})]
-    force = play(launch, len(path), path=path, changes=changes).force[:, 2]
+    force = led(launch, path, changes).force[:, 2]
     deep = radius + TOOL_RADIUS - 0.02
     before, after = (
         min(max(STIFFNESS * deflection, 0.0), 7.9) for deflection in (deep, deep + moved)
@@ -310,13 +323,13 @@ def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside()
     ball, moved = (
         {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.03)
     )
-    found = play(with_surface(ball), len(path), path=path, changes=[(20, moved)])
+    found = led(with_surface(ball), path, [(20, moved)])
     assert not found.force[:350].any()
     assert found.force[-1, 2] > 1.0
 
 
 # -- the node
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 PD = {"kind": "pd", "stiffness": STIFFNESS, "damping": 0.0}
 
@@ -333,7 +346,7 @@ def coupling(**given_: Any) -> Coupling:
 
 
 def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
-    """Answer a tick at a depth behind a floor [m]; the force along z [N]."""
+    """Return the force along z [N] at a depth behind a floor [m]."""
     contact: dict[str, Any] = {
         "normal": (0.0, 0.0, 1.0),
         "distance": -depth,
@@ -341,7 +354,7 @@ def force_at(node: Coupling, seq: int, depth: float, **given_: Any) -> float:
     }
     place = (0.0, 0.0, -depth)
     proxy = (0.0, 0.0, 0.0) if depth > 0.0 else place
-    payload = node._answer(
+    payload = node.respond(
         Proxy(seq=seq, stamp=0.0, position=place, proxy=proxy, **contact, **given_)
     )
     node.counters.seq = node.counters.answered = seq
@@ -372,7 +385,7 @@ def test_a_coupling_that_is_started_again_begins_at_rest_from_nothing() -> None:
 
 
 def test_a_driver_that_counts_anew_is_no_velocity() -> None:
-    """In lockstep a driver that was started again begins at tick 0; how deep the device is by then was no motion."""
+    """In lockstep a restarted driver begins at tick 0; its new position is no motion."""
     node = coupling(laws={"pd": {**PD, "damping": 8.0}})
     for k in range(20):
         force_at(node, k, 0.0)
@@ -380,7 +393,7 @@ def test_a_driver_that_counts_anew_is_no_velocity() -> None:
 
 
 def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that_renders() -> None:
-    """Its slow section remembered the deflection of before the jump: 0.5 N in place of 2.2 N."""
+    """Its slow section kept the deflection before the jump: 0.5 N instead of 2.2 N."""
     law = CompiledLaw(taps=(100.0,), sections=((5.0, -4.9, -1.99, 0.9901),))
     history = History(16)
     for _ in range(50):
@@ -398,7 +411,7 @@ def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that
 
 
 def test_conventions_that_are_changed_while_they_act_are_a_jump() -> None:
-    """A law that pulls is clamped from now on: its 4 N are taken down, not off."""
+    """Clamping a pulling law ramps its 4 N down instead of dropping them."""
     node = coupling(laws={"pd": {**PD, "damping": 8.0}}, clamp=False, ease=0.008)
     force_at(node, 0, 0.0)
     force_at(node, 1, 0.010)

@@ -1,4 +1,4 @@
-"""Laws and parameters change while the loop runs: receipts, refusals, schedules, watched files, and laws that break."""
+"""Live changes of laws and parameters: receipts, refusals, schedules, files, broken laws."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REST = 0.981
 
 
 def settle(launch: Running) -> None:
-    """Wait until the mass rests: the loop's slowest pole here is 0.99, so 3000 ticks take any bounce below 1e-12."""
+    """Wait until the mass rests: a pole of 0.99 and 3000 ticks reduce any bounce below 1e-12."""
     launch.wait_ticks(3000)
 
 
@@ -34,7 +34,7 @@ def refusal(launch: Running, op: str, **args: Any) -> str:
 
 
 # -- requests
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -128,7 +128,7 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    """One real-time loop for all refusals and failures: each must leave it as it was."""
+    """One real-time loop for all refusals and failures, which must leave it unchanged."""
     folder = tmp_path_factory.mktemp("held")
     (folder / "held.yaml").write_text(HELD)
     with running(folder, "./held.yaml", environment=INSTALLED) as launch:
@@ -158,7 +158,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"values": {"laws.pd.stiffness": "soft"}},
         "coupling.laws.pd.stiffness: expected a number, got 'soft'",
     ),
-    ("param.set", {"values": {"nix": 1}}, "coupling.nix: no such parameter; there is: law, laws"),
+    ("param.set", {"values": {"nix": 1}}, "coupling.nix: no such parameter; available: law, laws"),
     ("param.set", {"values": {"ramp": 2.5}}, "coupling.ramp: expected a whole number, got 2.5"),
     ("param.set", {"values": {"memory": 64}}, "coupling.memory: is fixed while the node runs"),
     (
@@ -176,7 +176,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     (
         "param.load",
         {"values": {"environment": {}}},
-        "coupling.environment: no such parameter; there is: law, laws",
+        "coupling.environment: no such parameter; available: law, laws",
     ),
     (
         "param.load",
@@ -206,9 +206,13 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     (
         "param.get",
         {"name": "laws.nix"},
-        "coupling.laws.nix: no such parameter; there is: pd, pd_alpha",
+        "coupling.laws.nix: no such parameter; available: pd, pd_alpha",
     ),
-    ("law.switch", {"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, pd_alpha, "),
+    (
+        "law.switch",
+        {"law": "nix"},
+        "coupling.law: no law is named 'nix'; available: pd, pd_alpha, ",
+    ),
     (
         "law.switch",
         {"law": "pd_alpha", "ramp": -1},
@@ -322,7 +326,7 @@ def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced
 
 @pytest.mark.process
 def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
-    """Last in this loop: every failure above fell back within its own tick, and was told."""
+    """Last in this loop: every failure above fell back within its tick, with an event."""
     figures = held.finish(signal.SIGINT, code=0)
     recording = recorded(held.folder, figures)
     forces = {force.seq: force for force in recording.messages("/coupling/force")}
@@ -348,7 +352,7 @@ def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
 
 
 # -- many
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
-"""A change that makes the loop unstable is refused, with the limit and the last value that would be taken.
+"""Unstable changes are refused, with the limit and the last acceptable value.
 
-The oracle is the pole radius of the closed loop, which other tests hold against closed forms and
+The oracle is the pole radius of the closed loop, which other tests check against closed forms and
 simulation.
 """
 
@@ -82,7 +82,7 @@ DEVICE = Plant(T, 0.1, 1.0, 1.0)
 
 
 def stable(law: dict[str, Any]) -> bool:
-    """By the closed loop itself, not by what is tested."""
+    """Whether the closed loop is stable, by its poles."""
     return pole_radius(compile_law(parse_law(law), T), DEVICE) < 1.0
 
 
@@ -115,7 +115,7 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
         judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False)
     text = str(raised.value)
     told = re.search(
-        rf"the {side} coupling\.laws\.pd\.{path} that would be taken is ([-+.e\d]+)",
+        rf"the {side} coupling\.laws\.pd\.{path} that is accepted is ([-+.e\d]+)",
         text,
         re.IGNORECASE,
     )
@@ -144,9 +144,9 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     for name, pattern in (
-        ("hard", r"largest coupling\.laws\.hard\.stiffness that would be taken is (\S+);"),
-        ("designed_d0", r"all taps of designed_d0 times (\S+) would be taken"),
-        ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be taken"),
+        ("hard", r"largest coupling\.laws\.hard\.stiffness that is accepted is (\S+);"),
+        ("designed_d0", r"all taps of designed_d0 times (\S+) would be accepted"),
+        ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be accepted"),
     ):
         wanted = msgspec.structs.replace(now, law=name)
         with pytest.raises(ParameterError) as raised:
@@ -182,7 +182,7 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
 
 
 def test_two_devices_on_one_law_are_judged_for_any_two_hands() -> None:
-    """A spring between two devices of 1 N s/m: 236.07 N/m where one is a tick later (THEORY.md §18)."""
+    """A spring between two devices of 1 N s/m: 236.07 N/m with a tick of delay."""
     judgement = Judgement("coupling", T, LawBook("coupling", T))
     plant = {
         "mass": 0.1,

@@ -1,4 +1,4 @@
-"""The law book: which laws belong together, and what is refused with a path."""
+"""The law book: compatible laws, and refusals with paths."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = 0.002
 
 
 # -- law book
-# --------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def parameters(**more: Any) -> CouplingParameters:
@@ -47,7 +47,7 @@ def test_a_bare_preset_is_a_law() -> None:
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ({"law": "nix"}, "coupling.law: no law is named 'nix'; there is: pd, optimum, "),
+        ({"law": "nix"}, "coupling.law: no law is named 'nix'; available: pd, optimum, "),
         (
             {"laws": {"pd": 3}},
             "coupling.laws.pd: expected a mapping with kind and parameters, got 3",
@@ -63,14 +63,11 @@ def test_a_bare_preset_is_a_law() -> None:
         ),
         (
             {"schedule": [{"at": 2.0, "law": "pd"}, {"at": 1.0, "law": "pd", "ramp": 501}]},
-            (
-                "coupling.schedule[0].at: 2 s is tick 1000, but the swap before it is over at tick"
-                " 1001 only"
-            ),
+            ("coupling.schedule[0].at: 2 s is tick 1000, but the swap before it ends at tick 1001"),
         ),
         (
             {"schedule": [{"at": 1.0, "law": "pd"}, {"at": 1.0, "law": "optimum"}]},
-            "is over at tick 501 only",
+            "the swap before it ends at tick 501; schedule it later",
         ),
         ({"stability": "refuse"}, "coupling.stability: refuse needs coupling.plant"),
         (

@@ -1,4 +1,4 @@
-"""What may not pull is the part of a force along the normal: on a surface that leans, as on one across an axis."""
+"""One-sided laws act along the normal: on inclined surfaces as on axis-aligned ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PERIOD = 0.002
 
 
 def rendered(path: Array, turn: Array, raw: bool, clamp: bool) -> Array:
-    """Render forces on a path over the floor, all of it turned."""
+    """Return forces on a path over the floor, all rotated."""
     renderer = Renderer([0, 1, 2], 16)
     renderer.state.raw, renderer.state.clamp = raw, clamp
     renderer.law = ActiveLaw(
@@ -46,7 +46,7 @@ def rendered(path: Array, turn: Array, raw: bool, clamp: bool) -> Array:
 
 @pytest.mark.parametrize("raw", [False, True])
 def test_a_surface_that_leans_is_a_floor_turned(raw: bool) -> None:
-    """Pressed in, drawn along, and pulled out so fast that the law would hold it back."""
+    """Pressed in, drawn along, and pulled out so fast that the law would pull."""
     way = np.linspace(0.0, 1.0, 40)[:, None]
     path = np.concatenate(
         [way * (0.004, 0.0, -0.012) + (0.0, 0.0, 0.002), (1.0 - way) * (0.004, 0.0, -0.01)]

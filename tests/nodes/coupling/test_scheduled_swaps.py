@@ -1,4 +1,4 @@
-"""Laws change at a time of the schedule: recorded, and with the bits of one process."""
+"""Scheduled law changes: recorded, and bit-equal to one process."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import pytest
 from messages.types import Force
 from nodes.launcher.launch_file import read
 from sim.play.launched import from_launch
+from sim.play.player import play
 from tests.support import slowly
 from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import launch_json, running
 
 # -- schedules
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -36,7 +37,7 @@ def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(
     assert found[0].force_step < 1e-13
     assert found[1].force_step == pytest.approx(216.423 * 0.000981, rel=1e-4)
     forces: list[Force] = recording.messages("/coupling/force")
-    trace = from_launch(read("floor_swap", {"pace": "lockstep", "ramp": ramp})).play()
+    trace = play(read("floor_swap", {"pace": "lockstep", "ramp": ramp})).along()
     assert [force.force[2].hex() for force in forces[: len(trace.force)]] == [
         value.hex() for value in trace.force.tolist()
     ]
@@ -52,7 +53,8 @@ SCHEDULED = (
     .replace(
         "      fallback:",
         """        recursive:
-          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical, derivative: oustaloup_matched}
+          {kind: pd_alpha, stiffness: 500.0, damping: 1.0, order: 0.8, taps: 6, gains: physical,
+      derivative: oustaloup_matched}
       schedule: [{at: 2.0, law: recursive}]
       fallback:""",
     )
@@ -76,9 +78,10 @@ def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, r
         force.seq: force.force[2]
         for force in recorded(tmp_path, figures).messages("/coupling/force")
     }
-    scene = from_launch(read(str(tmp_path / "recursive.yaml"), {}))
+    launch = read(str(tmp_path / "recursive.yaml"), {})
+    scene = from_launch(launch)
     assert scene.swaps[0].law.sections
-    expected = scene.play().force.tolist()
+    expected = play(launch).along().force.tolist()
     assert [forces[seq].hex() for seq in range(len(expected))] == [
         value.hex() for value in expected
     ]

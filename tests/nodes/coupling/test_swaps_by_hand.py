@@ -1,4 +1,4 @@
-"""Laws and parameters change by saving the watched file and by the command line."""
+"""Laws and parameters changed by saving the watched file and by the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.held import HELD, receipts, recorded
 from tests.support.launching import Running, private_runtime_dir, running, wait_for
 
 # -- the watched file
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -71,11 +71,11 @@ def test_saving_the_watched_file_changes_the_running_law_all_or_nothing(tmp_path
 
 
 # -- the command line
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 class Verbs:
-    """The command ``haptic`` within this process: the same code, without half a second of start-up each time."""
+    """The command ``haptic`` in this process, without half a second of start-up each time."""
 
     def __init__(
         self, runtime_dir: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -84,7 +84,7 @@ class Verbs:
         self._capsys = capsys
 
     def __call__(self, *words: str, code: int = 0) -> tuple[str, str]:
-        """Run one command; give what it wrote to standard output and standard error."""
+        """Run a command; return standard output and standard error."""
         self._capsys.readouterr()
         try:
             found = main(list(words))
@@ -95,7 +95,7 @@ class Verbs:
         return out, err
 
     def answered(self, *words: str) -> dict[str, Any]:
-        """Run one command with --json."""
+        """Run a command with --json; return its object."""
         found: dict[str, Any] = json.loads(self(*words, "--json")[0].splitlines()[-1])
         return found
 

@@ -1,4 +1,4 @@
-"""A proxy that yields to the force of the same tick: the force is that of a proxy which stands where it yielded to."""
+"""A proxy that yields to the same tick's force: the force equals that at its final place."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_force_is_that_of_where_the_proxy_went(
     compliance: float,
     seed: int,
 ) -> None:
-    """Taps, sections, swaps during swaps: a second renderer is given the place that the first one left its proxy at."""
+    """Taps, sections, nested swaps: a second renderer gets the final place of the proxy."""
     rng = np.random.default_rng(seed)
     yielding, rigid = made(axes, law), made(axes, law)
     for tick in range(80):
@@ -92,7 +92,7 @@ def test_the_force_is_that_of_where_the_proxy_went(
 def test_a_proxy_without_compliance_and_a_law_that_grows_by_itself_are_rendered_as_they_come() -> (
     None
 ):
-    """A negative compliance is none; a newest tap so negative that no equilibrium exists answers the proxy as it was sent."""
+    """Negative compliance, or a newest tap too negative for an equilibrium: no yielding."""
     zero = (0.0, 0.0, 0.0)
     for law, compliance, expected in (
         (CompiledLaw((500.0, -100.0)), -1.0, 0.5),

@@ -1,4 +1,4 @@
-"""Accounts of the guard: what a surface rubs away does not pay for its normal, and what a partner put in may be given out."""
+"""The guard's accounts: friction does not pay for the normal; a partner's energy counts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from nodes.driver.passivity import PassivityParameters, count_step, guarded, set_guard
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.play.chain import SpatialTrace, play
+from sim.play.player import play
+from sim.play.trace import ChainTrace
 from tests.support import ROOT
 from tests.support.launching import launch_json
 from tests.support.safety import state_of
@@ -49,7 +50,7 @@ def _rubbed(friction: float) -> Any:
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
-def _chatter(trace: SpatialTrace) -> float:
+def _chatter(trace: ChainTrace) -> float:
     """Rms speed along the normal while the hand presses and slides [m/s]."""
     speed = np.diff(trace.position @ NORMAL)[300:900] / 0.002
     return float(np.sqrt((speed**2).mean()))
@@ -86,7 +87,7 @@ def test_a_launch_of_it_has_the_bits_of_one_process(tmp_path: Path) -> None:
 @given(data=st.data())
 @settings(max_examples=50)
 def test_both_accounts_hold_the_bound_of_one_axis_each(data: st.DataObject) -> None:
-    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k), along the normal and along the surface by themselves."""
+    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k), normal and tangential separately."""
     s = state_of((0, 1, 2))
     s.elapsed = 1
     set_guard(s, PassivityParameters())
@@ -119,7 +120,7 @@ def test_both_accounts_hold_the_bound_of_one_axis_each(data: st.DataObject) -> N
 def test_partners_together_give_out_no_more_than_was_put_in(
     seed: int, loss: float, late: int
 ) -> None:
-    """Whatever both laws ask for and both hands do, a network that loses and delays makes no energy."""
+    """Whatever laws and hands do, a network with loss and delay makes no energy."""
     rng = np.random.default_rng(seed)
     sides = [state_of((0,)), state_of((0,))]
     for s in sides:

@@ -1,4 +1,4 @@
-"""What every device must do, whichever it is: one contract over all that are registered, each on its stand-in.
+"""The contract of every registered device, each on its emulator.
 
 A check is a test of a bench; the table of the contract (nodes/driver/DEVICES.md) names the same
 checks.
@@ -6,88 +6,27 @@ checks.
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 from nodes.driver.limits import SafetyParameters, lower, undeclared
 from tests.support import ROOT
+from tests.support.contract import CALLS, checks
 from tests.support.devices import Bench, bench, real_devices
 from tests.support.launching import wait_for
 
 HERE = (0.01, -0.02, 0.03)
 FORCE = (0.5, -0.25, 1.0)
-CALLS = {
-    "touch_driver": (
-        *(
-            "hdInitDevice",
-            "hdEnable",
-            "hdDisable",
-            "hdGetDoublev",
-            "hdGetIntegerv",
-            "hdGetString",
-            "hdSetDoublev",
-        ),
-        *(
-            "hdSetSchedulerRate",
-            "hdScheduleAsynchronous",
-            "hdStartScheduler",
-            "hdCheckCalibration",
-            "hdUpdateCalibration",
-        ),
-    ),
-    "force_dimension_driver": (
-        *(
-            "dhdOpenID",
-            "dhdClose",
-            "dhdStop",
-            "dhdGetSerialNumber",
-            "dhdGetSystemName",
-            "dhdGetVersionStr",
-            "dhdGetStatus",
-        ),
-        *(
-            "dhdEnableForce",
-            "dhdSetGravityCompensation",
-            "dhdSetEffectorMass",
-            "dhdSetBaseAngleXDeg",
-            "dhdGetMaxForce",
-        ),
-        *(
-            "dhdEnableExpertMode",
-            "dhdSetWatchdog",
-            "dhdGetPosition",
-            "dhdGetLinearVelocity",
-            "dhdGetOrientationFrame",
-        ),
-        *("dhdGetGripperGap", "dhdHasWrist", "dhdGetButtonMask", "dhdSetForce"),
-    ),
-    "inverse3_driver": ("session", "state"),
-}
-"""What of the vendor's may fail, each by itself."""
 
 
 def without_force(stand: Bench) -> bool:
     return not any(stand.world.force())
-
-
-def checks(module: ModuleType) -> set[str]:
-    """Name what a module checks of a device, as the page does."""
-    return {
-        name.removeprefix("test_").replace("_", " ")
-        for name, found in vars(module).items()
-        if name.startswith("test_")
-        and inspect.isfunction(found)
-        and list(inspect.signature(found).parameters)[:1] in (["stand"], ["virtual"])
-    }
 
 
 STANDS = [
@@ -309,7 +248,7 @@ def test_closed_twice_is_closed(stand: Bench) -> None:
 
 
 def test_the_wrong_device_first(stand: Bench) -> None:
-    """Of two devices the one that is meant, and a clear answer where it is not there."""
+    """Of two devices the chosen one is used, or a clear error is given."""
     wrong: dict[str, Any] = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
     if stand.kind == "inverse3_driver":
         wrong["start_time"] = 0
@@ -335,7 +274,7 @@ def test_the_wrong_device_first(stand: Bench) -> None:
 def test_the_table_of_the_contract_is_whole() -> None:
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     table = page.partition("## The contract")[2]
-    for check in checks(sys.modules[__name__]):
+    for check in checks(Path(__file__)):
         assert f"| {check} |" in table
     for kind in real_devices():
         assert f"`{kind}`" in table

@@ -1,13 +1,11 @@
-"""The contract over the virtual device, of one axis and of three: the same checks as over real ones (test_contract.py).
+"""The device contract for the virtual device with one and three axes (test_contract.py).
 
-It lives in the driver's ticks, so time passes with them here. Its stand-in that misbehaves on
-command is `faulty_driver`'s.
+It runs in the driver's ticks, so time passes with them here. `faulty_driver` provides the faults.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,9 +23,8 @@ from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDevice, SimDriverParameters
 from sim.device.model import DeviceModel
 from sim.drill.faulty_device import BLOCKS, FAILS, FaultyDevice
-from tests.nodes.driver import test_contract
-from tests.nodes.driver.test_contract import checks
 from tests.support import ROOT
+from tests.support.contract import CALLS, checks
 from tests.support.devices import real_devices
 from tests.support.setups import setup_of
 
@@ -39,11 +36,11 @@ VIRTUAL = {
     "faulty_driver": "the virtual device that misbehaves on command",
     "paired_driver": "two devices, each with a contract of its own",
 }
-"""Every registered kind of driver without a device that exists, and what stands for it in the contract."""
+"""Every registered kind of virtual driver, and its representative in the contract."""
 
 
 class VirtualBench(NamedTuple):
-    """A virtual device, ready to be driven and to be broken.
+    """A virtual device, ready to be driven and disturbed.
 
     Attributes
     ----------
@@ -63,7 +60,7 @@ class VirtualBench(NamedTuple):
     order: Path
 
     def acting(self) -> list[float]:
-        """Tell the forces that act on it now [N]."""
+        """Return the forces acting on it now [N]."""
         return [float(part.state.acting) for part in self.sim.parts]
 
     def push(self, force: float, seq: int) -> None:
@@ -84,7 +81,7 @@ def virtual(request: pytest.FixtureRequest, tmp_path: Path) -> VirtualBench:
 
 
 def start(virtual: VirtualBench) -> Vector:
-    """Where it begins: the first axis of the scene is where the parameters say."""
+    """Return its initial position: the first axis of the scene has the parameter's."""
     place = [0.0, 0.0, 0.0]
     place[virtual.axes[0]] = 0.01
     return place[0], place[1], place[2]
@@ -144,7 +141,7 @@ def test_unplugged_it_says_so_and_ends_safely(virtual: VirtualBench) -> None:
 
 
 def test_a_read_that_blocks_holds_up_nobody(virtual: VirtualBench) -> None:
-    """Its driver waits for it; who holds the handle does not: the device lets go meanwhile."""
+    """The driver waits, but the device releases the force for the hand."""
     virtual.device.read_position(0)
     virtual.push(1.0, 0)
     virtual.order.write_text(f"{BLOCKS}0.1", encoding="ascii")
@@ -203,7 +200,7 @@ def test_the_wrong_device_first(virtual: VirtualBench) -> None:
 
 
 HAS_NONE = {"remarks are no errors"}
-"""What the virtual device cannot be checked for: it calls no library that could remark on anything."""
+"""Checks not applicable to the virtual device: it calls no library."""
 
 
 def test_a_pair_ends_with_either_of_its_devices(virtual: VirtualBench) -> None:
@@ -220,7 +217,7 @@ def test_a_pair_ends_with_either_of_its_devices(virtual: VirtualBench) -> None:
 
 
 def test_no_registered_device_is_left_out() -> None:
-    """A new device fails here until it has a bench, its calls and a column; a new kind of driver until it is named."""
+    """A new device needs a bench and its calls; a new kind of driver must be listed."""
     kinds, broken = NODES.all()
     assert not broken
     drivers = {
@@ -228,11 +225,13 @@ def test_no_registered_device_is_left_out() -> None:
     }
     real = {name for name in drivers if issubclass(kinds[name], HardwareDriver)}
     assert drivers - real == set(VIRTUAL)
-    assert real == set(test_contract.CALLS)
+    assert real == set(CALLS)
     assert real == set(real_devices())
     # The virtual device has every check of a real one, but for what it cannot have.
     of_pairs = {"a pair ends with either of its devices"}
-    assert checks(sys.modules[__name__]) - of_pairs | HAS_NONE == checks(test_contract)
+    assert checks(Path(__file__)) - of_pairs | HAS_NONE == checks(
+        Path(__file__).with_name("test_contract.py")
+    )
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     head = next(line for line in page.splitlines() if line.startswith("| check |"))
     assert {name.strip(" `") for name in head.strip("|").split("|")[1:]} == {*real, "sim_driver"}

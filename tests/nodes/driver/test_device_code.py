@@ -1,4 +1,4 @@
-"""Code of a device beside the loop: whatever it raises, and whatever its attributes are, the driver ends softly or goes on."""
+"""A device's own code beside the loop: whatever it raises, the driver ends softly."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.setups import setup_of
 
 
 class _Counting(Hand):
-    """Counts its calls, in an attribute that is no method of compiled calls."""
+    """Counts its calls in an attribute named `calls`, which is no method."""
 
     calls: Any = 0
 
@@ -40,7 +40,7 @@ class _Own(Hand):
 
 
 def test_only_calls_are_taken_for_calls() -> None:
-    """A device that counts its calls died with the compiled tick: 'int' object is not callable."""
+    """A device that counts its calls failed with: 'int' object is not callable."""
     limits = DeviceLimits()
     for kind in (_Counting, _Listing, Hand):
         device = kind(limits, moving)
@@ -53,7 +53,7 @@ def test_only_calls_are_taken_for_calls() -> None:
 
 
 class _Vague(ScriptedDriver):
-    """Cannot tell its condition, from some call on."""
+    """Its `condition` raises from some call on."""
 
     hand = Hand(DeviceLimits(peak_force=8.0, hold=1.0, workspace=BOX), moving)
     asked = 0
@@ -85,7 +85,7 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
     assert driver.stopping
     assert driver.asked == 1
     assert [text for kind, text in told if kind == "device"] == [
-        f"{expected}; the force is brought down to zero, and the driver ends"
+        f"{expected}; the force ramps down to zero, and the driver ends"
     ]
     # Who asks is answered, with the same words.
     assert driver.operations()["progress"]()["condition"] == expected
@@ -93,7 +93,7 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
 
 
 def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> None:
-    """One duty that raises ended the thread: the node could not be reached any more, and the others were not done."""
+    """One exception ended the thread, so the node could not be reached any more."""
     done: list[str] = []
     ended = threading.Event()
     told: list[str] = []
@@ -121,10 +121,10 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         _node=node,
         _ending=ended,
         _serve=lambda: None,
-        _keep=fails(TypeError("cannot be kept")),
+        _save_parameters=fails(TypeError("cannot be kept")),
         _watch_lease=lambda: done.append("lease"),
-        _put_back=lambda: None,
-        _look_around=fails(OSError("no descriptor")),
+        _revert_expired=lambda: None,
+        _publish_status=fails(OSError("no descriptor")),
         _links=closed,
         _socket=closed,
         _end_softly=lambda error: ControlServer._end_softly(server, error),
@@ -134,7 +134,7 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         patch.setattr("nodes.base.control_thread.remove_ipc", lambda _: None)
         ControlServer.run(server)
     assert done[:4] == ["ValueError", "TypeError", "lease", "OSError"]
-    assert told[0] == "control: driver: ValueError beside the loop: no number; the node ends"
+    assert told[0] == "control: driver: ValueError outside the loop: no number; the node ends"
     assert sum(text.startswith("stop: ") for text in told) == 1
     assert told.count("control: no descriptor") > 3
 
@@ -173,8 +173,10 @@ nodes:
     kind: vague
     parameters:
       safety: {peak_force: 7.9, slew: 1000.0, workspace: [[-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1]]}
-      device: {mass: 0.1, hand: {mass: 0.1, damping: 3.0, stiffness: 300.0, path: [[0.0, 0.0], [0.1, 0.02]]}}
-  environment: {kind: environment, parameters: {surface: {kind: plane, axis: x, position: 0.005, normal: -1}}}
+      device: {mass: 0.1, hand: {mass: 0.1, damping: 3.0, stiffness: 300.0, path: [[0.0, 0.0],
+        [0.1, 0.02]]}}
+  environment: {kind: environment, parameters: {surface: {kind: plane, axis: x, position: 0.005,
+    normal: -1}}}
   coupling:
     kind: coupling
     parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 500.0, damping: 5.0}}}

@@ -1,4 +1,4 @@
-"""What a device gives as its position: numbers of any kind are taken, what is none is told as what it is."""
+"""Positions of a device: numbers of any type are accepted, others reported clearly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nodes.driver.device import DeviceLimits
 
 
 class Arm:
-    """A device that gives what it is told to give, or raises it."""
+    """A device that returns or raises what it is given."""
 
     limits = DeviceLimits()
 
@@ -23,21 +23,21 @@ class Arm:
         self._gives = gives
 
     def open(self) -> None:
-        """Open nothing."""
+        """Do nothing."""
 
     def read_position(self, seq: int) -> Any:
-        """Give it."""
+        """Return the scripted position."""
         del seq
         if isinstance(self._gives, Exception):
             raise self._gives
         return self._gives
 
     def write_force(self, force: Vector, seq: int, offset: float) -> None:
-        """Take no force."""
+        """Ignore the force."""
         del force, seq, offset
 
     def close(self) -> None:
-        """Close nothing."""
+        """Do nothing."""
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ class Arm:
     ids=["array", "scalars", "view"],
 )
 def test_numbers_of_numpy_are_plain_numbers_in_every_message(given: Any) -> None:
-    """They once failed where the message was written, and that error stood in place of the device's own."""
+    """They failed at encoding, which hid the device's own error."""
     position = numbers_of(given, "arm")
     assert [type(part) for part in position] == [float] * 3
     state = DeviceState(seq=0, stamp=0.0, position=position, force=ZERO, force_seq=-1)
@@ -58,7 +58,7 @@ def test_numbers_of_numpy_are_plain_numbers_in_every_message(given: Any) -> None
 
 
 def read(device: Arm) -> tuple[int, list[float], DeviceCalls]:
-    """Read a position as compiled ticks do: by its address."""
+    """Read a position as compiled ticks do: by address."""
     calls = DeviceCalls(device, lambda: ZERO, Jumps(device))
     function = ctypes.CFUNCTYPE(
         ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.POINTER(ctypes.c_double)

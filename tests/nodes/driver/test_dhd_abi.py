@@ -1,4 +1,4 @@
-"""DHD as its driver takes it: against the vendor's own library and header where `HAPTIC_DHD` names them, else the stand-in's.
+"""DHD's ABI as its driver uses it: against the vendor's files, else the emulator's.
 
 ``HAPTIC_DHD=/opt/sdk/lib/.../libdrd.a HAPTIC_DHD_HEADER=/opt/sdk/include/dhdc.h pytest
 tests/nodes/driver/test_dhd_abi.py``
@@ -44,7 +44,7 @@ TYPES = {
 
 
 def declared(argument: str) -> object:
-    """Find the type of an argument of dhdc.h."""
+    """Return the type of an argument of dhdc.h."""
     text = argument.split("=")[0].strip()
     if "][" in text:
         # Two dimensions are a pointer all the same.
@@ -89,7 +89,7 @@ def test_the_vendors_library_has_all_and_says_that_no_device_is_there() -> None:
 
 
 def test_a_static_library_is_linked_once(tmp_path: Path, cached: Path) -> None:
-    """The stand-in, as the vendor ships it."""
+    """The emulator as a static library, as the vendor ships it."""
     path = archive("dhd", tmp_path)
     library = load_library(str(path))
     assert library.dhdErrorGetLast() == 0
@@ -105,7 +105,7 @@ def test_a_static_library_is_linked_once(tmp_path: Path, cached: Path) -> None:
 
 @pytest.fixture
 def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Keep what is linked in a folder of the test's own."""
+    """Link into a folder of the test's own."""
     kept = tmp_path / "cache"
     kept.mkdir(mode=0o700)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(kept))
@@ -119,7 +119,7 @@ def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_library_that_lacks_a_function_is_refused_by_its_name(
     form: str, name: str, tmp_path: Path, cached: Path
 ) -> None:
-    """As one of another version is: the stand-in with one function under another name."""
+    """Another version: the emulator with one function renamed."""
     del cached
     renamed = f"-D{name}={name}_of_old"
     path = (

@@ -1,4 +1,4 @@
-"""What is said at the end of a run is what the device does: rest, swing, fall, or going somewhere."""
+"""The reported final motion is the device's: rest, swing, fall, or movement."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_fall_is_a_fall_only_without_a_force() -> None:
 
 @pytest.mark.process
 def test_who_has_just_bounced_does_not_fall(tmp_path: Path) -> None:
-    """On the way up after its first bounce the mass was told to fall, and to touch nothing."""
+    """Rising after its first bounce, the mass was reported as falling."""
     final = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.1")["final"]
     assert final["velocity_m_per_s"] > 0.0
     assert final["motion"] == "moving"
@@ -62,7 +62,7 @@ def test_launches_say_what_is(tmp_path: Path) -> None:
 
 
 def test_a_tick_that_is_sampled_twice_at_the_end_has_a_velocity() -> None:
-    """Ctrl-C in lockstep, while an answer is waited for, samples the same tick again: it once divided by no time."""
+    """Ctrl-C in lockstep samples a tick twice, which divided by a zero time."""
     s = state_of((2,))
     sample(s, 0.0)
     act(s, 1)

@@ -1,4 +1,4 @@
-"""What THEORY.md §6 says of the energy account: exact for forces that change at ticks, an even motion within one otherwise."""
+"""THEORY.md §6 on the energy account: exact for force changes at ticks, else even motion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T, M, B = 0.002, 0.1, 1.0
 
 
 def energies(latency: float) -> tuple[float, float]:
-    """Energy that a wall gives out in a drop: by the driver's account, and by the work of each force over its own path."""
+    """Return the energy given out in a drop: by the driver's account, and by forces' work."""
     scene = drop_scene(DeviceModel(mass=M, damping=B, delay=latency), T, False, True)
     trace = run(scene, PD(stiffness=900.0, damping=3.0).compile(T), 1500)
     account = 0.0

@@ -1,4 +1,4 @@
-"""Forces from outside the loop: on top of the law's, limited, and gone when they are not renewed."""
+"""External forces: added to the law's, limited, and gone when not renewed."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_nonsense_is_refused(port: Port, bad: list[Any]) -> None:
 
 
 def test_along_an_axis_that_nobody_computes_there_is_none() -> None:
-    """Neither one from outside, nor one of a message; and it changes nothing along those that are."""
+    """Forces along axes not computed are ignored, without effect on the others."""
     alone, beside = (Port(axes=(0, 1), peak_force=5.0, continuous_force=3.0) for _ in range(2))
     with pytest.raises(
         ParameterError,

@@ -1,4 +1,4 @@
-"""The driver's limits of force: each at its edge, down to the end of a run, and no sequence of messages that gets past one."""
+"""The driver's force limits: at the edge, until the end, for every message sequence."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_continuous_force_also_counts_ticks_without_an_answer() -> None:
 def test_continuous_force_holds_through_gap_after_gap(
     slew: float, watchdog: int, tau: float
 ) -> None:
-    """With room for one gap alone it was exceeded by up to 20 %: each tick of the way down may be followed by another one."""
+    """With margin for one gap only it was exceeded by 20 %: gaps may follow each other."""
     limit, keep = 1.75, math.exp(-T / tau)
     port = Port(
         continuous_force=limit, thermal_time=tau, slew=slew, peak_force=7.9, watchdog=watchdog
@@ -107,7 +107,7 @@ def test_continuous_force_holds_through_gap_after_gap(
 
 
 def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_force() -> None:
-    """As many ticks as the watchdog has are lost while the force is large: over the limit, were that not foreseen."""
+    """A whole watchdog of lost ticks at a large force must stay within the limit."""
     limit, tau = 1.75, 0.2
     keep = math.exp(-T / tau)
     for lost_after in range(1, 60, 3):
@@ -123,7 +123,7 @@ def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_forc
 
 
 # -- the end
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @given(start=st.floats(-7.9, 7.9), slew=st.one_of(st.none(), st.floats(5.3, 1e5)))

@@ -1,4 +1,4 @@
-"""A device that hangs, takes its time, or declares nothing: the driver ends in time, says why, and the launch with it."""
+"""A hanging or slow device: the driver ends in time with a reason, and so does the launch."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from nodes.recording.reader import Recording
-from tests.nodes.driver.test_last_line import diary, forces, scene
 from tests.support import INSTALLED, slowly
 from tests.support.launching import running, wait_for
+from tests.support.logging_arm import diary, forces, scene
 
 
 @pytest.mark.process
@@ -49,12 +49,12 @@ def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(tmp_path: Path, c
 
 @pytest.mark.slow
 def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_path: Path) -> None:
-    """No thread of the process can look then."""
+    """No thread of the process can check then."""
     path = scene(tmp_path, hangs_in="write_force", hangs_holding=True)
     with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
         figures = launch.finish(code=1)
     told = (
-        r"driver: ended with exit code 1: its last resort: a call let no other thread run for"
+        r"driver: ended with exit code 1: its last resort: a call blocked all other threads for"
         r" [\d.]+ s: File .*_devices\.py"
     )
     assert re.match(told, figures["exit_reason"])

@@ -1,4 +1,4 @@
-"""Inertia by pose: the masses that a law meets, and how they get from a device to node info, the page's map and a tuning."""
+"""Inertia by pose: from the device to the law, node info, the page's map and tuning."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import pytest
 from nodes.driver.hardware.inertia import SeenMasses, masses_along
 from nodes.view.commands import Commander
 from sim.identify.borrowed import PushedLaunch
-from tests.sim.emulators.test_emulators import SOFT, through
-from tests.support.devices import bench
+from tests.support.devices import SOFT, bench, through
 from tests.support.launching import running, wait_for
 
 
@@ -36,14 +35,14 @@ def test_what_is_no_inertia_is_refused(wrong: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="inertia is not"):
         masses_along(wrong)
     a, b, c = (tuple(row) for row in wrong)
-    assert SeenMasses().look((a, b, c)) is None  # type: ignore[arg-type]  # each is three long
+    assert SeenMasses().record((a, b, c)) is None  # type: ignore[arg-type]  # each is three long
 
 
 def test_poses_are_remembered() -> None:
     seen = SeenMasses()
-    assert seen.look(None) is None
-    seen.look(((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.1)))
-    told = seen.look(((0.15, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 0.3)))
+    assert seen.record(None) is None
+    seen.record(((0.1, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.1)))
+    told = seen.record(((0.15, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, 0.3)))
     assert told == {
         "here_kg": pytest.approx([0.15, 0.15, 0.3]),
         "least_kg": pytest.approx(0.1),
@@ -78,7 +77,7 @@ def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Pa
         wait_for(lambda: told()["here_kg"][2] == pytest.approx(0.1), "the first pose again")  # type: ignore[index]
         info = launch.haptic("node", "info", "driver")
         assert (
-            "mass: 0.15, 0.1, 0.1 kg along x, y, z where it stands; 0.1 to 0.3 kg in all poses"
+            "mass: 0.15, 0.1, 0.1 kg along x, y, z at its position; 0.1 to 0.3 kg in all poses"
             in info.stdout
         )
         figures = json.loads(

@@ -1,4 +1,4 @@
-"""The Inverse3's driver against its stand-in service: a cold start, an old version, other sessions, events, a slow service."""
+"""The Inverse3's driver on its emulated service: cold start, versions, sessions, events."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from pathlib import Path
 import pytest
 
 from nodes.driver.haply.driver import FORCELESS_AFTER, SURPLUS_BURST
-from tests.sim.emulators.test_emulators import SOFT, through
-from tests.support.devices import Bench, bench
+from tests.support.devices import SOFT, Bench, bench, through
 from tests.support.launching import running, wait_for
 
 COLD = 1.0
-"""The stand-in's cold start [s]; the vendor's takes up to 25."""
+"""Cold start of the emulator [s]; the vendor's takes up to 25."""
 
 
 @pytest.fixture
@@ -51,7 +50,7 @@ def test_a_cold_start_is_waited_for_and_says_why(tmp_path: Path) -> None:
 @pytest.mark.process
 @pytest.mark.smoke
 def test_a_service_that_does_not_answer_is_told_as_that(stand: Bench) -> None:
-    """It takes the connection, and says nothing: the line must not end in nothing either."""
+    """It accepts the connection but stays silent: the error must say so."""
     said: list[str] = []
 
     def heard(text: str) -> None:
@@ -150,7 +149,7 @@ def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool)
 @pytest.mark.process
 @pytest.mark.smoke
 def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Bench) -> None:
-    """Each state 80 ms late, and the deadline is 50 ms: no position for most of the time, and no force with it."""
+    """States 80 ms late exceed the deadline of 50 ms: no position, so no force."""
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
     stand.world.state.slow_ms = 80
@@ -170,7 +169,7 @@ def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Be
 def test_surplus_answers_make_no_position_older(
     stand: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each state came twice: after 16 s the position was 17.6 s old, and the state ``active``."""
+    """With each state sent twice, the position was 17.6 s old after 16 s."""
     monkeypatch.setattr("nodes.driver.haply.driver.SURPLUS_BURST", math.inf)
     device = stand.device(deadline=0.1)
     device.connect()
@@ -209,7 +208,7 @@ def test_a_service_that_goes_on_with_surplus_answers_is_given_up(stand: Bench) -
 @pytest.mark.process
 @pytest.mark.smoke
 def test_messages_that_cannot_be_read_end_nothing(stand: Bench) -> None:
-    """JSON nested 50 000 deep ended the thread of the exchange, and nobody said so."""
+    """JSON nested 50 000 deep silently ended the exchange's thread."""
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
     stand.world.fail("nested")

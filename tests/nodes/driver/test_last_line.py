@@ -1,4 +1,4 @@
-"""The driver as the last line, on real processes: a stand-in device that logs every call, and one enemy at a time."""
+"""The driver as last line of safety, on real processes, with one fault at a time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import signal
 import time
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,65 +22,9 @@ from sim.cli.bench.loop import KERNELS
 from sim.measure.rig import full_pipe
 from tests.support import INSTALLED
 from tests.support.launching import Running, running, wait_for
+from tests.support.logging_arm import DAMPING, LAW_DAMPING, diary, forces, scene
 
-STIFFNESS, DAMPING = 1000.0, 0.5
-LAW_DAMPING = 3.0
 PERIOD = 0.002
-
-
-def scene(
-    folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any
-) -> str:
-    """Write a launch file with the logging arm, held 1 mm inside a floor of 1000 N/m unless told otherwise."""
-    more = chain or {}
-    safety = {"damping": DAMPING, **arm.pop("safety", {})}
-    content = {
-        "summary": "for a test",
-        "run": {"duration": 0.0, **(run or {})},
-        "nodes": {
-            "driver": {
-                "kind": "logging_arm",
-                "parameters": {"diary": str(folder / "diary"), "safety": safety, **arm},
-            },
-            "environment": {
-                "kind": "environment",
-                "parameters": {"surface": {"kind": "plane", "axis": "z"}},
-                **more,
-            },
-            "coupling": {
-                "kind": "coupling",
-                "parameters": {
-                    "law": "pd",
-                    "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}},
-                },
-                **more,
-            },
-            "logger": {
-                "kind": "logger",
-                "required": False,
-                "parameters": {"path": "run.mcap", "overwrite": True},
-                **more,
-            },
-        },
-    }
-    path = folder / "enemy.yaml"
-    path.write_text(json.dumps(content))  # JSON is YAML
-    return str(path)
-
-
-def diary(folder: Path) -> list[tuple[float, str, float]]:
-    """Read what the arm has logged so far: whole lines only."""
-    path = folder / "diary"
-    text = path.read_text() if path.exists() else ""
-    return [
-        (when, call, value)
-        for when, call, value in map(json.loads, text.splitlines()[: text.count("\n")])
-    ]
-
-
-def forces(folder: Path) -> list[float]:
-    """List the forces that it was given."""
-    return [value for _, call, value in diary(folder) if call == "write_force"]
 
 
 # -- the compiled tick under a driver that exists
@@ -208,7 +151,7 @@ AGAIN = {"respawn": True, "respawn_delay": 0.05}
 
 
 def killed(launch: Running, node: str) -> None:
-    """Kill a node, and wait until another answers in its place."""
+    """Kill a node, and wait for its successor."""
     before = launch.pid(node)
     os.kill(before, signal.SIGKILL)
 
@@ -326,9 +269,11 @@ nodes:
   driver:
     kind: sim_driver
     parameters:
-      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2, 0.2]]}}
+      safety: {{peak_force: 40.0, slew: 20000.0, workspace: [[-0.2, 0.2], [-0.2, 0.2], [-0.2,
+        0.2]]}}
       device: {{mass: 0.1, damping: 1.0, {pushes}}}
-  environment: {{kind: environment, respawn: true, respawn_delay: 0.2, parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
+  environment: {{kind: environment, respawn: true, respawn_delay: 0.2,
+    parameters: {{surface: {{kind: plane, position: 0.0}}}}}}
   coupling:
     kind: coupling
     respawn: true
@@ -353,7 +298,7 @@ WEIGHT = "gravity: 9.81"
 def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown(
     tmp_path: Path, tick: str, pushes: str, strength: float
 ) -> None:
-    """Without a ramp the whole force came back in one tick: 40 N on a hand of 9 N, or on a mass at its workspace's end."""
+    """Without a ramp the whole force returned in one tick: 40 N on a hand of 9 N."""
     assert choose("compiled", KERNELS, print) == "compiled"
     path = tmp_path / "pushed.yaml"
     path.write_text(PUSHED.format(tick=tick, pushes=pushes))

@@ -1,4 +1,4 @@
-"""The driver's limits: the lower of the device's and the launch file's, and parameters that make no sense."""
+"""The driver's limits: the lower of device and launch file; invalid parameters."""
 
 from __future__ import annotations
 

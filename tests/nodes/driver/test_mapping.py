@@ -1,4 +1,4 @@
-"""The mapping into the scene: axes, power that is the same on both sides, limits, the clutch, the centre, the handle."""
+"""Mapping into the scene: axes, equal power, limits, clutch, centre, handle."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_the_centre_is_where_the_handle_stands(stand: Bench) -> None:
 
 
 def test_the_workspace_moves_with_the_centre(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the launch file asks for is of the scene, and stays; the device's own ends are where the device is."""
+    """The launch file's workspace is the scene's and stays; the device's own moves."""
     parameters = {
         **stand.written({"scale": 2.0}),
         "safety": {"hang": None, "workspace": [[-1.0, 1.0], [-1.0, 1.0], [-0.01, 1.0]]},

@@ -1,4 +1,4 @@
-"""The question why no force is felt is answered: in the device's words, in events, in `haptic node info`, and on the page."""
+"""Why no force is felt: in the device's words, in events, node info, and on the page."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from messages.types import DeviceState
 from nodes.cli.status_line import ORDER, fitted
 from nodes.driver.force_words import explain, why_no_force
 from nodes.driver.state import ACTIVE, FAULT, IDLE, STOPPED, DriverState
-from tests.nodes.driver.test_touch import needs_cc
-from tests.sim.emulators.test_emulators import SOFT, through
-from tests.support.devices import bench
+from tests.support.devices import SOFT, bench, needs_cc, through
 from tests.support.launching import running, wait_for
 
 
@@ -42,7 +40,7 @@ def test_a_force_button_that_is_off_is_told_while_the_law_pushes(tmp_path: Path)
             # What a launch's status line is made of.
             assert "FORCE button is off" in launch.call("driver", "progress")["condition"]
             stand.world.state.cause = 0
-            wait_for(lambda: "nothing keeps forces off any more" in launch.errors, "the end of it")
+            wait_for(lambda: "the device applies forces again" in launch.errors, "the end of it")
             echoed = launch.haptic("topic", "echo", "/device/handle", "--once", "--json").stdout
             assert '"buttons":5' in echoed.replace(" ", "")
 

@@ -1,4 +1,4 @@
-"""No push that no motion made: starts, jumps and drivers that were held up, judged by the log of the device alone."""
+"""No push without motion: starts, jumps and stalled drivers, judged by the device's log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _log(outcome: Any) -> list[Write]:
 
 
 # -- starts
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_a_first_force_that_is_not_zero_comes_by_a_ramp_by_default() -> None:
@@ -71,11 +71,11 @@ def test_a_ramp_that_is_asked_for_is_that_of_the_first_force_whatever_it_is() ->
 
 
 # -- jumps
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def _jumping(at: int, before: float, after: float, ticks: int = 130, **more: Any) -> Script:
-    """Make a script: a force before a jump of the position, another after it."""
+    """Return a script: a force before a jump of the position, another after it."""
     limits = DeviceLimits(peak_force=PEAK, hold=10.0, workspace=BOX, latency=0.0)
     moves = more.pop("moves", 0.0)
     answers = [answer(seq, force=(0.0, 0.0, before if seq < at else after)) for seq in range(ticks)]
@@ -114,7 +114,7 @@ def test_a_jump_in_free_air_has_no_ramp(tmp_path: Path) -> None:
 
 
 def test_what_answers_a_position_before_the_jump_changes_nothing(tmp_path: Path) -> None:
-    """An answer that is a tick old by then is for the place before: its force is not what is to be felt after it."""
+    """An answer one tick old refers to the position before the jump."""
     answers = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
     # Of tick 20 the answer comes late in tick 21, at which the device jumps, and is another force.
     answers += [
@@ -127,7 +127,7 @@ def test_what_answers_a_position_before_the_jump_changes_nothing(tmp_path: Path)
 
 
 def test_the_guard_acts_after_the_ramp_of_a_jump(tmp_path: Path) -> None:
-    """It counts what the device is given, not what is asked: energy never exceeds one tick's part."""
+    """It counts the force on the device: energy never exceeds one tick's part."""
     script = _jumping(20, -1.0, -6.0, moves=1e-4, guard={"stiffness": 500.0})
     outcome, _ = played(script, "plain", tmp_path)
     states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
@@ -150,10 +150,8 @@ def _pressed(energy: Any, ticks: int) -> Port:
     return port
 
 
-def test_a_force_that_stays_at_its_limit_and_gives_out_energy_stops_the_driver_within_a_second() -> (
-    None
-):
-    """It counted once, as one that came there: a tool was thrown 1.7 km with 40 N, and no stop said anything."""
+def test_a_force_at_its_limit_that_gives_out_energy_stops_the_driver_within_a_second() -> None:
+    """Counted as one event, it threw a tool 1.7 km with 40 N without a stop."""
     port = _pressed(lambda k: 1e-3 * k, 2000)
     assert port.state == "stopped"
     # Of `stop_after` counts the first is its coming there, the others are spread over a second.
@@ -214,7 +212,7 @@ TAKEN_DOWN: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
 def test_no_force_of_before_comes_back_while_it_is_taken_down(
     why: str, held_up: int, apply: str, tmp_path: Path
 ) -> None:
-    """39 of 40 tries wrote 1.9 to 2.8 N again, for up to a period, after the device had let go of them."""
+    """39 of 40 runs wrote 1.9 to 2.8 N again after the device had released them."""
     safety, more = TAKEN_DOWN[why]
     answers = [answer(seq, force=(0.0, 0.0, 3.0)) for seq in range(80)]
     moves = lambda seq: (0.0, 0.0, 1e-5 * max(seq - 78, 0))  # noqa: E731
@@ -251,7 +249,7 @@ def test_a_driver_that_is_held_up_anywhere_in_a_tick_writes_no_force_that_is_old
 
 
 # -- in every order
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 LENGTH = 220
 spans = st.lists(st.tuples(st.integers(20, 200), st.integers(1, 60)), max_size=2)
@@ -268,7 +266,7 @@ levels = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=12)
 
 
 class Course(Hand):
-    """A hand that jumps, leaves its workspace, and notes when it jumped or was back."""
+    """A hand that jumps, leaves its workspace, and records when."""
 
     def __init__(
         self, limits: DeviceLimits, jumps_at: list[int], outside: list[tuple[int, int]]
@@ -297,7 +295,7 @@ HAPPENINGS = given(
     apply=st.sampled_from(["on_arrival", "next_tick"]),
     slew=st.sampled_from([None, 100.0, 1500.0]),
 )
-"""Any sequence of starts, stalls in any place of a tick, silences, faults and jumps."""
+"""Any sequence of starts, stalls within a tick, silences, faults and jumps."""
 
 
 def _feels_no_push(

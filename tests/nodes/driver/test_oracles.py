@@ -1,7 +1,6 @@
-"""Limits, ages, holds and delays of a driver, recomputed from the log of its device and from what was scripted alone.
+"""A driver's limits, ages, holds and delays, recomputed from its device's log.
 
-Plain and compiled ticks are made of the same rules: that they are alike says nothing about a rule
-that is wrong.
+Plain and compiled ticks share their rules, so their agreement says nothing about a wrong rule.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def _still(_: int) -> tuple[float, float, float]:
 
 
 # -- age
-# ---------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 lates = st.dictionaries(
     st.integers(1, LENGTH), st.sampled_from([300, 2_100, 9_000, 21_000, 40_000]), max_size=5
@@ -49,11 +48,11 @@ stalls = st.dictionaries(
 
 
 NAMED = 1.0007e-3
-"""What a tick adds to the force that names it [N]; no part of another such force, as of a soft stop, is one of them."""
+"""Increment that identifies a tick by its force; never a fraction of another force [N]."""
 
 
 def _ages(outcome: Any) -> list[float]:
-    """Return how old each answer was when the device got it [ticks]: a force of 1 N and `NAMED` for each tick names it."""
+    """Return the age of each answer at the device [ticks], from forces of 1 N + tick · NAMED."""
     ages = []
     for at, wrote in outcome.log:
         # What is written at the end of a run, and by a driver on its own, names no tick.
@@ -67,7 +66,7 @@ def _ages(outcome: Any) -> list[float]:
 def test_what_waits_for_the_next_tick_is_not_handed_over_when_that_comes_too_late(
     apply: str, tmp_path: Path
 ) -> None:
-    """Under ``next_tick`` nothing else came after a stall of ten ticks, and what had waited was handed over, ten ticks old."""
+    """With ``next_tick``, a force ten ticks old was handed over after a stall."""
     arrivals = [
         answer(seq, force=(0.0, 0.0, 1.0 + NAMED * seq))
         for seq in range(LENGTH)
@@ -103,7 +102,7 @@ def test_no_answer_is_older_than_it_may_be_when_the_device_gets_it(
 
 
 # -- hold
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("hold", [3.0, 6.0])
@@ -138,7 +137,7 @@ def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(
 
 
 # -- delay and limits
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("apply", APPLY)
@@ -177,7 +176,7 @@ def test_an_answer_that_comes_a_tick_late_is_told_with_its_age(tmp_path: Path) -
 
 
 def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed() -> None:
-    """The device went on moving meanwhile: over the nominal period it would seem twice as fast, and be damped twice."""
+    """Over the nominal period it would seem twice as fast, and be damped twice."""
     s = state_of()
     s.virtual, s.elapsed = 0, 1
     s.before[:], s.position[:] = (0.0, 0.0, 0.0), (0.0, 0.0, 0.004)
@@ -204,7 +203,7 @@ def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed(
 def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(
     slew: float, watchdog: int, thermal: float, peak: float, near: float
 ) -> None:
-    """With half of that room the mean square exceeds its limit by 12 to 18 % here; it is summed anew from what was held.
+    """With half the margin the mean square exceeds its limit by 12 to 18 % here.
 
     Of 250 random settings these are the four in which it would most.
     """

@@ -1,4 +1,4 @@
-"""Two devices at once: coupled to each other by one law in one launch, and each in a launch of its own."""
+"""Two devices at once: coupled by one law in one launch, or each in its own launch."""
 
 from __future__ import annotations
 
@@ -22,10 +22,8 @@ from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
 from sim.device.driver import SimDriver, SimDriverParameters
-from tests.nodes.driver.test_touch import needs_cc
-from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support import ROOT, slowly
-from tests.support.devices import Bench, bench
+from tests.support.devices import SOFT, Bench, bench, needs_cc, through
 from tests.support.launching import running, typed, typed_in, wait_for
 from tests.support.setups import setup_of
 
@@ -55,14 +53,14 @@ def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) 
         refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
         assert "unstable" in refused.stderr
         assert re.search(
-            r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*would be taken is"
+            r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*that is accepted is"
             r" \d{3,4}; ",
             refused.stderr,
         )
 
 
 class _Recorded:
-    """A device that keeps its calls."""
+    """A device that records its calls."""
 
     def __init__(self, place: tuple[float, float, float], **limits: Any) -> None:
         self.place, self.limits, self.calls = place, DeviceLimits(**limits), list[Any]()
@@ -83,7 +81,7 @@ class _Recorded:
 
 
 class _Broken(_Recorded):
-    """One that cannot be opened."""
+    """A device that cannot be opened."""
 
     def open(self) -> None:
         raise OSError("gone")
@@ -126,7 +124,7 @@ def test_a_pair_pushes_one_and_pulls_the_other() -> None:
 
 
 def _paired(second: dict[str, Any], pair: dict[str, Any], **first: Any) -> PairedDriver:
-    """Make the driver of two virtual devices, with the safety of each and of the pair."""
+    """Return the driver of two virtual devices, with safety of each and of the pair."""
     members = {
         name: {
             "kind": "sim_driver",
@@ -163,7 +161,7 @@ def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -
 
 
 def written(start: str) -> Any:
-    """Find what the page writes, by its first line."""
+    """Return the page's code block with a given first line."""
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     (text,) = (
         text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if text.startswith(start)
@@ -172,7 +170,7 @@ def written(start: str) -> Any:
 
 
 def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]:
-    """Set two stand-ins up, each in a folder of its own, as the page names them."""
+    """Set up two emulators, each in its own folder, as on the page."""
     found = []
     for name, kind in zip(("a", "b"), kinds, strict=True):
         (tmp_path / name).mkdir()
@@ -297,7 +295,7 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
 
 
 def test_a_pair_is_judged_as_the_two_devices_that_it_is() -> None:
-    """The edge of K against polynomials of both, neither simplified: to the root's own accuracy."""
+    """K's limit against polynomials of both devices, to the root's accuracy."""
     light, heavy = Plant(0.002, 0.05, 0.5, 0.7, 150.0), Plant(0.002, 0.2, 3.0, 0.7, 100.0)
     law = parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}, "pd")
     edges = [
@@ -314,7 +312,7 @@ def test_a_pair_is_judged_as_the_two_devices_that_it_is() -> None:
 
 
 def _exact(stiffness: float, damping: float, first: Plant, second: Plant) -> float:
-    """Largest pole of PD between two devices, neither simplified."""
+    """Return the largest pole of PD between two devices, without simplification."""
     one, other = held_plant(first), held_plant(second)
     numerator = np.polyadd(
         np.polymul(one.numerator, other.denominator), np.polymul(other.numerator, one.denominator)
@@ -403,7 +401,7 @@ def _aligned(
 
 
 def test_devices_that_start_apart_count_as_together_and_are_brought_there_evenly() -> None:
-    """30 mm apart, 30 N were asked for at tick 0."""
+    """30 mm apart, 30 N were requested at tick 0."""
     first, _, pair = _aligned()
     path = [pair.read_position(seq) for seq in range(60)]
     # 50 mm in a straight line, a millimetre a tick: each part exact to a rounding of 30 or 40 mm,
@@ -449,7 +447,7 @@ def test_a_pair_goes_on_from_where_it_was_when_one_is_read_again_elsewhere_or_ju
 
 @pytest.mark.process
 def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
-    """As hands_coupled, with the second 30 mm away: at 50 mm/s that is a force that grows by what law and speed make it."""
+    """30 mm apart at the start: the force grows with the offset's fading at 50 mm/s."""
     scene = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text())
     driver = scene["nodes"]["driver"]["parameters"]
     driver["second"]["parameters"]["device"] |= {"position": 0.03}

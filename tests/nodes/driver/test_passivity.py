@@ -1,4 +1,4 @@
-"""The passivity guard: its bound for every law and every motion, what it makes safe, and what it leaves alone."""
+"""The passivity guard: its bound for every law and motion, and what it leaves unchanged."""
 
 from __future__ import annotations
 
@@ -32,9 +32,8 @@ from nodes.launcher import launch_file
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
-from sim.play.chain import play
-from sim.play.launched import from_launch
 from sim.play.one_axis import Scene, SceneSurface, Trace, run
+from sim.play.player import play
 from tests.support.launching import haptic, launch_json, running, wait_for
 from tests.support.safety import state_of
 
@@ -46,7 +45,7 @@ steps = st.floats(-5e-3, 5e-3)
 
 
 class Guard:
-    """The guard of one axis, on a driver's state of its own."""
+    """The guard of one axis with its own driver state."""
 
     def __init__(self, parameters: PassivityParameters, axis: int) -> None:
         self.s, self._axis = state_of((axis,)), axis
@@ -55,11 +54,11 @@ class Guard:
 
     @property
     def energy(self) -> float:
-        """What it counts as given out [J]."""
+        """Energy counted as given out [J]."""
         return float(self.s.guard_energy[self._axis])
 
     def observe(self, acting: float, before: float, position: float) -> None:
-        """Count a step."""
+        """Account for a step."""
         self.s.acted[self._axis], self.s.before[self._axis], self.s.position[self._axis] = (
             acting,
             before,
@@ -68,7 +67,7 @@ class Guard:
         count_step(self.s)
 
     def control(self, force: float) -> float:
-        """Choose a force."""
+        """Return the permitted force."""
         self.s.wanted[self._axis] = force
         guarded(self.s, 0.0)
         return float(self.s.wanted[self._axis])
@@ -116,7 +115,7 @@ def test_credit_is_forgotten_down_to_what_a_spring_holds_and_a_debt_never() -> N
 
 
 def test_what_is_allowed_leaves_untouched_and_no_more() -> None:
-    """2 N over 1 mm a tick: 2 mJ a tick. Ten milljoule are allowed, so the sixth tick would be too much."""
+    """2 N over 1 mm a tick is 2 mJ; with 10 mJ allowed, the sixth tick is too much."""
     guard = Guard(PassivityParameters(allowance=0.0101), 0)
     force, given = 2.0, []
     for k in range(8):
@@ -147,12 +146,12 @@ def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: 
 
 
 # -- several axes
-# -----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", ["sphere_feel", "rough_plane"])
 def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str) -> None:
-    """One axis gives back what another takes: with an account for each, the guard would brake the slide by its own size."""
+    """One axis returns what another takes; separate accounts would brake the slide."""
     free = launch_file.read(scenario, {"duration": 1.3})
     driver = free.nodes["driver"]
     parameters = {**driver.parameters, "passivity": {"guard": "on"}}
@@ -166,7 +165,7 @@ def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str
 @given(data=st.data())
 @settings(max_examples=50)
 def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.DataObject) -> None:
-    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k), and the force keeps its direction."""
+    """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k); the force keeps its direction."""
     s = state_of((0, 1, 2))
     s.elapsed = 1
     set_guard(s, ON)
@@ -192,7 +191,7 @@ def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.Dat
 
 
 # -- the bound
-# --------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @given(
@@ -244,7 +243,7 @@ def test_over_a_whole_run_only_the_changes_of_displacement_add_up(
 
 
 # -- in the loop
-# ------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def scene(
@@ -269,7 +268,7 @@ def scene(
 
 
 def given_out(trace: Trace, delay: float = 0.0) -> Any:
-    """Energy given out up to each sample [J], from forces and positions alone; a fraction of a tick as its share."""
+    """Return the energy given out until each sample [J], from forces and positions alone."""
     whole, part = int(delay), delay - int(delay)
     late = np.concatenate((np.zeros(whole + 1), trace.force))
     acting = (
@@ -322,7 +321,7 @@ def test_an_unstable_wall_throws_the_mass_up_without_the_guard_and_lets_it_lie_w
 
 
 def test_a_device_that_is_late_is_guarded_as_one() -> None:
-    """THEORY.md §6: what acts is what was handed over a latency ago. An account without it sees a tenth of the energy."""
+    """THEORY.md §6: with a latency, an account without it sees a tenth of the energy."""
     law = PD(stiffness=3000.0, damping=3.0).compile(T)
     wild, calm = run(scene(None, latency=1.0), law, 1500), run(scene(ON, latency=1.0), law, 1500)
     assert given_out(wild, 1.0).max() > 0.5
@@ -416,7 +415,7 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
 
 
 # -- four processes
-# ---------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -442,7 +441,7 @@ def test_lockstep_equals_one_process_and_publishes_its_energy(
     )
     recording = Recording(tmp_path / figures["recording"])
     state = recording.arrays("/device/state")
-    trace = from_launch(launch_file.read("floor_guarded", words)).play()
+    trace = play(launch_file.read("floor_guarded", words)).along()
     assert np.array_equal(state["position"][:-1, 2], trace.measured)
     assert np.array_equal(state["force"][1:, 2], trace.force)
     energy = given_out(trace, latency + (apply == "next_tick"))
@@ -479,16 +478,16 @@ def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(law: str, apply: str) -> None:
-    """What the guard takes away comes back by the ramp: it was back at once, 15.7 N for 3.2 N without a guard."""
+    """The force that the guard removed returned at once: 15.7 N instead of 3.2 N."""
     launch = launch_file.read(
         "floor_drop", {"law": law, "height": -0.02, "duration": 0.5, "apply": apply}
     )
     driver = launch.nodes["driver"]
     parameters = {**driver.parameters, "passivity": {"stiffness": 1000.0}}
     watched = msgspec.structs.replace(driver, parameters=parameters)
-    bare = play(launch, 250).force[:, 2]
+    bare = play(launch, ticks=250).force[:, 2]
     force = play(
-        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), 250
+        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), ticks=250
     ).force[:, 2]
     # 20 N asked at first, over a ramp of 75 ticks in the driver and one in the coupling: no rise is
     # steeper than one of them.

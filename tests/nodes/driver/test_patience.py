@@ -1,4 +1,4 @@
-"""A driver whose answers are late waits for them: it asks no faster than it is answered, and never past its watchdog."""
+"""A driver with late answers waits: no faster than answers come, within its watchdog."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def waits(
     max_age: int = 5,
     hold: float = math.inf,
 ) -> float:
-    """Return how many periods tick 1000 waits for its answer, when a force was written last in the tick before it."""
+    """Return the periods that tick 1000 waits for its answer, after a force one tick before."""
     s = state_of(DriverState)
     s.unanswered, s.safety, s.since, s.seq, s.watchdog, s.max_age, s.period = (
         unanswered,

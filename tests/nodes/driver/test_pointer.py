@@ -1,4 +1,4 @@
-"""The pointer file: never half a value, gone when it falls silent, one owner at a time."""
+"""The pointer file: no torn values, expiry after silence, one owner at a time."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_a_value_is_never_half_old_and_half_new(tmp_path: Path) -> None:
 
 
 def test_a_torn_value_gives_the_one_before(tmp_path: Path) -> None:
-    """What a writer that was killed half-way leaves: its first count is ahead of its last."""
+    """After a writer was killed mid-write, the first count is ahead of the last."""
     path = tmp_path / "p"
     reader = PointerReader(path, 60.0)
     writer = PointerWriter(path)

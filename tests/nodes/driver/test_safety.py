@@ -1,4 +1,4 @@
-"""The driver's safety: its watchdog, its ramps, which forces it refuses, and where there is none."""
+"""The driver's safety: its watchdog, its ramps, refused forces, and runs without it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nodes.driver.safety import REGAIN, RETURN_SPEED, let_go
 from tests.support.safety import UP, Port, T, force
 
 # -- watchdog
-# --------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_handed_over_before_the_first_force() -> None:
@@ -100,7 +100,7 @@ def test_forces_resume_by_themselves_with_the_ramp() -> None:
 def test_a_force_that_was_away_comes_back_by_a_ramp_as_long_as_the_gap_asks_for(
     away: int, first: float
 ) -> None:
-    """Of 20 ticks, five for each tick without force: what remains is the share it begins with, and each tick adds 1/20."""
+    """Of 20 ticks, each tick without force costs five; then 1/20 per tick."""
     port = Port(watchdog=2, damping_ticks=3, recovery=20 * T)
     port.answer(force(0), 0)
     assert port.force == UP  # the first force has no ramp unless one is asked for
@@ -212,7 +212,7 @@ def test_a_hand_that_has_sunk_in_comes_out_and_is_not_shaken(
     depth: float,
     speed: float,
 ) -> None:
-    """A device in a hand with a spring to a point below the surface, in steps of a hundredth of a tick."""
+    """A device in a hand with a spring to a point below the surface, in 0.01-tick steps."""
     port = Port(watchdog=1, damping_ticks=0, recovery=0.15, peak_force=40.0)
     port.answer(force(0), 0)
     for tick in range(1, 100):

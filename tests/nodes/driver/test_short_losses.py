@@ -1,4 +1,4 @@
-"""Forces that the mailbox takes off and gives back by itself: what is lost too shortly for the driver to notice."""
+"""Losses too short for the driver: the mailbox removes and restores forces by itself."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import pytest
 from nodes.driver.hardware import mailbox
 from nodes.driver.hardware.compile import servo_library
 from nodes.driver.hardware.mailbox import Mailbox
-from tests.nodes.driver.test_touch import needs_cc
-from tests.support.devices import bench
+from tests.support.devices import bench, needs_cc
 from tests.support.launching import wait_for
 
 FORCE = (0.5, -0.25, 1.0)
@@ -21,7 +20,7 @@ FORCE = (0.5, -0.25, 1.0)
 
 @needs_cc
 def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> None:
-    """Each second without one costs five of ramp; the times are so long that a slow machine does not matter."""
+    """Each second without a position costs five of ramp; slow machines do not matter."""
     code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
     code.device_write.argtypes = [
         ctypes.c_int64,
@@ -52,10 +51,8 @@ def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> N
 
 
 @needs_cc
-def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the_next_comes_by_a_ramp() -> (
-    None
-):
-    """A process may be stopped between its last look at the clock and the write: only the servo loop can know then."""
+def test_a_force_decided_before_the_device_let_go_is_not_played_and_the_next_one_ramps() -> None:
+    """A process may stop between clock and write: only the servo loop can notice."""
     code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
     code.device_write.argtypes = [
         ctypes.c_int64,
@@ -70,7 +67,7 @@ def test_a_force_that_was_decided_before_the_device_let_go_is_not_played_and_the
     out = (ctypes.c_double * 3)()
 
     def written(decided: float, held_up: float = 0.0) -> tuple[float, ...]:
-        """Write a force that was decided at a time, while the servo loop, too, is stopped for so long before it sees it."""
+        """Write a force decided at a time, while the servo loop is stopped too."""
         box.decided_at = decided
         box.commanded_at -= held_up
         code.device_write(ctypes.addressof(box), (ctypes.c_double * 3)(*FORCE), 0, 0.0)
@@ -134,7 +131,7 @@ def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
 
 @needs_cc
 def test_a_force_dimension_lets_go_by_its_thread_before_its_firmware_does(tmp_path: Path) -> None:
-    """The driver must know the earlier: it takes a force back by a ramp from then on."""
+    """The driver must know the earlier time, from which a force returns by a ramp."""
     with bench("force_dimension_driver", tmp_path) as stand:
         device = stand.device(deadline=0.01, watchdog=0.03)
         device.connect()

@@ -1,4 +1,4 @@
-"""A loop that swings at the largest force and gives out energy is stopped for good, until somebody asks for it again."""
+"""A loop that swings at the force limit and gives out energy is stopped until rearmed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.support.safety import Port, T, force
 
 
 def swung(port: Port, times: int, apart: int, gained: float, both: bool = False) -> int:
-    """Ask for more than the peak again and again; give the tick after."""
+    """Request more than the peak repeatedly; return the next tick."""
     tick = 0
     for n in range(times):
         for k in range(apart):

@@ -1,9 +1,8 @@
-"""The Touch's driver against its stand-in: calibration, axes, faults, and clear refusals; the rest is the contract's."""
+"""The Touch's driver on its emulator: calibration, axes, faults, refusals."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +14,8 @@ import pytest
 from nodes.driver.limits import SafetyParameters, lower
 from nodes.driver.touch.driver import TouchDevice, TouchDriverParameters, TouchParameters
 from nodes.recording.reader import Recording
-from tests.support.devices import Bench, bench
+from tests.support.devices import Bench, bench, needs_cc
 from tests.support.launching import launch_json, running, wait_for
-
-needs_cc = pytest.mark.skipif(
-    shutil.which("cc") is None and shutil.which("gcc") is None and shutil.which("clang") is None,
-    reason="no C compiler: neither the stand-in for libHD nor the servo loop can be built",
-)
 
 
 @pytest.fixture

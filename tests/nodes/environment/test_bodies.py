@@ -1,4 +1,4 @@
-"""Scenes in which things move: what acts on the tool and when, what its contacts are, what is refused, and that it repeats."""
+"""Scenes with moving bodies: forces on the tool, contacts, refusals, repeatability."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ pytest.importorskip(
 )
 
 PERIOD, GAIN = 0.002, 2.0
-TOOL = """<body name="tool" pos="0 0 0.1" gravcomp="1"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+TOOL = """<body name="tool" pos="0 0 0.1" gravcomp="1">
+<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
 <joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.005" mass="0.05"/></body>"""
 
 
@@ -44,7 +45,7 @@ def world(folder: Path, bodies: str = TOOL, option: str = 'timestep="0.0005"') -
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 0.5, 1.0, 1.75])
 def test_the_tool_feels_the_force_when_the_device_does(delay: float, tmp_path: Path) -> None:
-    """A force on the device from a delay after tick 0 on, taken back a tick later: the tool's momentum is its opposite."""
+    """A force with a delay, reversed a tick later: the tool's momentum is its opposite."""
     free = world(tmp_path)
     free.begin((0.01, 0.02, 0.03))
     assert free.tool_position == pytest.approx((0.01, 0.02, 0.03), abs=1e-15)
@@ -60,7 +61,7 @@ def test_the_tool_feels_the_force_when_the_device_does(delay: float, tmp_path: P
 
 @pytest.mark.parametrize("contact", ["", 'solref="-20000 -200"', 'friction="0.2 0.005 0.0001"'])
 def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_path: Path) -> None:
-    """Measured in a scene of its own; felt in this one: how much deeper 1.5 N press the tool than 0.5 N."""
+    """Measured in its own scene; felt here by how much deeper 1.5 N press than 0.5 N."""
     felt = world(tmp_path, TOOL + f'<geom name="floor" type="plane" size="1 1 1" {contact}/>')
     (told,) = felt.stiffness()
     felt.begin((0.0, 0.0, 0.0051))
@@ -77,7 +78,7 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
 
 
 def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: Path) -> None:
-    """A tool that glides goes on for a tenth of a second, whether one second was missed or a hundred."""
+    """A gliding tool continues for a tenth of a second, whatever time was missed."""
     ways = []
     for missed in (500, 50_000):
         felt = world(tmp_path)
@@ -164,7 +165,7 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
     os.mkfifo(tmp_path / "pipe.xml")
     for odd in (tmp_path / "pipe.xml", Path("/dev/zero")):
-        with pytest.raises(ParameterError, match=r"^environment.scene: .* is no regular file"):
+        with pytest.raises(ParameterError, match=r"^environment.scene: .* is not a regular file"):
             MovingScene(odd, "tool", PERIOD, "environment")
     with open(tmp_path / "huge.xml", "wb") as file:
         file.truncate(10_000_000_000)
@@ -191,7 +192,7 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_launch_repeats_to_the_bit_from_its_recording(
     scenario: str, moved: str, tmp_path: Path
 ) -> None:
-    """The forces that a recording holds lead the scene the same way again: nothing else comes in."""
+    """The recorded forces move the scene the same way again: there is no other input."""
     figures = launch_json(tmp_path, scenario, "pace:=lockstep", "duration:=1.6", "apply:=next_tick")
     recording = Recording(tmp_path / figures["recording"])
     states, proxies = recording.messages(DEVICE_STATE), recording.messages(PROXY)
@@ -221,7 +222,7 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(
     ("mass", "tool", "damping"), [(0.15, 0.05, 3.0), (0.1, 0.5, 1.0), (0.3, 0.02, 0.0)]
 )
 def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> None:
-    """K_max of a spring and damper between both against the eigenvalues of two bodies and the last deflection."""
+    """K_max of a spring and damper between both, against eigenvalues of two bodies."""
     free = np.zeros((5, 5))
     free[0, 1] = free[2, 3] = 1.0
     free[1, 1] = -damping / mass

@@ -1,4 +1,4 @@
-"""Friction of a proxy: it sticks within the cone, slides on it, and trails by its speed; on flat, round and meshed surfaces."""
+"""Friction of a proxy: stick in the cone, slide on it; on flat, round and meshed surfaces."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.setups import setup_of
 from tests.support.shapes import Array, wander
 
 CONE = 1e-9
-"""How far the deflection may be outside of the cone of friction, as part of its normal part."""
+"""Allowed excess of the deflection over the friction cone, relative to its normal part."""
 
 
 def led(solids: list[Solid], path: Array, tool: float = 0.0) -> Touched:
@@ -27,7 +27,7 @@ def led(solids: list[Solid], path: Array, tool: float = 0.0) -> Touched:
 
 
 def parts(found: Touched) -> tuple[Array, Array]:
-    """Take the normal and the tangential part of the deflection where there is contact [m]."""
+    """Return normal and tangential part of the deflection in contact [m]."""
     deflection = (found.proxy - found.path)[found.contact]
     normal = np.einsum("ij,ij->i", deflection, found.normal[found.contact])
     return normal, np.linalg.norm(
@@ -47,7 +47,7 @@ SURFACES: dict[str, Solid] = {
 @pytest.mark.parametrize("tool", [0.0, 5e-4])
 @pytest.mark.parametrize("kind", SURFACES)
 def test_the_cone_is_kept(kind: str, tool: float) -> None:
-    """After every call, wherever a random path leads; and it is used: some calls stick, some slide on it."""
+    """After every call on a random path; some calls stick, some slide."""
     friction = Friction(0.5, 0.4)
     path = wander(np.random.default_rng(2), 400, 1e-3, (0.01, 0.01, 0.004), (0.0, 0.0, 0.003))
     found = led([SURFACES[kind]._replace(friction=friction)], path, tool)
@@ -61,7 +61,7 @@ def test_the_cone_is_kept(kind: str, tool: float) -> None:
 
 
 def test_it_sticks_up_to_the_static_coefficient_and_slides_at_the_dynamic_one() -> None:
-    """Pressed 1 mm deep and drawn along x in steps of 10 µm: at 0.6 mm it breaks away, and trails by 0.3 mm from then on."""
+    """Pressed 1 mm deep and drawn by 10 µm steps: breaks away at 0.6 mm, then trails 0.3 mm."""
     depth = 1e-3 + SKIN
     path = np.array([[0.0, 0.0, 0.01], *([1e-5 * k, 0.0, -1e-3] for k in range(120))])
     at = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.6, 0.3))], path).proxy[1:, 0]
@@ -72,7 +72,7 @@ def test_it_sticks_up_to_the_static_coefficient_and_slides_at_the_dynamic_one() 
 
 
 def test_a_viscous_surface_makes_it_trail_by_its_speed() -> None:
-    """Drawn at v, in the steady state the proxy is behind by v times the given time."""
+    """Drawn at v, the proxy lags by v times the given time in steady state."""
     speed, trails, period = 0.05, 0.008, 1e-3
     path = np.array([[0.0, 0.0, 0.01], *([speed * period * k, 0.0, -1e-3] for k in range(200))])
     found = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.0, 0.0, trails))], path)
@@ -81,7 +81,7 @@ def test_a_viscous_surface_makes_it_trail_by_its_speed() -> None:
 
 
 def test_between_two_rough_walls_each_brakes_by_what_presses_on_it() -> None:
-    """Drawn along the crease of two walls at right angles, pressed 2 mm on one and 1 mm on the other."""
+    """Along the crease of two perpendicular walls, pressed 2 mm on one and 1 mm on the other."""
     rough, smooth = Friction(0.5, 0.5), Friction(0.1, 0.1)
     walls = [
         plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), rough),
@@ -96,7 +96,7 @@ def test_between_two_rough_walls_each_brakes_by_what_presses_on_it() -> None:
 def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_it_holds(
     kind: str,
 ) -> None:
-    """Stuck 0.4 mm beside the place where it pushed in: a new proxy would begin at the nearest one: a jump."""
+    """Stuck 0.4 mm beside its entry: a new proxy at the nearest point would jump."""
     ball: dict[str, Any] = {
         "kind": "sphere",
         "position": [0.0, 0.0, -0.02],
@@ -134,7 +134,7 @@ def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_i
 
 
 def test_what_is_asked_again_is_not_answered_by_another_proxy() -> None:
-    """The same position again moves nothing: a proxy that sticks or slides is at rest after one call."""
+    """Repeating a position changes nothing: a proxy is at rest after one call."""
     for kind, solid in SURFACES.items():
         path = wander(np.random.default_rng(4), 60, 2e-3, (0.01, 0.01, 0.004), (0.0, 0.0, 0.003))
         once = led([solid._replace(friction=Friction(0.4, 0.2))], path)

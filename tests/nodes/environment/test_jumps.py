@@ -1,4 +1,4 @@
-"""Jumps that no motion made: a surface changed live, a device re-centred or lost for a tick, a body that the tool begins in."""
+"""Jumps without motion: changed surfaces, re-centred or lost devices, tools inside bodies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
-from sim.play.chain import play
+from sim.play.chain import Instead
+from sim.play.player import play
 from tests.support import slowly
 from tests.support.launching import running, typed
 from tests.support.setups import setup_of
@@ -49,10 +50,10 @@ def environment(surface: dict[str, Any], **given: Any) -> Environment:
 
 
 def answers(node: Environment, states: list[DeviceState]) -> list[Proxy]:
-    """Answer states as the node's loop does."""
+    """Return the answers to states, as in the node's loop."""
     found = []
     for state in states:
-        payload = node._answer(state)
+        payload = node.respond(state)
         assert payload is not None
         node.counters.seq = node.counters.answered = state.seq
         found.append(Decoder(Proxy).decode(payload))
@@ -69,7 +70,7 @@ def at(*places: Vector, first: int = 0, rebased: int = 0) -> list[DeviceState]:
 @pytest.mark.process
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
 def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
-    """A hand presses it with 2.3 N when it comes 10 mm nearer: 52 N were asked in one tick."""
+    """A hand presses with 2.3 N when it comes 10 mm nearer, which asked for 52 N at once."""
     scene = str(FIXTURES / "press_hold.yaml")
     with running(tmp_path, scene, "pace:=lockstep", f"--tick={tick}") as launch:
         launch.wait_ticks(500)
@@ -83,9 +84,13 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
     assert str(jump) in told
     moved = {"kind": "plane", "axis": "x", "position": 0.010, "normal": -1}
     ticks = jump + 300
-    played = play(launch_file.read(scene, {}), ticks, changes=[(jump, moved)])
+    played = play(
+        launch_file.read(scene, {}),
+        ticks=ticks,
+        instead=Instead(environment=[(jump, {"surface": moved})]),
+    )
     assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
-        map(tuple, played.position.tolist())
+        map(tuple, played.measured.tolist())
     )
     felt = forces[jump - 1].force[0]
     step = np.abs(np.diff([force.force[0] for force in forces[jump - 1 : ticks]]))
@@ -102,7 +107,7 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
 def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
     tick: str, tmp_path: Path
 ) -> None:
-    """Out of a small ball, into a large one, which grows by 2 mm while it is pressed."""
+    """Out of a small ball, into a large one that grows by 2 mm while pressed."""
     scene = str(FIXTURES / "space.yaml")
     with running(tmp_path, scene, f"--tick={tick}") as launch:
         launch.wait_ticks(500)
@@ -116,9 +121,13 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
     jump = max(proxy.rebased for proxy in proxies)
     ticks = min(jump + 200, len(proxies))
     grown = {"kind": "union", "shapes": shapes}
-    played = play(launch_file.read(scene, {}), ticks, changes=[(jump, grown)])
+    played = play(
+        launch_file.read(scene, {}),
+        ticks=ticks,
+        instead=Instead(environment=[(jump, {"surface": grown})]),
+    )
     assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
-        map(tuple, played.position.tolist())
+        map(tuple, played.measured.tolist())
     )
     assert [proxy.proxy for proxy in proxies[:ticks]] == list(map(tuple, played.proxy.tolist()))
     told = [one.reason for one in recording.messages(event("environment")) if one.kind == "inside"]
@@ -128,7 +137,7 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
 
 
 def parsed(scene: str) -> dict[str, Any]:
-    """Return the surface of a scene as its file has it."""
+    """Return the surface of a scene's file."""
     surface: dict[str, Any] = copy.deepcopy(
         launch_file.read(scene, {}).nodes["environment"].parameters["surface"]
     )
@@ -180,7 +189,7 @@ def test_a_device_that_is_re_centred_into_a_solid_is_free_of_it() -> None:
 
 
 def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
-    """The proxy waits: it does not begin free inside of the solid that held it, nor at the other side of a thin one."""
+    """The proxy waits: it does not restart free inside the solid, nor behind a thin one."""
     place = TouchedSurface(
         parse_surface({"kind": "box", "size": [0.1, 0.1, 0.002]}, "surface"), PERIOD
     )
@@ -200,7 +209,7 @@ def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
 
 @pytest.mark.parametrize("deep", [0.02, 4e-4])
 def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: float) -> None:
-    """On the ball that it presses the proxy goes on; of another, which comes over it, it is free if it is deep inside."""
+    """The pressed ball keeps its proxy; deep inside a new ball the proxy is free."""
     place = TouchedSurface(parse_surface({"kind": "union", "shapes": [BALL]}, "surface"), PERIOD)
     place.meet((0.0, 0.0, 0.04))
     place.meet((0.0, 0.0, 0.028))
@@ -255,7 +264,7 @@ def box(z: float, x: float = 0.0, **given: Any) -> dict[str, Any]:
 def test_parts_of_a_union_are_known_wherever_they_stand_in_its_list(
     before: list[dict[str, Any]], after: list[dict[str, Any]]
 ) -> None:
-    """A box that is pressed comes 20 mm nearer in the same change: it goes on holding the tool, where it can be told."""
+    """A pressed box moved 20 mm in the same change keeps holding the tool."""
     place = union(*before)
     place.meet((0.0, 0.0, 0.04))
     assert place.meet((0.0, 0.0, 0.024))[3]
@@ -280,7 +289,7 @@ def test_a_part_that_is_pressed_and_removed_lets_go_and_the_others_stay() -> Non
 
 
 def test_a_mesh_is_known_by_its_triangles() -> None:
-    """Two meshes in a union: the second one is pressed and the first one removed; as kinds alone both were the first."""
+    """Two meshes, the pressed one second, the first removed: kinds alone mix them up."""
     cube = box_triangles((0.02, 0.02, 0.02))
     one, two = (mesh(prepare_mesh(cube + at, False, "surface")) for at in (0.0, 0.1))
 
@@ -295,7 +304,7 @@ def test_a_mesh_is_known_by_its_triangles() -> None:
 
 
 def test_a_surface_is_taken_without_looking_through_its_triangles() -> None:
-    """Between two ticks there is no time for it: comparing a mesh of 20 480 triangles took some 50 ms there."""
+    """Comparing a mesh of 20 480 triangles took 50 ms between two ticks."""
     place, other, same = (union(box(0.0)) for _ in range(3))
     for one in (place, other, same):
         assert one.numbers is not None
@@ -316,7 +325,7 @@ def test_a_surface_that_is_changed_while_the_device_is_lost_is_met_anew() -> Non
 
 
 def test_a_driver_that_was_started_again_after_a_jump_is_met_anew() -> None:
-    """Its count of jumps begins at 0 again; the environment's own later one must not hide that the proxy begins elsewhere."""
+    """The restarted driver's jump count begins at 0; an own later jump must still count."""
     node = environment(BALL)
     answers(node, at((0.0, 0.0, 0.04)))
     answers(node, at((0.0, 0.0, 0.029), first=3, rebased=3))
@@ -329,10 +338,10 @@ def test_a_driver_that_was_started_again_after_a_jump_is_met_anew() -> None:
 
 @pytest.mark.parametrize("bodies", ["dynamic", "fixed"])
 def test_a_tool_that_begins_inside_of_a_body_is_not_thrown(bodies: str) -> None:
-    """In a block: MuJoCo threw it 92 mm; now it is free until it is outside, and feels the block from there."""
+    """MuJoCo threw it 92 mm out of a block; now it is free until it has left."""
     pytest.importorskip("mujoco", reason="things that move need MuJoCo")
     scene = {"scene": str(FIXTURES / "inside.xml"), "bodies": bodies, "reach": 0.08}
-    found = play(launch_file.read(str(FIXTURES / "mujoco.yaml"), scene), 1000)
+    found = play(launch_file.read(str(FIXTURES / "mujoco.yaml"), scene), ticks=1000)
     away = np.linalg.norm(found.proxy - found.position, axis=1)
     # The tool trails the device by what accelerates 50 g, and presses by what the hand's 150 N/m
     # make of some millimetres.

@@ -1,4 +1,4 @@
-"""What is read as a mesh, what is repaired, and what is refused with which words."""
+"""Meshes: what is read, what is repaired, and what is refused, with which text."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def text_stl(triangles: Array) -> bytes:
 
 
 def obj(triangles: Array) -> bytes:
-    """Corners once, faces by number from the front or from the end, with the slashes of other programs."""
+    """Return OBJ text: corners once, faces by number from either end, with slashes."""
     points, ids = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
     for n, (a, b, c) in enumerate(ids.reshape(-1, 3).tolist()):
@@ -75,7 +75,7 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "written", "told"),
     [
-        ("a.ply", b"ply", "is no .stl and no .obj file"),
+        ("a.ply", b"ply", "is neither an .stl nor an .obj file"),
         ("a.stl", binary_stl(CUBE)[:-7], "cut off"),
         ("a.stl", text_stl(CUBE)[:-700], "cut off"),
         ("a.stl", b"", "cut off: 0 bytes"),
@@ -105,7 +105,7 @@ def test_a_file_of_ten_gigabytes_is_refused_unread(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="No such file"):
         read_triangles(tmp_path / "none.stl", "file")
     (tmp_path / "folder.stl").mkdir()
-    with pytest.raises(ParameterError, match="is no file"):
+    with pytest.raises(ParameterError, match="is not a file"):
         read_triangles(tmp_path / "folder.stl", "file")
 
 
@@ -205,7 +205,7 @@ def test_a_surface_that_cannot_be_is_refused_by_its_path(
 @pytest.mark.parametrize("tool", [0.0, 1e-3])
 @pytest.mark.parametrize("triangles", [CUBE, icosphere(1, 0.02)])
 def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: float) -> None:
-    """Where nothing leads from the surface to the device, and where a step leads along a face, within rounding of it."""
+    """Directly on the surface, and within rounding of a face along a step."""
     rng = np.random.default_rng(0)
     marks = np.concatenate(
         [
@@ -231,7 +231,7 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
 
 @pytest.mark.slow
 def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
-    """On the terminal and in the recording: what is felt is not what stands in the file."""
+    """On the terminal and in the recording: the felt mesh differs from the file."""
     ball = icosphere(2, 0.035)[:, ::-1]
     (tmp_path / "ball.stl").write_bytes(binary_stl(np.concatenate([ball, ball[:1, [0, 0, 1]]])))
     (tmp_path / "given.yaml").write_text(

@@ -1,4 +1,4 @@
-"""A partner as the environment: what is presented never jumps, whatever the network or the partner does."""
+"""A partner as environment: its presented place never jumps, whatever the network does."""
 
 from __future__ import annotations
 

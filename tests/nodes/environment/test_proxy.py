@@ -1,4 +1,4 @@
-"""The proxy on shapes against closed forms, textbook distances and equilibrium, on random scenes and paths."""
+"""The proxy on shapes: closed forms, textbook distances and equilibrium, random scenes."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ RADIUS = 0.05
 
 
 def led(solids: list[Solid], path: Array, tool: float = 0.0) -> Touched:
-    """Lead a device over shapes; short ways without the compiler, which gives the same bits."""
+    """Move a device over shapes; short paths without the compiler, with equal bits."""
     return touch(solids, path, tool, interpreted=len(path) < 2500)
 
 
 def around(depth: float, ticks: int = 400, speed: float = 0.2, period: float = 1e-3) -> Array:
-    """Enter a sphere of 50 mm and go round in it, in a plane that is none of the axes."""
+    """Enter a sphere of 50 mm and circle in it, in an oblique plane."""
     within = RADIUS - depth
     angle = np.arange(ticks) * speed * period / within
     ring = within * np.stack(
@@ -62,7 +62,7 @@ def test_on_a_sphere_it_is_the_radial_projection(depth: float, tool: float) -> N
 
 @pytest.mark.parametrize("tool", [0.0, 5e-4])
 def test_on_a_capsule_and_a_cylinder_it_is_the_nearest_point(tool: float) -> None:
-    """Within both, all around and along, away from the ends of the cylinder."""
+    """All around and along both, away from the cylinder's ends."""
     rng = np.random.default_rng(3)
     angle, along = (
         np.cumsum(rng.normal(0.0, 0.01, 500)),
@@ -126,7 +126,7 @@ def test_in_a_groove_it_rests_on_the_edge(opening: float) -> None:
 
 
 def test_round_the_edge_of_a_box_and_back() -> None:
-    """On its top until the device is beside it, then free, then on the side: it never jumps between faces inside."""
+    """From its top, free beside it, then on the side: no jump between faces inside."""
     path = np.array(
         [
             [0.0, 0.0, 0.012],
@@ -162,7 +162,7 @@ PLATES: dict[str, Solid] = {
 @pytest.mark.parametrize("tool", [0.0, 5e-4])
 @pytest.mark.parametrize("kind", PLATES)
 def test_a_thin_plate_is_never_passed(kind: str, tool: float) -> None:
-    """A hundred thousand steps of up to 2 mm (2 m/s at 1 kHz) to and fro through a plate of 0.2 mm, and a sheet of none."""
+    """100 000 steps of up to 2 mm through a plate of 0.2 mm, and a sheet without thickness."""
     path = wander(np.random.default_rng(5), 100_000, 2e-3, (0.03, 0.03, 0.004), (0.0, 0.0, 0.002))
     found = led([PLATES[kind]], path, tool)
     top = (0.0 if kind == "sheet" else 1e-4) + tool + SKIN
@@ -202,7 +202,7 @@ SCENES = scenes()
 @pytest.mark.parametrize("tool", slowly([0.0, 1e-3], but=[1e-3]))
 @pytest.mark.parametrize("name", SCENES)
 def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: float) -> None:
-    """Karush, Kuhn and Tucker, with distances and gradients of the textbook, wherever a random path leads."""
+    """Karush–Kuhn–Tucker with textbook distances and gradients, on a random path."""
     solids = SCENES[name]
     path = wander(
         np.random.default_rng(7),
@@ -244,7 +244,7 @@ def test_compiled_and_interpreted_give_the_same_bits(
 
 @pytest.mark.parametrize("tool", [0.0, 1e-3])
 def test_a_frictionless_loop_has_no_drag(tool: float) -> None:
-    """There and back in a mesh of 20 480 triangles, 4 mm deep: what the way costs comes back, to 1e-6 of force times way."""
+    """There and back in a mesh of 20 480 triangles, 4 mm deep: no energy lost, to 1e-6."""
     faces = mesh(prepare_mesh(turned(icosphere(5, RADIUS), 0.1, 0.2, 0.3), False, "ball"))
     there = around(4e-3, 3000)[20:]
     path = np.concatenate([around(4e-3, 1)[:20], there, there[::-1]])
@@ -261,11 +261,11 @@ def test_a_frictionless_loop_has_no_drag(tool: float) -> None:
 @pytest.mark.parametrize("friction", [Friction(), Friction(0.3, 0.2)], ids=["slippery", "rough"])
 @pytest.mark.parametrize("name", SCENES)
 def test_a_closed_way_gives_out_no_energy_but_by_sampling(name: str, friction: Friction) -> None:
-    """From outside, through a scene and back to where it began; a spring of 1 N/m between device and proxy.
+    """A closed path from outside through a scene, with 1 N/m between device and proxy.
 
-    Within a tick the force went from one value to the other: the sum of their means is right to
-    half of each change over the step. A scene that gives out more than that makes energy; one whose
-    proxy leaps at an edge loses some.
+    Within a tick the force changes between two values: the sum of their means is right to half of
+    each change over the step. A scene that gives out more makes energy; one whose proxy jumps at an
+    edge loses some.
     """
     solids = [solid._replace(friction=friction) for solid in SCENES[name]]
     rng = np.random.default_rng(7)
@@ -293,7 +293,7 @@ def test_a_closed_way_gives_out_no_energy_but_by_sampling(name: str, friction: F
 
 
 def test_on_a_mesh_it_is_the_nearest_point_of_the_mesh() -> None:
-    """Inside a convex body and over shallow edges the god object and the nearest point are one; libigl knows the latter."""
+    """In a convex body and at shallow edges, god object and nearest point (libigl) agree."""
     igl = pytest.importorskip("igl")
     triangles = turned(icosphere(5, RADIUS), 0.1, 0.2, 0.3)
     path = around(4e-3, 3000)
@@ -316,9 +316,9 @@ def test_on_a_mesh_it_is_the_nearest_point_of_the_mesh() -> None:
 def test_a_ball_that_is_larger_than_the_triangles_comes_to_rest_in_few_rounds(
     halvings: int, tool: float
 ) -> None:
-    """It rolls over corners and edges that are closer together than it is large, less deep than its radius.
+    """It rolls over corners and edges closer together than its size.
 
-    What holds it is the rounded polyhedron; its nearest point is known by brute force over all
+    It is held by the rounded polyhedron, whose nearest point is known by brute force over all
     triangles.
     """
     triangles = turned(icosphere(halvings, 0.035), 0.1, 0.2, 0.3)
@@ -364,7 +364,7 @@ def test_the_distance_from_outside_is_that_of_the_textbook() -> None:
 
 
 def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
-    """Squares of 1e300 overflow; afterwards the proxy is met as on the first tick."""
+    """Squares of 1e300 overflow; afterwards the proxy starts as on the first tick."""
     for solids in SCENES.values():
         wild = np.array(
             [
@@ -386,7 +386,7 @@ def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
 
 @pytest.mark.parametrize("depth", [4e-4, 6e-4])
 def test_a_device_that_begins_deep_inside_feels_a_solid_once_it_is_outside(depth: float) -> None:
-    """Up to half a millimetre deep it begins on the nearest surface; deeper it is free until the tool is wholly outside."""
+    """Up to 0.5 mm deep it starts on the surface; deeper it is free until outside."""
     for solid in (
         box((0.0, 0.0, 0.0), (0.02, 0.02, 0.02)),
         mesh(prepare_mesh(box_triangles((0.02, 0.02, 0.02)), False, "box")),

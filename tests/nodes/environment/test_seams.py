@@ -1,4 +1,4 @@
-"""No seam is felt between solids that are meant to be flush: boxes, meshes, one mesh of several shells, exact or rounded."""
+"""Seams between flush solids are not felt: boxes, meshes, shells, exact or rounded."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STEP = 5e-9
 
 
 def flush(kind: str, turn: Array, at: Array, friction: Friction) -> list[Solid]:
-    """Make two boxes side by side, tops flush at z = 0, turned and moved: as boxes, as meshes, as one mesh."""
+    """Return two boxes side by side, tops flush at z = 0, turned: as boxes, meshes, one mesh."""
     angles = (
         math.atan2(turn[2, 1], turn[2, 2]),
         -math.asin(turn[2, 0]),
@@ -47,7 +47,7 @@ def flush(kind: str, turn: Array, at: Array, friction: Friction) -> list[Solid]:
 
 
 def lag(kind: str, tool: float, coefficient: float, seed: int) -> float:
-    """Drag a device over the seam, pressed; how far the proxy is beside it, beyond friction's part of the depth [m]."""
+    """Drag a pressed device over the seam; return the proxy's lag beyond friction's part [m]."""
     rng = np.random.default_rng(seed)
     turn, at = (
         np.array(rotation((rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-1, 1)))),
@@ -73,14 +73,14 @@ def lag(kind: str, tool: float, coefficient: float, seed: int) -> float:
     "kind", ["boxes", "meshes", "one mesh", "single meshes", "one single mesh"]
 )
 def test_a_seam_is_not_felt_by_the_usual_tool(kind: str, coefficient: float) -> None:
-    """A ball of radius r meets a step h at a slope of √(2 h/r): that part of the depth is all it lags, until it is over it."""
+    """A ball of radius r meets a step h at a slope of √(2 h/r), its only lag."""
     room = 1e-9 if "single" not in kind else DEPTH * math.sqrt(2.0 * STEP / TOOL_RADIUS)
     assert max(lag(kind, TOOL_RADIUS, coefficient, seed) for seed in range(25)) < room
 
 
 @pytest.mark.parametrize("kind", ["meshes", "one mesh"])
 def test_an_exact_seam_is_not_felt_by_a_point(kind: str) -> None:
-    """A hidden side reached 1 nm over its edge while the proxy rests 0.1 nm high: caught 240 of 240 times."""
+    """A hidden side reached 1 nm above its edge, the proxy 0.1 nm: caught 240 of 240 times."""
     assert (
         max(lag(kind, 0.0, coefficient, seed) for seed in range(25) for coefficient in (0.0, 0.4))
         < 1e-9
@@ -89,7 +89,7 @@ def test_an_exact_seam_is_not_felt_by_a_point(kind: str) -> None:
 
 @pytest.mark.parametrize("tool", [0.0, TOOL_RADIUS])
 def test_the_seam_of_a_file_is_not_felt(tool: float) -> None:
-    """Two solids of a file in millimetres, flush at z = 3 mm where they overlap, from x = 22 to 80 mm."""
+    """Two solids of a file in millimetres, flush at z = 3 mm, overlapping for x 22 to 80 mm."""
     solids = [mesh(prepare_mesh(1e-3 * read_triangles(FLUSH, "file"), False, "file"))]
     path = np.stack([np.linspace(0.023, 0.07, 400), np.zeros(400), np.full(400, 0.001)], axis=1)
     path = np.concatenate([path[:1] + np.array([0.0, 0.0, 0.004]), path])

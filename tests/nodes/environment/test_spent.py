@@ -1,4 +1,4 @@
-"""How long an environment takes for a tick: what is counted, and what a launch tells of it."""
+"""Time spent per tick by an environment: what is counted, and what a launch reports."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_what_is_too_short_or_too_long_for_the_bins_is_counted_in_the_outermost(
 
 @pytest.mark.process
 def test_a_launch_tells_it_in_real_time_only(tmp_path: Path) -> None:
-    """In lockstep nobody looks at a clock, so that a run repeats to the bit."""
+    """In lockstep no clock is read, so that runs repeat to the bit."""
     words = ("--tick", "plain", "--without", "logger", "duration:=0.4")
     told = launch_json(tmp_path, "floor_drop", *words)["spent_us"]["environment"]
     assert 0.0 < told["p50"] <= told["p99"] <= told["p999"] <= told["max"]

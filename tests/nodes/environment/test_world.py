@@ -1,4 +1,4 @@
-"""A world of one body: what each integrator is, which of them are passive, and that a loop with it is the one of the theory."""
+"""A world of one body: its integrators, their passivity, and the loop against theory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worst_world import worst_world
-from sim.play.chain import play
+from sim.play.player import play
 from tests.support.launching import launch_json
 
 PERIOD = 0.002
@@ -39,7 +39,7 @@ EPS = np.finfo(float).eps
 def moved(
     integrator: str, body: tuple[float, float, float], forces: np.ndarray, steps: int = 1
 ) -> np.ndarray:
-    """Positions of a body that answer forces on the device, the same tick included [m]."""
+    """Return positions of a body under forces of the device, same tick included [m]."""
     motion: BodyMotion = INTEGRATORS[integrator](body, PERIOD, steps, (0.0, 0.0))
     found = []
     for force in forces.tolist():
@@ -57,7 +57,7 @@ def moved(
 def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
     body: tuple[float, float, float],
 ) -> None:
-    """Against scipy's discretisation of the same admittance, filtered by scipy."""
+    """Against scipy's discretisation of the same admittance."""
     mass, damping, stiffness = body
     forces = np.random.default_rng(1).normal(size=400)
     # Velocity over force, s/(m s² + c s + k); then y = T u/(1 − w) of the bilinear u.
@@ -89,7 +89,7 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
 
 @pytest.mark.parametrize("part", [0.0, 0.3, 1.0, 1.6])
 def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(part: float) -> None:
-    """Forces that come `part` of a tick late, against scipy's expm over the pieces between them."""
+    """Forces `part` of a tick late, against scipy's expm over the pieces between."""
     mass, damping, stiffness = 0.03, 0.4, 700.0
     motion = INTEGRATORS["exact"]((mass, damping, stiffness), PERIOD, 1, (0.0, 0.0))
     assert isinstance(motion, Stepped)
@@ -116,7 +116,7 @@ def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(part:
     [("implicit", 1), ("lossless", 1), ("semi_implicit", 1), ("semi_implicit", 4), ("exact", 1)],
 )
 def test_the_lag_that_is_named_is_the_one_of_a_free_mass(integrator: str, steps: int) -> None:
-    """Pushed once, a mass by the trapezoidal rule is at T² (k + ½)/m; another one lags behind that by so many ticks."""
+    """A pushed trapezoidal mass is at T² (k + ½)/m; others lag by the named ticks."""
     mass = 0.05
     way = -moved(integrator, (mass, 0.0, 0.0), np.array([1.0] + 9 * [0.0]), steps)
     lag = np.arange(5, 10) + 0.5 - way[5:] * mass / PERIOD**2
@@ -133,7 +133,7 @@ bodies = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4
 def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
     body: tuple[float, float, float], integrator: str, seed: int, resonant: bool
 ) -> None:
-    """Begun at rest: Σ F[k] (y[k−1] − y[k]) ≥ 0 at every tick, to the rounding of its terms."""
+    """From rest: Σ F[k] (y[k−1] − y[k]) ≥ 0 at every tick, up to rounding."""
     rng = np.random.default_rng(seed)
     forces = rng.normal(size=200)
     if resonant:
@@ -147,7 +147,7 @@ def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
 
 @pytest.mark.parametrize("integrator", ["semi_implicit", "exact"])
 def test_a_stepped_body_gives_out_energy_that_it_never_got(integrator: str) -> None:
-    """Pushed once and pulled back: the way goes with the second force, for which nothing was paid before."""
+    """Pushed and pulled back: the movement follows the second force, unpaid before."""
     y = moved(integrator, (0.05, 0.0, 0.0), np.array([1.0, -1.0]))
     assert float(np.sum(np.array([1.0, -1.0]) * -np.diff(y, prepend=0.0))) < -1e-6
 
@@ -155,7 +155,7 @@ def test_a_stepped_body_gives_out_energy_that_it_never_got(integrator: str) -> N
 def simulated(
     launch: Any, ticks: int, world: tuple[np.ndarray, np.ndarray], law: Any, late: int
 ) -> np.ndarray:
-    """Positions of a free device pushed once, on an implicit world y = −(top/below)(w) F: every tick one linear equation."""
+    """Return positions of a pushed device on an implicit world y = −(top/below)(w) F."""
     device = launch.nodes["driver"].parameters["device"]
     mass, damping = float(device["mass"]), float(device["damping"])
     tick = expm(
@@ -194,7 +194,7 @@ def simulated(
 def test_the_loop_solves_for_the_force_of_the_same_tick(
     integrator: str, law: str, apply: str
 ) -> None:
-    """Taps and sections, with and without delay, against a simulation that knows force and world as one linear equation."""
+    """Taps and sections, with and without delay, against solving force and world together."""
     words = {
         "integrator": integrator,
         "body_mass": 0.004,
@@ -229,23 +229,23 @@ def test_the_loop_solves_for_the_force_of_the_same_tick(
         )
         # u = (1 − w)(1 + w)/(…) F and y = T u/(1 − w).
         world = PERIOD * np.append(s, 0.0), np.sum(parts, axis=0)
-    found = play(launch, 300).position[:, 0]
+    found = play(launch, ticks=300).position[:, 0]
     expected = simulated(launch, 300, world, compiled, int(apply == "next_tick"))
     # 300 ticks of rounding
     assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
 def growth(launch: Any, ticks: int) -> float:
-    """Growth of a swing per tick, from its largest value in the second and in the last quarter."""
-    swing = np.abs(play(launch, ticks).position[:, 0]).reshape(4, -1).max(axis=1)
+    """Return the growth of a swing per tick, from its peaks in the second and last quarter."""
+    swing = np.abs(play(launch, ticks=ticks).position[:, 0]).reshape(4, -1).max(axis=1)
     return float((swing[3] / swing[1]) ** (2.0 / ticks))
 
 
 def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
-    """PD, B = 3 N s/m, 0.1 kg, 1 N s/m, T = 2 ms: 3781.87 N/m on a wall, 2244.22 N/m on any passive world that is implicit.
+    """PD, B 3 N s/m, 0.1 kg, T 2 ms: 3781.87 N/m on a wall, 2244.22 on any passive world.
 
-    The worst one is a spring by the trapezoidal rule: at the edge Re{D/H + D P} touches 0 at 16 Hz,
-    and its Im there is that of 1844 N/m.
+    The worst one is a spring by the trapezoidal rule: at the limit Re{D/H + D P} touches 0 at 16
+    Hz, where its Im is that of 1844 N/m.
     """
     worst = {"body_stiffness": 1843.766, "integrator": "lossless"}
     for part, swings in ((0.995, False), (1.005, True)):
@@ -294,9 +294,9 @@ def test_a_launch_gives_the_bits_of_one_process(
     states, proxies, forces = (recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE))
     alone = play(
         launch_file.read("world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])),
-        figures["ticks"],
+        ticks=figures["ticks"],
     )
-    assert np.array_equal(alone.position, [state.position for state in states[:-1]])
+    assert np.array_equal(alone.measured, [state.position for state in states[:-1]])
     assert np.array_equal(alone.proxy, [proxy.proxy for proxy in proxies[:-1]])
     assert np.array_equal(alone.force, [force.force for force in forces[:-1]])
     assert np.abs(alone.force).max() > 0.1
@@ -326,7 +326,7 @@ def test_a_body_that_cannot_be_moved_is_refused(fields: dict[str, Any], told: st
 
 
 def test_the_sub_steps_that_a_refusal_asks_for_are_enough_and_one_less_is_not() -> None:
-    """Left alone after a push, a body moves on within bounds with 4 sub-steps, and grows with 3."""
+    """A pushed body stays bounded with 4 sub-steps, and grows with 3."""
     body: dict[str, Any] = {"mass": 0.001, "stiffness": 1e4, "integrator": "semi_implicit"}
     check_world(WorldParameters(**body, steps=4), PERIOD, "environment")
     push = np.array([1.0] + 20 * [0.0])
@@ -372,7 +372,7 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
 
 
 def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
-    """20 g on 170 N/m under a held force, PD with B 0 and 300 N/m: radius 1.017, where a wall bears 1003 N/m."""
+    """20 g on 170 N/m, PD with B 0 and 300 N/m: radius 1.017; a wall allows 1003 N/m."""
     words = {
         "body_mass": 0.02,
         "body_stiffness": 170.0,
@@ -387,7 +387,7 @@ def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
     assert radius == pytest.approx(1.017, abs=5e-4)
     # Of the swing that the launch plays, once it is nothing but that: a window of 200 ticks ends
     # within 5 % of a peak.
-    swing = np.abs(play(launch, 800).position[:, 0])
+    swing = np.abs(play(launch, ticks=800).position[:, 0])
     peaks = swing[400:600].max(), swing[600:].max()
     assert (peaks[1] / peaks[0]) ** (1.0 / 200.0) == pytest.approx(radius, abs=3e-4)
     judgement = Judgement("coupling", PERIOD, LawBook("coupling", PERIOD))
@@ -431,7 +431,7 @@ LAWS: dict[str, dict[str, Any]] = {
 def test_real_launches_swing_one_percent_above_the_edge_and_rest_one_percent_below(
     law: str, apply: str, tmp_path: Path
 ) -> None:
-    """The body that theory builds for the edge of all worlds that answer in the same tick, felt through the nodes."""
+    """The worst body for worlds answering in the same tick, on real nodes."""
     derivative = without_spring(parse_law(LAWS[law]), PERIOD)
     worst = worst_world(derivative, Plant(PERIOD, 0.1, 1.0, float(apply == "next_tick")))
     assert worst is not None

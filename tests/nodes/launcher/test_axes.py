@@ -1,4 +1,4 @@
-"""Surface, device and axes must meet: a wall that pushes where no force is computed would be felt by nobody."""
+"""Surface, device and axes must match: a wall along an axis not computed is not felt."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ nodes:
   driver:
     kind: sim_driver
     parameters:
-      device: {{mass: 0.1, damping: 1.0, hand: {{stiffness: 300.0, path: [[0.0, 0.0], [0.1, -0.03]]}}}}
+      device: {{mass: 0.1, damping: 1.0, hand: {{stiffness: 300.0, path: [[0.0, 0.0], [0.1,
+        -0.03]]}}}}
   environment: {{kind: environment, parameters: {{surface: {surface}}}}}
-  coupling: {{kind: coupling, parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 500.0, damping: 3.0}}}}}}}}
+  coupling: {{kind: coupling, parameters: {{law: pd, laws: {{pd: {{kind: pd, stiffness: 500.0,
+    damping: 3.0}}}}}}}}
 """
 
 
@@ -39,7 +41,7 @@ def test_axes_are_taken_from_the_surface(tmp_path: Path) -> None:
         ("{kind: anchor, position: [0.0, 0.01, 0.0]}", ["y"]),
     ):
         assert launch_file.read(str(tmp_path / written(tmp_path, surface)), {}).run.axes == axes
-    with pytest.raises(ParameterError, match=r"run\.axes: \[z, z\]: an axis stands twice"):
+    with pytest.raises(ParameterError, match=r"run\.axes: \[z, z\]: an axis is given twice"):
         launch_file.read(str(tmp_path / written(tmp_path, "{kind: free}", "[z, z]")), {})
 
 

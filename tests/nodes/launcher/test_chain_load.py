@@ -1,4 +1,4 @@
-"""What chains take of the processors: told before the start, spread over them, and named as the reason of lost ticks."""
+"""Processor load of chains: reported before the start, spread, and blamed for lost ticks."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from tests.support.launching import launch_json, running
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Provide a cache of its own, in which nothing was measured."""
+    """Use an empty cache, without measurements."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     return tmp_path / "cache"
 
@@ -151,7 +151,7 @@ def test_a_launch_of_many_chains_uses_all_processors_and_each_goes_before_the_ne
 
 
 def used(launch: Launch, had: float, waited: float, lost: float, ticks: int = 1000) -> Load | None:
-    """Return the load of a run whose chains took parts of one processor, and lost a part of their ticks."""
+    """Return the load of a run whose chains took shares of a processor, and lost ticks."""
     chains = chains_of(launch)
     reports = {
         chain: {"ticks": ticks, "missed": round(lost * ticks), "overruns": 0} for chain in chains
@@ -170,7 +170,7 @@ def test_the_reason_of_lost_ticks_is_named_where_it_is_known(tmp_path: Path) -> 
     others = used(launch, had=0.3, waited=1.0, lost=0.25)
     assert others is not None
     assert others.cause == "others"
-    assert "waited for others 1 s a second" in others.text
+    assert "waited for other processes 1 s per second" in others.text
     # Both sides of each limit, and what has another reason: a node that was killed, say.
     for had, waited, lost, cause in (
         (BUSY, 0.0, LATE, "chains"),

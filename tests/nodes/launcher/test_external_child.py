@@ -1,4 +1,4 @@
-"""Nodes that somebody else starts: waited for, taken as lost when they go, and ending by themselves without their launcher."""
+"""Nodes started by hand: waited for, recognised as lost, ending without their launcher."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ SCENE = """\
 summary: A coupling started by hand
 run: {rate: 250.0, duration: 0.0}
 nodes:
-  driver: {kind: sim_driver, parameters: {device: {mass: 0.1, damping: 1.0, gravity: 9.81, position: 0.001}}}
-  environment: {kind: environment, parameters: {surface: {kind: plane, axis: z, position: 0.0, normal: 1}}}
+  driver: {kind: sim_driver, parameters: {device: {mass: 0.1, damping: 1.0, gravity: 9.81,
+    position: 0.001}}}
+  environment: {kind: environment, parameters: {surface: {kind: plane, axis: z, position: 0.0,
+    normal: 1}}}
   coupling:
     kind: coupling
     by_hand: true
@@ -52,7 +54,7 @@ nodes:
 
 
 def start(launch: Running) -> subprocess.Popen[bytes]:
-    """Start the coupling as the launcher says."""
+    """Start the coupling with the printed command."""
     wait_for(lambda: list(launch.runtime_dir.glob("runs/*/run.json")), "the run")
     with open(launch.folder / "node.txt", "ab") as errors:
         return subprocess.Popen(
@@ -65,7 +67,7 @@ def start(launch: Running) -> subprocess.Popen[bytes]:
 
 @contextlib.contextmanager
 def odd_node(context: Context, **answers: object) -> Iterator[Setup]:
-    """Answer requests as a program of somebody else's may, with `answers` by operation; the setup of that node."""
+    """Answer requests as a foreign program might (`answers` by operation); yield its set-up."""
     over = threading.Event()
     with private_runtime_dir() as folder:
         control = f"ipc://{folder}/driver.ctl"
@@ -112,13 +114,13 @@ FINISHED = {"state": "finished", "pid": 1}
 def test_an_answer_that_is_none_of_the_protocol_ends_the_node_and_is_told(
     answers: dict[str, Any], context: Context
 ) -> None:
-    """It ended the thread that watches the node, and the launcher went on without."""
+    """It ended the thread that watches the node; the launcher continued without."""
     with odd_node(context, **answers) as setup:
         child = ByHand(setup, 0, 0.5, True, context, lambda _: None)
         child.start(Path(setup.run_dir))
         try:
             wait_for(lambda: child.code is not None, "the end of the node")
-            assert child.end.startswith("an answer that is not of the protocol")
+            assert child.end.startswith("an answer that violates the protocol")
         finally:
             child.release()
 
@@ -188,7 +190,7 @@ def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_pat
             wait_for(lambda: launch.ticks() > 0, "the first tick")
             told = typed(launch, "node", "start", "coupling", code=2).stderr
             assert told.startswith(
-                f"haptic: coupling: process {node.pid} is this node already; end it first"
+                f"haptic: coupling: process {node.pid} is already this node; end it first"
             )
             launch.wait_ticks(50)
             assert launch.pid("coupling") == node.pid

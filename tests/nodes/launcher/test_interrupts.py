@@ -1,4 +1,4 @@
-"""How often a user has asked for the end, and what a command says that is interrupted before its verb begins."""
+"""Counting a user's requests for the end, and commands interrupted before their verb."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nodes.launcher.supervisor import Supervisor
 
 
 def test_a_node_that_fails_is_no_user_who_asks(capsys: pytest.CaptureFixture[str]) -> None:
-    """The first Ctrl-C after a failed node counted as the second: loggers had 0.3 s in place of all that they need."""
+    """The first Ctrl-C after a failed node counted as the second: loggers had only 0.3 s."""
     supervisor = Supervisor(launch_file.read("floor_drop", {}), print)
     supervisor.stop("driver: ended with exit code 1")
     supervisor.stop("coupling: ended with exit code 1")
@@ -29,7 +29,7 @@ def test_a_node_that_fails_is_no_user_who_asks(capsys: pytest.CaptureFixture[str
 def test_ctrl_c_beside_a_verb_ends_without_a_word(
     when: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In the moments before a verb takes signals, and after it, Ctrl-C was answered with a traceback."""
+    """Ctrl-C just before or after a verb printed a traceback."""
 
     def run() -> int:
         if when == "before":

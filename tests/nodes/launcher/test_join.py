@@ -1,4 +1,4 @@
-"""A node that waits for its launcher over tcp: who may hand it a setup, and what a setup may ask of it."""
+"""A node waiting for its launcher over tcp: who may set it up, and what a set-up may ask."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 
 EVIL = """\
 #include <stdio.h>
-__attribute__((constructor)) static void run(void) {{ FILE *file = fopen("{mark}", "w"); if (file) fclose(file); }}
+__attribute__((constructor)) static void run(void) {{ FILE *file = fopen("{mark}", "w");
+  if (file) fclose(file); }}
 """
 
 PLAIN = """\
@@ -52,7 +53,7 @@ socket.connect(sys.argv[1])
 socket.send(bytes.fromhex(sys.argv[2]))
 sys.exit(3 if socket.poll(1500) else 0)
 """
-"""A client without a key, where it can be of another user; exit code 3 when it was answered."""
+"""A client without a key, as another user if possible; exit code 3 if it was answered."""
 
 
 class Waiting:
@@ -75,11 +76,11 @@ class Waiting:
 
     @property
     def errors(self) -> str:
-        """What it wrote to standard error."""
+        """Its standard error."""
         return (self.folder / "node.txt").read_text()
 
     def setup(self, kind: str, **parameters: object) -> dict[str, Any]:
-        """Write a setup that is right in everything but perhaps what is tested."""
+        """Return a set-up, valid except for the tested change."""
         made = setup_of(
             run="r-1",
             name=self.name,
@@ -110,7 +111,7 @@ def waiting(tmp_path: Path, me: Identity) -> Iterator[Callable[..., Waiting]]:
 
 @pytest.fixture
 def evil(tmp_path: Path) -> tuple[Path, Path]:
-    """Make a library that leaves a mark when it is loaded; both paths."""
+    """Return a library that leaves a mark when loaded, and the mark's path."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -125,7 +126,7 @@ def evil(tmp_path: Path) -> tuple[Path, Path]:
 
 
 # -- who
-# --------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -144,7 +145,7 @@ def test_another_user_of_this_machine_hands_it_nothing(
 
 
 # -- what
-# -------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.process
@@ -286,7 +287,7 @@ def test_a_running_node_takes_no_path_from_the_wire_either(tmp_path: Path) -> No
 
 
 # -- without keys
-# -----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 SCENE = """\
 summary: A coupling over tcp on loopback
@@ -294,7 +295,8 @@ run: {rate: 250.0, duration: 0.0, port: 5990}
 nodes:
   driver: {kind: sim_driver, parameters: {device: {mass: 0.1, damping: 1.0}}}
   environment: {kind: environment}
-  coupling: {kind: coupling, host: 127.0.0.1, parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 100.0, damping: 1.0}}}}
+  coupling: {kind: coupling, host: 127.0.0.1, parameters: {law: pd, laws: {pd: {kind: pd,
+    stiffness: 100.0, damping: 1.0}}}}
 """
 
 

@@ -1,4 +1,4 @@
-"""Launch files and the launcher: every scenario runs, every mistake is told with its path, the summary is true."""
+"""Launch files and launcher: scenarios run, mistakes name their path, summaries are true."""
 
 from __future__ import annotations
 
@@ -31,18 +31,19 @@ from tests.support.launching import (
 )
 
 PROMISED = {
-    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot", "exit_reason", "final",
+    "scenario", "ticks", "missed", "rate_hz", "response_us", "age_ticks_max", "recording", "plot",
+    "exit_reason", "final",
 }  # fmt: skip
 
 IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
     *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
-"""Scenarios that every run of the tests launches in lockstep (tests/sim/play)."""
+"""Scenarios that other tests launch in lockstep in every run (tests/sim/play)."""
 
 
 def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
-    """Compare the summary with what was recorded at every tick."""
+    """Compare the summary with the recorded ticks."""
     times = ResponseTimes()
     for state in states[1:]:
         if state.response > 0.0:
@@ -117,8 +118,8 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("flor_drop",), "no launch file is named 'flor_drop'; there is: box_edges, floor"),
-        (("floor_drop", "stifness:=3"), "no argument 'stifness'; there is: rate"),
+        (("flor_drop",), "no launch file is named 'flor_drop'; available: box_edges, floor"),
+        (("floor_drop", "stifness:=3"), "no argument 'stifness'; available: rate"),
         (("floor_swap", "fifo:=0"), "no argument 'fifo'; run.fifo:=0 sets it in any launch file"),
         (
             ("floor_drop", "stiffness:=soft"),
@@ -133,7 +134,7 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
             "arguments.pace: 'slow', expected one of realtime, lockstep",
         ),
         (("nowhere.yaml",), "nowhere.yaml: no such file"),
-        (("floor_drop", "--without", "camera"), "no node 'camera'; there is: driver"),
+        (("floor_drop", "--without", "camera"), "no node 'camera'; available: driver"),
     ],
 )
 def test_mistakes_are_told_with_path_value_and_limit(
@@ -155,7 +156,7 @@ def test_mistakes_are_told_with_path_value_and_limit(
     ("word", "told"),
     [
         ("mass:=-1", "driver.device.mass: expected a number above 0, got -1.0"),
-        ("law:=spring", "coupling.law: no law is named 'spring'; there is: pd"),
+        ("law:=spring", "coupling.law: no law is named 'spring'; available: pd"),
         ("stiffness:=-5", "coupling.laws.pd.stiffness"),
     ],
 )
@@ -192,10 +193,10 @@ def test_launch_files_are_checked_completely(
         "rate: $(var rate)": ("rate: $(var speed)", "$(var speed) is not an argument"),
         "required: false": (
             "requird: false",
-            "nodes.logger.requird: no such parameter; there is: kind, ",
+            "nodes.logger.requird: no such parameter; available: kind, ",
         ),
         "gravity: 9.81": ("gravity: .nan", "not a finite number"),
-        "  logger:": ("  Logger!:", "a node's name is lower-case"),
+        "  logger:": ("  Logger!:", "a node's name has lower-case"),
     }
     for before, (after, told) in broken.items():
         path = tmp_path / "broken.yaml"
@@ -232,7 +233,7 @@ def test_percentiles_are_those_of_the_values() -> None:
 
 
 def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) -> None:
-    """A logger of three topics must not be counted as three loggers: the first messages would go without the other one."""
+    """A logger of three topics must not count as three, or first messages are lost."""
     setups = wire(launch_file.read("two_loggers", {}), "r", tmp_path, {})
     # One by the next hop, one by the logger of everything, three by the logger of the loop's
     # topics.
@@ -245,7 +246,7 @@ def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) 
 
 
 def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path) -> None:
-    """What `param set` would refuse; a virtual device cannot break, and its page may go past the edge."""
+    """A virtual device cannot break, and its page may go past the limit."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
     content["nodes"]["coupling"]["parameters"]["plant"] = {
@@ -264,7 +265,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
     assert not wired(real, 1000.0)
     with pytest.raises(
         ParameterError,
-        match=r"laws\.pd: pole radius .* that would be taken is 5800, or set .* to warn",
+        match=r"laws\.pd: pole radius .* that is accepted is 5800, or set .* to warn",
     ):
         wired(real, 900_000.0)
     assert wired("touch_wall", 900_000.0)
@@ -272,7 +273,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
 
 @pytest.mark.slow
 def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
-    """Names that a user's own scripts may well have: none of them may take the place of a module that a node imports."""
+    """A user's scripts must not replace modules that a node imports."""
     for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):
         (tmp_path / f"{name}.py").write_text(
             f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8"
@@ -305,7 +306,7 @@ LAUNCHES = min(5, len(os.sched_getaffinity(0)) + 1)
 
 @pytest.mark.process
 def test_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
-    """More than a small machine has processors for, in one runtime directory: each has its own run, limits and recording."""
+    """More launches than processors in one runtime directory stay separate."""
     peak = 3.0
     processes = []
     with private_runtime_dir() as runtime:

@@ -1,4 +1,4 @@
-"""The loop across two machines: two network namespaces with keys of their own, and a cable with delay, jitter and loss."""
+"""The loop on two machines: namespaces with own keys, a cable with delay, jitter and loss."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tests.support.launching import (
 from tests.support.twohosts import Cable, Host, NoRightsError, two_hosts
 
 AHEAD = 5000.0
-"""How far the far machine's clock is ahead [s], where the kernel has time namespaces."""
+"""Offset of the remote machine's clock [s], if the kernel has time namespaces."""
 
 NODES: dict[str, dict[str, Any]] = {
     "driver": {
@@ -67,11 +67,11 @@ import zmq
 from messages.transport.requests import call
 sys.stdout.buffer.write(msgspec.msgpack.encode(call(zmq.Context(), sys.argv[1], sys.argv[2])))
 """
-"""Asks a node where it runs."""
+"""Script that asks a node for the machine it runs on."""
 
 
 def scene(far: str, run: Mapping[str, Any], spec: Mapping[str, Any]) -> str:
-    """Write a launch file, whose YAML may as well be JSON, with one node on the other machine."""
+    """Return a launch file as JSON, which is YAML, with a node on the other machine."""
     nodes = {**NODES, far: {**NODES[far], "host": "10.77.0.2", **spec}}
     rate = {"rate": 100.0, "duration": 1.5, "host": "10.77.0.1"}
     return json.dumps(
@@ -133,7 +133,7 @@ class Pair:
                 keys.allow(host.address, key)
 
     def start(self, host: int, *words: str) -> subprocess.Popen[bytes]:
-        """Start a haptic command on one of them; its output goes to files."""
+        """Start a haptic command on one machine; its output goes to files."""
         name = ("near", "far")[host]
         with (
             open(self.folder / f"{name}.out", "ab") as out,
@@ -144,11 +144,11 @@ class Pair:
             )
 
     def errors(self, host: int) -> str:
-        """Read what one of them wrote to standard error."""
+        """Return the standard error of one machine."""
         return (self.folder / f"{('near', 'far')[host]}.err").read_text()
 
     def assert_nothing_left(self) -> None:
-        """Assert that neither of them has a process or a file of the run any more."""
+        """Assert that neither has a process or file of the run."""
         for environment in self.environments:
             assert_nothing_left(Path(environment["HAPTIC_RUNTIME_DIR"]))
 
@@ -166,7 +166,7 @@ def pair(tmp_path: Path) -> Iterator[Pair]:
 
 
 class Launched:
-    """A launch on the near machine that waits for one node on the far one."""
+    """A launch on the near machine that waits for a node on the far one."""
 
     def __init__(
         self, pair: Pair, node: str, run: Mapping[str, Any], spec: Mapping[str, Any]
@@ -179,7 +179,7 @@ class Launched:
         self.started: list[subprocess.Popen[bytes]] = []
 
     def start_node(self) -> subprocess.Popen[bytes]:
-        """Start the node on the far machine, with the printed command itself."""
+        """Start the node on the far machine with the printed command."""
         wait_for(
             lambda: "haptic node start" in self.errors or self.launcher.poll() is not None,
             "the command",
@@ -192,11 +192,11 @@ class Launched:
 
     @property
     def errors(self) -> str:
-        """What launcher and near nodes wrote to standard error."""
+        """Standard error of launcher and near nodes."""
         return self.pair.errors(0)
 
     def told(self, text: str, host: int = 0, times: int = 1) -> None:
-        """Wait until something was written to standard error."""
+        """Wait for a text on standard error."""
         wait_for(
             lambda: self.pair.errors(host).count(text) >= times or self.launcher.poll() is not None,
             f"{text!r} to be told",
@@ -204,7 +204,7 @@ class Launched:
         assert self.pair.errors(host).count(text) >= times, self.errors + self.pair.errors(1)
 
     def near(self, *words: str) -> str:
-        """Run another command on the near machine, and read what it says."""
+        """Run another command on the near machine; return its output."""
         out = self.pair.folder / "near.out"
         before = len(out.read_text())
         assert self.pair.start(0, *words).wait(DEADLINE) == 0, self.errors
@@ -212,7 +212,7 @@ class Launched:
 
     def ask(self, op: str, node: str = "driver") -> dict[str, Any]:
         """Ask a node on its own machine; empty while it does not answer."""
-        self.told("is there")
+        self.told(": connected")
         found = next(Path(self.pair.environments[0]["HAPTIC_RUNTIME_DIR"]).glob("runs/*/run.json"))
         control = msgspec.json.decode(found.read_bytes(), type=RunInfo).nodes[node].control
         host = int(node == self.node)
@@ -227,7 +227,7 @@ class Launched:
         return answer
 
     def await_safety(self, state: str) -> dict[str, Any]:
-        """Wait until the driver's safety is in a state; what the driver tells then."""
+        """Wait for a safety state of the driver; return its progress."""
 
         def look() -> dict[str, Any] | None:
             assert self.launcher.poll() is None, self.errors
@@ -238,7 +238,7 @@ class Launched:
         return found
 
     def finish(self, code: int = 0) -> dict[str, Any]:
-        """Wait for the end of both, and read the figures."""
+        """Wait for the end of both; return the figures."""
         assert self.launcher.wait(DEADLINE) == code, self.errors + self.pair.errors(1)
         self.started[-1].wait(DEADLINE)
         figures: dict[str, Any] = json.loads(
@@ -268,7 +268,7 @@ def launched(
 
 
 def launch(pair: Pair, node: str = "coupling", **run: object) -> tuple[dict[str, Any], str]:
-    """Run one to its end, with the exit codes of everything asserted."""
+    """Run a launch to its end; assert all exit codes."""
     with launched(pair, node, run) as found:
         figures = found.finish()
         assert found.started[-1].returncode == 0, pair.errors(1)
@@ -277,7 +277,7 @@ def launch(pair: Pair, node: str = "coupling", **run: object) -> tuple[dict[str,
 
 
 def assert_all_recorded(figures: dict[str, Any], recording: Recording) -> None:
-    """Assert that no tick is missing but those that the driver left out, and no message that a node says it sent."""
+    """Assert that only ticks left out by the driver are missing, and no sent message."""
     for topic in topics.LOOP:
         found = recording.topics[topic]
         assert found.back == 0
@@ -305,7 +305,7 @@ def test_a_coupling_on_another_machine_over_a_slow_lossy_cable(pair: Pair) -> No
     # bound can be below half of the shortest round trip, 2 ms.
     assert abs(coupling["clock_offset"] + pair.far.ahead) <= coupling["clock_error"]
     assert coupling["clock_error"] >= 0.002
-    assert "coupling: is there; its clock is" in errors
+    assert "coupling: connected; its clock is" in errors
     # The stamps of the far node are in the time of the launcher's host: never before the state they
     # answer.
     recording = Recording(str(pair.folder / "near" / "far.mcap"))
@@ -347,7 +347,7 @@ def test_any_other_node_alone_on_another_machine(pair: Pair, node: str) -> None:
 
 
 def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
-    """Assert that whoever stamps and whoever receives does it in the time of the launcher's host."""
+    """Assert that stamps and receipts use the time of the launcher's host."""
     found = clocks(recording)
     if node != "logger":
         assert abs(found[node].offset + ahead) <= found[node].error < 0.5
@@ -360,7 +360,7 @@ def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
 
 
 def assert_clock_told(text: str, ahead: float) -> None:
-    """Assert that a text for people tells how far the far clock is ahead, within the bound that it tells."""
+    """Assert that a text names the remote clock's offset within its stated bound."""
     told = re.search(r"clock ([+-][\d.]+) s from the launcher's, known to ±(\d+) µs", text)
     assert told is not None, text
     # One microsecond for the rounding of both.
@@ -378,7 +378,7 @@ def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) 
             assert launch.await_safety("zero")["force_n"] == [0.0, 0.0, 0.0]
             launch.told("starting it again")
         launch.start_node()
-        launch.told(f"{node}: is there", times=2)
+        launch.told(f"{node}: connected", times=2)
         launch.await_safety("active")
         told = launch.near("node", "info", node)
         assert ", denied 0\n" in told

@@ -1,4 +1,4 @@
-"""Several chains in one launch: namespaces, included launch files, remapping, and values of ``run`` without an argument."""
+"""Several chains in one launch: namespaces, includes, remapping, and values of ``run``."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_full_name_is_taken_apart_as_it_was_put_together() -> None:
 
 
 def unclocked(messages: list[Any]) -> list[Any]:
-    """Leave out how long each answer took."""
+    """Return figures without response times."""
     return [
         msgspec.structs.replace(one, response=0.0) if isinstance(one, DeviceState) else one
         for one in messages
@@ -99,7 +99,7 @@ def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     ]
     assert [json.loads(each)["active"] for each in told] == ["pd_alpha", "pd"]
     refused = typed(two_hands, "topic", "list", "--run", "/middle", code=2).stderr
-    assert "no namespace 'middle'; there is: left, right" in refused
+    assert "no namespace 'middle'; available: left, right" in refused
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_a_recording_of_several_chains_says_how_to_take_one_out(
 
 @pytest.mark.slow
 def test_a_node_can_take_another_chains_topic(tmp_path: Path) -> None:
-    """A second environment and coupling follow the first chain's device: the shadow computes the same force."""
+    """A second environment and coupling follow the first device with equal forces."""
     file = tmp_path / "shadow.yaml"
     file.write_text(
         f"""{HEAD}run: {{pace: lockstep, duration: 0.2}}
@@ -150,7 +150,7 @@ nodes:
     [
         (
             "include:\n  - launch: floor_drop\n  - launch: wall_press\n",
-            "is there twice; give one a namespace",
+            "exists twice; give one a namespace",
         ),
         (
             (
@@ -165,11 +165,8 @@ nodes:
             "longer than 32 letters",
         ),
         (f"include:\n  - {{launch: floor_drop, namespace: {'a' * 33}}}\n", "at most 32"),
-        (
-            "nodes:\n  run: {kind: sim_driver}\n",
-            "'run' is the name of the file that lists a run's nodes",
-        ),
-        ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name is lower-case letters"),
+        ("nodes:\n  run: {kind: sim_driver}\n", "'run' is reserved for the list of a run's nodes"),
+        ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name has lower-case letters"),
         ("include:\n  - {launch: floor_dorp}\n", "floor_drop"),
         ("include:\n  - {launch: floor_drop, arguments: {stifness: 1}}\n", "stiffness"),
         ("include:\n  - {launch: floor_drop, without: [loger]}\n", "logger"),
@@ -188,14 +185,14 @@ def test_what_cannot_be_included_is_refused(tmp_path: Path, text: str, told: str
 
 
 def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: Path) -> None:
-    """Thirty small files, each of which includes the next one twice, are a billion; two that include each other have no end."""
+    """Thirty files that include the next twice are a billion; cycles have no end."""
     for i in range(30):
         entries = (
             f"  - {{launch: f{i + 1}.yaml}}\n  - {{launch: f{i + 1}.yaml, without: [driver]}}\n"
         )
         (tmp_path / f"f{i}.yaml").write_text(f"{HEAD}include:\n{entries}")
     (tmp_path / "f30.yaml").write_text(f"{HEAD}nodes:\n  driver: {{kind: sim_driver}}\n")
-    with pytest.raises(ParameterError, match="more than 256 launch files"):
+    with pytest.raises(ParameterError, match="more than 256 included launch files"):
         launch_file.read(str(tmp_path / "f0.yaml"), {})
     (tmp_path / "a.yaml").write_text(f"{HEAD}include:\n  - {{launch: b.yaml}}\n")
     (tmp_path / "b.yaml").write_text(f"{HEAD}include:\n  - {{launch: a.yaml}}\n")
@@ -206,7 +203,7 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: P
 
 @pytest.mark.parametrize("written", ["x$(var a)$(var a)", "$(dirname)" * 1000])
 def test_text_that_grows_when_it_is_filled_in_is_bounded(tmp_path: Path, written: str) -> None:
-    """A kilobyte of arguments in a text makes gigabytes."""
+    """A kilobyte of arguments in a text could become gigabytes."""
     text = (
         f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch:"
         f" '{written}'}}\n"

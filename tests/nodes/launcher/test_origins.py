@@ -1,4 +1,4 @@
-"""An error names file, line, choices and what was probably meant, and the argument that the user really wrote."""
+"""Errors name file, line, choices, a suggestion, and the argument that the user wrote."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.launching import typed_in
         (
             "gravity: 9.81",
             "gravty: 9.81",
-            "driver.device.gravty: no such parameter; there is: mass, damping, gravity, ",
+            "driver.device.gravty: no such parameter; available: mass, damping, gravity, ",
         ),
         (
             "gravity: 9.81",
@@ -33,7 +33,7 @@ from tests.support.launching import typed_in
         (
             "    kind: sim_driver",
             "    kind: sim_drive",
-            "nodes.driver.kind: 'sim_drive' is not installed; there is: ",
+            "nodes.driver.kind: 'sim_drive' is not installed; available: ",
         ),
         (
             "position: $(var height)",

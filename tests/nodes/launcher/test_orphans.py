@@ -1,4 +1,4 @@
-"""Whoever is killed, in whatever order and however early: no node goes on without its launcher."""
+"""Whatever is killed, in any order and however early: no node outlives its launcher."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The plant of a coupling is the device that its launch file describes: filled in, compared, and named where it is unknown.
+"""The plant of a coupling is its launch's device: filled in, compared, named if unknown.
 
 The oracles are the masses of the launch file added by hand, and the law of the scaled device from
 THEORY's own units.
@@ -32,8 +32,10 @@ DEVICE = {
     "hand": {"mass": 0.1, "stiffness": 200.0, "damping": 2.0, "path": [[0, 0]]},
 }
 WHOLE = {"mass": 0.15, "damping": 3.0, "stiffness": 200.0, "device_delay": 0.5}
-TOOL = """<mujoco><worldbody><body name="tool"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
-<joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.006" mass="0.005"/></body></worldbody></mujoco>"""
+TOOL = """<mujoco><worldbody><body name="tool">
+<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+<joint type="slide" axis="0 0 1"/><geom type="sphere" size="0.006" mass="0.005"/>
+</body></worldbody></mujoco>"""
 
 
 def written(
@@ -42,7 +44,7 @@ def written(
     device: dict[str, Any] | None = None,
     **nodes: Any,
 ) -> str:
-    """Write a launch file of one's own: a device, a wall and a law."""
+    """Write a user's launch file: a device, a wall and a law."""
     content = {
         "summary": "s",
         "run": {"axes": ["x"]},
@@ -89,7 +91,7 @@ def test_a_launch_file_names_its_device_once(tmp_path: Path) -> None:
     late = {**DEVICE, "delay": 100.0 + 1e-9}
     with pytest.raises(
         ParameterError,
-        match=r"plant\.device_delay: the device answers 100 ticks late, limit 100: .* to null",
+        match=r"plant\.device_delay: the device answers 100 ticks late, limit 100; .* to null",
     ):
         launch_file.read(written(tmp_path, device=late), {})
     launch = launch_file.read(written(tmp_path, {"plant": None}, device=late), {})
@@ -115,7 +117,8 @@ def test_the_tool_of_a_scene_is_weighed_before_the_start(tmp_path: Path) -> None
     (tmp_path / "tool.xml").write_text(TOOL, encoding="utf-8")
     world = {"kind": "mujoco", "parameters": {"scene": str(tmp_path / "tool.xml")}}
     path = written(tmp_path, environment=world)
-    assert plant_of(path) == {**WHOLE, "tool_mass": 0.005}
+    # MuJoCo's usual step, contacts and no springs: its weight is a promise too.
+    assert plant_of(path) == {**WHOLE, "tool_mass": 0.005, "tool_step": 0.002}
     with pytest.raises(
         ParameterError,
         match=r"coupling\.plant\.tool_mass: 0\.05 kg, but the tool of the scene weighs 0\.005 kg",

@@ -1,4 +1,4 @@
-"""Which processors a launch uses: kept awake by a fast loop, and left to the loop by whoever is not in it."""
+"""Processors of a launch: kept awake by a fast loop, and avoided by everything else."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.support.launching import HAPTIC, running, wait_for
 
 
 def wake_latency() -> int:
-    """Read what the kernel allows now: the least of all that is asked for [µs]."""
+    """Return the wake-up latency that the kernel now allows [µs]."""
     latency = os.open(realtime.WAKE_LATENCY, os.O_RDONLY)
     try:
         return int.from_bytes(os.read(latency, 4), sys.byteorder, signed=True)
@@ -136,7 +136,7 @@ def test_listeners_get_the_processors_that_the_chain_leaves(
 
 
 def test_a_thread_that_may_not_step_aside_goes_on() -> None:
-    """Started by hand among other processors than the launcher's."""
+    """Started by hand with other processors than the launcher's."""
     stood: list[set[int]] = []
 
     def step() -> None:

@@ -1,4 +1,4 @@
-"""Directories of runs: what bears the mark of a run is removed when the run is over, and nothing else ever is."""
+"""Run directories: marked ones are removed when the run is over, others never."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.support import ROOT
 from tests.support.launching import haptic, launch_json, private_runtime_dir, running, typed
 
 LONG_AGO = 3600.0
-"""Age of a directory that no launch is still setting up [s]."""
+"""Age at which a directory cannot belong to a starting launch [s]."""
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def filled(path: Path) -> Path:
 
 @pytest.mark.process
 def test_a_launch_leaves_what_it_did_not_make(tmp_path: Path, home: Path) -> None:
-    """Whoever points HAPTIC_RUNTIME_DIR at a private directory of their own keeps what is in it."""
+    """Files in a user's own HAPTIC_RUNTIME_DIR are not removed."""
     (home / "runs").mkdir(mode=0o700)
     kept = [filled(home / name) for name in (".ssh", "Documents", "runs/photos")]
     stale = aged(new_run_dir("stale"))
@@ -85,7 +85,7 @@ def test_the_sweep_takes_only_what_bears_the_mark(home: Path) -> None:
 
 
 def test_the_sweep_leaves_what_a_launcher_holds(home: Path) -> None:
-    """One that compiles for more than a minute has told of no nodes yet, and has none."""
+    """A launch that compiles for over a minute has no nodes yet."""
     path = aged(new_run_dir("compiling"))
     held = hold(path)
     try:
@@ -116,7 +116,7 @@ def test_the_sweep_leaves_what_belongs_to_somebody_else(home: Path) -> None:
 def test_a_long_scenario_starts_where_desktops_keep_runs(
     base: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The paths of sockets have 107 bytes; every name of a node has 32 letters to itself."""
+    """Socket paths have at most 107 bytes, node names 32."""
     with private_runtime_dir() as folder:
         home = folder / ("d" * (len(base) - len(str(folder)) - 1))
         assert len(str(home)) == len(base)
@@ -127,7 +127,7 @@ def test_a_long_scenario_starts_where_desktops_keep_runs(
         for path in made:
             with socket.socket(socket.AF_UNIX) as longest:
                 longest.bind(str(path / ("n" * 32 + ".listen")))
-        with pytest.raises(RunError, match="exists already"):
+        with pytest.raises(RunError, match="already exists"):
             new_run_dir(names[0])
 
 
@@ -159,7 +159,7 @@ def test_a_run_in_a_short_directory_is_found_by_its_name(
 
 @pytest.mark.process
 def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> None:
-    """Its directory is not called as the run is: `haptic stop` sent no signal, and gave up after a minute."""
+    """With a shortened directory, `haptic stop` sent no signal and gave up."""
     file = tmp_path / f"{'a' * 64}.yaml"
     file.write_text(
         (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8"
@@ -208,7 +208,7 @@ def test_a_runtime_directory_that_no_endpoint_can_name_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path / "a#b"))
-    with pytest.raises(RunError, match="a#b: its name has a #"):
+    with pytest.raises(RunError, match="a#b: contains a #"):
         runs_dir()
     assert not (tmp_path / "a#b").exists()
 

@@ -1,4 +1,4 @@
-"""Supervision with real processes: whatever ends a launch, in whatever order, no process and no file stays behind.
+"""Supervision with real processes: however a launch ends, nothing stays behind.
 
 That nothing is left is asserted by `running` at the end of each block.
 """
@@ -192,9 +192,9 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
 
 @contextlib.contextmanager
 def starved(pid: int, threads: str = "") -> Iterator[None]:
-    """Let a process run only when four others, which never rest, leave it the processor: a part in 400 at the most.
+    """Leave a process at most a 400th of a processor, beside four busy ones.
 
-    Or only those of its `threads` that have this in their name.
+    Or only its `threads` with this name.
     """
     processor = min(os.sched_getaffinity(0))
     spin = (
@@ -218,7 +218,7 @@ def starved(pid: int, threads: str = "") -> Iterator[None]:
 
 @pytest.mark.process
 def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(tmp_path: Path) -> None:
-    """A while without messages was the end to it, also where its I/O thread had all of them and no processor."""
+    """Silence counted as the end, even if its I/O thread held all messages."""
     with running(tmp_path, scenario(tmp_path)) as launch:
         logger = launch.pid("logger")
         with starved(logger, "ZMQbg/IO"):
@@ -237,16 +237,16 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
         waits = {name: ProcessorWait() for name in ("logger", "reaper")}
         pids = {"logger": logger, "reaper": reaper(launch)}
         for name, wait in waits.items():
-            wait.look(pids[name])
+            wait.update(pids[name])
         with starved(logger):
             launch.process.send_signal(signal.SIGINT)
             # Its own clock: what the launcher would have granted it, had it not been kept from
             # running.
             wait_for(
-                lambda: waits["logger"].look(logger) > TIMEOUTS[signal.SIGINT],
+                lambda: waits["logger"].update(logger) > TIMEOUTS[signal.SIGINT],
                 "the logger waits for a processor",
             )
-            assert waits["reaper"].look(pids["reaper"]) < 0.5 * TIMEOUTS[signal.SIGINT], (
+            assert waits["reaper"].update(pids["reaper"]) < 0.5 * TIMEOUTS[signal.SIGINT], (
                 "it waits for the launcher, not for a processor"
             )
             # The launcher comes to the logger when all others have ended.
@@ -265,7 +265,7 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
 
 @pytest.fixture
 def ice() -> Iterator[Path]:
-    """Make a control group whose processes the kernel does not let die when they are frozen."""
+    """Return a control group whose frozen processes cannot die."""
     group = Path(f"/sys/fs/cgroup/freezer/haptic-test-{os.getpid()}")
     try:
         group.mkdir()

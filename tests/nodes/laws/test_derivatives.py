@@ -1,8 +1,8 @@
-"""One contract for every registered realisation of D^α, and each of the known failures reproduced.
+"""One contract for every realisation of D^α, and known failures reproduced.
 
 Oracles: Mittag-Leffler functions and Gamma ratios by mpmath, rational approximants by mpmath's Padé
-and scipy's bilinear transform, impulse responses by scipy's lfilter: none of them shares a line
-with the code under test.
+and scipy's bilinear transform, impulse responses by scipy's lfilter: none shares a line with the
+code under test.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ CASES = [
 
 
 def orders_of(kind: str) -> st.SearchStrategy[float]:
-    """Orders that a realisation takes."""
+    """Return the orders that a realisation accepts."""
     return st.floats(min_value=0.01, max_value=2.0 if kind == "log_binned" else 3.99)
 
 

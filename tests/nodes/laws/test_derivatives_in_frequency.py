@@ -1,4 +1,4 @@
-"""Realisations of D^α in frequency: against powers, Padé approximants, zeros and poles by mpmath and scipy."""
+"""Realisations of D^α in frequency: powers, Padé, zeros and poles by mpmath and scipy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Realisations of D^α in time: against Mittag-Leffler functions and Gamma ratios by mpmath."""
+"""Realisations of D^α in time: Mittag-Leffler functions and Gamma ratios by mpmath."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def cosine(order: float, time: float) -> float:
 
 
 def mittag_leffler(a: float, b: float, argument: float) -> mpmath.mpf:
-    """E_{a,b} from its series, with digits enough for the cancellation."""
+    """Return E_{a,b} from its series, with enough digits for the cancellation."""
     with mpmath.workdps(60):
         return mpmath.nsum(
             lambda j: (
@@ -64,7 +64,7 @@ SIGNALS = {
 
 
 def lag(kind: str, order: float) -> float:
-    """Delay of a realisation at low frequency [ticks], from the phase of its symbol."""
+    """Return the low-frequency delay of a realisation [ticks], from the phase of its symbol."""
     whole = math.floor(order)
     fraction = order - whole
     if kind in BDF:

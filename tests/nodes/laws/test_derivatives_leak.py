@@ -1,4 +1,4 @@
-"""Realisations of D^α at rest and at their edge: leaks, start-up, and the known failures reproduced."""
+"""Realisations of D^α at rest and at their limit: leaks, start-up, known failures."""
 
 from __future__ import annotations
 

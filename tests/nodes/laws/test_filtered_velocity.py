@@ -1,4 +1,4 @@
-"""PD behind a velocity filter, first-order and by adaptive windowing (THEORY.md §14): the industry's baseline."""
+"""PD with a velocity filter, first-order and adaptive windowing (THEORY.md §14)."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_a_window_of_one_tick_is_pd_bit_for_bit() -> None:
 
 
 def test_windowed_drop_settles_inside_and_not_outside() -> None:
-    """Its K_max is known by simulation: the same drop, judged by the same rule, an order of magnitude apart."""
+    """K_max by simulation: the same drop and rule, an order of magnitude apart."""
     scene = drop_scene(
         DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06), T, False, True
     )

@@ -1,4 +1,4 @@
-"""The fractional standard linear solid: its limits are known laws, and its passivity is not that of ω_N once delayed."""
+"""The fractional standard linear solid: limits are known laws; its passivity with delay."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ T = 0.002
 
 
 def test_without_relaxation_it_is_kelvin_and_voigts() -> None:
-    """τ → 0: what is left of the arm differs by (τ/T)^α of it, here 10⁻⁶."""
+    """τ → 0: the remaining difference is (τ/T)^α, here 10⁻⁶."""
     solid = FractionalSLS(
         stiffness=900.0, damping=0.5, order=0.6, relaxation=T * 1e-10, taps=12
     ).compile(T)
@@ -29,7 +29,7 @@ def test_without_relaxation_it_is_kelvin_and_voigts() -> None:
 
 
 def test_of_order_one_it_is_a_velocity_behind_a_filter() -> None:
-    """B D/(1 + τD) by backward differences: a pole at c/(1 + c); its response is kept to 200 taps, 0.5^200 of it left."""
+    """B D/(1 + τD) by backward differences: pole c/(1 + c), 200 taps leave 0.5^200."""
     relaxation = T
     solid = FractionalSLS(
         stiffness=900.0, damping=3.0, order=1.0, relaxation=relaxation, taps=200
@@ -44,7 +44,7 @@ def test_of_order_one_it_is_a_velocity_behind_a_filter() -> None:
 
 @pytest.mark.parametrize("order", [0.3, 0.7])
 def test_the_arm_keeps_its_equation(order: float) -> None:
-    """A + τ^α D^α A = B_α D^α x by the sums themselves, on any signal."""
+    """A + τ^α D^α A = B_α D^α x by direct sums, for any signal."""
     law = FractionalSLS(
         stiffness=0.0, damping=2.0, order=order, relaxation=3.0 * T, taps=60
     ).compile(T)
@@ -66,7 +66,7 @@ RELAXATIONS = st.floats(0.5 * T, 10.0)
 def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(
     order: float, relaxation: float, stiffness: float
 ) -> None:
-    """By the closed form on the unit circle, (B/τ^α) c G/(1 + c G); H(1) is K: eight taps held 87 % of a Maxwell element."""
+    """(B/τ^α) c G/(1 + c G) on the unit circle; H(1) is K, where eight taps kept 87 %."""
     law = FractionalSLS(
         stiffness=stiffness, damping=2.0, order=order, relaxation=relaxation
     ).compile(T)
@@ -94,7 +94,7 @@ def test_the_exponentials_are_positive_and_sum_to_the_first_answer(
 
 
 def test_a_maxwell_element_lets_go() -> None:
-    """An arm of 0.1 s, of order 1 by one section: after 1 s of hold e^−10 is left of it, exactly p^501 of its first answer."""
+    """0.1 s, order 1, one section: after 1 s e^−10 is left, exactly p^501 of its first answer."""
     law = FractionalSLS(stiffness=0.0, damping=50.0, order=1.0, relaxation=0.1).compile(T)
     assert len(law.sections) == 1
     ((b0, b1, a1, a2),) = law.sections
@@ -108,7 +108,7 @@ def test_a_maxwell_element_lets_go() -> None:
 
 
 def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_delay() -> None:
-    """Each exponential's share of f rises up to ω_N, (t − cos θ)/(1 − 2 t cos θ + t²), and so does a sum of positive ones."""
+    """Each exponential's share of f, (t − cos θ)/(1 − 2 t cos θ + t²), rises up to ω_N."""
     for order in (0.3, 0.6, 0.9, 1.0):
         law = FractionalSLS(stiffness=400.0, damping=0.4, order=order, relaxation=2.0 * T).compile(
             T
@@ -121,7 +121,7 @@ def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_dela
 
 
 def test_a_short_memory_needs_more_than_the_condition_at_nyquist() -> None:
-    """A referee's case, 12 % above it: K 0, order 1, relaxation 3.4 ticks, three taps; the largest need is at 0.69 ω_N."""
+    """A case 12 % above it: K 0, relaxation 3.4 ticks, three taps; maximum at 0.69 ω_N."""
     law = FractionalSLS(stiffness=0.0, damping=1.0, order=1.0, relaxation=3.4 * T, taps=3).compile(
         T
     )
@@ -141,7 +141,7 @@ SHOWN = [(0.0, ", taps: 8", True), (1000.0, "", False), (20000.0, ", taps: 8", F
 def test_law_show_warns_of_what_a_short_memory_leaks(
     stiffness: float, taps: str, warned: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Eight taps of a Maxwell element of 0.1 s hold 427 N/m for ever."""
+    """Eight taps of a 0.1 s Maxwell element keep 427 N/m for ever."""
     law = (
         f"{{kind: fractional_sls, stiffness: {stiffness}, damping: 49.0, order: 1.0, relaxation:"
         f" 0.1{taps}}}"

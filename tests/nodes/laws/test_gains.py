@@ -1,4 +1,4 @@
-"""What the gains of PDα mean: whole orders, the leak of a short memory, the paper's numbers and the physical ones."""
+"""Gains of PDα: whole orders, the leak of a short memory, paper and physical units."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_taps_approach_whole_orders_linearly(order: float) -> None:
 @pytest.mark.parametrize("order", [0.3, 0.5, 1.5, 2.5, 3.47])
 @pytest.mark.parametrize("taps", [2, 4, 50, 4001])
 def test_leak_of_the_truncated_derivative(order: float, taps: int) -> None:
-    """Σ_{m≤n} (−1)^m C(α, m) = (−1)^n C(α−1, n): the stiffness that truncation adds to K or takes from it."""
+    """Σ_{m≤n} (−1)^m C(α, m) = (−1)^n C(α−1, n): stiffness that truncation adds to K."""
     law = pd_alpha(order, taps, stiffness=1.0)
     n = taps - 1
     leak = T**-order * (-1.0) ** n * special.binom(order - 1.0, n)
@@ -65,7 +65,7 @@ def test_leak_of_the_truncated_derivative(order: float, taps: int) -> None:
 def test_paper_gain_is_f_at_nyquist_of_the_sum_that_renders(
     order: float, period: float, taps: int
 ) -> None:
-    """H(−1) = K + (2/T)·f(ω_N), and f(ω_N) = B whatever n (paper, fig. 2 and eq. 9; THEORY.md §1)."""
+    """H(−1) = K + (2/T)·f(ω_N), and f(ω_N) = B for any n (paper, eq. 9; THEORY.md §1)."""
     data = {
         "kind": "pd_alpha",
         "stiffness": 1.0,

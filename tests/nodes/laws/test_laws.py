@@ -1,4 +1,4 @@
-"""One contract for every registered law: taps, limits, normalisation, refusals, round trip, swaps over one history."""
+"""One contract for every law: taps, limits, normalisation, refusals, round trip, swaps."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ CASES += [pytest.param({"kind": name}, id=name) for name in preset_names()]
 
 
 def forces(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Render with the loop's own kernels."""
+    """Return forces from the loop's own kernels."""
     length = len(law.taps)
     history, head = [0.0] * (2 * length), 0
     state = [0.0] * (2 * len(law.sections))
@@ -75,7 +75,7 @@ def forces(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def expected(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Do the same by numpy's convolution and scipy's recursive filter, which share no code with the kernels."""
+    """Compute the same by numpy's convolution and scipy's recursive filter."""
     total = np.convolve(deflections, law.taps)[: len(deflections)]
     for b0, b1, a1, a2 in law.sections:
         total = total + signal.lfilter([b0, b1], [1.0, a1, a2], deflections)
@@ -83,12 +83,12 @@ def expected(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.f
 
 
 def size(law: CompiledLaw) -> float:
-    """Largest sum that rounding can be measured by: taps, and sections over what they remember."""
+    """Return the scale of rounding: taps, and sections over their memory."""
     return sum(map(abs, law.taps)) + 50.0 * sum(abs(b0) + abs(b1) for b0, b1, _, _ in law.sections)
 
 
 def settling(law: CompiledLaw) -> int:
-    """Ticks after which a law has forgotten its start: its memory, or some decays of its sections."""
+    """Return the ticks after which a law has forgotten its start."""
     return 2 * len(law.taps) + (400 if law.sections else 4)
 
 
@@ -193,7 +193,7 @@ def test_preset_values_can_be_replaced() -> None:
         ({"kind": ["pd"]}, r"^laws\.a\.kind: \['pd'\] is not"),
         (
             {"kind": "pdq", "stiffness": 1.0},
-            r"^laws\.a\.kind: 'pdq' is not .* there is: .*fir, .*paper_optimum",
+            r"^laws\.a\.kind: 'pdq' is not .* available: .*fir, .*paper_optimum",
         ),
         ({"kind": "pd"}, r"^laws\.a\.stiffness: is missing"),
         (
@@ -262,7 +262,7 @@ def test_compiling_refuses_what_must_not_be_rendered(data: object, message: str)
 
 
 def test_just_inside_and_just_outside_a_positive_h1() -> None:
-    """GL of order 1.5 with 4 taps leaks −B·T^−α·|C(0.5, 3)|: K above that is felt, K below pulls into the wall."""
+    """GL of order 1.5 with 4 taps leaks −B·T^−α·|C(0.5, 3)|: above that K is felt."""
     leak = T**-1.5 * abs(float(special.binom(0.5, 3)))
     data = {"kind": "pd_alpha", "damping": 1.0, "order": 1.5, "taps": 4, "gains": "physical"}
     inside = compile_law(parse_law({**data, "stiffness": leak * (1.0 + 1e-9)}), T)
@@ -286,7 +286,8 @@ def test_sections_that_do_not_decay_are_refused(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("taps", [2, 3, 2000, MAX_TAPS])
 @pytest.mark.parametrize("order", [1e-3, 0.999, 3.999])
 def test_orders_and_lengths_up_to_their_limits(order: float, taps: int) -> None:
-    law = compile_law(parse_law({"kind": "pd_alpha", "stiffness": 1e13, "damping": 1.0, "order": order, "taps": taps,
+    law = compile_law(parse_law({"kind": "pd_alpha", "stiffness": 1e13, "damping": 1.0,
+    "order": order, "taps": taps,
                                  "gains": "physical"}), T)  # fmt: skip
     assert len(law.taps) == taps
     # Beyond m = 171 the paper's Gamma-ratio form gives 0; the recursion must not.
@@ -401,7 +402,7 @@ def test_laws_scale_with_their_gains(data: dict[str, Any], factor: float) -> Non
 def test_a_swap_over_the_shared_history_has_no_start_up(
     first: dict[str, Any], second: dict[str, Any], at: int
 ) -> None:
-    """From the swap on, the force has the bits of a loop which had run the second law all along."""
+    """After the swap the force is bit-equal to a loop with the second law throughout."""
     a, b = parse_law(first).compile(T), parse_law(second).compile(T)
     x = np.random.default_rng(at).normal(size=40) * 1e-3
     length = max(len(a.taps), len(b.taps))

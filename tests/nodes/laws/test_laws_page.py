@@ -1,4 +1,4 @@
-"""nodes/laws/README.md lists the parameters of every law as the laws themselves declare them."""
+"""nodes/laws/README.md lists every law's parameters as the laws declare them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LAWS = {
 
 
 def limits(field: dict[str, Any]) -> str:
-    """Write the limits of a field as the page does."""
+    """Return the limits of a field as on the page."""
     found = [(sign, field[name]) for name, sign in SIGNS.items() if name in field]
     if [sign for sign, _ in found] == ["≥", "≤"]:
         return f"{found[0][1]:g} to {found[1][1]:.0f}"
@@ -28,7 +28,7 @@ def limits(field: dict[str, Any]) -> str:
 
 
 def default(field: dict[str, Any]) -> str:
-    """Write the default of a field as the page does."""
+    """Return the default of a field as on the page."""
     value = field.get("default", "")
     return value if isinstance(value, str) else f"{value:g}"
 

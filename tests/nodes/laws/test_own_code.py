@@ -1,4 +1,4 @@
-"""The page's law with code of its own: what it gets, and that its force is added to that of the taps."""
+"""The page's law with its own code: its inputs, and its force added to the taps'."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def test_the_pages_law_is_added_to_its_taps() -> None:
 
 
 class Counting:
-    """Code that remembers: its force is the number of its calls, plus ten for each axis."""
+    """Code with state: its force is the number of calls, plus ten per axis."""
 
     def __init__(self, axis: int = 0) -> None:
         self._axis, self._calls = axis, 0
 
     def on_axis(self, axis: int) -> Counting:
-        """Begin anew."""
+        """Return code with fresh state for an axis."""
         return Counting(axis)
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
@@ -67,12 +67,12 @@ def test_code_that_remembers_begins_anew_on_each_axis_and_after_each_swap() -> N
 
 def test_code_that_cannot_be_made_for_an_axis_is_refused() -> None:
     class Broken(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-        """Code that is made for no axis."""
+        """Law whose code cannot be created for an axis."""
 
         def compile(self, period: float) -> CompiledLaw:
             class Code(Counting):
                 def on_axis(self, axis: int) -> Counting:
-                    """Break down."""
+                    """Raise."""
                     raise RuntimeError(f"no axis {axis} at {period:g} s")
 
             return CompiledLaw((1000.0,), evaluate=Code())

@@ -1,4 +1,4 @@
-"""The velocity by adaptive windowing: both sides of the line are looked at, and a corner is seen at once."""
+"""Velocity by adaptive windowing: deviations on both sides, corners detected at once."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_the_slope_of_a_mirrored_motion_is_mirrored(counts: list[int], window: i
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_corner_is_seen_at_once_both_ways(sign: float) -> None:
-    """Rest, then five steps a tick: three samples later the line is that of the motion, not one through the rest."""
+    """Rest, then five steps a tick: after three samples the slope is that of the motion."""
     samples = [0.0] * 30 + [sign * 5.0 * STEP * k for k in range(1, 4)]
     slope = windowed_slope(samples[::-1], 0, STEP, 20)
     # The line over n samples misses one at the corner by 5·(n − 3)·3/n steps: within one step no

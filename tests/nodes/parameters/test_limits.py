@@ -1,9 +1,8 @@
-"""No parameter sizes an array or a loop without a limit: each takes a huge value, or refuses it, without allocating.
+"""No parameter sizes an array or a loop without limit: huge values work or are refused.
 
-All numbers of all registered nodes, laws and surfaces are tried, also those of other packages. What
-is taken is used as it is before tick 0: checked, compiled, judged, and for nodes that need no
-hardware configured. The kernel holds the limits: a process of its own has so much memory and so
-much processor time, and a parameter that takes more ends it.
+All numbers of all registered nodes, laws and surfaces are tried, also those of other packages.
+Accepted values are used as before tick 0: checked, compiled, judged, and configured for nodes
+without hardware. The kernel enforces limits of memory and processor time on a separate process.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ from nodes.laws import law_names, load_law
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import MAX_ENTRIES, ParameterError, convert
 from nodes.stability.plant import MAX_DELAY, Plant
-from sim.api.loops import drop
+from sim.api.played import drop
 from tests.support import ROOT
 from tests.support.setups import setup_of
 
 MEMORY = 1 << 30
-"""What a parameter may make the process allocate [bytes]; an array of 10⁹ numbers takes eight times as much."""
+"""Memory that parameters may allocate [bytes]; an array of 10⁹ numbers takes 8 times that."""
 PROCESSOR = 240
-"""Processor time of all parameters together [s]; they take a tenth of it, and a loop of 10⁹ steps takes more."""
+"""Processor time of all parameters together [s]; ten times their usual time."""
 HUGE = 1e9
 # nodes that open no file, no socket and no hardware
 CONFIGURED = ("coupling", "environment", "sim_driver")
@@ -44,7 +43,7 @@ CONFIGURED = ("coupling", "environment", "sim_driver")
 def numbers(
     info: inspect.Type, seen: frozenset[type] = frozenset()
 ) -> Iterator[tuple[tuple[str | int, ...], type]]:
-    """Name all numbers below a type: the way to each, and what it is."""
+    """Yield all numbers below a type: path and type."""
     if isinstance(info, inspect.Metadata):
         yield from numbers(info.type, seen)
     elif isinstance(info, inspect.UnionType):
@@ -64,7 +63,7 @@ def numbers(
 
 
 def example(info: inspect.Type) -> Any:
-    """Make a plain value of a type: of a struct only what it must have."""
+    """Return a plain value of a type, with required fields only."""
     if isinstance(info, inspect.Metadata):
         return example(info.type)
     if isinstance(info, inspect.UnionType):
@@ -88,7 +87,7 @@ def example(info: inspect.Type) -> Any:
 
 
 def put(tree: Any, info: inspect.Type, way: tuple[str | int, ...], value: Any) -> Any:
-    """Put a value into a tree, with what must stand around it."""
+    """Insert a value into a tree, with required neighbours."""
     if isinstance(info, inspect.Metadata):
         return put(tree, info.type, way, value)
     if not way:
@@ -139,7 +138,7 @@ def use_surface(kind: str, parameters: dict[str, Any]) -> None:
 
 
 def tried() -> Iterator[tuple[str, Any, tuple[str | int, ...], type, dict[str, Any], Any]]:
-    """Name all numbers there are."""
+    """Yield all numbers to try."""
     kinds = {name: load(factory) for name, factory in node_kinds().items()}
     groups = [
         (name, kind.Parameters, LEAST.get(name, {}), use_node) for name, kind in kinds.items()
@@ -153,7 +152,7 @@ def tried() -> Iterator[tuple[str, Any, tuple[str | int, ...], type, dict[str, A
 
 
 def try_all() -> None:
-    """Try each number, largest and smallest; the process that does is ended by the kernel where one takes too much."""
+    """Try each number at both ends, in a process that the kernel ends beyond its limits."""
     taken = refused = 0
     for name, info, way, kind, least, use in tried():
         for value in (int(HUGE), 2**53, 2**70) if kind is int else (HUGE, 1e300, 5e-324):
@@ -167,7 +166,7 @@ def try_all() -> None:
 
 
 def bounded() -> None:
-    """Limit this process to what a parameter may take, and try them all."""
+    """Limit this process, and try all numbers."""
     used = (
         int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         * resource.getpagesize()

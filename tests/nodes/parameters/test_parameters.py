@@ -1,4 +1,4 @@
-"""Parameters: YAML without surprises, errors that carry path, value and limit, all-or-nothing changes, watched files."""
+"""Parameters: YAML, errors with path, value and limit, atomic changes, watched files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nodes.parameters.yaml_io import (
 )
 
 # -- YAML
-# ----------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ trees = st.recursive(
 
 
 def bits(value: Any) -> Any:
-    """Floats as bits, so that −0.0 and the last digit count."""
+    """Return floats as bits, so that −0.0 and the last digit count."""
     if isinstance(value, float):
         return struct.pack("<d", value)
     if isinstance(value, dict):
@@ -171,7 +171,7 @@ def test_repeated_objects_are_written_out() -> None:
 
 
 class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A branch."""
+    """A group of parameters."""
 
     gain: Annotated[float, msgspec.Meta(ge=0.0)] = 1.0
     points: list[list[float]] = []
@@ -205,7 +205,7 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ),
         (
             {"inner": {"gian": 1.0}},
-            "node.inner.gian: no such parameter; there is: gain, points; did you mean gain?",
+            "node.inner.gian: no such parameter; available: gain, points; did you mean gain?",
         ),
         ({"free": {"deep": {"x": float("nan")}}}, "node.free.deep.x: nan is not a finite number"),
         ({"free": {"A": 1}}, "node.free: expected a name that matches '^[a-z]+$'"),
@@ -222,17 +222,17 @@ def test_refusals_name_path_value_and_limit(data: Any, told: str) -> None:
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"cuont": 1}, "node.cuont: no such parameter; there is: name, count, inner, maybe, free"),
-        ({"inner.gian": 1.0}, "node.inner.gian: no such parameter; there is: gain, points"),
-        ({"inner.gain.x": 1.0}, "node.inner.gain.x: no such parameter; there is: no further names"),
+        ({"cuont": 1}, "node.cuont: no such parameter; available: name, count, inner, maybe, free"),
+        ({"inner.gian": 1.0}, "node.inner.gian: no such parameter; available: gain, points"),
+        ({"inner.gain.x": 1.0}, "node.inner.gain.x: no such parameter; it has no names below"),
         (
             {"maybe.gain": 1.0},
-            "node.maybe.gain: no such parameter; there is: nothing below it; set it as a whole",
+            "node.maybe.gain: no such parameter; it has nothing below it; set it as a whole",
         ),
-        ({"free.a.b": 1.0}, "node.free.a: no such parameter; there is: nothing yet"),
+        ({"free.a.b": 1.0}, "node.free.a: no such parameter; available: nothing yet"),
         (
             {"inner.points[0]": [1.0]},
-            "node.inner.points[0]: no such parameter; there is: 0 entries from [0]",
+            "node.inner.points[0]: no such parameter; it has 0 entries from [0]",
         ),
         ({"": 1}, "'' is not a parameter's name"),
         ({"a..b": 1}, "'a..b' is not a parameter's name"),

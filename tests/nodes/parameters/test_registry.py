@@ -1,4 +1,4 @@
-"""A package of somebody else that cannot be imported costs its own names, and nothing else."""
+"""A foreign package that cannot be imported loses only its own names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUPS = ("laws", "derivatives", "surfaces", "nodes", "verbs")
 
 @pytest.fixture
 def broken(tmp_path: Path) -> dict[str, str]:
-    """Install, by PYTHONPATH, a package with a name in every group and a module that raises; give the variables."""
+    """Install by PYTHONPATH a package whose names all raise on import; return variables."""
     folder = tmp_path / "site"
     info = folder / "half_finished-0.1.dist-info"
     info.mkdir(parents=True)
@@ -180,7 +180,7 @@ def test_a_sub_verb_that_does_not_import_leaves_those_beside_it_alone(
 @pytest.mark.process
 @pytest.mark.parametrize("verb", ["bag", "law", "study"])
 def test_one_module_is_a_sub_verb_of_any_verb_that_has_some(verb: str, tmp_path: Path) -> None:
-    """`bag` took only modules without --json and `law` none: the page says the same module is a verb and a sub-verb."""
+    """The same module works as a verb, and as a sub-verb of `bag` and `law`."""
     folder = tmp_path / "site"
     info = folder / "counted-0.1.dist-info"
     info.mkdir(parents=True)

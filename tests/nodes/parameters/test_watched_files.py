@@ -1,4 +1,4 @@
-"""Watched files: whole documents only, a bad one told once, nothing missed."""
+"""Watched files: complete documents only, a bad one reported once, no change missed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import WatchedFile, parse_yaml
 
 # -- watched files
-# -------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def polled(watched: WatchedFile, times: int = 4) -> list[Any]:
 
 
 def test_a_pipe_is_told_once_and_waited_for_by_nobody(tmp_path: Path) -> None:
-    """The thread that answers requests waited until somebody wrote to it."""
+    """The thread for requests waited until somebody wrote to the pipe."""
     path = tmp_path / "coupling.yaml"
     os.mkfifo(path)
     watched = WatchedFile(str(path))
@@ -51,7 +51,7 @@ def test_a_pipe_is_told_once_and_waited_for_by_nobody(tmp_path: Path) -> None:
     thread.join(10.0)
     assert not thread.is_alive()
     assert len(told) == 1
-    assert "is no regular file, and is not watched" in told[0]
+    assert "is not a regular file, and is not watched" in told[0]
     path.unlink()
     path.write_text("ramp: 3\n", encoding="ascii")
     assert polled(watched) == [{"ramp": 3}]

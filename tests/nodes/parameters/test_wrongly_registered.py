@@ -1,4 +1,4 @@
-"""What is registered under a name and is not of its kind costs that name, and nothing else, in every registry."""
+"""A registered object of the wrong kind loses only its name, in every registry."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def add(parser):
 
 @pytest.fixture
 def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Install a package that registers what it should not."""
+    """Install a package that registers wrong objects."""
     info = tmp_path / "wrong_things-1.0.dist-info"
     info.mkdir()
     (tmp_path / "wrong_things.py").write_text(WRONG, encoding="utf-8")
@@ -102,7 +102,7 @@ def test_what_is_no_name_is_refused(name: Any) -> None:
 
 
 def test_laws_are_listed_but_for_the_wrong_ones(wrong: Path) -> None:
-    """One of them broke the list of all."""
+    """One wrong law broke the whole list."""
     assert {"plain_there", "misnamed_there", "raises", "unwritable"} <= set(law_names())
     laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}
     usual = {"stiffness": 800.0, "damping": 2.0}

@@ -1,4 +1,4 @@
-"""What the tests of recordings start from."""
+"""Fixtures of the recording tests."""
 
 from __future__ import annotations
 

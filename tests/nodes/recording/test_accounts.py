@@ -1,4 +1,4 @@
-"""What is told as lost, left out or missed: nothing that nobody could have recorded, and nothing twice."""
+"""Losses, omissions and misses: nothing unrecordable counts, and nothing twice."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ def state(seq: int, begun: float = BEGUN, **told: Any) -> DeviceState:
 def ticks(
     chain: str = "", count: int = 300, skipped: Iterable[int] = ()
 ) -> Iterator[tuple[str, Message]]:
-    """Send as driver and environment of a chain do: an event, then ticks, and a status every 50; `skipped` by the latter."""
+    """Publish like driver and environment: an event, ticks, and a status every 50.
+
+    `skipped`: ticks that the environment omits.
+    """
     sent = {"driver": 0, "environment": 0}
 
     def told(node: str, topic: str, message: Message) -> tuple[str, Message]:
@@ -80,7 +83,7 @@ def lost(path: Path) -> dict[str, int]:
 
 
 # -- losses
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_what_a_node_skipped_before_and_while_a_late_logger_listened_is_not_lost(

@@ -1,4 +1,4 @@
-"""``haptic bag``: what is printed, what is written and what is refused."""
+"""``haptic bag``: output, files and refusals."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def test_nothing_is_overwritten_unasked(
     assert haptic(capsys, *verb, bag)[0] == 0
     code, _, err = haptic(capsys, *verb, bag)
     assert code == 2
-    assert f"{out}: exists already; replace it with --force" in err
+    assert f"{out}: already exists; replace it with --force" in err
     assert haptic(capsys, *verb, bag, "--force")[0] == 0
     other = bag.with_name("other")
     assert haptic(capsys, *verb, bag, "--out", other)[0] == 0
@@ -194,7 +194,7 @@ def test_exports_tell_a_place_that_cannot_be_written(
 
 
 # -- play
-# ------------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -282,8 +282,8 @@ def test_play_from_the_command_line(
 @pytest.mark.parametrize(
     ("endpoint", "told"),
     [
-        ("tcp://0.0.0.0:9872", "nothing is published for other machines here"),
-        ("tcp://*:9872", "nothing is published for other machines here"),
+        ("tcp://0.0.0.0:9872", "a relay serves this machine only"),
+        ("tcp://*:9872", "a relay serves this machine only"),
         ("ipc:///nowhere/at/all", "No such file or directory"),
     ],
 )

@@ -1,4 +1,4 @@
-"""A recording that ends in the middle says so, everywhere: its logger was killed, or the file was cut later."""
+"""A cut recording is reported everywhere: its logger was killed, or the file was cut."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``haptic bag export`` writes, read back by the programs that it is for, and `read`."""
+"""Files of ``haptic bag export``, read by their target programs, and `read`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.support.recorded import PERIOD, drop
 from tests.support.strategies import TYPES
 
 BEGUN = 12345.678
-"""Stamp of the first tick: tables begin at 0 all the same [s]."""
+"""Stamp of the first tick; tables still start at 0 [s]."""
 
 EVENT = Event(
     seq=0,
@@ -121,7 +121,7 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
 
 
 def test_a_recording_longer_than_the_window_has_every_answer(tmp_path: Path) -> None:
-    """Rows leave while the file is read, each with what the next tick tells of it."""
+    """Rows are emitted during reading, each with the next tick's report."""
     path, ticks = tmp_path / "r.mcap", table_of_ticks._WINDOW + 200
     sent = list(drop(ticks))
     write(path, sent)
@@ -134,6 +134,22 @@ def test_a_recording_longer_than_the_window_has_every_answer(tmp_path: Path) -> 
             table[name][:-1], [getattr(state, name) for state in states[1:]], err_msg=name
         )
     np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
+
+
+def test_a_driver_that_was_started_again_gets_no_answers_of_before(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+
+    def state(seq: int) -> tuple[str, Message]:
+        return topics.DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))
+
+    # A force for a tick that the first driver did not live to publish.
+    early = (topics.FORCE, Force(seq=4, stamp=0.0, force=(0.0, 0.0, 7.0), law="pd"))
+    write(path, [state(0), state(1), early, *(state(seq) for seq in range(6))])
+    table = read(path)
+    assert table["seq"].tolist() == [0, 1, 0, 1, 2, 3, 4, 5]
+    assert np.isnan(table["force_asked"]).all()
+    # Nor does a first tick tell how the last one before it went.
+    assert table["force_seq"][1] == -1
 
 
 def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:
@@ -171,7 +187,7 @@ def test_a_recording_without_ticks_has_no_table(tmp_path: Path) -> None:
 
 
 # -- formats
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -280,7 +296,7 @@ def test_parquet_reads_back_equal(
 def test_parameters_beside_a_file_are_not_replaced_unasked(bag: Path) -> None:
     beside = bag.with_name("x.parameters.json")
     beside.write_text("mine")
-    with pytest.raises(RecordError, match=r"x\.parameters\.json: exists already"):
+    with pytest.raises(RecordError, match=r"x\.parameters\.json: already exists"):
         export_npz(Recording(bag), bag.with_name("x.npz"))
     assert beside.read_text() == "mine"
     assert not bag.with_name("x.npz").exists()

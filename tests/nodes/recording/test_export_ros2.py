@@ -1,4 +1,4 @@
-"""A recording as a ROS 2 bag: read back by two libraries that know nothing of us."""
+"""A recording as a ROS 2 bag, read back by two independent libraries."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_what_stands_there_is_kept(
     precious.mkdir()
     (precious / "mine").write_text("mine")
     assert main([*words, str(precious), "--force"]) != 0
-    assert "is no bag" in capsys.readouterr().err
+    assert "is not a bag" in capsys.readouterr().err
     assert (precious / "mine").exists()
     assert main([*words, str(bag), "--force"]) == 0
     assert Recording(recording).topics

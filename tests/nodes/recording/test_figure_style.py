@@ -1,4 +1,4 @@
-"""The pictures' one style: PNG, PDF and SVG, names that do not lie over each other, colours that can be told apart."""
+"""One style of figures: PNG, PDF and SVG, no overlapping names, distinct colours."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_a_saved_picture_has_the_numbers_that_matplotlib_would_have(tmp_path: Pa
 
 
 def test_a_full_disk_is_told_as_one(tmp_path: Path) -> None:
-    """Matplotlib's PDF lost the reason: an AttributeError with a traceback was all that was seen."""
+    """Matplotlib's PDF writer hid the reason behind an AttributeError."""
     for suffix in (".pdf", ".svg", ".png"):
         (tmp_path / "full").with_suffix(suffix).symlink_to("/dev/full")
     figure = new_figure(3.0, 2.0)

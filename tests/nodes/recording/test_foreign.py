@@ -1,4 +1,4 @@
-"""Recordings of others: manifests and parameters that are not what they should be, and texts that a terminal would obey."""
+"""Foreign recordings: invalid manifests and parameters, and texts with escape codes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ ODD = st.recursive(
     ),
     max_leaves=6,
 )
-"""What may stand where something else should."""
+"""Values of wrong types."""
 
 
 def written(
@@ -65,7 +65,7 @@ def written(
 
 
 def read_all(path: Path) -> list[str]:
-    """Read a recording in every way in this process; return what was refused."""
+    """Read a recording in every way; return the refusals."""
     recording = Recording(path)
     refused = []
     ways: list[Any] = [
@@ -179,7 +179,7 @@ def test_numbers_beyond_any_run_are_read(
 def test_a_file_is_opened_below_the_recording_and_nowhere_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A manifest of somebody else had any file of the machine opened, a pipe for ever."""
+    """A foreign manifest could open any file, or block on a pipe."""
     folder, outside, work = tmp_path / "recordings", tmp_path / "outside", tmp_path / "work"
     for place in (folder, outside, work):
         place.mkdir()

@@ -1,4 +1,4 @@
-"""Pictures of recordings: what they show, in which format, how much of a run, and that no text lies over another."""
+"""Figures of recordings: content, formats, time span, no overlapping texts."""
 
 from __future__ import annotations
 
@@ -103,11 +103,11 @@ def test_spans_tell_when() -> None:
 
 
 # -- one run
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def near(picture: Any, color: str) -> Any:
-    """Pixels that are one colour, or its blend with white by a third or more (lines are smoothed)."""
+    """Mask of pixels with a colour, or its blend with white by a third or more."""
     ink = 1.0 - picture[:, :, :3]
     pure = 1.0 - np.array(colors.to_rgb(color))
     share = ink @ pure / (pure @ pure)
@@ -166,7 +166,7 @@ def test_files_are_what_they_are_called(bag: Path, ending: str, start: bytes) ->
 def test_an_unknown_ending_is_refused(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = bag.with_name("picture.jpeg2")
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 1
-    assert "not a format of plots: .png, .svg, .pdf" in capsys.readouterr().err
+    assert "not a plot format: .png, .svg, .pdf" in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -244,14 +244,14 @@ def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main.main(["bag", "plot", str(only)]) == 0
     for words, why in (
         (["--from", "5"], "nothing between 5 and inf s"),
-        (["--from", "2", "--to", "1"], "the end comes after the beginning"),
+        (["--from", "2", "--to", "1"], "the end must come after the beginning"),
     ):
         assert main.main(["bag", "plot", str(only), "--force", *words]) in (1, 2)
         assert why in capsys.readouterr().err
 
 
 # -- several runs
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -312,11 +312,11 @@ def test_too_many_runs_are_refused(bag: Path, capsys: pytest.CaptureFixture[str]
 
 
 # -- texts
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def crowded() -> Iterator[tuple[str, Message]]:
-    """Yield changes right after each other, laws with long names, every safety state."""
+    """Yield rapid changes, laws with long names, every safety state."""
     for topic, message in drop(600, missed=MISSED):
         if isinstance(message, DeviceState):
             safety = ("ramp", "active", "damping", "zero", "fault")[message.seq // 120]
@@ -381,7 +381,7 @@ def test_no_text_lies_over_another_with_several_runs(tmp_path: Path, count: int)
 
 
 # -- memory
-# ----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

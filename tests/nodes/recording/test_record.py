@@ -1,4 +1,4 @@
-"""Recordings as they are written: schemas that viewers accept, round trips to the bit, and what survives a bad end."""
+"""Recordings as written: schemas for viewers, exact round trips, what survives a bad end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def state(seq: int) -> DeviceState:
 
 
 # -- schemas
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def keywords(value: Any) -> set[str]:
@@ -96,7 +96,7 @@ def test_schema_refuses_types_it_cannot_flatten() -> None:
 
 
 # -- round trips
-# -----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30)
@@ -177,7 +177,7 @@ def test_stamps_that_mcap_cannot_hold_are_clamped(tmp_path: Path) -> None:
 
 
 # -- bad ends
-# --------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_everything_flushed_is_readable_while_writing_goes_on(tmp_path: Path) -> None:
@@ -200,7 +200,8 @@ KILLED = """
     from nodes.recording.writer import RecordWriter
     writer = RecordWriter(sys.argv[1], {"scenario": "killed"})
     for seq in range(10**9):
-        writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, 0.0)), seq * 0.002)
+        writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0,
+          0.0)), seq * 0.002)
         if seq % 250 == 249:
             writer.flush()
             print(seq, flush=True)
@@ -243,7 +244,8 @@ FILL = """
     writer = RecordWriter(sys.argv[1], {"scenario": "full"})
     try:
         for seq in range(10**6):
-            writer.write("/device/state", DeviceState(seq=seq, stamp=seq / 7, position=(seq / 3, seq / 11, 0.0)), 0.0)
+            writer.write("/device/state", DeviceState(seq=seq, stamp=seq / 7, position=(seq / 3,
+              seq / 11, 0.0)), 0.0)
     except RecordError as error:
         print(error, flush=True)
     late = DeviceState(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0))
@@ -255,7 +257,8 @@ FILL = """
     writer.close()
     from nodes.recording.reader import Recording
     recording = Recording(sys.argv[1])
-    print(recording.topics["/device/state"].messages, seq, recording.topics["/device/state"].gaps, recording.cut)
+    print(recording.topics["/device/state"].messages, seq, recording.topics["/device/state"].gaps,
+      recording.cut)
 """
 
 
@@ -263,7 +266,7 @@ def check_full(process: subprocess.CompletedProcess[str], expected: str, path: s
     assert process.returncode == 0, process.stderr
     first, second, third, last = process.stdout.splitlines()
     assert first.startswith(f"{path}: {expected} after ")
-    assert first.endswith(f"completed by: haptic bag recover {path}")
+    assert first.endswith(f"complete the file with: haptic bag recover {path}")
     assert (
         second
         == third
@@ -320,7 +323,7 @@ def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path) -> None:
 def test_save_leaves_a_whole_file_or_none(tmp_path: Path) -> None:
     path = tmp_path / "picture.png"
     save(path, b"first", overwrite=False)
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(RecordError, match="already exists"):
         save(path, b"second", overwrite=False)
     assert path.read_bytes() == b"first"
     save(path, b"second", overwrite=True)
@@ -370,10 +373,10 @@ def test_refusals(tmp_path: Path) -> None:
             writer.write(DEVICE_STATE, Force(seq=0, stamp=0.0, force=(0.0, 0.0, 0.0)), 0.0)
         writer.write(DEVICE_STATE, state(1), 0.0)
     writer.close()
-    with pytest.raises(RecordError, match="closed already"):
+    with pytest.raises(RecordError, match="already closed"):
         writer.write(DEVICE_STATE, state(2), 0.0)
     assert Recording(path).topics[DEVICE_STATE].messages == 2
-    with pytest.raises(RecordError, match="exists already"):
+    with pytest.raises(RecordError, match="already exists"):
         RecordWriter(path, {})
     with pytest.raises(RecordError, match="cannot be created: No such file or directory"):
         RecordWriter(tmp_path / "nowhere" / "r.mcap", {})
@@ -394,7 +397,8 @@ LIGHT = """
     from nodes.recording.writer import RecordWriter
     with RecordWriter(sys.argv[1], {}) as writer:
         for seq in range(20000):
-            writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, seq / 3)), 0.0)
+            writer.write("/device/state", DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0,
+              0.0, seq / 3)), 0.0)
             if seq % 250 == 0:
                 writer.flush()
     heavy = {"numpy", "numba", "scipy", "matplotlib"} & set(sys.modules)
@@ -419,7 +423,7 @@ def test_writing_needs_little_memory_and_no_numpy(tmp_path: Path) -> None:
 
 
 def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
-    """Two launches with one path and `overwrite` wrote into each other's file, and both ended with exit code 0."""
+    """Two launches with one path overwrote each other's file, with exit code 0."""
     path = tmp_path / "r.mcap"
     sent = [(topic, message) for topic, message in drop(200)]
     with RecordWriter(path, {}, overwrite=True) as first:
@@ -432,7 +436,7 @@ def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
             lambda: save(path, b"x", overwrite=True),
         ):
             with pytest.raises(
-                RecordError, match="another process is writing it, and both would be lost"
+                RecordError, match="another process is writing it; choose another name"
             ):
                 work()
         assert path.stat().st_size == size

@@ -1,4 +1,4 @@
-"""What the figures of a recording say: gaps, accounts, clocks, summary."""
+"""Figures of a recording: gaps, accounts, clocks, summary."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OFFSETS = (LOG_OFFSET, PUBLISH_OFFSET)
 
 
 # -- figures
-# ---------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @given(seqs=st.sets(st.integers(0, 2**34), min_size=1, max_size=30))
@@ -294,7 +294,7 @@ def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
     assert summary.response_us["p99"] == pytest.approx(
         float(np.percentile(responses, 99)), rel=1e-14
     )
-    # A tick without an answer in time is missed; it has no response of 0 that would halve the median.
+    # A missed tick has no response; a response of 0 would halve the median.
     assert summary.response_us["p50"] == pytest.approx(float(np.median(responses)), rel=1e-14)
     assert summary.response_us["max"] == max(responses)
     assert summary.position_m == list(states[-1].position)
@@ -311,6 +311,33 @@ def test_ticks_without_an_answer_have_no_response(tmp_path: Path) -> None:
     assert (summary.missed, len(answered)) == (70, 30)
     assert min(answered) <= summary.response_us["p50"] <= max(answered)
     assert summary.response_us["p50"] == pytest.approx(float(np.median(answered)), rel=1e-14)
+
+
+def test_a_driver_that_was_started_again_adds_to_what_was_missed(tmp_path: Path) -> None:
+    """Counts restart at 0: neither run's counts are lost, and the oldest force is any tick's."""
+    path = tmp_path / "r.mcap"
+    # seq, missed so far, left out so far, age
+    told = [(0, 0, 0, 0), (1, 1, 0, 3), (2, 2, 0, 4), (5, 2, 2, 0), (0, 0, 0, 0), (1, 1, 0, 1)]
+    write(
+        path,
+        [
+            (
+                DEVICE_STATE,
+                DeviceState(
+                    seq=seq,
+                    stamp=k * PERIOD,
+                    position=(0.0, 0.0, 0.0),
+                    missed=missed,
+                    overruns=left_out,
+                    age=age,
+                ),
+            )
+            for k, (seq, missed, left_out, age) in enumerate(told)
+        ],
+    )
+    summary = summarise(Recording(path))
+    assert (summary.missed, summary.overruns, summary.age_ticks_max) == (3, 2, 4)
+    assert summary.ticks == 4
 
 
 def test_summary_of_nothing(tmp_path: Path) -> None:

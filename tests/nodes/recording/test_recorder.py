@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def test_an_answer_that_is_given_again_is_recorded_once(
     context: Context, place: str, tmp_path: Path
 ) -> None:
-    """A node with one socket for all, on another machine, answers its listeners too when the driver asks again."""
+    """A node with one socket repeats answers to its subscribers too."""
     publisher, inbox = Publisher(context, place), Subscription(context, [place], [""])
     wait_for(publisher.listeners, "the subscription")
     forces = [encode(Force(seq=seq, stamp=0.002 * seq, force=(0.0, 0.0, 1.0))) for seq in (0, 1, 2)]
@@ -54,7 +54,7 @@ def test_an_answer_that_is_given_again_is_recorded_once(
 def test_a_message_of_one_node_that_came_late_leaves_none_of_another_behind(
     context: Context, place: str, tmp_path: Path
 ) -> None:
-    """A logger that is stopped, and was held up before: of each node it takes what was sent until then."""
+    """A stopped, delayed logger records of each node what was sent before."""
     busy, quiet = Publisher(context, f"{place}busy"), Publisher(context, f"{place}quiet")
     inbox = Subscription(context, [f"{place}busy", f"{place}quiet"], [""], 10_000)
     wait_for(lambda: busy.listeners() and quiet.listeners(), "the subscriptions")

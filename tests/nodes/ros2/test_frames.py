@@ -1,4 +1,4 @@
-"""What comes from a ROS 2 graph in another frame than ours is refused, and told once; with no graph at all."""
+"""ROS 2 messages in another frame are refused, with one event; without any graph."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def message(frame: str, **content: Any) -> Any:
 
 
 class Hand:
-    """A hand that notes where it was pulled to."""
+    """A hand that records its targets."""
 
     def __init__(self) -> None:
         self.targets: list[tuple[float, float, float]] = []
 
     def write(self, target: tuple[float, float, float]) -> None:
-        """Note a target."""
+        """Record a target."""
         self.targets.append(target)
 
 
@@ -43,7 +43,7 @@ def node(told: deque[tuple[str, str]], monkeypatch: pytest.MonkeyPatch, **parame
 def test_ours_or_none_is_taken_and_another_is_refused_once(
     given: dict[str, str], told: deque[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A force in the frame of a tool was handed to the device as if it were in ours."""
+    """A force in a tool's frame was applied as if it were in ours."""
     ros2, hand = node(told, monkeypatch, **given), Hand()
     ros2._hand = hand  # type: ignore[assignment]
     ours = given.get("frame", "haptic")

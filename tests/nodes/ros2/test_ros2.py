@@ -1,4 +1,4 @@
-"""The node kind ``ros2`` against rclpy itself: what a ROS 2 graph hears, and what it may do."""
+"""The node kind ``ros2`` against rclpy itself: what a ROS 2 graph receives and may do."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from tests.support.setups import setup_of
 pytestmark = pytest.mark.realtime
 
 PYTHON = os.environ.get("RCLPY_PYTHON") or (sys.executable if find_spec("rclpy") else "")
-"""A Python that has rclpy: this one, or the one that the variable names."""
+"""A Python with rclpy: this one, or that of the variable."""
 
 PROBE = Path(__file__).parents[2] / "support" / "rclpy_probe.py"
 SECONDS = 0.8
 
 
 class Heard(NamedTuple):
-    """What came of a launch beside a ROS 2 node."""
+    """Results of a launch beside a ROS 2 node."""
 
     told: dict[str, Any]
     recording: Recording
     offset: float
 
     def states(self, since: str, until: str) -> list[DeviceState]:
-        """Give the recorded states of a while."""
+        """Return the recorded states of a time span."""
         begin, end = self.told[since] - self.offset, self.told[until] - self.offset
         return [
             state
@@ -58,8 +58,7 @@ BACKENDS = [
         marks=[
             pytest.mark.process,
             pytest.mark.skipif(
-                not PYTHON,
-                reason="no rclpy: pip install -e '.[rclpy]', or RCLPY_PYTHON names a Python with it",
+                not PYTHON, reason="no rclpy: pip install -e '.[rclpy]', or set RCLPY_PYTHON"
             ),
         ],
     ),

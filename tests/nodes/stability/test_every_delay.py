@@ -1,4 +1,4 @@
-"""Stable for every sequence of delays (THEORY.md §10): against poles at constant delay, and replays of many sequences."""
+"""Stability for every delay sequence (THEORY.md §10): constant poles, replayed sequences."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ T, M, B = 0.002, 0.1, 1.0
 LAWS: dict[str, dict[str, object]] = {
     "pd": {"kind": "pd", "stiffness": 1.0, "damping": 3.0},
     "paper_optimum": {"kind": "paper_optimum", "damping": 3.0},
-    "sections": {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": 0.8, "taps": 6, "gains": "paper",
+    "sections": {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": 0.8, "taps": 6,
+    "gains": "paper",
                  "derivative": "oustaloup_matched"},
 }  # fmt: skip
 RANGES = [(0.05, 0.3), (0.0, 1.0), (0.6, 1.4), (1.0, 1.5)]
 
 
 def law(name: str, share: float, delays: tuple[float, float]) -> CompiledLaw:
-    """At a share of the lower K_max of the two constant delays."""
+    """Return the law at a share of the lower K_max of the two constant delays."""
     derivative = without_spring(parse_law(LAWS[name]), T)
     limits = [k_max(derivative, Plant(T, M, B, d)).k_max_n_per_m for d in delays]
     return with_spring(derivative, share * min(k for k in limits if k is not None))
@@ -85,7 +86,7 @@ def test_just_inside_is_certified_and_just_outside_grows(
 def test_replays_agree_with_the_certificate_and_with_the_counterexample(
     delays: tuple[float, float],
 ) -> None:
-    """By the simulator's own device, split at each arrival: another code than the matrices."""
+    """By the simulator's own device, split at each arrival."""
     source = random.Random(3)  # noqa: S311  # reproducible, not secret
     inside = law("paper_optimum", 0.97, delays)
     for _ in range(3):
@@ -130,7 +131,7 @@ BOTH = FlexiblePlant(M, B, 0.0, 150.0, 1e-3, 0.3, 40.0, 0.03)
 def test_a_joint_and_a_lag_are_certified_too(
     plant: FlexiblePlant, delays: tuple[float, float]
 ) -> None:
-    """Just inside the worse constant delay's limit, and refuted outside; constant sequences have the poles of their delay."""
+    """Just inside the worse constant delay's limit; refuted outside by poles."""
 
     def radius(some: CompiledLaw, delay: float) -> float:
         return flexible_radius(some, T, replace(plant, delay=delay))
@@ -168,7 +169,7 @@ def test_a_joint_and_a_lag_are_certified_too(
 
 
 def _distance(matrix: np.ndarray, hull: np.ndarray) -> float:
-    """Largest entry of what is left of a matrix beside the nearest point of a hull."""
+    """Return the largest remaining entry of a matrix beside the nearest point of a hull."""
     from scipy.optimize import linprog
 
     count, flat = len(hull), hull.reshape(len(hull), -1).T

@@ -1,4 +1,4 @@
-"""The flexible device against the rigid one, against a motion that is integrated, and against the analytic response."""
+"""The flexible device: against the rigid one, an integrated motion, the analytic response."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_without_joint_and_lag_it_is_the_rigid_device(delay: float, hand: float)
 
 
 def test_a_stiff_joint_and_a_short_lag_tend_to_the_rigid_device() -> None:
-    """The mode's own poles stay, damped; the loop's dominant pole goes to the rigid one in proportion to the lag."""
+    """The dominant pole tends to the rigid device's in proportion to the lag."""
     rigid = flexible_radius(PD, T, FlexiblePlant(0.1, 1.0, 1.2))
     off = [
         flexible_radius(PD, T, FlexiblePlant(0.1, 1.0, 1.2, lag=lag)) - rigid
@@ -50,7 +50,7 @@ def test_a_stiff_joint_and_a_short_lag_tend_to_the_rigid_device() -> None:
 
 
 def test_response_is_rigid_body_plus_mode() -> None:
-    """Undamped and free: x/F = 1/(m s²) + (m2/m1)/(m (s² + ω²)), sampled under a held force: closed form per part."""
+    """Undamped and free: x/F = 1/(m s²) + (m2/m1)/(m (s² + ω²)) under a held force."""
     plant = FlexiblePlant(0.2, 0.0, share=0.3, frequency=57.0)
     whole, numerator, denominator = plant.rational(T)
     pulse = 2.0 * math.pi * 57.0

@@ -1,4 +1,4 @@
-"""K_max and tolerances: closed forms, bisection on the pole radius, and where a coarser plant model goes wrong."""
+"""K_max and tolerances: closed forms, bisection on pole radii, errors of coarser models."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_closed_form_is_not_claimed_where_there_is_none() -> None:
 
 @pytest.mark.parametrize("steps", [2, 5, 10])
 def test_semi_implicit_euler_overstates_k_max(steps: int) -> None:
-    """By 1/(1 − 1/n_sub) for light damping (THEORY.md §3): the coarser map hides part of the sample-and-hold delay."""
+    """By 1/(1 − 1/n_sub) for light damping (THEORY.md §3): it hides part of the delay."""
     mass, gain = 0.1, 0.5
     h = T / steps
     position = np.linalg.matrix_power(np.array([[1.0, h], [0.0, 1.0]]), steps)
@@ -260,9 +260,9 @@ def test_law_show_says_what_it_leaves_out(capsys: pytest.CaptureFixture[str]) ->
         )
         == 0
     )
-    assert "its own code is left out of H(1)" in capsys.readouterr().out
+    assert "H(1) is that of its taps, without its own code" in capsys.readouterr().out
     assert main(["law", "show", "pd", "--stiffness", "900", "--gain", "3"]) == 0
-    assert "left out" not in capsys.readouterr().out
+    assert "without its own code" not in capsys.readouterr().out
 
 
 def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) -> None:
@@ -348,7 +348,7 @@ def test_simulated_drop_reads_below_the_linear_limit(capsys: pytest.CaptureFixtu
 def test_the_end_of_a_simulated_search_is_not_told_as_no_limit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A drop that settled as far as was looked had "no K_max"; over a range of gains it was "no stiffness is stable"."""
+    """A drop that settled up to the search limit had "no K_max"."""
     monkeypatch.setattr("sim.experiments.k_max_simulated.SEARCHED", (1e-3, 0.02))
     words = [
         "study",
@@ -383,7 +383,7 @@ def test_the_end_of_a_simulated_search_is_not_told_as_no_limit(
 def test_nothing_rests_that_is_not_stable(
     gain: str, limit: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The stiffness for rest was told without K_max, its map as if every stiffness were stable where none is."""
+    """The stiffness for rest was shown without K_max, as if every stiffness were stable."""
     words = ["--stiffness", "900", "--gain", gain, "--resolution", "1e-8", "--friction", "0.1"]
     assert main(["study", "analyse", "pd", *words, "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])["rest"]

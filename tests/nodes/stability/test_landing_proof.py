@@ -1,4 +1,4 @@
-"""A proof of landing: against a multiplier written out by hand, at the edge on both sides, and refused where it must be."""
+"""Proofs of landing: a multiplier written by hand, both sides of the limit, refusals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pd(stiffness: float, damping: float = 3.0) -> CompiledLaw:
 
 
 def tsypkin(stiffness: float, delay: int) -> float:
-    """Least Re{(1 − w)(1 + G)} of PD, B 3, on 0.1 kg and 1 N s/m, from the closed form of P in THEORY.md §3."""
+    """Return the minimum of Re{(1 − w)(1 + G)} for PD, B 3, 0.1 kg, 1 N s/m (THEORY.md §3)."""
     m, b, z = 0.1, 1.0, np.exp(1j * THETA)
     e = math.exp(-b * T / m)
     q = (1.0 - e) * m / b
@@ -40,7 +40,7 @@ def tsypkin(stiffness: float, delay: int) -> float:
 
 @pytest.mark.parametrize(("delay", "edge"), [(0, 3225.21), (1, 1251.992)])
 def test_edge_of_pd_is_that_of_the_multiplier_one_less_w(delay: int, edge: float) -> None:
-    """PD B 3: 85 % and 99.96 % of K_max (3781.87, 1252.48 N/m); for it no longer multiplier does better."""
+    """PD, B 3: 85 % and 99.96 % of K_max (3781.87, 1252.48 N/m); no multiplier is better."""
     plant = Plant(T, 0.1, 1.0, float(delay))
     for factor in (0.999, 1.001):
         found = prove_landing(pd(factor * edge), plant)
@@ -56,7 +56,7 @@ def test_designed_presets_are_proven_as_shipped(name: str, delays: tuple[float, 
 
 
 def test_margin_is_that_of_the_multiplier_at_every_frequency() -> None:
-    """The multiplier that is handed out, put into the condition by another way than the one that found it."""
+    """The returned multiplier fulfils the condition, computed independently."""
     law, plant = parse_law("designed_d1").compile(T), Plant(T, 0.1, 1.0, 1.0)
     found = prove_landing(law, plant)
     taps = np.array(found.multiplier)
@@ -124,7 +124,7 @@ def test_a_flexible_device_needs_its_period() -> None:
 def test_a_sum_just_above_zero_is_proven_and_one_just_below_is_not(
     at: float, gap: float, power: int
 ) -> None:
-    """((1 − cos(θ − a))(1 − cos(θ + a)))^p touches 0 at a between the points of any grid: (cos θ − cos a)^2p."""
+    """((1 − cos(θ − a))(1 − cos(θ + a)))^p touches 0 between any grid's points."""
     touching = np.array([1.0])
     for _ in range(power):
         touching = np.convolve(touching, [0.5, -math.cos(at), 0.5])

@@ -1,4 +1,4 @@
-"""The frequency that occurs (THEORY.md §9): Colgate's condition at ω_c alone is K_max, by closed form, poles and simulation."""
+"""The oscillation frequency (THEORY.md §9): Colgate's condition at ω_c alone is K_max."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_a_hand_s_spring_counts_with_damping_and_without(damping: float) -> None
 
 
 def test_the_pages_range_of_what_leaving_r_out_costs() -> None:
-    """THEORY.md §9: 0.2 to 1.5 % over three devices and three gains; up to 9.4 % over the default gains of figure 4."""
+    """THEORY.md §9: 0.2 to 1.5 % over three devices and gains; 9.4 % over figure 4."""
 
     def off(name: str, gain: float, device: Plant) -> float | None:
         edge = edge_of(derivative(name, gain), device)

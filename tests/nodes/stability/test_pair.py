@@ -1,4 +1,4 @@
-"""Two bodies on one law, exact: against a loop that is stepped by scipy's matrix exponential, from event to event."""
+"""Two bodies on one law, exact: against scipy's matrix exponential from event to event."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ LAWS = [
 
 
 def stepped(law: CompiledLaw, plant: Plant) -> float:
-    """Largest pole of the loop, by one tick from each unit state: both bodies move from one change of force to the next.
+    """Return the largest pole of the loop, by one tick from each unit state of both bodies.
 
-    Where no spring holds a body to ground, the pole of both together, 1 for ever, is left out.
+    Without a spring to ground, the common pole at 1 is omitted.
     """
     partner = plant.partner
     assert partner is not None
@@ -128,7 +128,7 @@ def test_k_max_is_the_edge_of_both_bodies(
 
 @pytest.mark.slow
 def test_k_max_of_many_pairs() -> None:
-    """1000 random pairs: stable 1e-4 below the edge, unstable 1e-4 above it; none is judged by one mass in their place."""
+    """1000 random pairs: stable 1e-4 below the limit, unstable 1e-4 above it."""
     rng = np.random.default_rng(5)
     for n in range(1000):
         one, other = (
@@ -151,7 +151,7 @@ def test_k_max_of_many_pairs() -> None:
 
 
 def test_two_equal_devices_are_one_of_half_the_mass_and_undamped_ones_a_reduced_mass() -> None:
-    """What both have in common does not reach the law: the same edge as that of one device, to the edge's own accuracy."""
+    """Common motion does not reach the law: the limit equals one device's."""
     one = Plant(T, 0.1, 1.0, 0.7, 200.0)
     half = Plant(T, 0.05, 0.5, 0.7, 100.0)
     found, expected = (k_max(PD3, plant).k_max_n_per_m for plant in (one.paired_with(one), half))
@@ -172,7 +172,7 @@ def test_a_tool_with_all_the_mass_is_a_wall_and_a_device_with_all_of_it_leaves_t
 
 
 def test_the_delay_of_a_loop_and_of_its_device_are_told_apart() -> None:
-    """A tool is pushed with the loop's delay, without the device's own; a partner later or earlier than the first."""
+    """A tool feels the loop's delay without the device's; a partner its own."""
     tool = PlantParameters(
         mass=0.1, damping=1.0, device_delay=1.2, tool_mass=0.05, tool_damping=0.4
     ).at(T, 0.5)

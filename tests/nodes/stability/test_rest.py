@@ -1,4 +1,4 @@
-"""Encoder and friction (THEORY.md §5): the bounds from either side, by the motion that extracts most and by simulated drops."""
+"""Encoder and friction (THEORY.md §5): bounds by worst motion and by simulated drops."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def derivative(name: str, gain: float) -> CompiledLaw:
 
 
 def taken_out(law: CompiledLaw, friction: float) -> float:
-    """Energy per tick of a motion across one encoder edge and back each tick, in step with the force [J]."""
+    """Return the energy per tick of a motion across an encoder edge, in phase with force [J]."""
     path = 1e-9
     inside, outside = 10.5 * STEP - 0.5 * path, 10.5 * STEP + 0.5 * path
     x = np.where(np.arange(4000) % 2, outside, inside)
@@ -51,7 +51,7 @@ def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(
 
 
 def still(law: CompiledLaw, friction: float, delay: float) -> bool:
-    """Tell whether drops from twelve small heights all come to a dead stop."""
+    """Whether drops from twelve small heights all come to a dead stop."""
     model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP, delay=delay)
     drops = (
         run(drop_scene(model, T, False, True, height=h), law, 2500)
@@ -82,7 +82,7 @@ def test_with_the_bounds_friction_every_drop_comes_to_a_stop(
 
 
 def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
-    """Tell whether one of many small starts on a two-sided spring still moves after eight seconds."""
+    """Whether one of many small starts on a two-sided spring still moves after eight seconds."""
     random = np.random.default_rng(0)
     for _ in range(60):
         size = STEP * 10.0 ** random.uniform(-1.0, 1.0)
@@ -147,7 +147,7 @@ def test_sections_are_summed_to_the_end() -> None:
 
 
 def test_the_newest_tap_of_a_law_with_sections_is_theirs_too() -> None:
-    """A section that begins against the spring was left out of h_0, and K_rest was too low by twice its start."""
+    """A section starting against the spring was missing in h_0; K_rest was too low."""
     loop, friction = CompiledLaw((0.0,), ((-50.0, 20.0, -0.5, 0.0),)), 0.06
     k = stiffest_at_rest(loop, STEP, friction)
     # Its error's force is then just the friction.
@@ -155,7 +155,7 @@ def test_the_newest_tap_of_a_law_with_sections_is_theirs_too() -> None:
 
 
 def test_a_hand_s_spring_is_in_the_estimate() -> None:
-    """It was left out: a device that a stiff hand holds in place was told to buzz as a free one."""
+    """Without it, a device held by a stiff hand was said to buzz like a free one."""
     law = CompiledLaw((1000.0,))
     free, held = (rest(law, Plant(T, 0.1, 0.1, 0.0, hand), STEP) for hand in (0.0, 1e6))
     assert free.friction_estimated_n is not None

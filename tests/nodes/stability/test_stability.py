@@ -1,4 +1,4 @@
-"""Stability and passivity against closed forms (THEORY.md §1-3), time-domain one-tick maps and the lifted loop."""
+"""Stability and passivity: closed forms (THEORY.md §1-3), one-tick maps, lifted loop."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def one_tick_map(
     delay: float,
     stiffness: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Matrix of one tick, found by running the simulator's own device and kernels from each basis state."""
+    """Return the matrix of one tick, from the simulator's own device and kernels."""
     whole, fraction = model.split_delay(delay)
     n = len(law.taps)
     size = 2 + (n - 1) + whole + 1
@@ -91,7 +91,7 @@ def test_pd_boundary_peaks_where_theory_says() -> None:
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.25])
 @pytest.mark.parametrize("taps", [(1.0,), (1.8, -0.8), (2.4, -2.0, 0.6), (2.0, -1.5, 0.7, -0.2)])
 def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
-    """H(1)_max → (b − T Σ m h_m)/(T(½ + d)) for a heavy device (THEORY.md §3), any taps, whole or fractional delay."""
+    """H(1)_max → (b − T Σ m h_m)/(T(½ + d)) for a heavy device (THEORY.md §3)."""
     damping = 4.0
     derivative = np.array(taps) - np.eye(len(taps))[0] * sum(taps)
     derivative *= 300.0
@@ -130,7 +130,7 @@ def test_published_delay_aware_bounds_at_one_tick(order: int, bound: float) -> N
 
 
 def lifted_damping(law: CompiledLaw, period: float, delay: float, aliases: int) -> float:
-    """Passivity limit from the loop lifted to its aliases, frequency by frequency: an eigenvalue, no closed form."""
+    """Return the passivity limit of the loop lifted to its aliases, by eigenvalues."""
     worst = -math.inf
     n = np.arange(-aliases, aliases + 1)
     for theta in np.linspace(1e-3, math.pi, 40):
@@ -180,7 +180,7 @@ def test_a_passive_law_is_stable_with_any_mass_and_any_hand(
 
 @pytest.mark.parametrize("order", [0.3, 0.5, 1.5, 2.5])
 def test_f_of_one_term_with_long_memory(order: float) -> None:
-    """Closed form f = T^(1−α) (2 sin(ωT/2))^(α−1) cos((α+1)(π−ωT)/2) for infinite memory (THEORY.md §2)."""
+    """Infinite memory: f = T^(1−α) (2 sin(ωT/2))^(α−1) cos((α+1)(π−ωT)/2) (THEORY.md §2)."""
     unit = realise("gl", order, 4001, T)
     law = CompiledLaw(unit.taps)
     theta = np.linspace(0.1, np.pi, 200)
@@ -199,7 +199,7 @@ def test_f_of_one_term_with_long_memory(order: float) -> None:
 @pytest.mark.parametrize("order", [0.4, 1.0, 1.6, 3.2])
 @pytest.mark.parametrize("taps", [2, 5, 40])
 def test_waterbed(order: float, taps: int) -> None:
-    """The mean of f over (0, ω_N) is T·D(1)/2 (THEORY.md §2), by quadrature of Re{D/(1−z)} itself."""
+    """The mean of f over (0, ω_N) is T·D(1)/2 (THEORY.md §2), by quadrature of Re{D/(1−z)}."""
     unit = CompiledLaw(realise("gl", order, taps, T).taps)
     nodes, weights = np.polynomial.legendre.leggauss(2 * taps + 60)
     theta = 0.5 * np.pi * (nodes + 1.0)
@@ -223,7 +223,7 @@ def test_no_linear_law_beats_the_strict_limit_without_delay() -> None:
 
 
 def test_figures_of_the_papers_optimum() -> None:
-    """Reads f ≈ −1 over the low and middle range, f(ω_N) = 1.69 + 1.32 (THEORY.md §1, §2)."""
+    """Read off: f ≈ −1 over the low and middle range, f(ω_N) = 1.69 + 1.32 (THEORY.md §1, §2)."""
     law = parse_law({"kind": "paper_optimum", "stiffness": 1000.0, "damping": 1.0}).compile(T)
     omega = np.linspace(0.02, 0.55, 50) * np.pi / T
     f = effective_damping(law, T, omega) + 0.5 * T * (law.h1 - 1000.0)
@@ -236,7 +236,7 @@ def test_figures_of_the_papers_optimum() -> None:
 @pytest.mark.parametrize("hand", [0.0, 300.0])
 @pytest.mark.parametrize("taps", [(900.0,), (2500.0, -1500.0), (3149.0, -3928.0, 2203.0, -638.0)])
 def test_three_ways_to_the_same_poles(delay: float, hand: float, taps: tuple[float, ...]) -> None:
-    """Polynomial, state matrix, and the one-tick map of the simulator's own device and kernels."""
+    """Polynomial, state matrix, and the simulator's own one-tick map."""
     law, mass, damping = CompiledLaw(taps), 0.08, 0.7
     from_polynomial = pole_radius(law, Plant(T, mass, damping, delay, hand))
     from_state = np.abs(
@@ -302,7 +302,8 @@ def test_impossible_devices_are_refused_by_name(name: str, value: float) -> None
 def long_law(
     order: float, taps: int, stiffness: float = 1500.0, damping: float = 2.0
 ) -> CompiledLaw:
-    data = {"kind": "pd_alpha", "stiffness": stiffness, "damping": damping, "order": order, "taps": taps,
+    data = {"kind": "pd_alpha", "stiffness": stiffness, "damping": damping, "order": order,
+    "taps": taps,
             "gains": "paper"}  # fmt: skip
     return parse_law(data).compile(T)
 
@@ -324,7 +325,7 @@ def test_counted_radius_is_the_companions(
 @pytest.mark.parametrize("taps", [2000, 4001])
 @pytest.mark.parametrize("order", [0.5, 1.5, 3.47])
 def test_thousands_of_taps(order: float, taps: int) -> None:
-    """The radius is right when no root is outside a slightly larger circle and one is outside a slightly smaller one."""
+    """No root is outside a slightly larger circle, one outside a slightly smaller one."""
     coefficients = closed_loop(long_law(order, taps), Plant(T, 0.1, 1.0, 1.0))
     radius = roots.largest_root(coefficients)
     assert roots.roots_outside(coefficients, radius * (1.0 + 1e-9)) == 0
@@ -359,7 +360,7 @@ def test_polynomials_without_a_degree_are_refused() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 2.0])
 def test_sections_against_the_long_tap_vector_they_stand_for(delay: float) -> None:
-    """Recursive sections and their impulse response, cut where it is below rounding: two unlike methods, same poles."""
+    """Sections and their impulse response, cut below rounding, have equal poles."""
     sections = ((900.0, -700.0, -1.7, 0.73), (-300.0, 280.0, -0.9, 0.3))
     law = CompiledLaw((1500.0, -400.0), sections)
     impulse = np.zeros(700)
@@ -392,7 +393,7 @@ def test_figures_for_machines() -> None:
 
 
 def test_what_a_hand_adds() -> None:
-    """A hand's stiffness enters the exact map: without coupling, a damped oscillator decays by e^{−bT/2m} per tick."""
+    """A hand's stiffness: without coupling, oscillations decay by e^{−bT/2m} per tick."""
     weak = CompiledLaw((1e-9,))
     assert pole_radius(weak, Plant(T, 0.1, 1.0, 0.0, 400.0)) == pytest.approx(
         math.exp(-1.0 * T / 0.2), rel=1e-9

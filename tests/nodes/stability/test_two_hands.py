@@ -1,4 +1,4 @@
-"""Two devices, any two hands: the two-port's condition against published limits and against poles of real hands."""
+"""Two devices, any two hands: the two-port condition against published limits and poles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lifted loop against the one-rate theory, a tick-by-tick simulation, and its closed form."""
+"""The lifted loop: one-rate theory, a tick-by-tick simulation, and its closed form."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_servo_as_fast_as_the_loop_is_pd() -> None:
 
 
 def grows(k: float, device: TwoRate, periods: int = 4000) -> bool:
-    """Play the two rates tick by tick: the exact map, the servo's damper, the spring's force when it arrives."""
+    """Simulate both rates tick by tick: exact map, servo damper, spring force on arrival."""
     short = T / device.ratio
     step = coefficients(device.mass, device.damping, 0.0, short)
     x = before = 1e-3

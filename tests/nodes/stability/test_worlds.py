@@ -1,4 +1,4 @@
-"""What a law bears when the world behind it moves (THEORY.md §18): tables, random worlds, edges from both sides, traps."""
+"""Stability with moving worlds (THEORY.md §18): tables, random worlds, limits, traps."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
+from nodes.stability.dips import Reals
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.loop_region import known_answer
 from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
-from nodes.stability.plant import Plant
+from nodes.stability.plant import Plant, held_step
 from nodes.stability.spring_world import spring_window
 from nodes.stability.two_hands import TwoHands, damping_share
 from nodes.stability.world_loop import Body, world_radius
@@ -30,6 +31,7 @@ from nodes.stability.worlds import (
     WorldKind,
     WorldKMax,
     certified,
+    euler_disc,
     region_of,
     world_k_max,
 )
@@ -102,7 +104,7 @@ def test_stiffness_for_any_world_and_for_any_hand(name: str) -> None:
 def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2_and_b(
     gain: float,
 ) -> None:
-    """The condition is b > KT/2 + B: Re{D/H} is worst at Nyquist, in closed form."""
+    """Closed form b > KT/2 + B: Re{D/H} is worst at Nyquist."""
     found = figure(pd(gain), device(0.0), AnyWorld(), True)
     # an extremum, found to the square of its place
     assert found == pytest.approx(2.0 * (1.0 - gain) / T, rel=1e-10)
@@ -110,7 +112,7 @@ def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 3])
 def test_no_law_is_stiffer_for_any_hand_and_any_world_than_its_limit(delay: int) -> None:
-    """H = (2b/T)/(1 + w + … + w^d) reaches 2b/(T(1+d)), the supremum of H(1), of which 1 % less is certified."""
+    """H = (2b/T)/(1 + w + … + w^d) reaches 2b/(T(1+d)), the supremum of H(1)."""
     plant = device(float(delay))
     for share, holds in ((0.99, True), (1.01, False)):
         # 1/(1 + w + … + w^d) as sections of second order; its poles are on the circle, so that each
@@ -144,7 +146,7 @@ def test_no_law_is_stiffer_for_any_hand_and_any_world_than_its_limit(delay: int)
 
 
 def test_two_devices_in_any_two_hands() -> None:
-    """500, 236.07, 166.67, 151.39 N/m for a spring at (0,0), (0,1), (1,1), (0,2) ticks and 1 N s/m each."""
+    """A spring at (0,0), (0,1), (1,1), (0,2) ticks: 500, 236.07, 166.67, 151.39 N/m."""
     spring = pd(0.0)
     for (first, second), expected in {
         (0, 0): 500.0,
@@ -183,7 +185,7 @@ def test_two_devices_in_any_two_hands() -> None:
     ("first", "second"), [(0, 1), (1, 1), (3, 1), (0.4, 0.4), (1.3, 0), (0.25, 2.6)]
 )
 def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: float, second: float) -> None:
-    """Discs with the window of K, and the matrix for a law each, are one condition where both know it."""
+    """Discs with the window of K, and the matrix for separate laws, agree."""
     for law in (pd(0.05), HALF):
         edge = figure(law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True)
         for factor in (0.999, 1.001):
@@ -193,7 +195,7 @@ def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: float, sec
 
 
 def test_a_tool_is_one_more_device_whose_damping_adds_like_resistors() -> None:
-    """A stepped tool and any hand: Colgate's wall with b_eff = b b_t/(b + b_t), at whole and fractional delays."""
+    """A stepped tool and any hand: Colgate's wall with b_eff = b b_t/(b + b_t)."""
     for delay in DELAYS:
         for b, tool in ((1.0, 1.0), (2.0, 0.5), (0.3, 7.0)):
             both = b * tool / (b + tool)
@@ -209,7 +211,7 @@ def test_a_tool_is_one_more_device_whose_damping_adds_like_resistors() -> None:
 
 
 def test_damping_of_a_tool_in_closed_form() -> None:
-    """b_t > max −Re{1/X}, X = z^(1+d)(D/H + D P_d), by plain numpy on a fine grid, and back from K."""
+    """b_t > max −Re{1/X}, X = z^(1+d)(D/H + D P_d), by numpy on a fine grid, and back."""
     theta = np.linspace(1e-3, np.pi, 200001)
     z = np.exp(1j * theta)
     for delay in (0.0, 1.0, 2.0):
@@ -241,7 +243,7 @@ def test_mass_of_an_euler_tool() -> None:
 
 
 def bodies_of(*integrators: str) -> st.SearchStrategy[Body]:
-    """Bodies on a spring to the ground."""
+    """Return bodies on a spring to ground."""
     return st.builds(
         Body,
         mass=st.one_of(st.just(0.0), st.floats(-4.0, 1.0).map(lambda e: 10.0**e)),
@@ -284,7 +286,7 @@ LAWS = st.one_of(
 
 
 def window(found: WorldKMax) -> tuple[float, float] | None:
-    """Return the window of K, where it is wide and finite."""
+    """Return the window of K, if wide and finite."""
     if (
         found.k_max_n_per_m is None
         or found.low_n_per_m is None
@@ -299,7 +301,7 @@ def window(found: WorldKMax) -> tuple[float, float] | None:
 
 
 def no_world_breaks_it(law: CompiledLaw, plant: Plant, bodies: list[Body], share: float) -> None:
-    """Two bodies in series, by Schur and Cohn in many digits; one of each by the matrix too."""
+    """Whether two bodies in series stay stable, by Schur and Cohn in many digits."""
     found = window(world_k_max(law, plant, AnyWorld()))
     if found is None:
         return
@@ -341,7 +343,7 @@ def test_none_of_five_thousand_implicit_worlds_breaks_it(
 def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
     law: CompiledLaw, plant: Plant, mass: float, more: float, hand: float, body: Body, share: float
 ) -> None:
-    """The hand changes mass, stiffness and damping, this one never below that of the device."""
+    """The hand varies mass, stiffness and damping, never below the device's."""
     found = window(world_k_max(law, plant, AnyWorld(), True))
     if found is not None:
         held = Plant(T, 10.0**mass, more * plant.damping, plant.delay, hand)
@@ -354,7 +356,7 @@ def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
 def test_the_worst_world_swings_just_above_and_rests_just_below(
     law: CompiledLaw, plant: Plant
 ) -> None:
-    """The certificate is necessary: the built body puts a pole on the circle at K_max, by matrix and by polynomial."""
+    """The certificate is necessary: the worst body puts a pole on the circle at K_max."""
     edge, found = window(world_k_max(law, plant, AnyWorld())), worst_world(law, plant)
     if edge is None or found is None:
         return
@@ -375,7 +377,7 @@ def test_the_worst_world_swings_just_above_and_rests_just_below(
     "law", [pd(3.0), HALF, OPTIMUM, DESIGNED], ids=["pd", "half", "optimum", "designed"]
 )
 def test_the_worst_world_played_tick_by_tick(law: CompiledLaw, delay: float) -> None:
-    """2 % above the edge the swing grows, 2 % below it dies down; a simulation that knows no poles."""
+    """2 % above the limit the swing grows, 2 % below it decays, by simulation."""
     plant = device(delay)
     found = worst_world(law, plant)
     assert found is not None
@@ -390,7 +392,7 @@ def test_the_worst_world_played_tick_by_tick(law: CompiledLaw, delay: float) -> 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_a_wall_is_not_the_worst_world(delay: float) -> None:
-    """PD, B = 3: stable on a wall to 3782 (1252) N/m; a mere spring swings at 3400 (1200), and 1.0002 is its pole."""
+    """PD, B 3: stable on a wall to 3782 N/m; a mere spring swings at 3400 N/m."""
     k, spring, pole = {0.0: (3400.0, 5400.0, 1.0002), 1.0: (1200.0, 2400.0, 1.0018)}[delay]
     law, plant = with_spring(pd(3.0), k), device(delay)
     assert k < (k_max(pd(3.0), plant).k_max_n_per_m or 0.0)
@@ -405,7 +407,7 @@ def test_a_wall_is_not_the_worst_world(delay: float) -> None:
     "law", [pd(0.0), pd(3.0), HALF, OPTIMUM], ids=["spring", "pd", "half", "optimum"]
 )
 def test_springs_of_a_range(law: CompiledLaw, delay: float) -> None:
-    """The edge over a range is the least of single springs, by the poles of each; a wall alone is k_max."""
+    """The limit over a range is the lowest of single springs; a wall alone is k_max."""
     plant = device(delay)
     wall = spring_window(law, plant, math.inf, math.inf)
     assert wall is not None
@@ -423,7 +425,7 @@ def test_springs_of_a_range(law: CompiledLaw, delay: float) -> None:
 
 
 def random_chain(rng: np.random.Generator, least_damping: float, delay: float) -> Chain:
-    """Anything passive behind one damper: masses, links, a spring to the ground."""
+    """Return a random passive chain behind a damper: masses, links, a spring to ground."""
     return Chain(
         mass=10.0 ** rng.uniform(-3.0, 0.5),
         damping=least_damping * (1.0 + rng.choice([0.0, 1.0]) * rng.uniform()),
@@ -436,7 +438,7 @@ def random_chain(rng: np.random.Generator, least_damping: float, delay: float) -
 
 
 def broken_chains(count: int, seed: int, share: float) -> tuple[int, int]:
-    """Count unstable pairs of a device and a stepped tool or another device, at a share of the certified stiffness."""
+    """Count unstable pairs of device and tool or device at a share of the certified stiffness."""
     rng = np.random.default_rng(seed)
     tried = broken = 0
     while tried < count:
@@ -479,7 +481,7 @@ def test_none_of_three_thousand_pairs_breaks_it() -> None:
 
 
 def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
-    """A tool 1.02 times as heavy as needed, stepped by Euler after the force, random implicit bodies behind it."""
+    """A tool 1.02 times as heavy as required, stepped by Euler, with random bodies."""
     rng, z1, z = np.random.default_rng(3), np.array([1.0, -1.0]), np.array([1.0, 0.0])
     unstable = {1.02: 0, 0.5: 0}
     for _ in range(150):
@@ -505,6 +507,99 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
             unstable[factor] += polynomial_radius(law, plant, [(z, below)]) > 1.0 + 1e-7
     assert unstable[1.02] == 0
     assert unstable[0.5] > 5
+
+
+def implicit_rest(
+    rng: np.random.Generator, mass: float, damping: float, steps: int, late: int = 0
+) -> tuple[Reals, Reals, Reals]:
+    """One tick of a tool: n Euler steps, two random bodies attached, solved implicitly.
+
+    Its own matrix, and what the new force adds, which comes some steps late, and the one before.
+    """
+    h = T / steps
+    masses = np.diag([mass, *(10.0 ** rng.uniform(-4, 0, 2))])
+    stiff, loss = np.zeros((3, 3)), np.diag([damping, 0.0, 0.0])
+    for one, other in ((0, 1), (1, 2), (0, None), (2, None)):
+        link = np.zeros(3)
+        link[one] = 1.0
+        if other is not None:
+            link[other] = -1.0
+        kept = rng.random(2) < 0.6
+        stiff += kept[0] * 10.0 ** rng.uniform(0, 5) * np.outer(link, link)
+        loss += kept[1] * 10.0 ** rng.uniform(-2, 1) * np.outer(link, link)
+    left = np.linalg.inv(masses / h**2 + loss / h + stiff)
+    own = np.zeros((6, 6))
+    own[:3, :3], own[:3, 3:] = left @ (2.0 * masses / h**2 + loss / h), -left @ masses / h**2
+    own[3:, :3] = np.eye(3)
+    push, held = np.concatenate([left[:, 0], np.zeros(3)]), np.zeros((2, 6))
+    for step in range(steps):
+        held = held @ own.T
+        held[0 if step >= late else 1] += push
+    return np.linalg.matrix_power(own, steps), held[0], held[1]
+
+
+def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Reals]) -> float:
+    """Return the largest pole of taps, a device and a world, column by column."""
+    late, count = int(plant.delay), len(law.taps) - 1
+    _, (a11, a12, a21, a22), new, old = held_step(plant)
+    whole, held, before_it = world
+    states = 6 + 2 + count + late + 1
+
+    def tick(state: Reals) -> Reals:
+        rest, (x, v), before = state[:6], state[6:8], state[8 : 8 + count]
+        deflection = rest[0] - x
+        seen = np.concatenate([[deflection], before])
+        queue = np.concatenate([[float(np.dot(law.taps, seen))], state[8 + count :]])
+        force, past = queue[-2], queue[-1]
+        moved = [
+            a11 * x + a12 * v + new[0] * force + old[0] * past,
+            a21 * x + a22 * v + new[1] * force + old[1] * past,
+        ]
+        pushed = whole @ rest - held * force - before_it * past
+        return np.concatenate([pushed, moved, seen[:count], queue[:-1]])
+
+    matrix = np.column_stack([tick(column) for column in np.eye(states)])
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def broken_by_euler_tools(count: int, seed: int, factors: tuple[float, ...]) -> list[int]:
+    """Count the random rests that swing behind a tool of a factor of the needed mass."""
+    rng, unstable = np.random.default_rng(seed), [0] * len(factors)
+    for _ in range(count):
+        steps = int(rng.choice([1, 2, 4, 7]))
+        count_late = int(rng.integers(0, 2 * steps))
+        late = count_late / steps
+        law = with_spring(pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 250.0)))
+        needed = needed_tool_mass(law, device(late), steps=steps, delay=late)
+        if needed is None:
+            continue
+        for i, factor in enumerate(factors):
+            rest = implicit_rest(rng, factor * needed, 0.0, steps, count_late % steps)
+            # Free bodies have poles at z = 1, twice: eigenvalues there are right to √ε.
+            unstable[i] += closed_radius(law, device(late), rest) > 1.0 + 1e-6
+    return unstable
+
+
+def test_no_implicit_rest_behind_a_tool_of_several_steps_breaks_it() -> None:
+    below, far = broken_by_euler_tools(40, 4, (1.02, 0.1))
+    assert below == 0
+    assert far > 2
+
+
+@pytest.mark.slow
+def test_none_of_three_thousand_rests_behind_a_tool_breaks_it() -> None:
+    assert broken_by_euler_tools(3000, 5, (1.02,)) == [0]
+
+
+def test_the_disc_of_an_euler_tool_has_a_closed_form_and_is_within_both_others() -> None:
+    """T n/4m (1/sin² − 2/3 (1 − 1/n²)), from Σ 1/sin⁴; within the damper's disc with one."""
+    theta = np.linspace(1e-3, np.pi, 500)
+    for steps in (1, 2, 4, 9):
+        closed = 1.0 / np.sin(0.5 * theta) ** 2 - 2.0 / 3.0 * (1.0 - 1.0 / steps**2)
+        found = euler_disc(device(0.0), 0.7, steps).radii(theta)
+        assert found == pytest.approx(0.25 * T**2 * steps / 0.7 * closed, rel=1e-9)
+        both = euler_disc(device(0.0), 0.7, steps, 2.0).radii(theta)
+        assert np.all(both <= np.minimum(found, 0.5 * T / 2.0) * (1.0 + 1e-12))
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 0.4])
@@ -538,7 +633,7 @@ def test_stepped_bodies_by_matrix_are_those_by_other_ways(delay: float) -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_a_stepped_world_breaks_the_certificate_of_implicit_ones(delay: float) -> None:
-    """A trap: "passive" without integrator and lag says nothing. Euler with the spring at the old position is not passive."""
+    """Euler with the spring at the old position is not passive."""
     plant = device(delay)
     edge = figure(pd(3.0), plant, AnyWorld())
     assert edge is not None
@@ -571,7 +666,7 @@ def test_damping_needed_is_that_of_the_edge(delay: float, any_hand: bool) -> Non
 
 
 def test_sections_are_certified_as_the_taps_that_they_replace() -> None:
-    """A pole at 0.3 as one section, and as its impulse response of forty taps: 0.3⁴⁰ is below rounding."""
+    """A pole at 0.3 as one section, and as its impulse response of forty taps."""
     section, taps = CompiledLaw((10.0,), ((80.0, -75.0, -0.3, 0.0),)), [10.0 + 80.0]
     value = 80.0
     for i in range(1, 40):
@@ -653,7 +748,7 @@ def test_what_cannot_be_certified_is_refused_with_the_reason() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
 def test_a_tool_that_hardly_moves_is_a_wall(delay: float) -> None:
-    """The region shrinks to a curve; what it excludes must not get lost between the frequencies."""
+    """The region shrinks to a curve, whose exclusions must not fall between frequencies."""
     plant, wall = device(delay), figure(pd(0.2), device(delay), Wall())
     assert wall is not None
     for much in (1e3, 1e4, 1e6, 1e10, 1e14, 1e20):
@@ -670,7 +765,7 @@ def test_a_tool_that_hardly_moves_is_a_wall(delay: float) -> None:
 @pytest.mark.parametrize("angle", [0.0167507, 0.3, 2.0, 3.0, 3.1335])
 @pytest.mark.parametrize("width", [1e-3, 3e-5])
 def test_a_section_that_rings_in_a_narrow_band_is_seen(angle: float, width: float) -> None:
-    """No stiffness of a window is outside its own condition, looked at within the band of the section."""
+    """No stiffness of a window violates its condition within the section's band."""
     turn = (-2.0 * (1.0 - width) * math.cos(angle), (1.0 - width) ** 2)
     law = CompiledLaw((25.0, -25.0), (((25.0 * width, 0.0, *turn)),))
     plant = Plant(T, 0.01, 3.0, 0.3)

@@ -1,4 +1,4 @@
-"""One browser for all tests of the page that a worker runs: it takes longer to start than a page to open."""
+"""One browser per worker for all tests of the page, because starting it is slow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A | B and sound in a real browser: what is drawn as B is a separate run's, what is heard is what was recorded."""
+"""A | B and sound in a real browser: B equals a separate run, the sound the recording."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def page(browser: Browser, launch: Running) -> Iterator[Page]:
 
 
 def test_b_has_the_bits_of_a_separate_run(launch: Running, tmp_path: Path) -> None:
-    """Played on as the targets come, or all at once: the same; and what four processes render of that hand, with that law."""
+    """In steps or at once: bit-equal to four processes with that hand and law."""
     setups = launch.run.nodes
     targets = [0.0] * 20 + [0.024] * 300 + [0.0] * 80
     law: dict[str, Any] = {"kind": "pd", "stiffness": 2500.0, "damping": 3.0}
@@ -92,7 +92,7 @@ def test_b_is_drawn_and_felt_beside_a(page: Page) -> None:
 
 
 def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
-    """Each sample that goes to the sound card is the force of its tick; between two of them it goes straight."""
+    """Each sample to the sound card is its tick's force, linear in between."""
     assert page.evaluate("haptic.sound.on") is False, "off until somebody clicks"
     page.evaluate("window.heard = { times: [], forces: [] }")
     # On a phone; here there is nothing that could shake.
@@ -115,7 +115,8 @@ def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
     between = page.evaluate(
         """async () => { const { Voice } = await import("./voice.js"), voice = new Voice(48000);
       voice.feed([0, 0.002, 0.004, 0.006], [0, -1, -3, 1]);
-      return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0; return voice.force(); }); }"""
+      return [0.002, 0.003, 0.0055].map((at) => { voice.at = at; voice.next = 0;
+        return voice.force(); }); }"""
     )
     assert between == pytest.approx([-1.0, -2.0, 0.0], abs=1e-6)
     path = next((launch.folder / "recordings").glob("*.mcap"))

@@ -1,4 +1,4 @@
-"""What is put together from modules: each once, before what needs it; nothing that would mean something else there."""
+"""Bundled modules: each once, after its imports, without changes of meaning."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_each_module_stands_once_before_what_needs_it() -> None:
 
 
 def test_what_would_not_mean_the_same_is_refused() -> None:
-    with pytest.raises(ValueError, match="in a circle: main > a > main"):
+    with pytest.raises(ValueError, match="circular imports of page modules: main > a > main"):
         bundle(
             {"main.js": 'import { a } from "./a.js";', "a.js": 'import { b } from "./main.js";'},
             "main",

@@ -1,4 +1,4 @@
-"""The bodies of a recording are stepped by the positions that the environment had, not by those that it never saw."""
+"""A recording's bodies are stepped only by positions that the environment received."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STATES = [
     )
     for seq in range(1000)
 ]
-"""A tool that goes 8 cm into the lower box's side; every fifth of its positions was lost, and lies elsewhere."""
+"""A tool that moves 8 cm into the lower box's side; every fifth position is lost."""
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_positions_that_never_reached_the_environment_move_nothing(
 def test_bodies_of_an_environment_that_starts_later_are_waited_for(
     parameters: dict[str, Any], tmp_path: Path
 ) -> None:
-    """A page had no bodies for a whole run, where its view was up before the environment had loaded its scene."""
+    """A view faster than the environment had no bodies for a whole run."""
     setup = setup_of(
         name="environment", run_dir=str(tmp_path), control="ipc:///c", parameters=parameters
     )

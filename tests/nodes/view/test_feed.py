@@ -1,4 +1,4 @@
-"""Bins lose no spike, wait for what is late, and stay as many as they are."""
+"""Bins lose no spike, wait for late messages, and are bounded in number."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def fill(feed: Feed, positions: list[float], first: int = 0) -> None:
 def unpack(
     frame: bytes, feed: Feed
 ) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Read a frame as the page does: times, least and largest values by series."""
+    """Decode a frame as the page does: times, smallest and largest values by series."""
     kind, count, series, _ = struct.unpack_from("<4I", frame)
     assert (kind, series) == (1, len(feed.names))
     assert len(frame) == HEAD.size + 8 * count + 8 * series * count

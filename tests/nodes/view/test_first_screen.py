@@ -1,4 +1,4 @@
-"""The first screen in a real browser: one question, one dial, a hand that asks to be pulled, and what happens past the edge."""
+"""The first screen in a real browser: question, dial, hand, and beyond the limit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from tests.support.browser import OpenPage, bins, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
 
@@ -32,7 +32,7 @@ SIZES = [
     (683, 384),
     (3840, 2160),
 ]
-"""A laptop, a phone and a small one, each on its side too, a tablet, a large screen, the laptop at 200 %, and 4K."""
+"""A laptop, two phones in both orientations, a tablet, a large screen, 200 %, 4K."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def opened(browser: Browser, launch: Running) -> Iterator[Page]:
 
 @pytest.fixture
 def page(opened: Page) -> Page:
-    """Give the one page of all tests as it is seen first, though the lab was open before, or something refused."""
+    """Return the shared page as first seen, with the lab closed and no refusal."""
     opened.evaluate(
         "document.getElementById('lab').open = false; document.getElementById('refusal').hidden ="
         " true; scrollTo(0, 0)"
@@ -64,7 +64,7 @@ def target(launch_page: Page) -> float:
 
 
 def turn(page: Page, part: float) -> None:
-    """Turn the dial to a part of its way, as a finger does."""
+    """Turn the dial to a fraction, like a finger."""
     script = """part => { const dial = document.getElementById("dial");
       dial.value = 1000 * part;
       for (const kind of ["input", "change"]) dial.dispatchEvent(new Event(kind)); }"""
@@ -72,7 +72,7 @@ def turn(page: Page, part: float) -> None:
 
 
 def handle(page: Page) -> tuple[float, float]:
-    """Find the handle on the screen."""
+    """Return the handle's position on the screen."""
     box: Any = page.locator("#scene").bounding_box()
     u = float(
         page.evaluate("(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()")
@@ -173,11 +173,12 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
 
 @pytest.mark.process
 def test_a_frame_without_a_force_costs_no_arrow(page: Page) -> None:
-    """The first tick of a run has no force of the law yet, and a recording begins with it."""
+    """The first tick of a run has no force yet, and recordings begin with it."""
     scale = page.evaluate(
         """() => { const { scene } = haptic, none = [NaN, NaN, NaN];
       const nothing = { ...scene.now, asked: none, force: none };
-      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] }); return scene.forceScale; }"""
+      scene.show(nothing); scene.show({ ...scene.now, asked: [3, 0, 0], force: [3, 0, 0] });
+        return scene.forceScale; }"""
     )
     assert scale >= 3.0
 
@@ -206,7 +207,7 @@ def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running)
         # A stalled machine may lose the page's connection before the answer.
         slider.evaluate(script)
         told = page.locator("#refusal").is_visible() and shown(page, "#refusal")
-        return "largest stiffness that would be taken" in (told or "")
+        return "largest stiffness that is accepted" in (told or "")
 
     wait_for(is_refused, "it is refused")
     number = page.locator("input[aria-label='stiffness, exact value']")
@@ -306,7 +307,8 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     # late too.
     page.evaluate(
         """() => { const { map } = haptic, draw = map.draw; window.rest = [];
-      map.draw = function () { window.rest.push(this.map.delay_ticks - this.own); return draw.call(this); }; }"""
+      map.draw = function () { window.rest.push(this.map.delay_ticks - this.own);
+        return draw.call(this); }; }"""
     )
     page.evaluate(script, 0.4)
     turned = wait_for(
@@ -324,7 +326,8 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     box: Any = page.locator("#map").bounding_box()
     at = """() => { const { map: { delay_ticks: d, k_n_per_m: k }, frame } = haptic.map;
       const { begin, last, far, bottom, top, most } = frame;
-      return [begin + d / far * (last - begin), bottom - k / most * (bottom - top), haptic.map.own * (last - begin) / far]; }"""
+      return [begin + d / far * (last - begin), bottom - k / most * (bottom - top),
+        haptic.map.own * (last - begin) / far]; }"""
     u, v, own = page.evaluate(at)
     page.mouse.move(box["x"] + u, box["y"] + v)
     page.mouse.down()
@@ -341,8 +344,10 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
 
     def softer() -> bool:
         # The map of the delay that was dragged back may come meanwhile, and has another scale.
-        dot = """() => { const { map, frame } = haptic.map, { left, end, right, bottom, top, most } = frame;
-          return [left + map.b_n_s_per_m / right * (end - left), bottom - map.k_n_per_m / most * (bottom - top)]; }"""
+        dot = """() => { const { map, frame } = haptic.map, { left, end, right, bottom, top,
+          most } = frame;
+          return [left + map.b_n_s_per_m / right * (end - left),
+            bottom - map.k_n_per_m / most * (bottom - top)]; }"""
         box: Any = page.locator("#map").bounding_box()
         u, v = page.evaluate(dot)
         page.mouse.move(box["x"] + u, box["y"] + v)
@@ -464,7 +469,7 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
 def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(
     page: Page, launch: Running
 ) -> None:
-    """Laws and the device's delay are read together: a driver that died over the question cost the page all later changes."""
+    """A driver that died during the request cost the page all later changes."""
     launch.call("coupling", "law.switch", law="pd")
     driver = launch.call("driver", "status")["pid"]
     os.kill(driver, signal.SIGSTOP)

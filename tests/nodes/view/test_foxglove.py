@@ -1,4 +1,4 @@
-"""Foxglove's protocol, spoken by hand: topics with schemas, at most 60 Hz each, parameters set and refused."""
+"""Foxglove's protocol by hand: topics with schemas, 60 Hz each, read-only parameters."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _talk(client: Any, launch: Any) -> None:
 
 @pytest.mark.process
 def test_without_the_extra_it_says_how_to_get_it(tmp_path: Path) -> None:
-    """An interpreter in which foxglove cannot be imported stands for one where it is not installed."""
+    """Tested with an interpreter in which foxglove cannot be imported."""
     (tmp_path / "foxglove.py").write_text(
         "raise ImportError('No module named foxglove')", encoding="utf-8"
     )

@@ -1,4 +1,4 @@
-"""The scene in three dimensions, live in Foxglove's protocol: the shape once for each who subscribes, then what moves."""
+"""The live 3D scene in Foxglove's protocol: the shape once per subscriber, then poses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from sim.measure.measured_launch import beside, end
+from sim.measure.haptic_commands import end, start_command
 from tests.support.launching import running, wait_for
 
 pytest.importorskip(
@@ -26,7 +26,7 @@ pytest.importorskip(
 
 @contextmanager
 def shown(folder: Path, scenario: str, **changed: Any) -> Iterator[str]:
-    """Launch a scenario, its nodes' parameters changed, with a view that Foxglove can connect to; where."""
+    """Launch a scenario with a Foxglove bridge and changed parameters; yield the address."""
     content = {
         "summary": "A scenario that Foxglove sees.",
         "include": [
@@ -48,7 +48,7 @@ def shown(folder: Path, scenario: str, **changed: Any) -> Iterator[str]:
 
 @contextmanager
 def subscribed(place: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
-    """Connect, and subscribe to the scene; its schema."""
+    """Connect and subscribe to the scene; return its schema."""
     protocol = Subprotocol("foxglove.sdk.v1")
     with connect(
         f"ws://{place}", subprotocols=[protocol], open_timeout=20.0, max_size=None
@@ -77,7 +77,7 @@ def subscribed(place: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
 def entities(
     client: ClientConnection, schema: dict[str, Any], seconds: float
 ) -> list[dict[str, Any]]:
-    """Collect what is drawn, over so long a time of the run."""
+    """Return the entities drawn over a duration of the run."""
     # Made once: to check the schema itself takes longer than to check a message by it.
     validator = jsonschema.validators.validator_for(schema)(schema)
     validator.check_schema(schema)
@@ -152,7 +152,7 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
         launch.wait_ticks(200)
         told = tmp_path / "view.txt"
         with told.open("wb") as file:
-            view = beside(
+            view = start_command(
                 "view",
                 "--json",
                 "--foxglove",
@@ -173,5 +173,5 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
             end(view)
     assert not [one for one in drawn if one["id"] == "bodies"]
     left_out = next(one for one in drawn if one["id"] == "left out")
-    assert "a page that was launched with the run knows" in left_out["texts"][0]["text"]
+    assert "known only to a view started with the run" in left_out["texts"][0]["text"]
     assert [one for one in drawn if one["id"] == "proxy"]

@@ -1,4 +1,4 @@
-"""A recording for Foxglove: its scene read back by the MCAP library, which knows nothing of us."""
+"""A recording for Foxglove: its scene read back by the MCAP library."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from mcap.reader import make_reader
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
 from nodes.recording.table import read
-from nodes.view.foxglove_scene import MOST, PER_NEWTON
+from nodes.view.foxglove_scene import PER_NEWTON, RATE_LIMIT
 from tests.support.launching import launch_json
 
 Update = tuple[int, dict[str, Any]]
 
 
 def exported(folder: Path, scenario: str, *words: str) -> tuple[Path, Path]:
-    """Launch a scenario, and export what it recorded."""
+    """Launch a scenario, and export its recording."""
     recording = folder / str(launch_json(folder, scenario, *words, "pace:=lockstep")["recording"])
     assert main(["bag", "export", str(recording), "--format", "foxglove"]) == 0
     return recording, recording.with_suffix(".foxglove.mcap")
 
 
 def scene_of(file: Path) -> tuple[dict[str, Any], list[Update]]:
-    """Read schema and updates."""
+    """Return schema and updates of the scene."""
     with file.open("rb") as stream:
         found = [
             (schema, channel, message)
@@ -61,7 +61,7 @@ def stamp(entity: dict[str, Any]) -> int:
 
 
 def places(updates: list[Update], name: str, kind: str) -> dict[int, list[float]]:
-    """By time [ns], where an entity's first primitive of a kind is [m]."""
+    """Return by time [ns] the position of an entity's first primitive of a kind [m]."""
     return {stamp(e): at(e[kind][0]["pose"]["position"]) for e in entities(updates, name)}
 
 
@@ -88,7 +88,7 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
     for name in ("proxy", "position"):
         found = entities(updates, "device" if name == "position" else name)
         # The first tick's and then 60 a second.
-        assert 0.8 * MOST <= len(found) <= MOST + 1
+        assert 0.8 * RATE_LIMIT <= len(found) <= RATE_LIMIT + 1
         for entity in found:
             tick = round((stamp(entity) - begin) * 1e-9 * 500.0)
             if tick < len(table[name]):

@@ -1,4 +1,4 @@
-"""Every installed law has a control for each parameter, with the limits that msgspec itself enforces."""
+"""Every installed law has a control per parameter, with the limits that msgspec enforces."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_units_limits_and_choices_are_those_of_the_type() -> None:
 
 
 class Invented(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A law that nobody here knows.
+    """A law unknown to the page.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a view keeps of a run: when that is over, what rings, what B is played with."""
+"""State of a run for pages: its end, ringing, and the inputs of B."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from nodes.view.comparison import Comparison
 from nodes.view.live import Facts, LiveRun
 from sim.drill.drill import scene as drill_scene
 from sim.drill.last_line import ORDER
-from tests.nodes.view.test_server import live, texts
 from tests.support.browser import viewing
 from tests.support.launching import running, wait_for
+from tests.support.live_page import live, texts
 
 
 def facts(run_dir: Path, *axes: str) -> Facts:
@@ -34,7 +34,7 @@ def status(state: str, reason: str = "") -> NodeStatus:
 
 @pytest.mark.slow
 def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path: Path) -> None:
-    """The launcher says whether a failed driver is the end: one that it starts again is not."""
+    """Only the launcher decides whether a failed driver ends the run."""
     content = drill_scene()
     driver = content["nodes"]["driver"]
     driver["kind"], driver["parameters"]["order"] = "faulty_driver", ORDER

@@ -1,4 +1,4 @@
-"""The page in a real browser, over real processes: seen, dragged, swapped, refused, torn away, ended."""
+"""The page in a real browser, over real processes: drag, swap, refusals, crash, end."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def opened(browser: Browser, launch: Running) -> Iterator[Page]:
 
 @pytest.fixture
 def page(opened: Page) -> Page:
-    """Give the one page of all tests as it is seen first, though what was looked at before lay farther down."""
+    """Return the shared page as first seen, scrolled to the top."""
     opened.evaluate("scrollTo(0, 0)")
     return opened
 
@@ -68,7 +68,7 @@ def drag_into_the_wall(page: Page) -> None:
 def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
     browser: Browser, tmp_path: Path
 ) -> None:
-    """The view comes back at its port with its token, so an open page finds it; a dead coupling is called by its name."""
+    """The view keeps port and token, so the page reconnects; a dead node is named."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
     (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
@@ -78,7 +78,7 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
         environment = launch.pid("environment")
         os.kill(environment, signal.SIGSTOP)
         wait_for(
-            lambda: "the watchdog has let go" in shown(page, "#words"),
+            lambda: "the force is zero until a fresh one" in shown(page, "#words"),
             "the page tells why there is no force",
         )
         os.kill(environment, signal.SIGKILL)
@@ -148,7 +148,6 @@ def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_
 
 
 @pytest.mark.process
-@pytest.mark.smoke
 def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     assert shown(page, "#scenario") == "touch_wall"
     before, picture = bins(page), page.locator(".plot canvas").first.screenshot()
@@ -433,7 +432,8 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
         # The plots run until the finger moves.
         phone.evaluate(
             """document.addEventListener(
-          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true, once: true })"""
+          "pointermove", () => { window.begun = haptic.plots.sight(); }, { capture: true,
+            once: true })"""
         )
         touch("touchStart", 0.0)
         for k in range(1, 8):

@@ -1,4 +1,4 @@
-"""Recordings in a real browser: pulled through with their plots, two over each other, the map after a change of delay."""
+"""Recordings in a real browser: time slider, two recordings, the map after a delay change."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ PERIOD = 0.002
 PULL = """t => { const slider = document.getElementById("seek");
   slider.value = t;
   for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
-"""In the page: pull the recording's slider to a time [s]."""
+"""Seek the recording's slider to a time, in the page [s]."""
 
 PAUSE = """() => { const play = document.getElementById("play");
   if (play.getAttribute("aria-pressed") === "true") play.click(); }"""
-"""In the page: pause what plays. On a busy machine it is at its end already, where a click would play it once more."""
+"""Pause in the page itself; a click on a busy machine might restart playback at its end."""
 
 
 def _at(page: Page) -> float:
@@ -41,7 +41,7 @@ def _go(page: Page, t: float) -> None:
 
 
 def _stop(page: Page, t: float) -> None:
-    """Let it stand at a time: a picture of before may come after the answer, but none after that of where it was pulled to."""
+    """Pause at a time and wait for its frame, ignoring older ones."""
     page.evaluate(PAUSE)
     wait_for(lambda: page.locator("#play").get_attribute("aria-pressed") == "false", "it stands")
     _go(page, t)

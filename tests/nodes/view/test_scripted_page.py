@@ -1,4 +1,4 @@
-"""The page in a real browser before a server that a test tells what to say: what it makes of an end, a failure, another law."""
+"""The page in a real browser with a scripted server: ends, failures, other laws."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ MAP = {
 
 
 class Script:
-    """Stands in for a run: one page after the other is told how it stands, and then what a test says."""
+    """Emulates a run: sends each page the initial state, then what a test sends."""
 
     def __init__(self) -> None:
         facts = Facts("run", "made_up", "", T, "realtime", "on_arrival", ["x"], "driver", "", 10.0)
@@ -68,7 +68,7 @@ class Script:
         self.pages: list[ScriptedPage] = []
 
     def laws(self, active: str) -> dict[str, Any]:
-        """Tell which law renders."""
+        """Send the active law."""
         return {
             "type": "laws",
             "node": "coupling",
@@ -78,7 +78,7 @@ class Script:
         }
 
     def tick(self, seq: int) -> bytes:
-        """Let a tick pass, and give the page all that it has not."""
+        """Advance a tick, and send new data to the page."""
         first = self.feed.head
         self.feed.take("/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.01, 0.0, 0.0)))
         self.feed.take("/environment/proxy", Proxy(**{**PROXY, "seq": seq}))
@@ -89,7 +89,7 @@ class Script:
         return self.feed.frame(first, self.feed.head)
 
     def open(self) -> ScriptedPage:
-        """Open one more page."""
+        """Open another page."""
         page = ScriptedPage(
             [json.dumps(each) for each in (*self.base, {"type": "status", **self.status})]
         )
@@ -98,7 +98,7 @@ class Script:
         return page
 
     def say(self, kind: str, **content: Any) -> None:
-        """Tell the newest page."""
+        """Send to the newest page."""
         self.pages[-1].outbox.append(json.dumps({"type": kind, **content}))
 
 
@@ -119,12 +119,12 @@ class ScriptedPage:
         self.outbox: list[str | bytes] = [*outbox]
 
     def news(self) -> list[str | bytes]:
-        """List what it has not been sent yet."""
+        """Return everything not sent yet."""
         found, self.outbox = self.outbox, []
         return found
 
     def hand(self, target: list[float] | None) -> str:
-        """Let it have the hand."""
+        """Grant the hand."""
         del target
         return ""
 
@@ -134,7 +134,7 @@ class ScriptedPage:
         return {}
 
     def close(self) -> None:
-        """Forget it."""
+        """Do nothing."""
 
 
 @contextlib.contextmanager
@@ -247,7 +247,8 @@ def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
     page.evaluate(
         """() => { window.said = [];
       const told = document.querySelector("[role=status]");
-      new MutationObserver(() => said.push(told.textContent)).observe(told, { childList: true }); }"""
+      new MutationObserver(() => said.push(told.textContent)).observe(told, { childList: true });
+        }"""
     )
     for newton in ("1.00", "1.25", "2.50"):
         script.say(
@@ -271,13 +272,17 @@ def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
 
 RING = """async (axes) => {
   const files = ["./store.js", "./slow_motion.js", "./sound.js"];
-  const [{ Store }, { SlowMotion }, { Sound }] = await Promise.all(files.map((file) => import(file)));
-  const names = ["position", "proxy", "law_force", "force", "target"].flatMap((name) => axes.map((axis) => `${name}.${axis}`));
+  const [{ Store }, { SlowMotion },
+    { Sound }] = await Promise.all(files.map((file) => import(file)));
+  const names = ["position", "proxy", "law_force", "force",
+    "target"].flatMap((name) => axes.map((axis) => `${name}.${axis}`));
   const store = new Store(names, 0.002, 1);
-  const add = (from, values) => store.add({ count: 400, times: Float64Array.from({ length: 400 }, (_, k) => (from + k) * 0.002),
-    ...Object.fromEntries(["low", "high"].map((end) => [end, (i) => new Float32Array(400).fill(values[names[i]] ?? 0)])) });
+  const add = (from, values) => store.add({ count: 400, times: Float64Array.from({ length: 400 },
+    (_, k) => (from + k) * 0.002),
+    ...Object.fromEntries(["low", "high"].map((end) => [end,
+      (i) => new Float32Array(400).fill(values[names[i]] ?? 0)])) });
   return { store, add, slow: new SlowMotion(), Sound, SlowMotion }; }"""
-"""In the page: a ring of a second, filled by 0.8 s, and what plays it."""
+"""In the page: a ring buffer of a second, filled for 0.8 s, and its player."""
 
 
 @pytest.mark.process
@@ -305,7 +310,8 @@ def test_slow_motion_is_of_the_stop_however_long_ago_that_is(page: Page) -> None
 @pytest.mark.process
 @pytest.mark.smoke
 def test_slow_motion_and_sound_know_all_axes(page: Page) -> None:
-    script = f"""async () => {{ const {{ store, add, slow, Sound }} = await ({RING})(["x", "y", "z"]);
+    script = f"""async () => {{ const {{ store, add, slow, Sound }} = await ({RING})(["x", "y",
+      "z"]);
       const sound = new Sound(document.createElement("button"));
       sound.start(store, ["x", "y", "z"]);
       Object.assign(sound, {{ on: true, node: {{ port: {{ postMessage() {{}} }} }} }});

@@ -1,4 +1,4 @@
-"""Who may open the page, and who may not; what a page may ask; a recording behind the same page."""
+"""Access to the page, its requests, and a recording behind the same page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from typing import Any
 
 import pytest
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import ClientConnection, connect
 
 from messages.transport.endpoints import MAX_MESSAGE
 from nodes.view.live import SILENT_NODE
@@ -38,6 +37,7 @@ from tests.support.launching import (
     running,
     wait_for,
 )
+from tests.support.live_page import live, texts
 
 
 @pytest.fixture(scope="module")
@@ -58,37 +58,13 @@ def get(url: str, **headers: str) -> tuple[int, str]:
             return error.code, error.read().decode()
 
 
-@contextlib.contextmanager
-def live(url: str, **more: Any) -> Iterator[ClientConnection]:
-    with connect(
-        url.replace("http", "ws") + "live",
-        compression=None,
-        open_timeout=20.0,
-        max_size=1 << 26,
-        **more,
-    ) as page:
-        yield page
-
-
-def texts(page: ClientConnection, kind: str, **wanted: Any) -> dict[str, Any]:
-    """Wait for a document of a kind."""
-    while True:
-        found = page.recv(timeout=30.0)
-        if isinstance(found, str):
-            document: dict[str, Any] = json.loads(found)
-            if document["type"] == kind and all(
-                document.get(key) == value for key, value in wanted.items()
-            ):
-                return document
-
-
 # Tests with a launch of their own, or none, come first: the one that is shared would only go on
 # beside them.
 
 
 @pytest.mark.process
 def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
-    """Neither does the end: nobody has to kill a view that still waits for an answer."""
+    """Nor does the end of the view."""
     with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
         os.kill(launch.pid("coupling"), signal.SIGSTOP)
         with live(url_of(launch)) as page:
@@ -108,7 +84,7 @@ def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
-    """The only word that a page has of this node are its statuses, over the connection that breaks."""
+    """The page hears this node only by its statuses, over the broken connection."""
     content = drill_scene()
     content["nodes"]["link"] = {"kind": "link"}
     (tmp_path / "linked.yaml").write_text(json.dumps(content), encoding="utf-8")
@@ -193,14 +169,14 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
     assert shares[-1] < 1.0
 
     class Impatient(io.StringIO):
-        """Standard error before somebody who presses Ctrl-C at the first line."""
+        """Standard error whose reader presses Ctrl-C at the first line."""
 
         def write(self, text: str) -> int:
             if text.startswith("reading"):
                 os.kill(os.getpid(), signal.SIGINT)
             return super().write(text)
 
-    monkeypatch.setattr("nodes.cli.view.TELL", 0.0)
+    monkeypatch.setattr("nodes.cli.view.PROGRESS_PERIOD", 0.0)
     monkeypatch.setattr("sys.stderr", error := Impatient())
     assert exit_code("view", "--replay", str(path)) == 130
     assert error.getvalue() == f"reading {path}: 0 %\n"
@@ -280,7 +256,7 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
             ("plant", {}),
         ):
             refused = ask(op="set", node="coupling", values={"ramp": 41, judge: value})
-            assert "judges what is set here" in refused["error"], judge
+            assert "limits the page's own changes" in refused["error"], judge
         done = ask(op="set", node="coupling", values={"ramp": 40})
         assert done["ok"]
         assert launch.call("coupling", "param.get", name="ramp") == 40
@@ -307,7 +283,7 @@ def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running
                 }
             )
         )
-        assert "pd renders by now, not multi_term" in texts(page, "answer", id=3)["error"]
+        assert "pd is now active, not multi_term" in texts(page, "answer", id=3)["error"]
         assert launch.call("coupling", "param.get", name="laws.pd.damping") == before
         page.send(
             json.dumps({"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"})
@@ -317,7 +293,7 @@ def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running
 
 @pytest.mark.slow
 def test_a_recording_that_ends_by_itself_is_told(launch: Running) -> None:
-    """Its folder cannot be made, or what records is killed: nobody goes on believing that it records."""
+    """If the folder cannot be created or the recorder is killed, the page shows it."""
     blocker = launch.folder / "recordings"
     with live(url_of(launch)) as page:
 
@@ -369,7 +345,7 @@ def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Runn
 
 @pytest.mark.process
 def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> None:
-    """Every user of the machine reads the command lines of all others; a browser gets a file that only its own user reads."""
+    """Command lines are public; the browser gets a private file instead."""
     browser, seen = tmp_path / "browser", tmp_path / "seen"
     browser.write_text(f'#!/bin/sh\necho "$@" > {seen}.draft\nmv {seen}.draft {seen}\n')
     browser.chmod(0o755)

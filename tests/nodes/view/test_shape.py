@@ -1,4 +1,4 @@
-"""What is drawn of a shape lies where the geometry says its surface is."""
+"""Drawn shapes lie on the surfaces of the geometry."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def ball(p: Corners) -> Corners:
 
 
 def turned_box(p: Corners) -> Corners:
-    """Yaw 90 degrees: the first edge lies along y, the second along −x."""
+    """Return a box rotated by 90° of yaw: first edge along y, second along −x."""
     local = (p - [0.01, 0.0, 0.0]) @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(np.abs(np.abs(local) - [0.01, 0.02, 0.03]).max(axis=1))
 
 
 def rod(p: Corners) -> Corners:
-    """Tell how far off a capsule of radius 10 mm along x, from 0 to 50 mm."""
+    """Return the distance to a capsule of radius 10 mm along x, from 0 to 50 mm."""
     return np.asarray(
         np.linalg.norm(
             p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1
@@ -39,7 +39,7 @@ def rod(p: Corners) -> Corners:
 
 
 def can(p: Corners) -> Corners:
-    """Tell how far off a cylinder of radius 10 mm along z, from 0 to 40 mm."""
+    """Return the distance to a cylinder of radius 10 mm along z, from 0 to 40 mm."""
     out, end = np.hypot(p[:, 0], p[:, 1]), np.minimum(np.abs(p[:, 2]), np.abs(p[:, 2] - 0.04))
     return np.asarray(np.where(out < 0.005, end, np.maximum(np.abs(out - 0.01), end)))
 

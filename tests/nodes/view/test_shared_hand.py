@@ -1,4 +1,4 @@
-"""The hand among pages: one has it at a time; a silent page's is kept, then goes slowly; nobody's taps by itself."""
+"""The hand shared by pages: one owner; a silent page's hand is kept, then returns."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import pytest
 
 from messages.types import ZERO
 from nodes.driver.pointer import PointerReader
-from nodes.view.shared_hand import DEPTH, EVERY, PATIENCE, PRESS, REST, SLOWLY, SharedHand
+from nodes.view.shared_hand import DEPTH, EVERY, PRESS, REST, SILENCE_LIMIT, SLOWLY, SharedHand
 
 
 class Clock:
-    """The time that hand and pointer see."""
+    """Time as seen by hand and pointer."""
 
     def __init__(self) -> None:
         self.now = 100.0
 
     def monotonic(self) -> float:
-        """Tell the time."""
+        """Return the time."""
         return self.now
 
 
@@ -33,7 +33,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
     path = tmp_path / "p"
-    assert "nothing can be dragged" in SharedHand(path).move(1, [0.0, 0.0, 0.0])
+    assert "this launch has none" in SharedHand(path).move(1, [0.0, 0.0, 0.0])
     reader = PointerReader(path, 60.0)
     hand = SharedHand(path)
     assert hand.there
@@ -51,7 +51,7 @@ def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
 
 
 def test_of_two_views_beside_one_launch_one_has_the_hand(tmp_path: Path, clock: Clock) -> None:
-    """Each view is a process of its own, with the same file."""
+    """Each view is a separate process with the same file."""
     reader = PointerReader(tmp_path / "p", 60.0)
     first, second = SharedHand(tmp_path / "p"), SharedHand(tmp_path / "p")
     for hand in (first, second):
@@ -115,7 +115,7 @@ def test_a_page_that_stalls_keeps_the_hand_then_lets_it_go_slowly_and_takes_it_b
         return found
 
     # A stall of 0.5 s, or of 1.9 s: nothing moves.
-    assert set(wait(PATIENCE - 0.1)) == {0.021}
+    assert set(wait(SILENCE_LIMIT - 0.1)) == {0.021}
     away = [x for x in wait(1.0) if x is not None]
     steps = [b - a for a, b in itertools.pairwise(away)]
     assert min(steps) == pytest.approx(-SLOWLY * 0.01)
@@ -176,7 +176,7 @@ def test_until_somebody_takes_it_the_hand_taps(tmp_path: Path, clock: Clock) -> 
 
 
 def test_a_hand_whose_path_has_long_come_to_rest_taps_too(tmp_path: Path, clock: Clock) -> None:
-    """The view is started late, or again."""
+    """Also if the view starts late, or again."""
     reader, hand = PointerReader(tmp_path / "p", 1.0), SharedHand(tmp_path / "p")
     for _ in range(round(100 * (REST + PRESS))):
         clock.now += 0.01

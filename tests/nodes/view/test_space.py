@@ -1,4 +1,4 @@
-"""Three dimensions in a real browser: the picture against the geometry, a hand in the plane of the camera, the flat view."""
+"""The 3D view in a real browser: geometry, a hand in the camera's plane, the flat view."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def page(browser: Browser, launch: Running) -> Iterator[Page]:
 def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them(
     browser: Browser, tmp_path: Path
 ) -> None:
-    """A box that is pushed: live from the environment, in a replay from the scene stepped again, which is the same."""
+    """A pushed box, live and in a replay, is at the same place."""
     pytest.importorskip("mujoco")
     with (
         running(tmp_path, "stack_boxes", "--view", "duration:=0") as launch,
@@ -109,7 +109,7 @@ def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them
 
 @pytest.mark.slow
 def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None:
-    """Parallel projection: a ball is a disc of its radius about the image of its centre, whatever the camera."""
+    """In parallel projection a ball is a disc of its radius about its centre's image."""
     for yaw, pitch in ((-0.7, 0.45), (0.9, -0.8)):
         page.evaluate(
             "([yaw, pitch]) => Object.assign(haptic.space.turn, { yaw, pitch })", [yaw, pitch]
@@ -126,8 +126,10 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
         extent = page.evaluate(
             """([u, v]) => {
           const { still } = haptic.space, g = still.getContext("2d"), { width, height } = still;
-          const at = (x, y) => g.getImageData(Math.round(x + width / 2), Math.round(y + height / 2), 1, 1).data[3] > 128;
-          const reach = (du, dv) => { let k = 0; while (k < 2000 && at(u + k * du, v + k * dv)) k += 0.5; return k; };
+          const at = (x, y) => g.getImageData(Math.round(x + width / 2),
+            Math.round(y + height / 2), 1, 1).data[3] > 128;
+          const reach = (du, dv) => { let k = 0; while (k < 2000 && at(u + k * du,
+            v + k * dv)) k += 0.5; return k; };
           return [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([du, dv]) => reach(du, dv)); }""",
             [u, v],
         )
@@ -155,7 +157,7 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 class Camera:
-    """A parallel projection worked out on paper: yaw about z, then pitch, the scene's box in the middle."""
+    """A parallel projection by formula: yaw about z, then pitch, the scene's box centred."""
 
     def __init__(self, yaw: float, pitch: float, width: float, height: float) -> None:
         sines, cosines = (math.sin(yaw), math.sin(pitch)), (math.cos(yaw), math.cos(pitch))
@@ -167,12 +169,12 @@ class Camera:
         self.pixels = 0.42 * min(width, height) / (0.5 * math.dist(low, high))
 
     def seen(self, point: Sequence[float]) -> tuple[float, float]:
-        """Pixels from the middle of the canvas, right and down."""
+        """Return pixels from the middle of the canvas, right and down."""
         apart = [a - b for a, b in zip(point, self.middle, strict=True)]
         return self.pixels * dot(apart, self.right), -self.pixels * dot(apart, self.up)
 
     def met(self, u: float, v: float, side: float = -1.0) -> tuple[float, float, float] | None:
-        """Give the ball's normal where the ray through a pixel meets it, in front, or with a side of 1 at its back."""
+        """Return the ball's normal where the ray through a pixel meets its front (back: side 1)."""
         at = self.seen(CENTRE)
         aside, above = (u - at[0]) / (self.pixels * RADIUS), -(v - at[1]) / (self.pixels * RADIUS)
         rest = 1.0 - aside**2 - above**2
@@ -186,7 +188,7 @@ class Camera:
 
 
 def shade(normal: Sequence[float]) -> list[float]:
-    """Colour of a face of the ball: brighter towards the light."""
+    """Return the colour of a face of the ball: brighter towards the light."""
     dark = 1.0 - 0.75 * abs(dot(normal, LIGHT))
     return [
         dark * a + (1.0 - dark) * b
@@ -196,12 +198,13 @@ def shade(normal: Sequence[float]) -> list[float]:
 
 @pytest.mark.process
 def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) -> None:
-    """Colours of the canvas against rays through a ball: what is hit, and that the front hides the back."""
+    """Canvas colours against rays through a ball; the front hides the back."""
     yaw, pitch = -0.4, 0.6
     read = """([yaw, pitch, points]) => { const { space } = haptic;
       Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.draw();
       const { still } = space, g = still.getContext("2d"), { width, height } = still;
-      const at = (u, v) => [...g.getImageData(Math.round(u + width / 2), Math.round(v + height / 2), 1, 1).data];
+      const at = (u, v) => [...g.getImageData(Math.round(u + width / 2),
+        Math.round(v + height / 2), 1, 1).data];
       return [width, height, points.map(([u, v]) => at(u, v))]; }"""
     width, height, _ = page.evaluate(read, [yaw, pitch, []])
     camera = Camera(yaw, pitch, width, height)
@@ -274,13 +277,16 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
         "device": tuple(a + b for a, b in zip(camera.seen(device), (-2.0, -4.0), strict=True)),
     }
     read = """([yaw, pitch, now, places]) => { const { space } = haptic;
-      Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.trace.length = 0; space.show(now); space.draw();
+      Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.trace.length = 0; space.show(now);
+        space.draw();
       const g = space.canvas.getContext("2d"), { width, height } = space.canvas;
-      const around = ([u, v]) => [...g.getImageData(Math.round(u + width / 2) - 2, Math.round(v + height / 2) - 2, 5, 5).data];
-      return Object.fromEntries(Object.entries(places).map(([name, at]) => [name, around(at)])); }"""
+      const around = ([u, v]) => [...g.getImageData(Math.round(u + width / 2) - 2,
+        Math.round(v + height / 2) - 2, 5, 5).data];
+      return Object.fromEntries(Object.entries(places).map(([name, at]) => [name, around(at)]));
+        }"""
 
     def nearest(name: str, now: dict[str, Any], wanted: Sequence[float]) -> float:
-        """How near any of the 25 pixels around a place comes to a colour."""
+        """Return the smallest colour distance within 25 pixels of a place."""
         data = page.evaluate(read, [yaw, pitch, now, places])[name]
         apart = (
             max(abs(a - b) for a, b in zip(data[k : k + 3], wanted, strict=True))
@@ -389,7 +395,7 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
 
 @pytest.mark.process
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
-    """What is drawn when the ball is touched; the hand taps by itself along the first axis, or is pulled there."""
+    """Drawn while the ball is touched; the hand taps along the first axis, or is pulled."""
     page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")
     page.evaluate(
         "window.holding = setInterval(() => { haptic.space.held = [0.03, 0.012, 0.0];"
@@ -421,7 +427,7 @@ def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
 def test_a_recording_is_looked_at_in_three_dimensions_too(
     page: Page, browser: Browser, launch: Running
 ) -> None:
-    """The same shape as over the launch, and the poses that were recorded; the run goes on meanwhile."""
+    """The live shape with the recorded poses, while the run continues."""
     folder = launch.folder
     path = next((folder / "recordings").glob("*.mcap"))
     with viewing(folder, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:

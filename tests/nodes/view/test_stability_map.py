@@ -1,4 +1,4 @@
-"""The map's edge is the edge: just inside it the loop is stable, just outside it is not."""
+"""The map's limit: just inside it the loop is stable, just outside unstable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import SteppedTool, world_k_max
+from nodes.stability.worlds import EulerTool, SteppedTool, world_k_max
 from nodes.view.stability_map import drawn_map, plant_of, stability_map, with_inertia
 
 T = 0.002
@@ -70,7 +70,7 @@ def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
 
 
 def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
-    """For what the tool touches, its damping counts and not its mass; two devices on one law have no such line."""
+    """Its damping counts, not its mass; two devices on one law have no such line."""
     spring = parse_law({"kind": "pd", "stiffness": 100.0, "damping": 0.0})
     held = msgspec.structs.replace(PLANT, tool_mass=0.02, tool_damping=1.0)
     found = stability_map(spring, T, held, 0.0)
@@ -80,6 +80,13 @@ def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
     assert found["k_max_any_world_n_per_m"] == edge
     loose = stability_map(spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0)
     assert loose["k_max_any_world_n_per_m"] is None
+    # Where all behind it is solved within the step, its weight counts as well.
+    heavy = msgspec.structs.replace(held, tool_damping=0.0, tool_step=T / 2)
+    found = stability_map(spring, T, heavy, 0.0)
+    edge = world_k_max(derivative, Plant(T, 0.1, 1.0), EulerTool(0.02, 2)).k_max_n_per_m
+    assert edge is not None
+    assert found["k_max_any_world_n_per_m"] == edge
+    assert "2 steps of semi-implicit Euler" in found["world"]
     assert "any_world" not in stability_map(
         spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0
     )
@@ -148,7 +155,7 @@ def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none()
 
 
 def test_what_cannot_be_drawn_is_said() -> None:
-    """An error that nobody has thought of left the map of the law before."""
+    """After an unexpected error the previous law's map stayed."""
     for law, declared in (
         ({**LAWS[0], "damping": 1e308}, {"mass": 0.1}),
         (LAWS[0], {"mass": "heavy"}),

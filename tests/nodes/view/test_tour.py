@@ -1,4 +1,4 @@
-"""The tour in a real browser: five sentences, each of which goes on when what it asks for is done."""
+"""The tour in a real browser: five sentences, each followed by the next when done."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from sim.measure.measured_launch import within
+from sim.measure.haptic_commands import within
 from tests.support.browser import OpenPage, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
 
@@ -26,13 +26,13 @@ def launch(tmp_path: Path) -> Iterator[Running]:
 
 @pytest.fixture
 def page(browser: Browser, launch: Running) -> Iterator[Page]:
-    """Open a page that nobody has touched yet."""
+    """Open an untouched page."""
     with OpenPage(browser, url_of(launch)) as found:
         yield found
 
 
 def _pull(page: Page, by: str) -> None:
-    """Go into the wall with the hand, from where it is touched."""
+    """Push the hand into the wall, from where it is grabbed."""
     if by == "keyboard":
         page.locator("#scene").focus()
         for _ in range(6):
@@ -46,7 +46,7 @@ def _pull(page: Page, by: str) -> None:
 
 
 def _act(page: Page, by: str) -> None:
-    """Do what the sentence ends in."""
+    """Perform the action that a sentence asks for."""
     if by == "keyboard":
         page.locator("#tour-act").focus()
         page.keyboard.press("Enter")
@@ -57,7 +57,7 @@ def _act(page: Page, by: str) -> None:
 
 @pytest.mark.slow
 def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Running) -> None:
-    """With the keyboard up to the edge, with the mouse past it, and with the keyboard to the end."""
+    """By keyboard up to the limit, by mouse beyond it, and by keyboard to the end."""
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call(
         "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}

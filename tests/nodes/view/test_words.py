@@ -1,4 +1,4 @@
-"""Why there is no force: each reason has its sentence."""
+"""Why there is no force: each reason has a sentence."""
 
 from __future__ import annotations
 
@@ -49,10 +49,14 @@ def told(
     [
         ({}, "ok", "1.00 N: pd pushes back, 1.00 mm deep."),
         ({"state": {"safety": "waiting", "force": NONE}}, "stop", "waits for the first force"),
-        ({"state": {"safety": "zero", "force": NONE}}, "stop", "the watchdog has let go"),
+        (
+            {"state": {"safety": "zero", "force": NONE}},
+            "stop",
+            "the force is zero until a fresh one",
+        ),
         ({"state": {"safety": "fault", "force": NONE}}, "stop", "outside its workspace"),
         ({"state": {"safety": "damping"}}, "warn", "the driver damps the device"),
-        ({"state": {"safety": "ramp"}}, "warn", "lets the force in slowly"),
+        ({"state": {"safety": "ramp"}}, "warn", "the force ramps up"),
         ({"force": {"law": "fallback"}}, "warn", "the law failed"),
         ({"force": {"force": (-12.0, 0.0, 0.0)}}, "warn", "1.00 N of the 12.00 N"),
         ({"force": {"force": (-12.0, 0.0, 0.0), "seq": 9}}, "ok", "1.00 N: pd pushes back"),
@@ -74,7 +78,7 @@ def told(
         (
             {"state": {"safety": "stopped", "force": NONE}},
             "stop",
-            "Too hard: the loop swung, and the driver stopped it.",
+            "Too hard: the loop was unstable, and the driver stopped it.",
         ),
         ({"silent": 0.51}, "stop", "nothing has come from the driver for 0.5 s"),
     ],
@@ -130,7 +134,7 @@ def test_a_stop_is_told_by_its_strokes() -> None:
     ("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)]
 )
 def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
-    """A wall that only pushes, at 500 Hz: nobody's hand taps 20 times a second."""
+    """A wall that only pushes, at 500 Hz: no hand taps 20 times a second."""
     period, watched = 0.002, Ringing()
     for tick in range(500):
         watched.take(

@@ -1,4 +1,4 @@
-"""A cell that is interrupted, and a kernel that is killed, leave nothing behind; an interrupt is never lost."""
+"""Interrupted cells and killed kernels leave nothing behind; no interrupt is lost."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Any
 import pytest
 from jupyter_client.manager import KernelManager
 
-from sim.api.python_runs import whole
+from sim.measure.interrupts import deferred
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 
 pytestmark = pytest.mark.filterwarnings("default")  # of the kernel client's own libraries
 
 
 def says_ready(message: dict[str, Any]) -> bool:
-    """Tell whether a message is the cell's own word that it has begun."""
+    """Whether a message announces that the cell has started."""
     return message["msg_type"] == "stream" and "ready" in str(message["content"]["text"])
 
 
 def shows_progress(message: dict[str, Any]) -> bool:
-    """Tell whether a message is the first picture of a progress bar."""
+    """Whether a message is the first display of a progress bar."""
     return bool(message["msg_type"] == "display_data")
 
 
@@ -33,7 +33,7 @@ def in_a_kernel(
     begun: Callable[[dict[str, Any]], bool],
     then: Callable[[KernelManager], None],
 ) -> list[dict[str, Any]]:
-    """Run a cell in a kernel, do something to it once it has begun, and collect what it says until it is idle."""
+    """Run a cell in a kernel, act once it has started, and return its messages until idle."""
     manager = KernelManager(kernel_name="python3")
     manager.start_kernel(cwd=str(folder), env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder)})
     client = manager.blocking_client()
@@ -102,7 +102,7 @@ def test_a_killed_kernel_takes_its_launch_with_it() -> None:
 
 
 class Finalised:
-    """Interrupts while it is destroyed, where Python swallows what is raised."""
+    """Interrupts during its destruction, where Python swallows exceptions."""
 
     def __del__(self) -> None:
         os.kill(os.getpid(), signal.SIGINT)
@@ -113,7 +113,7 @@ def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
     done = []
 
     def request() -> None:
-        with whole():
+        with deferred():
             Finalised()
             done.append("the rest of the block")
 

@@ -1,4 +1,4 @@
-"""``import haptic``: what a notebook does, on real launches; laws and plants are refused as YAML's are."""
+"""``import haptic`` in a notebook, on real launches; laws and plants refused as in YAML."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ import haptic
 import numpy as np
 import pytest
 
+from nodes.launcher.launch_file import read as read_scene
 from nodes.laws.fir import FIR
 from nodes.laws.pd import PD
 from nodes.parameters.store import ParameterError
 from sim.device.model import DeviceModel
-from sim.measure.measured_launch import DEADLINE
+from sim.measure.haptic_commands import DEADLINE
 from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
 
@@ -132,6 +133,55 @@ def test_results_show_themselves() -> None:
         haptic.read(".")
 
 
+def test_what_is_played_in_space_has_its_axes_contact_and_bodies_in_one_table() -> None:
+    pytest.importorskip("mujoco", reason="things that move need MuJoCo")
+    found = haptic.play("puck_push", duration=1.6)
+    assert found.axes == "xyz"
+    assert found.position_m.shape == (800, 3)
+    # The hand pushes the puck along x: it ends elsewhere than it began, the right way up.
+    puck = found.bodies["puck"]
+    assert puck.turn is not None
+    assert puck.position[-1, 0] - puck.position[0, 0] > 1e-3
+    assert np.linalg.norm(puck.turn, axis=1) == pytest.approx(1.0)
+    columns = found.columns()
+    assert {"contact", "normal", "proxy_m", "puck_m", "puck_qw", "tool_m"} <= set(columns)
+    # What the tool is held by is the law's: K times the way between, and its damper.
+    assert columns["proxy_m"] == pytest.approx(columns["tool_m"])
+    assert len(found.plot().axes) == 2
+
+
+def test_of_shapes_the_normal_looks_out_where_they_are_touched() -> None:
+    found = haptic.play("sphere_feel", duration=0.8)
+    surface = read_scene("sphere_feel", {}).nodes["environment"].parameters["surface"]
+    touched = found.contact
+    assert 0 < touched.sum() < len(touched)
+    out = found.proxy_m[touched] - np.array(surface["position"])
+    out /= np.linalg.norm(out, axis=1)[:, None]
+    # The sphere is exact: its normal is the direction from its middle, but for the skin of 0.1 nm.
+    assert np.abs(out - found.normal[touched]).max() < 1e-6
+
+
+def test_pairs_and_chains_are_played_by_name_and_a_network_is_not() -> None:
+    pair = haptic.play("hands_coupled", duration=1.0)
+    first, second = (pair.bodies[name].position[:, 0] for name in ("first", "second"))
+    # The law sees how far the hands are apart.
+    assert pair.measured_m == pytest.approx(first - second, abs=1e-15)
+    assert haptic.play("two_hands", chain="left").name == "two_hands/left"
+    with pytest.raises(haptic.HapticError, match=r"2 chains \(left, right\)"):
+        haptic.play("two_hands")
+    with pytest.raises(haptic.HapticError, match="over a network in real time"):
+        haptic.play("hands_apart", chain="left")
+
+
+def test_a_loop_that_its_driver_stopped_says_when() -> None:
+    assert haptic.play("floor_drop").stopped_at_tick is None
+    found = haptic.play("floor_buzz", stiffness=1e5)
+    assert found.stopped_at_tick is not None
+    assert found.settled is False
+    # From then on the brake comes down, by the slew at most: nothing is felt any more.
+    assert np.abs(found.force_n[found.stopped_at_tick + 200 :]).max() < 0.5
+
+
 def test_a_played_drop_tells_whether_it_settles() -> None:
     assert haptic.play("floor_drop").settled
     # K T / 2 = 9 N s/m, far above b + B = 4: the edge of PD on a mass is near 3 800 N/m.
@@ -220,7 +270,7 @@ def test_a_launcher_that_is_killed_leaves_no_summary(place: Path, view: bool) ->
 PROGRAM = """
 import haptic, os, signal, weakref
 from sim.api import python_runs
-signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background of a shell ignores it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
 
 class Thing: pass
 

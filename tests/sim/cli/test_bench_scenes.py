@@ -1,4 +1,4 @@
-"""The benchmark of scenes refuses what makes no sense; its rows are judged where the page runs it (tests/test_pages.py)."""
+"""The benchmark of scenes refuses invalid options; tests/test_pages.py judges its rows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_what_would_change_nothing_is_refused(
 
 
 def test_ticks_that_the_driver_slept_through_are_missed_too() -> None:
-    """Of a machine that stalls they are most, and a page or a listener that makes it stall was not charged with them."""
+    """On a stalling machine they are the majority, and were not counted."""
     states = [
         DeviceState(
             seq=seq,

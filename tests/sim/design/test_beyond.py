@@ -1,4 +1,4 @@
-"""A design for a device with a joint and a lag: stable by the poles of each device that it may be, and what it costs."""
+"""A design for a device with joint and lag: stable for each device it may be; its cost."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ JOINT = ((0.0, 0.4, 30.0, 0.02), (0.0, 0.4, 36.0, 0.02))
 
 
 def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> None:
-    """The bound holds at every device of the demand; the rigid design breaks it on the same ones."""
+    """The bound holds at every device; the rigid design breaks it."""
     asked = replace(RIGID, beyond=JOINT)
     known, blind = designed(asked, 2), designed(replace(asked, beyond=()), 2)
     assert known.found is not None
@@ -44,7 +44,7 @@ def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> 
 
 
 def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands() -> None:
-    """All at once; what was not asked for is not kept by chance."""
+    """All demands at once, none fulfilled by chance."""
     asked = replace(
         RIGID,
         mass=(0.1, 0.1),

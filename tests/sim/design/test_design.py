@@ -1,4 +1,4 @@
-"""Designs keep what was demanded, beat what they contain, and the passive ones reach the published bounds."""
+"""Designs fulfil their demand, beat their special cases, and reach published bounds."""
 
 from __future__ import annotations
 
@@ -54,13 +54,14 @@ pd, free = functools.cache(best_pd), functools.cache(designed)
 
 def demand(at: float = 1.0, **more: Any) -> Demand:
     values: dict[str, Any] = {
-        "mass": (0.05, 0.2), "damping": 1.0, "delay": (at, at), "period": T, "radius": 0.99, "nyquist": 1e4
+        "mass": (0.05, 0.2), "damping": 1.0, "delay": (at, at), "period": T, "radius": 0.99,
+        "nyquist": 1e4,
     }  # fmt: skip
     return Demand(**(values | more))
 
 
 def check(found: Robust | None, wanted: Demand) -> Robust:
-    """Verify a design by other code than the search's: one pole radius at a time, masses that no grid of it holds."""
+    """Verify a design by independent code: single pole radii, masses off any grid."""
     assert found is not None
     law = CompiledLaw(tuple(found.taps.tolist()))
     rng = np.random.default_rng(11)
@@ -77,7 +78,7 @@ def check(found: Robust | None, wanted: Demand) -> Robust:
 
 @pytest.mark.parametrize("delay", slowly([0.0, 1.0, 2.0], but=[1.0]))
 def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
-    """Against brute force over K and B, with pole radii from the state's own polynomial."""
+    """Against brute force over K and B, with pole radii from the state polynomial."""
     wanted = demand(delay)
     found = check(pd(wanted).found, wanted)
     best = 0.0
@@ -100,7 +101,7 @@ def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
 
 @pytest.mark.parametrize("delay", slowly([0.0, 1.0, 2.0], but=[1.0]))
 def test_free_taps_beat_what_they_contain(delay: float) -> None:
-    """Four free taps contain PD and the paper's optimum: never softer, and at these delays much stiffer."""
+    """Four free taps contain PD and the paper's optimum: never softer, often much stiffer."""
     wanted = demand(delay)
     mine = check(free(wanted, 4).found, wanted)
     for tuned in (pd(wanted), best_paper_optimum(wanted)):
@@ -143,7 +144,7 @@ def test_a_tighter_bound_on_noise_costs_stiffness() -> None:
 
 
 def test_the_impossible_is_not_found() -> None:
-    """A free device of 5 kg damped by 1 N s/m decays by e^{−bT/2m} at best with nearly no taps: not to 0.9 per tick."""
+    """A free device of 5 kg and 1 N s/m decays by e^{−bT/2m} at best, not to 0.9 per tick."""
     assert stiffest(demand(2.0, mass=(0.01, 5.0), radius=0.9), np.eye(2)) is None
     assert free(demand(2.0, mass=(0.01, 5.0), radius=0.9), 2).law is None
 
@@ -211,7 +212,7 @@ def test_certain_damping_is_above_what_is_needed_and_hardly() -> None:
 def test_passive_over_a_range_is_passive_at_the_whole_ticks_within_and_between(
     delay: tuple[float, float], taps: int
 ) -> None:
-    """Delays were sampled past the whole ticks, where most damping is needed."""
+    """Sampling skipped whole ticks, where most damping is needed."""
     passive = stiffest_passive(taps, T, 1.0, delay)
     law = CompiledLaw(tuple(passive.taps.tolist()))
     between = np.linspace(*delay, 101).tolist() + [
@@ -244,7 +245,7 @@ def test_nothing_is_passive_without_damping() -> None:
 
 
 def test_the_delay_that_a_law_bears_is_that_of_every_hand() -> None:
-    """Told for the softest hand alone, it was longer than the stiffest allows."""
+    """For the softest hand alone it was longer than the stiffest allows."""
     law, wanted = PD(stiffness=500.0, damping=2.0).compile(T), demand(stiffness=(0.0, 3000.0))
     latest = latest_delay(law, wanted)
     assert latest is not None
@@ -271,7 +272,7 @@ def test_replay_of_a_constant_delay_is_its_pole_radius(delay: float) -> None:
 
 
 def test_a_force_that_a_younger_one_overtakes_never_acts() -> None:
-    """Every other force 1.5 ticks late, the next one at once: the late ones might as well not exist."""
+    """Every other force 1.5 ticks late, the next one at once: the late ones do not act."""
     law, device = CompiledLaw((400.0,)), Plant(T, 0.1, 1.0)
     overtaken = replayed_radius(law, device, [0.0, 1.5] * 1000)
     slower = replayed_radius(law, device, [0.0, math.inf] * 1000)
@@ -311,7 +312,7 @@ def test_period_delay_and_jitter_of_a_recording(tmp_path: Path) -> None:
 
 
 def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path) -> None:
-    """Every tenth tick unanswered: it does not widen the delay, its force never acts in the replay."""
+    """Every tenth tick unanswered does not widen the delay, and never acts."""
     path = tmp_path / "run.mcap"
     with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0"}) as writer:
         for k in range(300):
@@ -457,7 +458,7 @@ def test_yaml_of_a_law_keeps_every_bit() -> None:
 
 
 def test_landing_is_not_covered_by_poles_and_can_be_asked_for() -> None:
-    """PD at its linear best for one tick of delay bounces for ever on a clamped floor; tuned to land, it does not."""
+    """PD at its linear optimum for a tick of delay bounces for ever; tuned to land, it rests."""
     wanted = demand(1.0)
     linear = pd(wanted)
     assert linear.found is not None
@@ -483,7 +484,7 @@ def test_landing_gives_up_where_nothing_keeps_the_demand() -> None:
 
 @pytest.mark.slow
 def test_more_taps_are_never_worse() -> None:
-    """A shorter law with a zero behind it is a longer one; the search starts from there too."""
+    """A shorter law padded with a zero is a longer one, where the search also starts."""
     wanted = Demand((0.1, 0.1), 1.0, (1.0, 1.0), 0.002, 0.97, 4e3)
     found = [designed(wanted, taps).found for taps in (2, 3, 4)]
     felt = [law.h1_n_per_m for law in found if law is not None]
@@ -497,7 +498,7 @@ def test_more_taps_are_never_worse() -> None:
 
 
 def test_seven_taps_reach_what_another_search_found() -> None:
-    """6815 N/m, by a climb of other code from the padded law of six taps: the search is as good without a start."""
+    """6815 N/m, found by another climb from six padded taps, is reached without that start."""
     wanted, unit = demand(1.0), 0.05 / T**2
     loops = [LoopCase(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)]
     found = evolved(wanted, unit * np.eye(7), loops, True, 1, 1, 10.0, wanted.radius - 1e-9)
@@ -511,7 +512,7 @@ def test_seven_taps_reach_what_another_search_found() -> None:
 
 @given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=9), st.floats(0.3, 1.5))
 def test_poles_are_counted_as_eigenvalues_say(roots: list[float], radius: float) -> None:
-    """Schur and Cohn's recursion against known roots, real and in pairs, just inside and just outside of the radius."""
+    """Schur–Cohn recursion against known roots, real and pairs, around the radius."""
     poles = [complex(0.5 * a, b) for a, b in itertools.pairwise(roots)] or [complex(roots[0])]
     polynomial = np.real(np.poly([*poles, *np.conj(poles)]))
     largest = max(abs(pole) for pole in poles)

@@ -1,4 +1,4 @@
-"""The designed laws that ship as presets: what they promise, kept; and rested upon, in the scene they were made for."""
+"""Designed presets keep what they promise, in the scene they were made for."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped, drops
 from sim.design.robust import stiffest
 from sim.experiments.drop import Criterion, settles
-from sim.play.launched import from_launch
+from sim.play.player import play
 
 T = 0.002
 DEMANDS = {
     "designed_d0": Demand((0.05, 0.2), 1.0, (0.0, 0.5), T, 0.99, 1e4),
     "designed_d1": Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4),
 }
-"""As written beside the presets."""
+"""Demands as stated beside the presets."""
 
 
 @pytest.mark.parametrize("name", DEMANDS)
@@ -40,7 +40,7 @@ def test_preset_keeps_its_demand(name: str) -> None:
 def test_preset_lands_between_the_drops_that_it_was_designed_with_and_not_far_beyond(
     name: str,
 ) -> None:
-    """Where drops settle has a ragged edge; the margin keeps it outside the demanded masses."""
+    """The limit of settling is ragged; the margin keeps it outside the demanded masses."""
     law, demand = parse_law(name).compile(T), DEMANDS[name]
 
     def fallen(masses: list[float]) -> list[bool]:
@@ -56,7 +56,7 @@ def test_preset_lands_between_the_drops_that_it_was_designed_with_and_not_far_be
 
 
 def test_preset_is_as_stiff_as_what_the_study_designs() -> None:
-    """Another seed ends at other taps and the same stiffness, as near as the ragged edge lets it."""
+    """Another seed finds other taps of equal stiffness, up to the ragged limit."""
     demand = replace(DEMANDS["designed_d1"], lands=CONVENTIONS)
     again = stiffest(demand, np.eye(4), seed=7)
     assert again is not None
@@ -67,8 +67,8 @@ def test_preset_is_as_stiff_as_what_the_study_designs() -> None:
     ("name", "apply"), [("designed_d0", "on_arrival"), ("designed_d1", "next_tick")]
 )
 def test_drop_comes_to_rest_where_the_forces_balance(name: str, apply: str) -> None:
-    played = from_launch(launch_file.read("floor_drop", {"law": name, "apply": apply}))
-    trace = played.play()
+    launch = launch_file.read("floor_drop", {"law": name, "apply": apply})
+    trace = play(launch).along()
     # m g / H(1); the slowest pole is below 0.99, so 1500 ticks leave less than 10^-6 of the drop.
     assert trace.position[-1] == pytest.approx(
         -0.1 * 9.81 / parse_law(name).compile(T).h1, rel=1e-4

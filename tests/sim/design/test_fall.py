@@ -1,4 +1,4 @@
-"""Drops in compiled code: verdicts of the simulator for rigid devices, of an integration in small steps for others."""
+"""Compiled drops: the simulator's verdicts for rigid devices, small-step integration else."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MASSES = (0.08, 0.125)
 
 
 def laws() -> list[CompiledLaw]:
-    """PD from far inside to far outside of what lands, plain and behind a filter."""
+    """Return PD from far inside to far outside of landing, plain and filtered."""
     source = np.random.default_rng(3)
     found = []
     for _ in range(12):
@@ -56,7 +56,7 @@ def test_a_rigid_device_falls_as_in_the_simulator() -> None:
 
 @pytest.mark.parametrize("law", laws()[::6])
 def test_a_fall_that_is_watched_is_the_simulator_s(law: CompiledLaw) -> None:
-    """Rigid: its positions and forces; with joint and lag: what it comes to is the verdict."""
+    """Rigid: its positions and forces; with joint and lag: its verdict."""
     scene = dropped(RIGID, 0.1, False, True, HEIGHTS[0])
     trace = run(scene, law, 300)
     position, force = fallen(
@@ -91,7 +91,7 @@ def test_the_quick_verdict_is_that_of_the_whole_drop() -> None:
 def integrated(
     plant: FlexiblePlant, law: CompiledLaw, raw: bool, clamp: bool, height: float, ticks: int
 ) -> bool:
-    """Runge and Kutta's steps, eight a tick and whole ticks of delay, and the rules of a drop written down again."""
+    """Integrate a drop by Runge–Kutta, eight steps a tick, with the rules written again."""
     matrix, push = plant.continuous()
     size, parts = len(push), 8
     pull = np.zeros(size)
@@ -137,7 +137,7 @@ def integrated(
 def test_a_device_with_a_joint_and_a_lag_falls_as_in_small_steps(
     beyond: tuple[float, float, float, float],
 ) -> None:
-    """From a law that lands to one that does not, by another method than the matrix of a tick."""
+    """From landing to failing laws, by another method than the tick matrix."""
     asked = Demand((0.1, 0.1), 1.0, (1.0, 1.0), T, 0.99, 1e4, beyond=(beyond,))
     plant, criterion = FlexiblePlant(0.1, 1.0, 1.0, 0.0, *beyond), Criterion(ticks=600)
     drops: Falls = falls(asked, [0.1], [(False, True)], [0.005])

@@ -1,4 +1,4 @@
-"""Bounded hands: the batch of ticks against the plant of two masses, limits that are known, certificates attacked."""
+"""Bounded hands: batches against the two-mass plant, known limits, attacked certificates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pd(stiffness: float, damping: float = 3.0) -> CompiledLaw:
 
 
 def alone(plant: Plant, grasp: Grasp, law: CompiledLaw) -> float:
-    """Pole radius by the device of two masses, one grasp at a time (scipy's matrix exponential)."""
+    """Return the pole radius of a two-mass device with one grasp, by scipy's expm."""
     return flexible_radius(
         law, plant.period, grasp.holds(plant.mass, plant.damping, plant.delay, plant.stiffness)
     )
@@ -58,7 +58,7 @@ def test_radius_is_that_of_two_masses_on_a_joint(
 
 
 def test_a_hand_that_does_not_give_way_is_a_spring_to_the_ground() -> None:
-    """A million kilograms behind 400 N/m: the plant with that stiffness (K_max of a hand with a spring alone, §3)."""
+    """A million kilograms behind 400 N/m equal the plant with that stiffness (§3)."""
     plant, rigid = Plant(T, 0.1, 1.0, 1.0), Plant(T, 0.1, 1.0, 1.0, 400.0)
     # Beyond the edge, where the swing is the largest pole and not the mass itself, which hardly
     # moves.
@@ -93,7 +93,7 @@ def test_no_grasp_of_a_certified_box_is_unstable(delay: float) -> None:
 
 
 def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
-    """One grasp, a spring raised to its edge: certified at 0.99 of it, not at 1.01."""
+    """One grasp: certified at 0.99 of its limit, not at 1.01."""
     plant, grasp = Plant(T, 0.1, 1.0, 1.0), Grasp(0.05, 500.0, 1.0)
     low, high = 100.0, 5000.0
     for _ in range(40):
@@ -107,14 +107,14 @@ def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.5])
 def test_a_stiff_grasp_of_next_to_no_mass_has_no_proof(delay: float) -> None:
-    """(21.2) grows as e^|A|: for 3 mg behind 30 kN/m and 10 N s/m no double holds it."""
+    """(21.2) grows as e^|A|: too large for doubles with 3 mg behind 30 kN/m."""
     box = HandBox((3e-6, 3.1e-6), (3e4, 9e4), (7.0, 21.0))
     assert certify_box(pd(500.0, 1.0), Plant(T, 0.1, 1.0, delay), box, 50)[0] is None
 
 
 @pytest.mark.parametrize("side", ["mass", "stiffness", "damping"])
 def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
-    """At the edge of its middle one end of the box is unstable, and by little: 2 % of one number."""
+    """Centred on the limit, one end of the box is slightly unstable: 2 % of one number."""
     plant, middle = Plant(T, 0.1, 1.0, 1.0), {"mass": 0.05, "stiffness": 500.0, "damping": 1.0}
     low, high = 100.0, 5000.0
     for _ in range(40):
@@ -152,7 +152,7 @@ def test_k_max_of_one_grasp_is_its_edge() -> None:
 
 
 def test_a_law_for_any_hand_is_stable_in_every_grasp_of_a_wide_box() -> None:
-    """Passive towards any hand (§2), so towards these; PD with B 3, which is not, swings in some of them."""
+    """A law passive towards any hand (§2) is stable; PD, B 3, swings in some grasps."""
     box = HandBox((0.002, 2.0), (50.0, 20000.0), (0.01, 5.0))
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
     assert (

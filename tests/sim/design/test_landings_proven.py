@@ -1,4 +1,4 @@
-"""No proof of landing that a drop refutes: random laws and devices, dropped for as long as their poles take."""
+"""No drop refutes a proof of landing: random laws and devices, dropped long enough."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEIGHTS = (0.001, 0.003, 0.01, 0.03)
 
 
 def drawn(seed: int) -> tuple[CompiledLaw, Plant]:
-    """PD with up to four more taps at random, on a device at random; anywhere below and a little above its edge."""
+    """Return random PD with up to four more taps and a device, up to just above the limit."""
     rng = np.random.default_rng(seed)
     plant = Plant(
         T,
@@ -40,7 +40,7 @@ def drawn(seed: int) -> tuple[CompiledLaw, Plant]:
 
 
 def refuted(seeds: range) -> tuple[int, int, list[int]]:
-    """How many of the laws are stable, how many proven, and which of these do not settle when dropped."""
+    """Return how many laws are stable, how many proven, and which proven ones fail to settle."""
     stable, proven, wrong = 0, 0, []
     for seed in seeds:
         law, plant = drawn(seed)

@@ -1,4 +1,4 @@
-"""A virtual device whose axes differ: each moves as one of its own would, and what is said of an axis is checked."""
+"""A virtual device with different axes: each moves as its own device; checks per axis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The delay of a virtual device that is turned while it runs: forces keep their order, the account of energy follows."""
+"""A virtual device's delay changed live: forces keep their order, energy is right."""
 
 from __future__ import annotations
 

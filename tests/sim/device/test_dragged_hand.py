@@ -1,4 +1,4 @@
-"""A hand that a page drags: its speed is limited, it lets go, and what it did can be played again bit for bit."""
+"""A hand dragged by a page: limited speed, release, and bit-exact replay."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from tests.support.setups import setup_of
 
 SETUP = setup_of(axes=["x"], pace="realtime")
 KEPT: list[SimDevice] = []
-"""What the states of the tests point to."""
+"""References that keep the buffers of test states alive."""
 
 
 def dragged(hand: Hand, tmp_path: Path, parameters: PointerParameters) -> VirtualDevice:
-    """Make a device whose hand a page may drag."""
+    """Return a device whose hand a page may drag."""
     setup = msgspec.structs.replace(SETUP, run_dir=str(tmp_path))
     device = SimDevice(DeviceModel(mass=0.1, hand=hand), setup, pointer=parameters)
     KEPT.append(device)
@@ -73,7 +73,7 @@ def test_a_pointer_needs_a_hand() -> None:
 
 
 def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) -> None:
-    """To the bit, with encoder, friction, delay, weight and a hand, whatever a page writes, half-written too."""
+    """To the bit, with encoder, friction, delay, weight, hand, and torn page values."""
     assert choose("compiled", [SimDriver.device_module], print) == "compiled"
     hand = Hand(
         stiffness=100.0, mass=0.02, damping=1.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3
@@ -137,7 +137,7 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
 def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(
     tick: WantedTick, tmp_path: Path
 ) -> None:
-    """In real time, under next_tick: one process with the recorded targets has the same bits where no tick was missed."""
+    """In real time with next_tick, one process with the recorded targets is bit-equal."""
     assert choose(tick, KERNELS, print) == tick
     with running(
         tmp_path, "touch_wall", "apply:=next_tick", "duration:=2", "--tick", tick

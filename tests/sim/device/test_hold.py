@@ -1,4 +1,4 @@
-"""The virtual device's own deadline and delay in real time, against what a free mass does under the forces that it felt."""
+"""The virtual device's deadline and delay in real time, against a free mass."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MASS = 0.5
 
 
 def _speed(hold: float, delay: float, offset: float) -> float:
-    """Push a free mass with 1 N at tick 3 for as long as the device holds it, and return its speed at the end [m/s]."""
+    """Push a free mass with 1 N at tick 3 while the device holds it; return its speed [m/s]."""
     model = DeviceModel(mass=MASS, damping=0.0, delay=delay)
     device = VirtualDevice(model, T, lockstep=False, hold=hold * T)
     for seq in range(40):
@@ -40,7 +40,7 @@ def test_a_force_that_nobody_renews_is_gone_at_the_first_tick_after_the_deadline
 def test_a_force_in_lockstep_begins_to_act_by_the_whole_delay_later(
     delay: float, next_tick: bool
 ) -> None:
-    """A mass that felt 1 N for one tick from s on has moved by F T (t − s − T/2)/m by the time t."""
+    """1 N for one tick from s moves a mass by F T (t − s − T/2)/m until t."""
     model = DeviceModel(mass=MASS, damping=0.0, delay=delay)
     device = VirtualDevice(model, T, next_tick)
     for seq in range(12):

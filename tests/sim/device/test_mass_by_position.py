@@ -1,4 +1,4 @@
-"""A device that is heavier the further it reaches: its motion against another integrator, and what its laws are judged with."""
+"""A device heavier at longer reach: against another integrator, and its laws' judgement."""
 
 from __future__ import annotations
 
@@ -19,20 +19,19 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.launcher import launch_file
 from nodes.laws.pd import PD
-from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from nodes.view.stability_map import plant_of, stability_map
 from sim.device.model import DeviceModel, Hand
 from sim.device.state import VirtualDevice, device_tick
-from sim.experiments.spatial_terms import spatial_scene, with_device
-from sim.play.chain import play
-from sim.play.launched import from_launch
+from sim.experiments.term_scene import term_scene, with_device
+from sim.play.launched import NotOneAxisError, from_launch
+from sim.play.player import play
 from tests.support.launching import launch_json
 
 ARM = [(0.0, 0.1), (0.1, 0.3)]
-"""From 100 to 300 g over 10 cm."""
+"""100 to 300 g over 10 cm."""
 
 
 def mass(x: float) -> float:
@@ -51,7 +50,7 @@ def test_a_free_device_keeps_the_energy_of_its_motion() -> None:
 
 
 def test_its_motion_is_that_of_the_equation() -> None:
-    """m(x) x'' + m'(x) x'²/2 + b x' + k x = u, with the mass of the hand in m: against scipy's Runge and Kutta."""
+    """m(x) x'' + m'(x) x'²/2 + b x' + k x = u with the hand's mass, by scipy's Runge–Kutta."""
     hand = Hand(stiffness=20.0, damping=0.5, mass=0.05, path=[(0.0, 0.05)])
     model = DeviceModel(
         mass=0.1, damping=0.3, hand=hand, axes={"z": {"mass_by_position": ARM}}
@@ -90,7 +89,7 @@ def test_corners_must_increase() -> None:
 
 
 def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
-    """Nine of them, the ends included, are as bad as the worst of two hundred."""
+    """Nine masses with both ends are as bad as the worst of two hundred."""
     period, book = 0.002, LawBook("coupling", 0.002)
     plant = {"mass": 0.05, "heaviest": 0.5, "damping": 0.5}
     told = set()
@@ -134,7 +133,7 @@ def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> N
     ]
     assert main([*words, "--heaviest", "0.5"]) == 0
     told = capsys.readouterr().out
-    assert "the worst for this loop of the device's 0.05 to 0.5 kg over its workspace" in told
+    assert "the worst of the device's 0.05 to 0.5 kg" in told
     assert main([*words, "--heaviest", "0.5", "--json"]) == 0
     worst = json.loads(capsys.readouterr().out)
     ends = []
@@ -185,7 +184,7 @@ def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_mas
 @pytest.mark.process
 def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
     scene = with_device(
-        spatial_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),
+        term_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),
         mass_by_position=ARM,
     )
     played = play(scene.launch)
@@ -198,13 +197,13 @@ def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
         tmp_path, "sphere_feel", "duration:=1.0", "pace:=lockstep", "--params", str(given)
     )
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
-    assert np.array_equal(played.position, [state.position for state in states[:-1]])
+    assert np.array_equal(played.measured, [state.position for state in states[:-1]])
     same = play(launch_file.read("sphere_feel", {"duration": 1.0}))
     assert math.dist(same.position[-1], played.position[-1]) > 1e-4
 
 
 def test_the_loop_of_one_mass_refuses_it() -> None:
     launch = launch_file.read("floor_drop", {})
-    changed = with_device(spatial_scene(launch), mass_by_position=ARM).launch
-    with pytest.raises(ParameterError, match="mass_by_position"):
+    changed = with_device(term_scene(launch), mass_by_position=ARM).launch
+    with pytest.raises(NotOneAxisError, match="mass_by_position"):
         from_launch(changed)

@@ -1,4 +1,4 @@
-"""The virtual device against closed forms, a 50-digit matrix exponential and an independent integrator."""
+"""The virtual device: closed forms, a 50-digit matrix exponential, another integrator."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ states = st.tuples(
 
 
 def exponential(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
-    """Compute the same map as the exponential of an augmented matrix, with 50 digits."""
+    """Return the same map as the exponential of an augmented matrix, with 50 digits."""
     with mpmath.workdps(50):
         m, b, k, h = map(mpmath.mpf, (mass, damping, stiffness, duration))
         power = mpmath.expm(
@@ -182,7 +182,7 @@ def test_halt_time_of_a_damped_device() -> None:
 @pytest.mark.parametrize("damping", [0.0, 0.4, 60.0])
 @pytest.mark.parametrize("stiffness", [0.0, 2000.0])
 def test_sliding_against_an_integrator(damping: float, stiffness: float) -> None:
-    """50 ms of a hand-held device with friction under a force that changes every 5 ms, reversals and stops included."""
+    """50 ms with friction, hand, reversals and stops, the force changing every 5 ms."""
     mass, friction, piece = 0.05, 0.3, 0.005
     forces = np.random.default_rng(7).uniform(-1.5, 1.5, 10)
     step = coefficients(mass, damping, stiffness, piece)
@@ -207,7 +207,7 @@ def _integrate(
     stiffness: float,
     friction: float,
 ) -> tuple[float, float]:
-    """Slide by DOP853 with event location: an independent way to the same end."""
+    """Integrate sliding by DOP853 with event location, an independent method."""
     time = 0.0
     while time < duration:
         net = u - stiffness * x

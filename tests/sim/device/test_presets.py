@@ -1,4 +1,4 @@
-"""Presets of real devices: one word, every value with its source, what nobody published left to the scenario."""
+"""Presets of real devices: one word, sourced values, unpublished ones from the scenario."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import pytest
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
-from sim.cli.arguments import hand
 from sim.device.driver import SimDriverParameters
 from sim.device.model import DeviceModel, Hand
 from sim.device.real_devices import HANDS, MEMORY, PRESETS, preset
+from sim.studies.device_options import hand
 from tests.support.launching import haptic
 
 SCENE = {"mass": 0.1, "damping": 0.7, "friction": 0.03, "delay": 0.4, "resolution": 1e-6}
@@ -80,7 +80,7 @@ def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
 
 
 def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
-    """Assert that the driver has the device, and the coupling of its chain the plant."""
+    """Assert that the driver has the device, and its coupling the plant."""
     device, described = (
         convert(one.nodes[driver].parameters, SimDriverParameters, driver).device
         for one in (launch, before)

@@ -1,4 +1,4 @@
-"""The first hour with a device, on the stand-ins: a user who answers, moves the handle as asked, and says what is felt."""
+"""The device check on emulators: a user who answers, moves the handle, and reports."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 def words(stand: Bench, **given: Any) -> list[str]:
-    """Write its parameters as the command line takes them."""
+    """Return its parameters as command-line words."""
     parameters = {**stand.parameters, **given}
     return [f"{stand.section}.{name}:={json.dumps(value)}" for name, value in parameters.items()]
 
 
 def felt(stand: Bench, question: str) -> str:
-    """Answer a question as a user does who does what it says."""
+    """Answer a question like a cooperative user."""
     w = stand.world.state
     for way, move in MOVES.items():
         if way in question:
@@ -53,7 +53,7 @@ def felt(stand: Bench, question: str) -> str:
 def checked(
     stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *more: str, **given: Any
 ) -> tuple[int, str, str]:
-    """Run `haptic device check`, answering each question; exit code, standard output, and what was said."""
+    """Run `haptic device check` with answers; return exit code, output and questions."""
     command = [*HAPTIC, "device", "check", stand.kind, *words(stand, **given), *more]
     process = subprocess.Popen(
         command,
@@ -127,7 +127,7 @@ def test_check_finds_wrong_axes_before_any_force(tmp_path: Path) -> None:
 def test_a_handle_that_is_moved_otherwise_gives_no_axes(
     move: tuple[float, float, float], told: str, tmp_path: Path
 ) -> None:
-    """To the right where left was asked for, or forward again: a mapping of that would be refused, so none is offered."""
+    """Right instead of left, or forward again: no valid mapping exists, so none is offered."""
 
     def otherwise(stand: Bench, question: str) -> str:
         if "to the left" not in question:
@@ -141,7 +141,7 @@ def test_a_handle_that_is_moved_otherwise_gives_no_axes(
         assert code == 1
         assert told in said
         assert "left is your left" in said
-        assert "Give it mapping" not in said
+        assert "Set mapping" not in said
         assert stand.world.state.largest == 0.0
 
 
@@ -171,7 +171,7 @@ def test_a_handle_that_flies_off_is_let_go(tmp_path: Path) -> None:
 
 @pytest.mark.process
 def test_yes_to_everything_pushes_nobody(tmp_path: Path) -> None:
-    """As `yes | haptic device check`: nobody moved the handle, so nobody is there."""
+    """`yes | haptic device check`: nobody moved the handle, so nobody is there."""
     with bench("touch_driver", tmp_path) as stand:
         code, _, said = checked(stand, tmp_path, lambda *_: "y")
         assert code == 1
@@ -185,7 +185,7 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     with bench("touch_driver", tmp_path) as stand, open(os.devnull) as nobody:
         monkeypatch.setattr("sys.stdin", nobody)
         done = typed_in(tmp_path, "device", "check", stand.kind, *words(stand), code=2)
-        assert "nobody answers" in done.stderr
+        assert "no answer" in done.stderr
         assert (stand.world.state.open, stand.world.state.forces) == (0, 0)
 
 

@@ -1,4 +1,4 @@
-"""How long after a force a device moves, measured on the stand-ins by the check of the first hour."""
+"""The delay from force to motion, measured on the emulators by the device check."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.support import slowly
 from tests.support.devices import Bench, bench, real_devices
 
 REST = 0.06
-"""How long the stand-in rests after a pulse [s]: six times the time in which its hand comes to rest, people need longer."""
+"""Pause of the emulator after a pulse: six settling times of its hand [s]."""
 
 
 @pytest.fixture(params=slowly(sorted(real_devices()), but=["touch_driver"]))

@@ -1,4 +1,4 @@
-"""The drill: its judgement on made-up runs at the edge, and some faults on real processes (all of them: haptic drill)."""
+"""The drill: its judgement on constructed runs at the limit, and some real faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sim.device.driver import SimDevice, SimDriverParameters
 from sim.drill import devices, drill, intruders, people
 from sim.drill.faults import faults
 from sim.drill.soak import UNEXPLAINED, largest
-from sim.measure.measured_launch import MeasurementError, within
+from sim.measure.haptic_commands import MeasurementError, within
 from sim.measure.rig import Rig
 from tests.support import slowly
 from tests.support.devices import real_devices
@@ -49,7 +49,7 @@ def state(
 
 
 # -- the judgement
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_fresh_forces_are_safe_at_any_age() -> None:
@@ -166,7 +166,7 @@ def test_a_cause_is_what_was_counted_for_long_enough() -> None:
 
 
 def _sunk(first: int, shares: Sequence[float], given: float = 0.0) -> list[DeviceState]:
-    """Make up a hand 20 mm deep: a force, none, then these shares of the largest one, and energy given out with them [J]."""
+    """Return states of a hand 20 mm deep: a force, none, then shares of the peak; energy [J]."""
     told = [(0.2, "active", 0.0), (0.0, "zero", 0.0), *((share, "ramp", given) for share in shares)]
     return [
         DeviceState(
@@ -194,7 +194,7 @@ def test_a_force_that_comes_back_keeps_its_ramp_and_throws_nobody() -> None:
     )
     # 9 N over 20 mm, the damping of the way and the speed at its end: 0.217 J.
     assert people.thrown([*right, *_sunk(later, [0.0], 0.215)]) == []
-    assert "the way out takes 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
+    assert "the return needs 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
 
 
 def test_a_push_that_nobody_asked_for_is_seen() -> None:
@@ -245,7 +245,7 @@ class Unmoved:
         return dict.fromkeys(("skipped", "refused", "received", "ticks", "pid"), 3)
 
     def let_pass(self, _: float) -> None:
-        """Let no time pass."""
+        """Return at once."""
 
     def pid(self, _: str) -> int:
         """Name a process that nothing happens to."""
@@ -416,7 +416,7 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
     broken = drill.Fault(
         name="ended", what="the launcher is ended half-way", strike=strike, change=change
     )
-    outcome = drill.drill(broken, patience=0.2)
+    outcome = drill.drill(broken, timeout=0.2)
     assert not outcome.passed
     assert not outcome.recovered
     assert outcome.safe_ticks <= drill.LIMIT

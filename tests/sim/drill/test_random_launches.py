@@ -1,4 +1,4 @@
-"""Random launches: the oracle on made-up logs at the edge, and some launches whose seed is the commit."""
+"""Random launches: the oracle on constructed logs, and launches seeded by the commit."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def _felt(
     lost: set[int],
     ease: int = TICKS,
 ) -> list[Sample]:
-    """Return what a device is given that follows a path, by a coupling that misses some ticks, within the driver's peak."""
+    """Return the forces on a device that follows a path, with some ticks missed."""
     renderer = Renderer([2], 16)
 
     def law(name: str) -> ActiveLaw:
@@ -232,12 +232,12 @@ def test_a_coupling_that_does_not_ease_is_seen() -> None:
 
 
 # -- real launches
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_random_launches_give_no_push() -> None:
-    """Each commit tries others: ``haptic drill random --seed COMMIT --launches 4`` does these again."""
+    """Each commit tries others; repeat with ``haptic drill random --seed COMMIT``."""
     found = launch_many(4, commit(), ("plain",))
     print(text(found))
     assert found.passed, text(found)

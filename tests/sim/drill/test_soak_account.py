@@ -1,4 +1,4 @@
-"""What a soak makes of the recordings of loggers that came and went: what one heard, all of it; hearing nothing is no fault."""
+"""Soak accounts: a logger must have everything between its first and last message."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support.recorded import PUBLISHES, drop
 
 
 def recorded(path: Path, first: int, end: int, without: int | None = None) -> None:
-    """Record these ticks of a drop, one force left out."""
+    """Record these ticks of a drop, without one force."""
     with RecordWriter(path, {"publishes": PUBLISHES}) as writer:
         for topic, message in drop(end):
             if message.seq >= first and (topic, message.seq) != (FORCE, without):

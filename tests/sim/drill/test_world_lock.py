@@ -1,4 +1,4 @@
-"""The arm behind a stand-in is shared by processes, any of which may be killed."""
+"""The arm behind an emulator is shared by processes, any of which may be killed."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Each real device at its own rate, on its stand-in, beside the virtual device in turns: ticks missed, and response times.
+"""Each real device at its own rate on its emulator, against the virtual device: misses.
 
 ``pytest -s -n 0 --benchmark-enable tests/sim/emulators/test_device_rates.py`` prints the table of
 nodes/driver/DEVICES.md.
@@ -17,15 +17,16 @@ from sim.drill.drill import scene
 from sim.measure.rig import Rig
 
 OWN_RATE = 1000.0
-"""Samples that the drivers ask their devices for, where nothing else is said [Hz]; here the loop goes as fast."""
+"""Default servo rates of the drivers; the loop runs at the same rate here [Hz]."""
 
 SECONDS, ROUNDS = 1.5, (1, 3, 7)
-"""Of a turn [s]: 1500 ticks, of which `MORE` are 15; and how many turns each device has where fewer do not decide."""
+"""Duration of a turn [s], 1500 ticks, and turns per device if fewer do not decide."""
 
 MORE, TIMES = 0.01, 3
-"""What a real device may miss more than the virtual one [share of ticks]: two turns of one device differ by so much. Where the
-machine is too slow for the rate, and the virtual device misses ticks too, as many times: the
-stand-in takes its part of it.
+"""Misses allowed beyond the virtual device's: share of ticks, and as a factor.
+
+Two turns of one device differ by `MORE`. If the machine is too slow and the virtual device misses
+ticks too, `TIMES` as many are allowed, because the emulator takes its share.
 """
 
 
@@ -33,7 +34,7 @@ VIRTUAL = "sim_driver"
 
 
 def _run(stand: StandIn | None) -> dict[str, Any]:
-    """Let a loop run for a while; what its summary says."""
+    """Run a loop for a while; return its summary."""
     content = scene()
     content["run"]["rate"] = OWN_RATE
     try:
@@ -50,13 +51,13 @@ def _run(stand: StandIn | None) -> dict[str, Any]:
 
 
 class Turns:
-    """The turns of each device: ticks missed [share], and the 99th percentile of its response [us]."""
+    """Turns of each device: ticks missed [share], and 99th percentile of the response [us]."""
 
     def __init__(self) -> None:
         self._turns: dict[str, list[tuple[float, float]]] = {}
 
     def take(self, name: str) -> float:
-        """Run a turn; the share of ticks that it missed."""
+        """Run a turn; return its share of missed ticks."""
         told = _run(
             StandIn(next(kind for kind in KINDS if kind.kind == name)) if name != VIRTUAL else None
         )

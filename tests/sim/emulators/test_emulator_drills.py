@@ -1,4 +1,4 @@
-"""Faults of the driver's process over a stand-in: what holds then is the device's own last line."""
+"""Faults of the driver's process over an emulator: the device's own last line holds."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.sim.emulators.test_emulators import SOFT, through
 from tests.support import slowly
-from tests.support.devices import bench
+from tests.support.devices import SOFT, bench, through
 from tests.support.launching import running, wait_for
 
 
@@ -20,7 +19,7 @@ from tests.support.launching import running, wait_for
     "kind", slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"])
 )
 def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path: Path) -> None:
-    """The firmware's watchdog, and the service that forgets; a Touch has nothing outside the process that is known."""
+    """The firmware's watchdog, and the service's expiry; a Touch has neither."""
     with bench(kind, tmp_path) as stand:
         stand.world.state.position[2] = -0.002
 

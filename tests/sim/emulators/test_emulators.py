@@ -1,8 +1,7 @@
-"""The paper's drop through each real device's driver, on its stand-in: the same forces as through the virtual device's."""
+"""The paper's drop through each real driver on its emulator: forces as if virtual."""
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -13,7 +12,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
 from nodes.launcher import launch_file
@@ -21,36 +19,18 @@ from nodes.recording.reader import Recording
 from nodes.recording.table import read
 from sim.play.launched import from_launch
 from sim.play.one_axis import run
-from tests.support import ROOT, slowly
-from tests.support.devices import Bench, bench, real_devices
+from tests.support import slowly
+from tests.support.devices import SOFT, Bench, bench, real_devices, through
 from tests.support.launching import running, wait_for
-
-SOFT = ("stiffness:=150", "damping:=0.5")
-"""So soft that it hardly matters how old each sample of the servo loop is, which differs from tick to tick."""
 
 HEIGHT, WEIGHT = 0.01, 0.1 * 9.81
 
 DROPS, NEAR = 20, 0.02
-"""A machine that stalls in mid-drop renders something else: so many drops, until one is so near [share], and late by less
-than a tick. With both processors busy the stand-in's own loop is late by parts of a tick all the
-time, and the best of twenty was off by 1.3 %.
+"""Number of drops until one is near enough [share], and late by less than a tick.
+
+A machine that stalls in mid-drop renders something else. With both processors busy the emulator's
+own loop is late by parts of a tick all the time, and the best of twenty was off by 1.3 %.
 """
-
-
-def through(stand: Bench, folder: Path, **parameters: Any) -> str:
-    """Write `floor_drop` with the device in place of the virtual one."""
-    content = yaml.safe_load((ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8"))
-    del content["model"]
-    for name in ("mass", "height"):
-        del content["arguments"][name]
-    # The arm of the stand-in is the scene's.
-    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": 0.1, "damping": 1.0}
-    written = stand.written(**parameters)
-    content["nodes"]["driver"] = {"kind": stand.kind, "parameters": written}
-    content["nodes"]["logger"]["parameters"] = {"path": "run.mcap"}
-    path = folder / "drop.yaml"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return str(path)
 
 
 Forces = dict[float, NDArray[np.float64]]
@@ -59,7 +39,7 @@ Table = dict[str, np.ndarray[Any, Any]]
 
 @pytest.fixture(scope="module")
 def virtual() -> Forces:
-    """Play the same drop on the virtual device, by its delay [ticks]."""
+    """Return the same drop on the virtual device with a delay [ticks]."""
     arguments = launch_file.parse_assignments([*SOFT, "duration:=1"])
     played = from_launch(launch_file.read("floor_drop", arguments))
     found = {}
@@ -78,7 +58,7 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, int]:
-    """Find how far one drop is off [share], by peak, rest and all ticks; as of what delay [ticks]; and its first row."""
+    """Return a drop's deviation by peak, rest and ticks [share], delay [ticks], first row."""
     first = int(np.searchsorted(table["seq"], drop))
     force = table["force"][first : first + len(virtual[0.0]), 2]
     known = np.flatnonzero(np.isfinite(force))  # where no tick was lost
@@ -98,12 +78,12 @@ def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, i
 
 
 def _latency(table: Table, delay: float, first: int, ticks: int) -> float:
-    """Find by how much a drop is later than its driver measures [ticks]: the device's own latency, which nobody tells."""
+    """Return a drop's delay beyond its driver's measurement: the device's own latency [ticks]."""
     return delay - float(np.nanmean(table["delay"][first : first + ticks]))
 
 
 def _recorded(path: Path, tick: int) -> Table | None:
-    """Read what is there of a recording that goes on, once it has a tick."""
+    """Return the rows of a recording in progress, once it has a tick."""
     table = read(path)
     return table if table["seq"][-1] > tick else None
 

@@ -1,4 +1,4 @@
-"""Certificates and bounds on real launches: just inside, a loop that jitters decays and a device stops; just outside, not."""
+"""Certificates and bounds on real launches: decay just inside, growth just outside."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ T, STEP = 0.002, 2.3e-5
 
 
 def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np.ndarray:
-    """Release 0.1 kg about an anchor, 10 mm away, through four processes in lockstep, the forces late by the given delays."""
+    """Release 0.1 kg 10 mm from an anchor in lockstep, with the given delays of the forces."""
     content = yaml.safe_load(Path(find("floor_drop")).read_text())
     driver = content["nodes"]["driver"]
     driver["kind"] = "jittering_driver"
@@ -65,7 +65,7 @@ def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np
 
 @pytest.mark.slow
 def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) -> None:
-    """A launch at 97 % of the stiffness of the worse delay, certified, and one at 102 %, over the sequence that grows there."""
+    """At 97 % of the worse delay's stiffness, and at 102 %, with the growing sequence."""
     delays = (0.6, 1.4)
     derivative = without_spring(parse_law({"kind": "paper_optimum", "damping": 3.0}), T)
     limit = min(k_max(derivative, Plant(T, 0.1, 1.0, d)).k_max_n_per_m or math.inf for d in delays)
@@ -102,7 +102,7 @@ def resting(friction: float, height: float = 1e-4) -> Scene:
 
 @pytest.mark.slow
 def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() -> None:
-    """PD through an encoder: a dead stop with the friction of the bound; the edge itself by simulation, then by launches."""
+    """PD with an encoder: a dead stop at the bound's friction; the limit by simulation."""
     law = PD(stiffness=2500.0, damping=12.0)
     compiled = law.compile(T)
     bound = rest(compiled, Plant(T, 0.1, 1.0), STEP).friction_bound_n
@@ -127,7 +127,7 @@ def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() 
 
 
 def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> float:
-    """Growth per tick of a launch that swings about an anchor, over its later half: what decays faster has gone by then."""
+    """Return the growth per tick of a launch that swings about an anchor, over its later half."""
     scene = free_scene(DeviceModel(mass=mass, damping=1.0, delay=delay), T, amplitude=1e-3)
     position = np.abs(launched(scene, law, ticks)[0])
     eighth = ticks // 8
@@ -137,9 +137,7 @@ def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> f
 
 
 @pytest.mark.slow
-def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_grow_just_above() -> (
-    None
-):
+def test_launches_decay_just_below_colgates_k_at_the_occurring_frequency_and_grow_above() -> None:
     described = {"kind": "pd_alpha", "order": 1.5, "taps": 4, "gains": "paper", "damping": 3.0}
     edge = edge_of(
         without_spring(parse_law({**described, "stiffness": 1.0}), T), Plant(T, 0.1, 1.0)
@@ -151,7 +149,7 @@ def test_launches_decay_just_below_colgates_k_at_the_frequency_that_occurs_and_g
 
 @pytest.mark.slow
 def test_launches_keep_the_equal_demand_just_inside_and_break_it_just_outside() -> None:
-    """PD tuned to the chart's demand: every mass decays as fast as demanded, and the slowest no more with 3 % more of K."""
+    """PD tuned to the demand: every mass decays as fast; with 3 % more K the slowest fails."""
     unit = without_spring(PD(stiffness=1.0, damping=1.0), T)
     stiffness, gain = tuned(lambda k, g: with_gain(unit, k, g, 1.0, T), 0.99)
     described = {"kind": "pd", "stiffness": stiffness, "damping": gain}
@@ -164,7 +162,7 @@ def test_launches_keep_the_equal_demand_just_inside_and_break_it_just_outside() 
 
 @pytest.mark.slow
 def test_launches_land_within_the_margin_and_not_just_beyond() -> None:
-    """A law designed to land: the drop that fails just beyond the margin of its masses settles within it."""
+    """A landing design: the drop that fails beyond the margin's masses settles within."""
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
     law = parse_law("designed_d1")
     scenes = {

@@ -1,4 +1,4 @@
-"""Level of detail: what a box or a ball of triangles needs is found, and no less is called enough."""
+"""Level of detail: the required detail of boxes and balls of triangles is found."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def judged(
 
 
 def over_an_edge() -> Array:
-    """Lead over the top of a box 20 mm high, 1 mm deep, around an edge and down a side, from outside and back."""
+    """Lead over a box 20 mm high, 1 mm deep, around an edge, down a side, and back."""
     corners = np.array(
         [
             [0.0, 0.0, 0.02],
@@ -70,7 +70,7 @@ def test_a_box_of_triangles_needs_a_box() -> None:
 
 @pytest.mark.parametrize(("halvings", "needs"), [(4, "sphere"), (1, "1 convex piece")])
 def test_a_ball_needs_a_sphere_once_its_triangles_are_fine(halvings: int, needs: str) -> None:
-    """An edge of length a lies a²/8r below the sphere: of 5120 triangles 20 µm, of 80 more than a millimetre; 4 mm is deep."""
+    """An edge a lies a²/8r below the sphere: 20 µm for 5120 triangles, over 1 mm for 80."""
     on, out = ring(400, 0.2, PERIOD, 0.05)
     depth = np.minimum(np.arange(400) / 20.0, 1.0)[:, None] * 4e-3 - 1e-4
     found = judged(icosphere(halvings, 0.05), on - depth * out, fraction=0.1)

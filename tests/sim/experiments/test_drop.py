@@ -1,4 +1,4 @@
-"""K_max by simulation against the exact pole radius, and the judgement of single runs."""
+"""K_max by simulation against the exact pole radius, and the verdict on single runs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PERIOD = 0.002
 
 
 def optimum(damping: float) -> MultiTerm:
-    """Build the paper's optimum, A = [1.69, 1.32], α = [1.50, 3.47], as read by THEORY.md §2."""
+    """Return the paper's optimum, A = [1.69, 1.32], α = [1.50, 3.47] (THEORY.md §2)."""
     terms = (Term(gain=1.69, order=1.50), Term(gain=1.32, order=3.47))
     return MultiTerm(stiffness=1.0, damping=damping, terms=terms, taps=4, gains="paper")
 

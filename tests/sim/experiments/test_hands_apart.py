@@ -1,4 +1,4 @@
-"""Two hands and a network: closed forms of what is felt, poles against play, and energy that no network makes."""
+"""Two hands and a network: closed forms, poles against simulation, and energy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stiffness at which the processes stop settling is the one at which one process does: the same number, not a near one."""
+"""The stiffness at which processes stop settling equals that of one process exactly."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.support.launching import haptic
 
 T = 0.002
 SHORT = Criterion(ticks=1200)
-"""2.4 s at 500 Hz: the drop takes 0.05 s, and what still swings at the end of it is above the limit of this horizon."""
+"""2.4 s at 500 Hz: the drop takes 0.05 s; a swing at the end is above the limit."""
 
 
 def dropped(delay: float = 0.0) -> Scene:
@@ -40,7 +40,7 @@ def dropped(delay: float = 0.0) -> Scene:
 
 
 def test_settles_just_inside_and_not_just_outside() -> None:
-    """Found in one process to a part in a thousand, tried with the processes on either side of it."""
+    """Found in one process to 0.1 %, tried with processes on both sides."""
     law, scene = PD(stiffness=1.0, damping=3.0), dropped(delay=1.0)
     found = simulated_k_max(lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT)
     assert found.k_max_n_per_m is not None
@@ -52,7 +52,7 @@ def test_settles_just_inside_and_not_just_outside() -> None:
 
 @pytest.mark.slow
 def test_both_bisect_to_the_same_stiffness() -> None:
-    """The paper's optimum, half a tick late: four taps of history, and two forces in one tick."""
+    """The paper's optimum, half a tick late: four taps, and two forces per tick."""
     law, scene = parse_law({"kind": "paper_optimum", "stiffness": 1.0}), dropped(delay=0.5)
     guess = simulated_k_max(
         lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT, low=500.0
@@ -74,7 +74,7 @@ def test_both_bisect_to_the_same_stiffness() -> None:
 
 
 def test_recorded_run_is_the_trace_and_is_judged_alike() -> None:
-    """A free swing about the anchor, held by a hand: another surface, another convention, a load that is not gravity."""
+    """A free swing about an anchor in a hand: other surface, convention and load."""
     hand = Hand(mass=0.05, damping=0.5, stiffness=50.0, path=[(0.0, 0.0)])
     scene = free_scene(DeviceModel(mass=0.1, damping=1.0, delay=0.3, hand=hand), T)
     law = with_stiffness(PD(stiffness=1.0, damping=2.0), 800.0)

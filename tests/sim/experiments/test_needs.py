@@ -1,4 +1,4 @@
-"""Every shipped scenario models enough and no more, and the study notices when one does not."""
+"""Every shipped scenario models exactly enough, and the study notices otherwise."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ import yaml
 from nodes.cli.main import main
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Model
+from nodes.launcher.wiring import chains_of
 from nodes.parameters.store import ParameterError
-from sim.cli.study.needs import _text
-from sim.experiments.needs import Needs, Outcome, movement, needs, outcome, spatial_needs
-from sim.experiments.terms import TERMS
-from sim.play.launched import LaunchedScene, from_launch
-from sim.play.one_axis import Trace
+from sim.experiments.needs import Needs, Outcome, measured_outcome, movement, needs
+from sim.experiments.term_scene import term_scene, with_parameters
+from sim.experiments.terms import TERMS, NeedTerm
+from sim.studies.needs import _text
 from tests.support import slowly
 
 
 def judge(name: str, **arguments: Any) -> Needs:
-    launch = launch_file.read(name, arguments)
-    return needs(from_launch(launch), launch.model, rounds=1)
+    return needs(launch_file.read(name, arguments), rounds=1)
 
 
 def verdicts(found: Needs) -> dict[str, str]:
@@ -48,22 +47,21 @@ def kinds(name: str) -> list[str]:
     return [spec.kind for spec in LAUNCHES[name].nodes.values()]
 
 
-CHAINS = [
-    name
-    for name in LAUNCHES
-    if kinds(name).count("coupling") == kinds(name).count("sim_driver") == 1
-    and "world" not in kinds(name)
+CHAINS = [(name, chain) for name in LAUNCHES for chain in chains_of(LAUNCHES[name])]
+APART = [(name, chain) for name, chain in CHAINS if name == "hands_apart"]
+"""A network between two hands lives in real time."""
+
+SPATIAL = [name for name, chain in CHAINS if not chain and len(LAUNCHES[name].run.axes) > 1]
+PLAYED = [
+    (name, chain) for name, chain in CHAINS if name not in SPATIAL and (name, chain) not in APART
 ]
-PLAYED = [name for name in CHAINS if len(LAUNCHES[name].run.axes) == 1]
-SPATIAL = [name for name in CHAINS if len(LAUNCHES[name].run.axes) > 1]
 
 
-@pytest.mark.parametrize("scenario", sorted(set(LAUNCHES) - set(CHAINS)))
 def test_what_one_process_cannot_play_is_refused_by_name(
-    scenario: str, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["study", "needs", scenario]) == 2
-    assert "one process" in capsys.readouterr().err
+    assert main(["study", "needs", "hands_apart"]) == 2
+    assert "which one process does not play" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("scenario", slowly(SPATIAL, but=["sphere_feel"]))
@@ -71,7 +69,7 @@ def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
     if "mujoco" in kinds(scenario):
         pytest.importorskip("mujoco")
     # The way on, over the shape and to where the hand stays.
-    found = spatial_needs(launch_file.read(scenario, {"duration": 1.5}), rounds=0)
+    found = needs(launch_file.read(scenario, {"duration": 1.5}), rounds=0)
     assert (found.superfluous, found.missing) == ((), ())
     judged = verdicts(found)
     assert judged["hand"] == "needed"
@@ -86,7 +84,7 @@ def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
 
 
 def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) -> None:
-    """A sphere of 1 km: over 2 cm of way it falls off by 0.2 µm."""
+    """A sphere of 1 km deviates by 0.2 µm over 2 cm."""
 
     def edit(data: dict[str, Any]) -> None:
         surface = {
@@ -105,7 +103,7 @@ def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) ->
         data["nodes"]["driver"]["parameters"]["device"]["hand"] = hand
         data["run"]["duration"] = 0.3
 
-    found = spatial_needs(launch_file.read(changed(tmp_path, "sphere_feel", edit), {}), rounds=0)
+    found = needs(launch_file.read(changed(tmp_path, "sphere_feel", edit), {}), rounds=0)
     shape = next(f for f in found.findings if f.term == "shape")
     assert shape.verdict == "superfluous"
     assert shape.switched == "off: the plane that touches it"
@@ -122,17 +120,31 @@ def test_needs_in_three_axes_by_command(capsys: pytest.CaptureFixture[str]) -> N
     assert "touches nothing" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("scenario", slowly(PLAYED, but=["floor_drop", "floor_buzz", "touch_wall"]))
-def test_shipped_scenarios_model_enough_and_no_more(scenario: str) -> None:
-    found = judge(scenario)
+QUICK = [("floor_drop", ""), ("hands_coupled", ""), ("two_hands", "right"), ("world_edge", "")]
+
+
+@pytest.mark.parametrize("where", slowly(PLAYED, but=QUICK), ids="/".join)
+def test_shipped_scenarios_model_enough_and_no_more(where: tuple[str, str]) -> None:
+    scenario, chain = where
+    found = needs(launch_file.read(scenario, {}), chain, rounds=0)
     assert found.superfluous == ()
     assert found.missing == ()
-    declared = [finding for finding in found.findings if finding.switched == "off"]
+    declared = [finding for finding in found.findings if finding.switched.startswith("off")]
     assert declared
     assert all(finding.verdict in ("needed", "protects", "sought") for finding in declared)
     # The encoder of ``identify`` is there to be identified: the run itself does not feel it.
     sought = [finding.term for finding in declared if finding.verdict == "sought"]
     assert sought == (["resolution"] if scenario == "identify" else [])
+
+
+def test_each_chain_of_a_launch_is_judged_by_what_its_own_file_is_for() -> None:
+    launch = launch_file.read("two_hands", {})
+    assert launch.models["right"] == launch_file.read("wall_press", {}).model
+    found, alone = (
+        needs(launch, "left", rounds=0),
+        needs(launch_file.read("floor_drop", {}), rounds=0),
+    )
+    assert found == alone
 
 
 def test_a_term_without_effect_is_named_superfluous(tmp_path: Path) -> None:
@@ -184,8 +196,7 @@ def test_long_memory_that_nothing_depends_on_is_superfluous(tmp_path: Path) -> N
 
 
 def test_costs_are_told_for_every_term() -> None:
-    launch = launch_file.read("floor_drop", {})
-    found = needs(from_launch(launch), launch.model, rounds=3)
+    found = needs(launch_file.read("floor_drop", {}), rounds=3)
     assert found.tick_us is not None
     assert found.tick_us > 0.0
     # What is smaller than the spread of its rounds is not known.
@@ -195,33 +206,41 @@ def test_costs_are_told_for_every_term() -> None:
     assert all(f.cost_us is None for f in found.findings if f.switched == "other")
 
 
+SCENES = ("floor_guarded", "identify", "mesh_pebble", "world_feel")
+"""Of these each term is in one, or can be."""
+
+
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: str(term.name))
-def test_switches_do_what_they_say(term: Any) -> None:
-    scene = from_launch(launch_file.read("floor_drop", {}))
-    if term.typical is not None:
-        assert term.declared(term.typical(scene))
-        assert not term.declared(term.without(term.typical(scene)))
-    elif term.declared(scene):
-        assert not term.declared(term.without(scene))
+def test_switches_do_what_they_say(term: NeedTerm) -> None:
+    tried = 0
+    for name in SCENES:
+        scene = term_scene(launch_file.read(name, {}))
+        if name == "identify":
+            laws = {"long": {"kind": "fir", "taps": [100.0, -1.0, 1.0, 2.0, -2.0]}}
+            scene = with_parameters(scene, "coupling", {"law": "long", "laws": laws})
+        with_it = scene if term.declared(scene) else None
+        if with_it is None and term.typical is not None:
+            changed = term.typical(scene)
+            with_it = changed if term.declared(changed) else None
+        if with_it is None:
+            continue
+        tried += 1
+        without = term.without(with_it)
+        if term.name == "triangles":
+            counts = [len(one.shapes[0].mesh.corners) for one in (with_it, without)]  # type: ignore[union-attr]
+            assert 2 * counts[1] <= counts[0]
+        else:
+            assert not term.declared(without)
+    assert tried
 
 
 def test_outcome_of_a_known_motion() -> None:
-    scene = from_launch(launch_file.read("free_space", {}))
-    ticks = 1000
-    position = np.where(np.arange(ticks) < 300, 0.02, 0.0)
+    ticks, period = 1000, 0.002
+    position = np.where(np.arange(ticks) < 300, 0.02, 0.0)[:, None]
     position[-1] = 1e-4
-    trace = Trace(
-        scene.scene.period,
-        position,
-        position,
-        position,
-        position,
-        3.0 * np.sign(position - 0.01),
-        (0.0, 0.0),
-    )
-    found = outcome(scene, trace)
+    found = measured_outcome(position, 3.0 * np.sign(position - 0.01), period)
     # 20 mm until tick 300; the last sample is within 1 % of the travel.
-    assert found.settling_s == pytest.approx(300 * scene.scene.period)
+    assert found.settling_s == pytest.approx(300 * period)
     assert found.travel_m == pytest.approx(0.02)
     assert found.limit_cycle_m == pytest.approx(1e-4)
     assert found.peak_force_n == 3.0
@@ -268,8 +287,8 @@ def test_unknown_terms_are_refused(tmp_path: Path) -> None:
 
 
 def test_model_counts_only_what_the_scene_is_for() -> None:
-    scene: LaunchedScene = from_launch(launch_file.read("floor_drop", {}))
-    found = needs(scene, Model(outcome=["rest_force"]), rounds=1)
+    launch = launch_file.read("floor_drop", {})
+    found = needs(launch, model=Model(outcome=["rest_force"]), rounds=1)
     judged = verdicts(found)
     assert judged["gravity"] == "needed"
     # How it settles does not count here, so damping has nothing to move.
@@ -277,10 +296,9 @@ def test_model_counts_only_what_the_scene_is_for() -> None:
 
 
 def test_what_is_left_out_although_it_matters_is_said() -> None:
-    """`missing: nothing` stood beside friction that moves settling by 21 %."""
+    """`missing: nothing` was shown although friction changes settling by 21 %."""
     launch = launch_file.read("floor_drop", {})
-    scene = from_launch(launch)
-    found = needs(scene, launch.model, rounds=0)
+    found = needs(launch, rounds=0)
     assert found.missing == ()
     assert "friction" in [finding.term for finding in found.left_out]
     lines = _text(launch.scenario, launch.model, found, felt=False).splitlines()
@@ -290,6 +308,6 @@ def test_what_is_left_out_although_it_matters_is_said() -> None:
     )
     assert any(line.startswith("a hand notices 7 to 10 % of force (Jones") for line in lines)
     # By a tolerance that lets it move by so much it is not said to matter.
-    loose = needs(scene, launch.model, rounds=0, tolerance=lambda _: 0.5)
+    loose = needs(launch, rounds=0, tolerance=lambda _: 0.5)
     assert "friction" not in [finding.term for finding in loose.left_out]
     assert verdicts(loose)["gravity"] == "needed"

@@ -1,4 +1,4 @@
-"""One drop in the whole project: Python, the command line, a launch and the designer drop alike; laws with their own code."""
+"""One drop everywhere: Python, command line, launch and designer agree; laws with code."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PLANT = Plant(T, 0.1, 1.0)
 
 
 class DeadBand(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spring and a damper beyond a dead band, all of it code.
+    """A spring and a damper beyond a dead band, entirely in code.
 
     stiffness: K beyond the band [N/m].
     damping: B [N s/m].
@@ -43,7 +43,7 @@ class DeadBand(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     width: float = 0.001
 
     def compile(self, period: float) -> CompiledLaw:
-        """Render everything by code."""
+        """Compile to code only."""
 
         def force(ring: Sequence[float], head: int) -> float:
             depth = ring[head] - self.width
@@ -55,7 +55,7 @@ class DeadBand(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Nameless(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A spring made of code whose stiffness has another name.
+    """A spring in code whose stiffness has another name.
 
     rate: K [N/m].
     """
@@ -64,18 +64,18 @@ class Nameless(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     rate: float
 
     def compile(self, period: float) -> CompiledLaw:
-        """Render the spring by code."""
+        """Compile the spring to code."""
         del period
         return CompiledLaw((0.0,), evaluate=lambda ring, head: self.rate * ring[head])
 
 
 class Limited(PD, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """PD that is not made for more than 500 N/m."""
+    """PD that refuses more than 500 N/m."""
 
     kind: ClassVar[str] = "limited"
 
     def compile(self, period: float) -> CompiledLaw:
-        """Refuse what is too stiff."""
+        """Refuse too large stiffness."""
         if self.stiffness > 500.0:
             raise ValueError(f"stiffness: {self.stiffness:g} N/m, at most 500")
         return super().compile(period)
@@ -93,7 +93,7 @@ def test_a_launch_s_floor_and_every_other_drop_have_the_convention_of_the_coupli
 def test_python_the_command_line_and_the_designer_drop_alike(
     damping: float, share: float, height: float
 ) -> None:
-    """Where a wall that pulls settles and one that does not bounces, too: 14 500 N/m for 12 300 at B = 21 N s/m."""
+    """Also where only a pulling wall settles: 14 500 N/m for 12 300 at B 21 N s/m."""
     law = PD(stiffness=share * 450.0 * damping, damping=damping)
     taps = law.compile(T)
     told = haptic.drop(law, PLANT, height, ticks=2500).settled
@@ -109,7 +109,7 @@ def test_python_the_command_line_and_the_designer_drop_alike(
 
 
 def test_a_wall_that_pulls_is_asked_for() -> None:
-    """By cases of a referee: 13 400 N/m lies between the two edges, 12 300 and 14 500 N/m."""
+    """13 400 N/m lies between the two limits, 12 300 and 14 500 N/m."""
     stiff = PD(stiffness=13_400.0, damping=21.0)
     assert not haptic.drop(stiff, PLANT, ticks=2500).settled
     pulled = haptic.drop(stiff, PLANT, ticks=2500, clamp=False)
@@ -128,7 +128,7 @@ def test_the_integrators_drop_is_the_simulator_s() -> None:
 
 @pytest.mark.parametrize("cubic", [0.0, 1e7, 1e8, 1e9])
 def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(cubic: float) -> None:
-    """The law of EXTENDING: K x + C x³ = m g has one root, and the drop rests there."""
+    """EXTENDING's law: K x + C x³ = m g has one root, where the drop rests."""
 
     class Stiffening(Law, frozen=True, kw_only=True):
         kind: ClassVar[str] = "stiffening"
@@ -149,7 +149,7 @@ def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(cubic: floa
 
 
 def test_a_dead_band_that_hums_has_not_settled() -> None:
-    """Inside and outside of the edge that the search finds: both sides of the verdict."""
+    """Inside and outside of the limit that the search finds."""
     scene = drop_scene(held(PLANT), T)
     told = settles(
         scene, [DeadBand(stiffness=k).compile(T) for k in (2000.0, 6000.0)], Criterion(2500)

@@ -1,4 +1,4 @@
-"""What a law renders: against closed forms of spring, damper, hold and delay, by the API, and by the verb."""
+"""Rendered impedance: closed forms of spring, damper, hold and delay; API and verb."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ T = 0.002
 def test_a_spring_and_a_damper_have_their_closed_forms(
     stiffness: float, damping: float, delay: float
 ) -> None:
-    """Of PD alone, Re H = K + (B/T)(1 − cos ωT), Im H/ω = B sin(ωT)/ωT; slow, a delay takes K (d + ½) T of the damping."""
+    """PD: Re H = K + (B/T)(1 − cos ωT), Im H/ω = B sin(ωT)/ωT; delay costs K (d + ½) T."""
     law = PD(stiffness=stiffness, damping=damping).compile(T)
     found = rendered(law, T, delay)
     angle = 2.0 * math.pi * found.frequency_hz * T
@@ -51,7 +51,7 @@ def test_a_spring_and_a_damper_have_their_closed_forms(
 
 
 def test_the_port_is_the_force_that_is_played() -> None:
-    """A hand that is moved by a sine feels the fundamental of a held, late force: by its own samples, summed."""
+    """A sine-driven hand feels the fundamental of the held, late force, summed by samples."""
     law, delay, frequency = PD(stiffness=800.0, damping=2.0).compile(T), 1.0, 40.0
     found = rendered(law, T, delay, np.array([frequency]))
     fine, ticks = 200, 500
@@ -181,7 +181,7 @@ def test_the_verb_tells_stiffness_damping_and_plane(
 
 @pytest.mark.parametrize("order", [1.0, 0.5])
 def test_a_faster_loop_errs_less_and_its_error_is_the_delay_s(order: float) -> None:
-    """For slow motions and the best law, the error of the impedance is that of a delay of d + ½ ticks, ω (d + ½) T."""
+    """For slow motions the impedance error is that of d + ½ ticks, ω (d + ½) T."""
     band = np.geomspace(*BAND, 30)
     name = "PD" if order == 1.0 else "exponentials 256"
     law = realisations(order)[name]

@@ -1,4 +1,4 @@
-"""Replays come back to what was recorded, and predictions to what another launch then does."""
+"""Replays reproduce the recording, and predictions what another launch then does."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read
 from sim.identify.identify import identify
 from sim.identify.recorded_scene import another_law, rebuild
+from sim.play.given import Given
 from sim.play.launched import from_launch
-from sim.play.one_axis import Given, run
+from sim.play.one_axis import run
 from tests.support.launching import launch_json, typed_in
 from tests.support.recorded import rewritten
 
 STEP = 2.3e-5
-"""The encoder step of floor_buzz [m]."""
+"""Encoder step of floor_buzz [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_rounding_is_not_told_in_digits() -> None:
 
 @pytest.mark.process
 def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
-    """Forces at their recorded instants, interpreted: another way through the same scene, so the same to rounding."""
+    """Forces at their recorded instants, interpreted: equal to rounding."""
     recorded = rebuild(buzz[0])
     slow = replay(recorded, external=np.zeros(len(recorded.position)))
     assert np.max(np.abs(slow.measured - recorded.position)) <= 1e-12
@@ -100,7 +101,7 @@ def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
 
 @pytest.mark.process
 def test_a_drop_that_mostly_rests_is_identified_from_its_motion(buzz: tuple[Path, Path]) -> None:
-    """Most windows are at rest and fit to the bit; those that move must not count as spoilt beside them."""
+    """Windows at rest fit to the bit; moving ones must not count as spoilt."""
     found = identify(read(buzz[0]))
     assert found.dropped == 0
     for estimate, truth in (
@@ -115,7 +116,7 @@ def test_a_drop_that_mostly_rests_is_identified_from_its_motion(buzz: tuple[Path
 
 
 def undisturbed(folder: Path, *words: str) -> Path:
-    """Record a run in real time without a late answer: what a stall did to the coupling's history is not recorded.
+    """Record a real-time run without late answers, whose history cannot be replayed.
 
     The fall takes 45 ms, and what matters follows soon after it: half a second is enough, and may
     well be undisturbed.
@@ -141,11 +142,11 @@ def test_a_real_time_recording_is_replayed_on_its_own_delays(tmp_path: Path) -> 
 def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_included(
     apply: str, delay: float
 ) -> None:
-    """The same rule, in two ways through the loop: each tick's force comes at once, so only rounding differs."""
+    """Each tick's force arrives at once, so only rounding differs."""
     launch = launch_file.read("floor_guarded", {"apply": apply, "pace": "lockstep"})
     played = from_launch(launch)
     device = msgspec.structs.replace(played.scene.device, delay=delay)
-    scene = dataclasses.replace(played.scene, device=device, slew=2.0, safety=None)
+    scene = dataclasses.replace(played.scene, device=device, slew=2.0)
     ticks = 1000
     one = run(scene, played.law, ticks, interpreted=True)
     when = np.arange(ticks, dtype=np.float64)
@@ -168,7 +169,7 @@ def test_a_guarded_run_in_real_time_comes_back(tmp_path: Path) -> None:
 
 @pytest.mark.process
 def test_a_device_at_the_end_of_its_workspace_comes_back(tmp_path: Path) -> None:
-    """A floor of 2 N/m lets it down to its end."""
+    """A floor of 2 N/m lets it reach its end."""
     words = ("floor_drop", "pace:=lockstep", "stiffness:=2", "duration:=1.2")
     recording = tmp_path / launch_json(tmp_path, *words)["recording"]
     recorded = rebuild(recording)
@@ -189,7 +190,7 @@ def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
-    """The model lacks the hand of wall_press; the force that it lacks is the hand's, which is known here."""
+    """The model lacks the hand of wall_press; the missing force is the hand's."""
     recording = (
         tmp_path / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")["recording"]
     )
@@ -254,7 +255,7 @@ def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
 def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     buzz: tuple[Path, Path], tmp_path: Path, missing: int
 ) -> None:
-    """Of five ticks the error was that of a drop's criterion, and named no recording."""
+    """With five ticks, the drop criterion's error named no recording."""
     slept = rewritten(buzz[0], lambda topic, seq: topic != DEVICE_STATE or seq != missing)
     if missing >= 8:
         assert len(replay(rebuild(slept)).measured) == missing
@@ -270,7 +271,7 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
 def test_of_two_answers_in_one_tick_both_are_replayed(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    """Only the last was: a late answer, which held until its tick's own came, was left out."""
+    """A late answer, which held until its tick's own came, was ignored."""
     whole, late = Recording(buzz[0]), tmp_path / "late.mcap"
     text, parameters = whole.metadata["launch_file"]["yaml"], whole.metadata["parameters"]
     with RecordWriter(late, whole.manifest, launch_file=text, parameters=parameters) as writer:
@@ -299,7 +300,7 @@ def test_of_two_answers_in_one_tick_both_are_replayed(
 def test_nothing_read_from_a_recording_names_a_file(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    """Its scenario was a path, written with its bytes; a watched file in its launch file was read."""
+    """Its scenario was used as a path; a watched file in its launch file was read."""
     precious = tmp_path / "precious.yaml"
     precious.write_text("mine", encoding="utf-8")
     whole = Recording(buzz[0])

@@ -1,4 +1,4 @@
-"""The picture of a fit follows what was found: joint, lag and quadratic damping included."""
+"""The figure of a fit uses the identified model: joint, lag and quadratic damping."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The forces that are rebuilt from a driver's states are those that it handed to its device, rule by rule."""
+"""Forces rebuilt from a driver's states equal those handed to its device."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import pytest
 from messages.codec import Decoder
 from messages.types import DeviceState
 from sim.identify.forces import handed_over
-from tests.nodes.compiled.test_scripted_clock import RULES
+from tests.support.rules_of_time import RULES
 from tests.support.scripted import Script, played
 from tests.support.scripted_world import T
 from tests.support.scripts import TICKS, answer, driver
 
 Turn = list[tuple[float, float]]
-"""When a force was handed over [ticks], and the force [N]."""
+"""Time of a hand-over [ticks], and force [N]."""
 
 
 def play(script: Script, axis: int, folder: Path) -> tuple[list[DeviceState], Turn]:
-    """Play a driver: its states, and what was on its device, its own hold let go as the driver counts that."""
+    """Run a driver; return its states and the forces on its device, with its own hold."""
     outcome, node = played(script, "plain", folder)
     states = [Decoder(DeviceState).decode(frames[1]) for _, frames in outcome.sent]
     sampled = {state.seq for state in states}
@@ -50,7 +50,7 @@ def impulse(turn: Turn, begin: float, end: float) -> float:
 
 
 def assert_rebuilt(states: list[DeviceState], turn: Turn, axis: int) -> int:
-    """Compare with what was handed over; how many times."""
+    """Compare with the forces handed over; return the number of changes."""
     found = handed_over(states, axis)
     told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
     assert np.all(np.diff(found.at) >= 0.0)
@@ -86,7 +86,7 @@ def test_the_forces_of_every_rule_are_those_that_were_handed_over(
 def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_until_then(
     tmp_path: Path,
 ) -> None:
-    """The lowered force stood for the whole rest of the tick."""
+    """The lowered force was assumed for the whole rest of the tick."""
     # A spring that pushes out more strongly than it was pushed in: the guard has something to
     # lower, and something in store.
     script = driver(
@@ -115,7 +115,7 @@ def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_u
 def test_a_device_that_lets_go_while_the_driver_sleeps(
     slept: int, answered: bool, tmp_path: Path
 ) -> None:
-    """Held until then: a force that came in the tick before is known by its mean alone, and said to be so."""
+    """A force of the tick before is known by its mean only, and marked so."""
     hold = 2.5 if slept > 2 else 1.5
     script = driver(
         [answer(seq) for seq in range(TICKS) if answered or seq != 29],
@@ -131,7 +131,7 @@ def test_a_device_that_lets_go_while_the_driver_sleeps(
 
 
 def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(tmp_path: Path) -> None:
-    """As identification has it, so have replays: nobody tells what was held until the first change."""
+    """Identification and replays use the mean until the first change."""
     script = driver(
         [
             answer(seq, 500.0 + 300.0 * (seq % 3), (0.0, 0.0, 1.0 + 0.1 * seq))
@@ -146,7 +146,7 @@ def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(tmp_pat
 
 
 def test_without_means_the_last_force_of_each_tick_is_told(tmp_path: Path) -> None:
-    """A driver need not tell them, nor do recordings of an earlier version; a replay goes on with what there is."""
+    """For drivers and earlier recordings without means, a replay uses what there is."""
     script = driver([answer(seq, 500.0, (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)])
     states, turn = play(script, 2, tmp_path)
     found = handed_over(
@@ -158,7 +158,7 @@ def test_without_means_the_last_force_of_each_tick_is_told(tmp_path: Path) -> No
 
 
 def test_a_late_answer_whose_delay_is_rounded_is_one_force() -> None:
-    """The delay less the age lay an ulp behind the first change: the recorded force came twice, first as nobody's answer."""
+    """Rounding put the delay an ulp before the first change, counting the force twice."""
     at = 0.3
     assert (at + 1) - 1 > at
     force = [(0.0, 0.0, 0.0)] * 2 + [(0.0, 0.0, 6.0)]

@@ -1,4 +1,4 @@
-"""Identification against devices whose parameters are known, and against runs that cannot tell."""
+"""Identification: devices with known parameters, and runs without information."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.support.recorded import PUBLISHES, drop
 
 T = 0.002
 ROUNDING = 1.0 / math.sqrt(12.0)
-"""What an encoder's rounding alone leaves, in steps."""
+"""Residual of an encoder's rounding alone [steps]."""
 
 
 def holds(estimate: Estimate, truth: float) -> bool:
@@ -39,7 +39,7 @@ def holds(estimate: Estimate, truth: float) -> bool:
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 1.37])
 def test_a_known_device_comes_back(delay: float) -> None:
-    """The device of the facts: differences give 0.059 kg here, sub-stepped friction is 6 % off."""
+    """Differences give 0.059 kg here; sub-stepped friction is 6 % off."""
     truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=delay, resolution=23e-6)
     found = identify(excite(truth, T, 8.0, seed=1))
     # 0.1 %, 1 %, 2 %: ten times the errors that 4000 ticks of 23 µm leave; a systematic error of
@@ -68,7 +68,7 @@ def test_a_hand_is_found_and_told_apart() -> None:
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
-    """12 devices, 60 intervals: at 95 % fewer than 85 % hold with a probability below 1 %; at 80 % nearly always."""
+    """12 devices, 60 intervals: at 95 %, fewer than 85 % hold with probability below 1 %."""
     kept = []
     for number in range(12):
         model = draw(number, seed=5, held=number % 2 == 1)
@@ -151,7 +151,7 @@ def test_without_a_changing_force_it_says_so() -> None:
 
 
 def test_a_motion_that_the_force_does_not_make_is_not_explained_by_it() -> None:
-    """A hand moves the device; a tiny force that has nothing to do with it changes now and then."""
+    """A hand moves the device; a tiny unrelated force changes now and then."""
     rng = np.random.default_rng(7)
     ticks = 4000
     hand = np.cumsum(np.cumsum(rng.normal(size=ticks))) * 1e-7
@@ -181,7 +181,7 @@ def test_no_window_spans_a_gap() -> None:
 
 
 def test_ticks_that_were_slept_through_are_bridged() -> None:
-    """Every 80 ticks 20 are missing, so no window of 100 is whole; the forces that held meanwhile are known."""
+    """20 of every 80 ticks are missing, but the forces held meanwhile are known."""
     truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.0, resolution=23e-6)
     whole = excite(truth, T, 8.0, seed=1)
     missing = np.arange(len(whole.position)) % 100 >= 80
@@ -193,7 +193,7 @@ def test_ticks_that_were_slept_through_are_bridged() -> None:
 
 
 def test_a_record_tells_where_an_answer_came_late(tmp_path: Path) -> None:
-    """Unanswered, ticks 100 and 101 hold the force of 99; from 200 to 209 the driver sleeps, and nothing is asked."""
+    """Ticks 100 and 101 keep the force of 99; the driver sleeps from 200 to 209."""
     path = tmp_path / "late.mcap"
     answered = {101: 99, 102: 99}
     with RecordWriter(path, {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
@@ -209,7 +209,7 @@ def test_a_record_tells_where_an_answer_came_late(tmp_path: Path) -> None:
 
 
 def impulse(at: Array, force: Array, ticks: Array) -> Array:
-    """Add up forces, each of which holds from when it was handed over, until ticks [N ticks]."""
+    """Return the integral of held forces until given ticks [N ticks]."""
     total = np.concatenate([[0.0], np.cumsum(force[:-1] * np.diff(at))])
     last = np.searchsorted(at, ticks, "right") - 1
     return np.where(last >= 0, total[last] + force[last] * (ticks - at[last]), 0.0)
@@ -217,7 +217,7 @@ def impulse(at: Array, force: Array, ticks: Array) -> Array:
 
 @pytest.mark.parametrize("slept", [0, 1, 7])
 def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Path) -> None:
-    """Each answer comes in its own tick but every seventh, in the next before that one's.
+    """Every seventh answer comes a tick later, before that tick's own.
 
     From 300 on the driver sleeps, and states 401 to 405 are not recorded.
     """
@@ -280,7 +280,7 @@ def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
                 else message
             )
             writer.write(topic, told, message.stamp)
-    with pytest.raises(ValueError, match=r"tells no mean_force.*record it again"):
+    with pytest.raises(ValueError, match=r"reports no mean_force.*record it again"):
         read(tmp_path / "old.mcap", "z")
 
 

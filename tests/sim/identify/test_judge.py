@@ -1,4 +1,4 @@
-"""Devices outside the model of a rigid one: what the data ask for is in the model, and what it cannot have refutes it."""
+"""Non-rigid devices: missing model terms are added, and impossible ones refute the model."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def pushed(rigid: DeviceModel = RIGID, **odd: Any) -> Identified:
 
 
 def far(estimate: Estimate, truth: float) -> float:
-    """Distance from the truth in half widths of the 95 % interval."""
+    """Return the distance from the truth in half widths of the 95 % interval."""
     value, low, high = estimate.known()
     return abs(value - truth) / (0.5 * (high - low))
 
@@ -47,7 +47,7 @@ RICHER: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("term", slowly(RICHER, but=["flexible mode"]))
 def test_the_term_that_the_data_ask_for_is_identified(term: str) -> None:
-    """A rigid model was believed: damping +126 %, mass +2 %, delay off by 140 half widths, and nothing said so."""
+    """A rigid model was accepted: damping +126 %, delay off by 140 half widths."""
     odd = RICHER[term]
     found = pushed(**odd)
     assert found.terms == (term,)
@@ -62,7 +62,7 @@ def test_the_term_that_the_data_ask_for_is_identified(term: str) -> None:
 
 @pytest.mark.slow
 def test_a_joint_that_hides_in_the_residual_is_found() -> None:
-    """120 Hz leaves 0.6 steps in all; a law for the rigid device is unstable with it, and the poles now say so."""
+    """120 Hz leaves 0.6 steps; the poles now show a rigid design as unstable."""
     found = pushed(share=0.5, frequency=120.0, loss=0.02)
     assert found.terms == ("flexible mode",)
     assert found.frequency.value == pytest.approx(120.0, rel=5e-3)
@@ -116,7 +116,7 @@ def test_no_more_than_the_scene_needs() -> None:
 
 
 def test_unsteady_samples_widen_the_delay() -> None:
-    """The mean instant of the samples is not known: a delay of 1.10 ± 0.006 was told for 1.2."""
+    """With unknown sampling instants, 1.10 ± 0.006 was reported for 1.2."""
     found = pushed(jitter=0.2)
     assert found.terms == ("sampling jitter",)
     assert not found.refuted
@@ -125,7 +125,7 @@ def test_unsteady_samples_widen_the_delay() -> None:
 
 @pytest.mark.slow
 def test_the_edge_of_what_is_seen() -> None:
-    """A coarse encoder and a small mass beyond the joint: found below the bound that a run names, unseen well above it."""
+    """Coarse encoder, small mass beyond the joint: found below the stated bound only."""
     coarse = DeviceModel(mass=0.2, damping=1.0, friction=0.03, delay=1.2, resolution=2e-4)
     bound = pushed(rigid=coarse).frequency.low
     assert bound is not None
@@ -141,7 +141,7 @@ def test_the_edge_of_what_is_seen() -> None:
 
 
 def closed_form(ticks: int) -> tuple[Array, Array]:
-    """Move a mass with a damper, read to the last bit: positions [m], and the force of each tick [N]."""
+    """Return exact positions of a mass with damper [m], and each tick's force [N]."""
     m, b = TRUTH["mass"], TRUTH["damping"]
     # Half periods of 10 to 60 ticks, as identification pushes; each push is paid back at once, so
     # that it stays near.
@@ -158,7 +158,7 @@ def closed_form(ticks: int) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize(("ripple", "seen"), [(0.0, False), (0.27e-9, False), (0.31e-9, True)])
 def test_what_no_encoder_would_show_is_no_evidence(ripple: float, seen: bool) -> None:
-    """What is left is arithmetic, or a ripple around 0.29 nm (1 nm / √12)."""
+    """Residuals of arithmetic, or a ripple around 0.29 nm (1 nm / √12)."""
     position, force = closed_form(2000)
     position += math.sqrt(2.0) * ripple * np.sin(2.0 * math.pi * 0.07 * np.arange(len(position)))
     found = identify(lockstep(T, position, force))
@@ -174,7 +174,7 @@ def test_what_no_encoder_would_show_is_no_evidence(ripple: float, seen: bool) ->
     [(3, False, True), (3, True, False), (14, True, False), (15, True, True)],
 )
 def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refuted: bool) -> None:
-    """Of 20 windows some hold a tick of which 0.1 mN are not recorded, 0.1 µm later; six others are enough."""
+    """Some of 20 windows lack 0.1 mN for 0.1 ms; six others suffice."""
     position, force = closed_form(2000)
     late = np.zeros(len(position), dtype=bool)
     late[50 : 100 * stalls : 100] = True

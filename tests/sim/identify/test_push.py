@@ -1,4 +1,4 @@
-"""The push that a device is identified by: its law, its places and axes, and what it refuses."""
+"""The identifying push: its law, places and axes, and its refusals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T = 0.002
 
 
 def stands_still(launch: Running) -> None:
-    """Let the loop stand still: it begins no tick, takes changes all the same, and goes on when it is asked to."""
+    """Pause the loop: it starts no tick but accepts changes, and resumes on request."""
     anywhere: dict[str, Any] = {"values": {"passivity": {"guard": "off"}}}
     for seconds in (-1.0, 61.0, float("nan"), "long"):
         with pytest.raises(ControlError, match="0 to 60 s"):
@@ -96,7 +96,7 @@ def test_a_wrong_push_is_refused_by_its_path(tmp_path: Path) -> None:
 
 
 # -- the law itself
-# ----------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def compiled(**values: Any) -> CompiledLaw:
@@ -117,7 +117,7 @@ def test_the_push_stays_within_its_amplitude_and_ends() -> None:
 
 @pytest.mark.parametrize(("deflection", "sign"), [(0.0300001, 1.0), (-0.0300001, -1.0)])
 def test_beyond_the_reach_it_only_pushes_back(deflection: float, sign: float) -> None:
-    """A deflection is from the device to its centre, so a force of its sign goes back."""
+    """A deflection points from device to centre, so a force of its sign returns it."""
     assert all(sign * force >= 0.0 for force in pushes(compiled(), [deflection, 0.0], 300))
     inside = pushes(compiled(), [0.0299999 * sign, 0.0], 300)
     assert min(inside) < 0.0 < max(inside)
@@ -154,13 +154,13 @@ def test_the_weight_is_carried_during_the_push_and_let_go_after_it() -> None:
 
 
 class Still(PushedLaunch):
-    """A launch whose driver answers and makes no ticks."""
+    """A launch whose driver answers but makes no ticks."""
 
     def __init__(self) -> None:
         self.driver = "driver"
 
     def progress(self) -> Any:
-        """Tell the same tick again and again."""
+        """Return the same tick every time."""
         return {"tick": 7}
 
 

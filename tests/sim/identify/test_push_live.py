@@ -1,4 +1,4 @@
-"""Identification on a running launch: the push takes over, everything is put back, whatever happens in between."""
+"""Identification on a running launch: everything is restored, whatever happens."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
 
 @pytest.mark.process
 def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(tmp_path: Path) -> None:
-    """Ctrl-Z during the soft spring and ``fg`` after the leases had run out: law and wall were changed for good."""
+    """After Ctrl-Z, expired leases and ``fg``, law and wall were changed for good."""
     with running(tmp_path, *SCENE) as launch:
         before = parameters(launch)
         words = (*HAPTIC, "device", "identify", "--duration", "600", "--load", "0.981")

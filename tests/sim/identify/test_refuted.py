@@ -1,4 +1,4 @@
-"""A recording that refutes the model of its device, from a file to the exit code, and to the law that is not designed."""
+"""A recording that refutes the device model: file, exit code, and no designed law."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RIGID = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=
 
 
 def recorded(folder: Path, device: NonidealDevice) -> Path:
-    """Push a device and record what a driver would tell: each state with the force of the tick before."""
+    """Push a device and return a driver's states, each with the force of the tick before."""
     run = excite_outside(device, T, 4.0, seed=1)
     path = folder / "push.mcap"
     with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "lockstep"}) as writer:
@@ -44,7 +44,7 @@ def recorded(folder: Path, device: NonidealDevice) -> Path:
 
 @pytest.fixture(scope="module")
 def cogging(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record a motor whose force repeats with its poles."""
+    """Return the recording of a motor whose force repeats with its poles."""
     return recorded(tmp_path_factory.mktemp("cogging"), NonidealDevice(RIGID, cogging=0.05))
 
 

@@ -1,4 +1,4 @@
-"""K_max from a recorded swing, no mass known (THEORY.md §9): launches far inside, random devices, and what is refused."""
+"""K_max from a recorded swing of unknown mass (THEORY.md §9): launches, random devices."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.cli.study.edge import LAWS
 from sim.device.model import DeviceModel, Hand
 from sim.experiments.drop import drop_scene, free_scene
 from sim.identify.swing import (
@@ -30,6 +29,7 @@ from sim.identify.swing import (
     windows,
 )
 from sim.play.one_axis import run
+from sim.studies.edge import LAWS
 from tests.support.launching import exit_code, launch_json
 from tests.support.recorded import rewritten
 
@@ -165,7 +165,7 @@ def test_off_the_ringing_pole_it_cannot_tell(
     with pytest.raises(CannotTellError, match=why):
         recorded_swing(path)
     assert main(["study", "edge", str(path)]) == 1
-    assert capsys.readouterr().out.startswith("cannot tell: ")
+    assert capsys.readouterr().out.startswith("unknown: ")
 
 
 @pytest.mark.process
@@ -178,7 +178,7 @@ def test_where_nothing_was_touched_nothing_swings(
         )
         == 1
     )
-    assert capsys.readouterr().out.startswith("cannot tell: nothing was touched")
+    assert capsys.readouterr().out.startswith("unknown: nothing was touched")
 
 
 @pytest.mark.slow
@@ -210,7 +210,7 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(
     tmp_path: Path,
 ) -> None:
-    """With one tick in ten lost, late in the contact, the interval did not hold K_max."""
+    """With every tenth tick lost, the interval did not contain K_max."""
     path = recorded(tmp_path, "law:=pd stiffness:=2500 duration:=2")
     limit = limit_of(path)
     later = rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq < 300 or seq % 10 != 0)
@@ -239,7 +239,7 @@ def test_without_the_coupling_s_forces_nothing_tells_the_law(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("stiffness", [300.0, 1500.0])
 def test_a_hand_that_holds_the_device_is_in_the_loop(stiffness: float) -> None:
-    """Its spring was left out: the swing was taken for that of a lighter device, with another K_max."""
+    """Without its spring, the swing seemed that of a lighter device."""
     hand = Hand(mass=0.05, damping=2.0, stiffness=stiffness, path=[(0.0, 0.0)])
     body, law = (
         DeviceModel(mass=0.05, damping=0.5, hand=hand),

@@ -1,4 +1,4 @@
-"""Laws on curved surfaces: energy along closed ways in both frames, and K_max of a sliding contact against the theory."""
+"""Laws on curved surfaces: energy on closed paths in both frames, K_max while sliding."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(
 def test_a_mesh_kicks_less_in_axes_that_turn(
     found: dict[tuple[str, str, str], dict[str, float]],
 ) -> None:
-    """From face to face the normal jumps: in the world's axes that is a velocity of depth times jump over a tick."""
+    """In world axes a jump of the normal is a velocity of depth times jump per tick."""
     for surface in ("sphere of 320 triangles", "sphere of 5120 triangles"):
         for law in ("pd", "pd_alpha"):
             world, turned = (found[surface, law, frame] for frame in ("world", "surface"))

@@ -1,4 +1,4 @@
-"""The comparison of proxies: exact where there is a closed form, better by level of detail, never through a plate."""
+"""Comparison of proxies: exact closed forms, better with detail, never through a plate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""sim/RESULTS.md is what `haptic lab results` writes, from records that name machine, load and commit."""
+"""sim/RESULTS.md is the output of `haptic lab results`, with machine, load and commit."""
 
 from __future__ import annotations
 
@@ -52,6 +52,7 @@ def test_a_section_names_command_machine_load_and_commit(tmp_path: Path) -> None
     assert max(map(len, text.splitlines())) <= 100
 
 
+@pytest.mark.process
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="names its commit: needs a checkout")
 def test_a_measured_section_replaces_what_was_measured_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -69,6 +70,7 @@ def test_a_measured_section_replaces_what_was_measured_before(
     assert not (tmp_path / "loop.md").exists()
 
 
+@pytest.mark.process
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="names its commit: needs a checkout")
 def test_a_command_that_fails_leaves_its_section(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,4 +1,4 @@
-"""Free ports: adjacent, bindable, and not where an outgoing connection may take them in the meantime."""
+"""Free ports: adjacent, bindable, and outside the range of outgoing connections."""
 
 from __future__ import annotations
 

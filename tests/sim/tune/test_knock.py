@@ -1,4 +1,4 @@
-"""Knocks and the climb: the verdict at its edge, the way up and down, and the edge that the poles have, by another method."""
+"""Step tests and the climb: verdicts at the limit, and the limit by poles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sim.tune.knocking import (
     DYING,
     FAR,
     LEFT,
-    LONGEST,
+    LONGEST_WINDOW,
     LOWEST,
     NEAR,
     STEP,
@@ -43,7 +43,7 @@ T = 0.002
 KNOCK = 1e-3
 
 
-def swing(radius: float, ticks: int = LONGEST) -> np.ndarray:
+def swing(radius: float, ticks: int = LONGEST_WINDOW) -> np.ndarray:
     """Swing from a knock away about the place that is asked for, by a pole of this radius."""
     k = np.arange(ticks)
     return np.asarray(KNOCK - KNOCK * radius**k * np.cos(0.5 * np.pi * k))
@@ -64,7 +64,7 @@ def test_the_verdict_at_its_edge() -> None:
 )
 def test_what_is_left_must_go_on_dying(radius: float, rests: bool) -> None:
     # A third of the longest window is 533 ticks: a radius of 0.9998 leaves 0.9 of it.
-    assert pytest.approx(0.9998, abs=1e-5) == DYING ** (1.0 / (LONGEST // 3))
+    assert pytest.approx(0.9998, abs=1e-5) == DYING ** (1.0 / (LONGEST_WINDOW // 3))
     verdict = judge(swing(radius), KNOCK, 1.0)
     assert verdict is not None
     assert verdict.rests is rests
@@ -85,7 +85,7 @@ def test_far_and_not_finite_do_not_rest() -> None:
 
 
 def device(edge: int, tried: list[int]) -> Callable[[int], KnockVerdict]:
-    """Make a device that rests below a step, and notes what it was asked."""
+    """Return a device that rests below a step, and records what was asked."""
 
     def knock(step: int) -> KnockVerdict:
         tried.append(step)
@@ -204,7 +204,7 @@ def test_two_grids_of_two_per_cent_are_told_as_what_they_are() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("preset", "delay"), [("designed_d0", 0.0), ("designed_d1", 1.0)])
 def test_knocking_finds_the_edge_that_the_poles_have(preset: str, delay: float) -> None:
-    """Without friction and encoder the loop is linear, and pole radii tell the edge by another method."""
+    """Without friction and encoder the loop is linear: pole radii give the limit."""
     law = parse_law({"kind": preset}).compile(T)
     linear = linear_edge(law, Plant(T, 0.1, 1.0, delay))
     bare = DeviceModel(mass=0.1, damping=1.0, delay=delay)
@@ -230,7 +230,7 @@ def test_the_linear_edge_is_where_a_pole_reaches_the_circle() -> None:
 
 
 def rendered(law: Knock, deflections: list[float], length: int = 16) -> list[float]:
-    """Render as the coupling does, over a ring that holds everything twice; it takes over after the first deflection."""
+    """Return forces as the coupling renders them, over a double ring buffer."""
     compiled: CompiledLaw = law.compile(T)
     own = compiled.own_code()
     assert own is not None

@@ -1,4 +1,4 @@
-"""A tuning's record: what a refusal leaves as it was, what it says, and when a command comes through."""
+"""A tuning's record: what a refusal leaves, its text, and when a command succeeds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from messages.errors import RefusedError
 from sim.tune.knocking import LOWEST, KnockedEdge, KnockVerdict, Plan, climb, factor_of
 from sim.tune.live_trial import STOPPED, Cut, Trials
 from sim.tune.outcome import headline, verified
-from sim.tune.session import Options, Tuning
+from sim.tune.session import Tuning
+from sim.tune.tune_options import TuneOptions
 
 DESIGNED = {
     "taps_n_per_m": [900.0, -800.0],
@@ -31,7 +32,7 @@ def refuse() -> Any:
 
 
 def tuning(folder: Path, running: Callable[[], Any] = refuse, fresh: bool = False) -> Tuning:
-    return Tuning(Options(out=folder), running, refuse, lambda _: None, fresh)
+    return Tuning(TuneOptions(out=folder), running, refuse, lambda _: None, fresh)
 
 
 def resting(step: int) -> KnockVerdict:
@@ -42,7 +43,7 @@ def resting(step: int) -> KnockVerdict:
 def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_was(
     step: str, fresh: bool, tmp_path: Path
 ) -> None:
-    """Its result was overwritten by the refusal, and its law deleted."""
+    """The refusal overwrote its result and deleted its law."""
     known = {
         "designed": DESIGNED,
         "predicted": PREDICTED,
@@ -88,7 +89,7 @@ def test_a_launch_of_another_rate_gets_no_law(step: str, tmp_path: Path) -> None
 def test_a_law_that_renders_is_faded_from_and_stays(
     active: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The law of a second tuning replaced that of the first one, which rendered, from one tick to the next."""
+    """The second tuning's law replaced the active first one within a tick."""
     known = {"designed": DESIGNED, "verified": {"holds": True}}
     (tmp_path / "tune.json").write_text(json.dumps(known), encoding="utf-8")
     asked: list[tuple[str, dict[str, Any]]] = []
@@ -110,7 +111,7 @@ def test_a_law_that_renders_is_faded_from_and_stays(
 
 
 def test_a_climb_that_was_cut_short_verifies_nothing() -> None:
-    """Where the model has no edge either, all that rested until then was a law that holds."""
+    """Without a limit in the model either, everything tried so far counted as verified."""
     whole = climb(Plan(LOWEST, 20, 25), resting)
     assert verified(PREDICTED, whole)["holds"]
     # From before the law itself, at it, and after all of it: a refusal may come at the very end.
@@ -137,7 +138,7 @@ def test_a_law_that_holds_ends_the_command_with_0_whether_or_not_an_edge_was_fou
 
 
 def stand_in(ready: Callable[[], Any], safety: list[str]) -> Any:
-    """Stand in for a launch that hears of nothing but a driver that has stopped; `safety` is what that tells when asked."""
+    """Return a launch that only knows of a stopped driver; `safety` is its state."""
     stopped = SimpleNamespace(
         safety="stopped", seq=1, energy=0.0, overruns=0, age=0, position=(0.0, 0.0, 0.0)
     )
@@ -169,7 +170,7 @@ def trials(loop: Any, monkeypatch: pytest.MonkeyPatch) -> Trials:
 def test_a_driver_that_takes_no_more_forces_gives_no_verdict(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Stopped by a large step and not rearmed, it stopped every smaller one too: the edge came out at the first of them."""
+    """Stopped by a large step and not rearmed, it failed every smaller one too."""
     steps = KnockedEdge()
     with pytest.raises(RefusedError, match="let go first"):
         trials(stand_in(refuse, ["stopped"]), monkeypatch).climb(Plan(0, 20, 25), steps)
@@ -180,7 +181,7 @@ def test_a_driver_that_takes_no_more_forces_gives_no_verdict(
 def test_a_driver_that_stops_right_after_a_knock_judges_that_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It stood for the next knock, which never reached the device."""
+    """The stop was attributed to the next step, which never reached the device."""
     safety = ["stopped"]
     trial = trials(stand_in(lambda: None, safety), monkeypatch)
     rests = KnockVerdict(1.0, 0.0, True)

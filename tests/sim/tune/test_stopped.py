@@ -61,7 +61,7 @@ def designed(
     near: int = 60,
     last: int = 60,
 ) -> None:
-    """Leave a design and a prediction: a law to be tried from `first` to `last`, in large steps up to `near`."""
+    """Write a design and a prediction: trials from `first` to `last`, large steps to `near`."""
     h1 = sum(taps)
     known = None if edge is None else edge * h1
     edges = {
@@ -102,7 +102,7 @@ def designed(
 
 @pytest.mark.slow
 def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_path: Path) -> None:
-    """Without it every later trial met a dead driver, and whoever tuned a running launch had to start it anew."""
+    """Without it every later trial met a dead driver."""
     (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
     designed(tmp_path, [20000.0, -19500.0])
     with running(tmp_path, "held.yaml") as launch:
@@ -140,7 +140,7 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
 
 @pytest.mark.process
 def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_path: Path) -> None:
-    """The second one took the first one's soft spring for the user's own law, and put that back at the end."""
+    """The second tuning restored the first one's soft spring as the user's law."""
     (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
     with running(tmp_path, "held.yaml") as launch:
         with borrowed(PushedLaunch(launch.run)) as held:
@@ -152,7 +152,7 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
             )
             launch.call("coupling", "law.switch", law="trial", ramp=0)
             with (
-                pytest.raises(ControlError, match="held by somebody else"),
+                pytest.raises(ControlError, match="held by another client"),
                 borrowed(PushedLaunch(launch.run)),
             ):
                 raise AssertionError
@@ -167,7 +167,7 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
 
 @pytest.mark.slow
 def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_path: Path) -> None:
-    """A push asked for `/device/state` of the whole launch, which has none; a chain's recorder heard nothing of that name."""
+    """The recorder subscribed to `/device/state`, which the whole launch lacks."""
     with running(tmp_path, "two_hands", "duration:=0") as launch:
         loop = PushedLaunch(launch.run.within("left"))
         assert loop.chosen == f"{launch.run.run}/left"
@@ -190,7 +190,7 @@ def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_pa
 
 
 def unrecorded() -> dict[str, Any]:
-    """Make the scene anew, without a recording that nobody reads."""
+    """Return the scene without a logger."""
     scene: dict[str, Any] = json.loads(json.dumps(SCENE))
     del scene["nodes"]["logger"]
     return scene
@@ -204,7 +204,7 @@ def verified_with(
     first: int = 0,
     last: int = 60,
 ) -> str:
-    """Try a law on a device that lies about its position; nothing may be delivered. What the verb prints."""
+    """Tune on a device with wrong positions; return the output. Nothing may be delivered."""
     scene = unrecorded()
     driver = scene["nodes"]["driver"]
     driver["kind"] = "faulty_driver"
@@ -222,7 +222,7 @@ def verified_with(
 
 @pytest.mark.slow
 def test_an_encoder_that_is_stuck_is_not_a_device_at_rest(tmp_path: Path) -> None:
-    """A position that stands still has nothing left of any knock: every law came to rest, and the stiffest was delivered."""
+    """With a stuck position every law came to rest, and the stiffest was delivered."""
     assert "the encoder is stuck" in verified_with(
         "0.0", tmp_path, [800.0, -700.0], last=2 * STRIDE
     )
@@ -242,7 +242,7 @@ NO = "the law holds                                      NO"
         (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
         (f"{LATE}10", NO, [800.0, -700.0], -6),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        (f"{SCALE}0.25", "the device is not the one that was identified", [800.0, -700.0], 0),
+        (f"{SCALE}0.25", "the device differs from the identified one", [800.0, -700.0], 0),
     ],
 )
 def test_a_device_that_lies_while_its_law_is_tried_gets_none(
@@ -253,7 +253,7 @@ def test_a_device_that_lies_while_its_law_is_tried_gets_none(
 
 @pytest.mark.slow
 def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path) -> None:
-    """An hour back, two hours on, five times a second, in every process of the launch and in the verb."""
+    """−1 h, +2 h, five times a second, in every process of launch and verb."""
     (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
     designed(tmp_path, [8000.0, -7600.0], first=45, near=45)
     clock, over = SteppedClock(), threading.Event()

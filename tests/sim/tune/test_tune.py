@@ -1,4 +1,4 @@
-"""Tuning from end to end on real launches: what is delivered was tried, and whatever ends it leaves the launch as it was."""
+"""Tuning on real launches: only tried laws are delivered; the launch is restored."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_law_lands_unless_it_is_told_otherwise() -> None:
 
 @pytest.fixture(scope="module")
 def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """Tune once on a real launch, in lockstep: one tick of delay and 0.3 of the device's own."""
+    """Tune once on a real launch in lockstep: one tick of delay, 0.3 of the device's own."""
     folder = tmp_path_factory.mktemp("tune")
     words = (
         "tune",
@@ -150,8 +150,8 @@ def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(
     if told["designed"]["lands"]:
         pytest.skip("this design lands although nobody asked for it")
     assert told["designed"]["gain_over_pd"] is None
-    assert "does not bear a landing" in told["headline"]
-    assert "does not bear a landing" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
+    assert "fails the drop test" in told["headline"]
+    assert "fails the drop test" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
     assert "does NOT survive a landing" in Path(folder / told["files"]["params"]).read_text(
         encoding="utf-8"
     )
@@ -213,7 +213,7 @@ def test_a_new_design_drops_what_was_measured_of_another_law(
 
 
 def softer(folder: Path, factor: float) -> None:
-    """Make the law on file so many times what it was, as if it had been designed so."""
+    """Scale the law on file, as if it had been designed so."""
     file = folder / "tuning" / "tune.json"
     told = json.loads(file.read_text(encoding="utf-8"))
     designed = told["designed"]
@@ -264,11 +264,11 @@ def state(launch: Running) -> tuple[Any, Any, Any]:
 def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
     tuned: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
-    """Here what is told of it; SIGTERM, SIGHUP and SIGKILL are those of the drill, ``tune ended``."""
+    """Its message here; SIGTERM, SIGHUP and SIGKILL in the drill, ``tune ended``."""
     shutil.copytree(tuned[0] / "tuning", tmp_path / "tuning")
     with running(tmp_path, *SCENE, "duration:=0") as launch:
         before = state(launch)
-        with pytest.raises(ControlError, match="only a loop in lockstep can stand still"):
+        with pytest.raises(ControlError, match="only a lockstep loop can pause"):
             launch.call("driver", "stand", seconds=1.0)
         process = subprocess.Popen(
             [*HAPTIC, "tune", "--steps", "verify", "--json"],

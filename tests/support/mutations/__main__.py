@@ -1,4 +1,4 @@
-"""Try mutations and count those that no test notices; the exit code is 1 where a named one survives."""
+"""Try mutations and count survivors; the exit code is 1 if a named one survives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def part_of(mutations: tuple[Mutation, ...], part: str) -> list[Mutation]:
 
 
 def main() -> int:
-    """Try what the words ask for; print a line each, and the score."""
+    """Try the mutations that the arguments select; print a line for each, and the score."""
     parser = argparse.ArgumentParser(prog="python -m tests.support.mutations", description=__doc__)
     parser.add_argument("--part", default="0/1", help="which of the named: i/n is every n-th")
     parser.add_argument("--drawn", type=int, default=0, help="how many to draw from the syntax")

@@ -1,8 +1,8 @@
-"""Mutations drawn from the syntax of a room: a comparison, a sign, a number, a condition, a statement that is left out.
+"""Mutations drawn from the syntax: a comparison, sign, number, condition or statement.
 
-Libraries that do this (mutmut, cosmic-ray) rewrite a whole package or import it mutated; our kernels
-are compiled from their source and laid out by annotations, so a mutation here is a change of one
-place of one file's text.
+Libraries for this (mutmut, cosmic-ray) rewrite a whole package or import it mutated; our kernels
+are compiled from their source and laid out by annotations, so a mutation here changes one place of
+one file's text.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROOMS: Final = {
     "nodes/recording": ("tests/nodes/recording",),
     "sim/identify": ("tests/sim/identify", "tests/sim/design"),
 }
-"""Rooms whose lines are mutated, and the tests that are to notice."""
+"""Mutated files, and the tests that must notice."""
 
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
     ast.Lt: ("<", "<="),
@@ -43,7 +43,7 @@ _COMPUTED: Final[dict[type[ast.operator], tuple[str, str]]] = {
 
 
 class _Places:
-    """Find what may be changed in a file's text; places are characters of it."""
+    """Places in a file's text that can be changed, in characters."""
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -66,7 +66,7 @@ class _Places:
         )
 
     def changes(self, node: ast.AST) -> Iterator[tuple[int, str, str]]:
-        """Go through the changes of one node: place, what stands there, what is put there."""
+        """Yield the changes of a node: place, present text, new text."""
         if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in _COMPARED:
             old, new = _COMPARED[type(node.ops[0])]
             yield from self._between(node.left, node.comparators[0], old, new)
@@ -107,7 +107,7 @@ def _is_text(node: ast.BinOp) -> bool:
 
 
 def _of_code(node: ast.AST) -> Iterator[ast.AST]:
-    """Walk through what runs: no annotations, no decorators, no errors' words, nothing for checkers alone."""
+    """Yield executable nodes: no annotations, decorators, error texts or checker-only code."""
     for name, value in ast.iter_fields(node):
         if name in {"annotation", "returns", "decorator_list"}:
             continue
@@ -134,7 +134,7 @@ def all_of(file: Path, tests: tuple[str, ...], root: Path = ROOT) -> list[Mutati
 
 
 def draw(number: int, seed: str, rooms: list[str] | None = None) -> list[Mutation]:
-    """Draw mutations of the rooms in turn, each file as often as it has places."""
+    """Draw mutations from the rooms in turn; files are weighted by their number of places."""
     chance = random.Random(seed)  # noqa: S311  # which are tried is no secret
     pools = []
     for room in rooms or list(ROOMS):
@@ -146,7 +146,7 @@ def draw(number: int, seed: str, rooms: list[str] | None = None) -> list[Mutatio
 
 
 def _tests(room: str, file: Path) -> tuple[str, ...]:
-    """Return the tests of a file: those that bear its name first, so that most end soon."""
+    """Return the tests of a file, those with its name first so that most runs end early."""
     own = sorted(
         str(path.relative_to(ROOT))
         for folder in ROOMS[room]

@@ -1,4 +1,4 @@
-"""What a mutation is, and how one is tried: in a copy of the sources, whose tests must fail."""
+"""A mutation, and how it is tried: in a copy of the sources, whose tests must fail."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 from tests.support import ROOT
 
-LONGEST = 900.0
-"""After so long the tests of a mutation count as failed: what never ends is noticed [s]."""
+TIMEOUT = 900.0
+"""Time after which a mutation's tests count as failed [s]."""
 
 _dates = itertools.count(int(time.time()) - 10**6)
 
 
 class Mutation(NamedTuple):
-    """A change of a rule, and the tests that must fail by it."""
+    """A change of a rule, and the tests that it must fail."""
 
     name: str
     file: str
@@ -31,7 +31,7 @@ class Mutation(NamedTuple):
 
 
 def mutated(text: str, mutation: Mutation) -> str:
-    """Return the text of a file with the mutation; ValueError where what it changes does not stand there."""
+    """Return a file's text with the mutation; ValueError if the original text is missing."""
     old, place = mutation.old, mutation.place
     if place is None:
         if text.count(old) != 1:
@@ -46,7 +46,7 @@ def mutated(text: str, mutation: Mutation) -> str:
 
 
 def survives(mutation: Mutation, folder: Path) -> bool:
-    """Apply a mutation in a copy of the sources, and return whether all its tests pass."""
+    """Apply a mutation in a copy of the sources; return whether all its tests pass."""
     path = folder / mutation.file
     text = path.read_text(encoding="utf-8")
     _write(path, mutated(text, mutation))
@@ -72,7 +72,7 @@ def _passes(folder: Path, tests: tuple[str, ...]) -> bool:
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     try:
         done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, check=False, timeout=LONGEST
+            command, cwd=folder, env=environment, capture_output=True, check=False, timeout=TIMEOUT
         )
     except subprocess.TimeoutExpired:
         return False
@@ -80,7 +80,7 @@ def _passes(folder: Path, tests: tuple[str, ...]) -> bool:
 
 
 def copy_sources(folder: Path) -> None:
-    """Copy all that the tests of rules need."""
+    """Copy everything that the tests of rules need."""
     for name in ("messages", "nodes", "sim", "tests", "launch"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md"):

@@ -1,4 +1,4 @@
-"""Mutations of the driver's safety rules and of what lets a force through; every one is noticed."""
+"""Mutations of the driver's safety rules and of force admission; all must be noticed."""
 
 from __future__ import annotations
 

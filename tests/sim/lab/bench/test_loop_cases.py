@@ -1,4 +1,4 @@
-"""The cases that ``haptic bench loop`` measures: each launch does what its name says."""
+"""Cases of ``haptic bench loop``: each launch does what its name says."""
 
 from __future__ import annotations
 

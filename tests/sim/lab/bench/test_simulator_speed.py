@@ -1,4 +1,4 @@
-"""The yardstick of the simulator: C gives the same bits, and where there is no compiler that is said."""
+"""The simulator's yardstick: C gives the same bits; a missing compiler is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Speed against accuracy: fronts, files, timing, and that each compared thing is compared with the truth."""
+"""Speed against accuracy: fronts, files, timing, and comparison with the truth."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float)
 
 
 def test_a_long_fir_is_less_precise_than_a_short_recursive_filter_and_easier() -> None:
-    """What the paper's section 3 says of the two (THEORY.md §11), over three decades up to half of Nyquist."""
+    """The paper's section 3 (THEORY.md §11), over three decades to half of Nyquist."""
     fir, filtered = (
         analyse(kind, 0.5, taps, 0.002) for kind, taps in (("gl", 64), ("oustaloup_matched", 13))
     )
@@ -225,7 +225,7 @@ def test_rk4_is_of_fourth_order() -> None:
 
 
 # --- K_max
-# -----------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 def test_pole_radius_is_the_closed_form_where_there_is_one() -> None:
@@ -290,7 +290,7 @@ def test_forces_of_the_processes_are_those_of_one_process() -> None:
 
 
 # --- the command
-# ------------------------------------------------------------------------------------------------------
+# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -493,7 +493,7 @@ def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(
 
 
 def test_ranks_of_a_few_laws_are_no_verdict() -> None:
-    """Four and six points gave one; perfect order of seven comes by chance 1 time in 2520 and is not told either."""
+    """Perfect order of seven happens by chance once in 2520, and is not reported."""
     for count in (3, 6, FEWEST - 1):
         told = _correlation(list(range(count)), list(range(count)))
         assert told == f"{count} laws, too few for a rank correlation of error and stiffness"

@@ -1,4 +1,4 @@
-"""Every boundary from both sides, and every trap of the theory, on the numbers of the study itself."""
+"""Every limit from both sides, and every trap of the theory, on the study's numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Boundaries beyond a rigid device at one rate: from one method, and on both sides by another."""
+"""Limits beyond a rigid device at one rate: checked on both sides by another method."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_two_methods_put_each_boundary_in_the_same_place(name: str) -> None:
 
 
 def test_the_edge_before_any_world_is_the_one_of_the_table() -> None:
-    """By a referee, to the digits given: PD, B = 3 N s/m, 0.1 kg, 1 N s/m, no delay."""
+    """Reference digits: PD, B 3 N s/m, 0.1 kg, 1 N s/m, no delay."""
     assert beyond.unknown_world().value == pytest.approx(2244.217, abs=2e-3)
 
 
@@ -39,7 +39,7 @@ def test_a_servo_s_edge_is_below_that_of_a_heavy_device() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.5])
 def test_the_stiffest_pd_on_a_flexible_device_is_k_max_of_a_rigid_one(delay: float) -> None:
-    """One curve for both; and where a pole leaves the circle with a joint and a lag."""
+    """One curve for both; with joint and lag, where a pole leaves the circle."""
     rigid = k_max(
         without_spring(PD(stiffness=1.0, damping=1.5), 0.002), Plant(0.002, 0.1, 1.0, delay)
     ).k_max_n_per_m

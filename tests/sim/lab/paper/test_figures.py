@@ -1,4 +1,4 @@
-"""The paper's figures: curves against closed forms, claims against the numbers of THEORY.md, and the verbs that print them."""
+"""The paper's figures: closed forms, claims of THEORY.md, and the verbs that print them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's descent reproduced with its failures, and the programmes that replace it."""
+"""The paper's descent reproduced with its failures, and the programmes replacing it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BAND = (0.02, 0.55)
 @pytest.mark.parametrize("taps", [2, 4, 30])
 @pytest.mark.parametrize("leak", [True, False])
 def test_f_of_a_term_is_that_of_the_compiled_law(order: float, taps: int, leak: bool) -> None:
-    """Normalised at T = 2 here, in SI at T = 2 ms there: the same numbers, by another sum."""
+    """Normalised at T = 2 here, in SI at T = 2 ms there: equal by another sum."""
     data = {
         "kind": "pd_alpha",
         "stiffness": 1.0,
@@ -62,7 +62,7 @@ def test_slope_along_the_order_is_the_difference_quotient() -> None:
 
 
 def test_the_optimum_has_its_normalisations_f_at_nyquist() -> None:
-    """f(ω_N) ≈ +3 where eq. (13) asks for +1 (THEORY.md §2): almost all of J = 3.9 is that."""
+    """f(ω_N) ≈ +3 where eq. (13) asks for +1 (THEORY.md §2): most of J = 3.9."""
     targets = paper_targets()
     at_nyquist = float(damping_curve(np.array([np.pi]), A, ALPHA, 4)[0])
     assert at_nyquist == pytest.approx(3.0, abs=0.05)
@@ -78,7 +78,7 @@ def test_descent_goes_down_when_its_steps_are_small() -> None:
 
 @pytest.mark.slow
 def test_descent_from_the_same_cost_ends_elsewhere_from_elsewhere() -> None:
-    """Three targets, four unknowns: optima with J ≈ 0 form a curve, and the start decides which one is found."""
+    """Three targets, four unknowns: optima with J ≈ 0 form a curve."""
     targets = Targets(np.pi * np.array([0.1, 0.5, 1.0]), np.array([-1.0, -1.0, 3.0]))
     ends = [
         steepest_descent(np.array(gains), np.array(orders), targets, rate=0.01, steps=20000)
@@ -106,14 +106,14 @@ def test_descent_fails_in_every_way_it_can() -> None:
 
 
 def least_squares(orders: Array, targets: Targets, taps: int) -> Array:
-    """Gains with the least cost (13) for given orders; of several, the shortest."""
+    """Return the gains of least cost (13) for given orders; of several, the shortest."""
     basis = np.array([term_damping(targets.theta, order, taps)[0] for order in orders.tolist()])
     gains, *_ = np.linalg.lstsq(basis.T, targets.value, rcond=None)
     return np.asarray(gains, dtype=np.float64)
 
 
 def test_gains_alone_diverge_above_the_rate_that_theory_gives() -> None:
-    """For fixed orders J is quadratic: plain descent converges iff rate < 1/λ_max of the normal matrix."""
+    """For fixed orders J is quadratic: descent converges iff rate < 1/λ_max."""
     theta = np.pi * np.array([0.1, 0.5, 1.0])
     basis = np.array([term_damping(theta, order, 4)[0] for order in (1.5, 3.47)])
     limit = 1.0 / float(np.linalg.eigvalsh(basis @ basis.T).max())
@@ -128,7 +128,7 @@ def test_gains_alone_diverge_above_the_rate_that_theory_gives() -> None:
 
 
 def test_the_cost_is_cheated_by_a_negative_spring() -> None:
-    """A flat f = −1 is D = −1 N/m (T = 2): it damps nothing, and the leak-free f sees through it."""
+    """A flat f = −1 is D = −1 N/m (T = 2), which damps nothing; leak-free f shows it."""
     theta = np.linspace(0.1, np.pi, 20)
     almost_a_spring = np.array([1e-9])
     assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4) == pytest.approx(
@@ -159,7 +159,7 @@ def test_minimax_is_best_for_its_orders_and_its_bound_holds() -> None:
 
 
 def test_what_the_search_over_orders_reaches() -> None:
-    """Better than the paper's at the same f(ω_N), and as good as any four taps can be: the orders buy nothing more."""
+    """Better than the paper's at equal f(ω_N), as good as any four taps."""
     paper = measured(A, ALPHA, BAND, 4)
     shape, programmes = best_orders(2, BAND, paper.nyquist, 4, grid=8)
     _, bound = free_taps(4, BAND, paper.nyquist)

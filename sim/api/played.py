@@ -1,0 +1,248 @@
+"""Launch files and drops played in this process, without starting another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.stability.plant import Plant
+from sim.api.laws import LawLike, compiled, plain
+from sim.api.notebook_results import Result, new_figure
+from sim.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from nodes.launcher.launch_spec import Launch
+    from sim.play.trace import BodyTrace, ChainTrace
+
+
+@dataclass(frozen=True, repr=False)
+class Played(Result):
+    """A run in one process, one row a tick; of several axes an array has a column for each of them."""
+
+    name: str  # what was played
+    rate_hz: float  # of the loop [Hz]
+    axes: str  # axes that the scene computes, e.g. ``z`` or ``xyz``
+    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing
+    # falls, or not for long.
+    settled: bool | None
+    stopped_at_tick: int | None  # first tick at which the driver had stopped the loop; None: never
+    peak_force_n: float  # largest force [N]
+    # Where the device ended [m]: a number for one axis, else one for each.
+    final_position_m: float | tuple[float, ...]
+    time_s: Array
+    position_m: Array
+    velocity_m_per_s: Array
+    measured_m: Array  # what the encoders read
+    deflection_m: Array
+    proxy_m: Array  # where the proxy was
+    normal: Array  # outward normal of what was touched
+    contact: NDArray[np.bool_]  # whether something was touched
+    force_n: Array
+    # Where what moves besides was, by name: bodies of a MuJoCo scene, the devices of a pair. A
+    # table has them as columns: place [m], and orientation as a quaternion, w first.
+    bodies: Mapping[str, BodyTrace] = field(default_factory=dict)
+
+    def figures(self) -> dict[str, Any]:
+        """List what is no column; of the bodies their names."""
+        return {**super().figures(), "bodies": ", ".join(self.bodies)}
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """List what has one row a tick, places and orientations of bodies included."""
+        found = super().columns()
+        for name, body in self.bodies.items():
+            found[f"{name}_m"] = body.position
+            if body.turn is not None:
+                found |= {f"{name}_q{part}": body.turn[:, i] for i, part in enumerate("wxyz")}
+        return found
+
+    def plot(self) -> Figure:
+        """Draw position and force over time, a line for each axis."""
+        figure, (top, below) = new_figure(2, height=2.2)
+        several = len(self.axes) > 1
+        for i, axis in enumerate(self.axes):
+            position, force = (
+                values[:, i] if several else values for values in (self.position_m, self.force_n)
+            )
+            top.plot(self.time_s, position * 1e3, label=axis)
+            below.step(self.time_s, force, where="post", label=axis)
+        top.set(ylabel="position [mm]", title=self.name)
+        below.set(ylabel="force [N]", xlabel="time [s]")
+        if several:
+            below.legend(frameon=False)
+        return figure
+
+
+def drop(
+    law: LawLike,
+    plant: Plant,
+    height: float = 0.01,
+    ticks: int = 1500,
+    history: Literal["penetration", "position"] = "penetration",
+    clamp: bool = True,
+) -> Played:
+    """Drop a mass on a virtual floor, the experiment of the paper, as a launch and ``haptic study kmax`` drop it.
+
+    Parameters
+    ----------
+    law : str, mapping, sequence of float, Law or CompiledLaw
+        The law.
+    plant : Plant
+        Period [s], mass [kg], damping [N s/m] and delay [ticks]; nobody holds what is dropped.
+    height : float
+        Of the fall [m].
+    ticks : int
+        How long [ticks].
+    history : str
+        What feeds the law outside contact: ``penetration`` (zero) or ``position`` (the raw
+        distance).
+    clamp : bool
+        Whether a force into the wall is set to zero, as the coupling does. A wall that may pull
+        settles at up to 25 % more stiffness (PD, B = 40 N s/m: 18 000 N/m, against 14 400).
+
+    Returns
+    -------
+    Played
+        The run, and whether it settled.
+
+    Raises
+    ------
+    ValueError
+        When the plant has a hand: nobody holds what is dropped; when the height is below 0; when
+        the history is neither of the two.
+
+    Examples
+    --------
+    >>> drop({"kind": "pd", "stiffness": 1000, "damping": 3}, Plant(0.002, 0.1, 1.0)).settled
+    True
+    """
+    from sim.experiments.drop import Convention, dropped, held
+
+    if history not in ("penetration", "position"):
+        raise ValueError(f"history is {history!r}, expected 'penetration' or 'position'")
+    if plant.stiffness:
+        raise ValueError(
+            f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass"
+        )
+    if plant.partner is not None:
+        raise ValueError(
+            "plant.partner: a mass is dropped on a floor, which does not move; leave the"
+            " partner out"
+        )
+    if not 0.0 <= height < np.inf:
+        raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
+    convention = Convention(history == "position", clamp)
+    trace, rested = dropped(
+        held(plant), compiled(law, plant.period), plant.period, ticks, convention, height
+    )
+    peak = float(np.max(np.abs(trace.force)))
+    proxy = np.where(trace.measured < 0.0, 0.0, trace.measured)
+    return Played(
+        name=f"drop from {height * 1e3:g} mm",
+        rate_hz=1.0 / plant.period,
+        axes="z",
+        settled=rested,
+        stopped_at_tick=None,
+        peak_force_n=peak,
+        final_position_m=trace.final[0],
+        time_s=trace.time,
+        position_m=trace.position,
+        velocity_m_per_s=trace.velocity,
+        measured_m=trace.measured,
+        deflection_m=trace.deflection,
+        proxy_m=proxy,
+        normal=np.ones(ticks),
+        contact=trace.measured < 0.0,
+        force_n=trace.force,
+    )
+
+
+def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
+    """Play a scenario's launch file in one process: the bits of its lockstep run, without starting it.
+
+    Parameters
+    ----------
+    scenario : str
+        Name or path of a launch file; ``haptic.scenarios()`` lists them.
+    chain : str, optional
+        Namespace of the chain to play, of a launch file with several.
+    **arguments : object
+        Arguments of the launch file, e.g. ``stiffness=1500``.
+
+    Returns
+    -------
+    Played
+        The run.
+
+    Raises
+    ------
+    nodes.parameters.store.ParameterError
+        When the launch file refuses an argument, has several chains and none is named, or holds
+        what one process does not play: a real device, or a network between two hands.
+
+    Examples
+    --------
+    >>> round(play("floor_drop", stiffness=1500).final_position_m, 9)
+    -0.000654
+    >>> play("two_hands", chain="right").axes
+    'x'
+    """
+    from nodes.launcher import launch_file
+    from sim.play.player import play as play_chain
+
+    launch = launch_file.read(scenario, plain(arguments))
+    trace = play_chain(launch, chain)
+    name = "/".join(filter(None, (launch.scenario, chain)))
+    return _played(name, trace, _settled(launch, chain or "", trace))
+
+
+def _settled(launch: Launch, chain: str, trace: ChainTrace) -> bool | None:
+    """Return whether a drop came to rest; None for what is no drop, or too short to tell."""
+    from sim.experiments.drop import SHORTEST, Criterion, settled
+    from sim.play.launched import NotOneAxisError, from_launch
+
+    try:
+        one = from_launch(launch, chain)
+    except NotOneAxisError:
+        return None
+    device = one.scene.device
+    falls = bool(device.gravity) and device.hand is None and one.scene.surface.kind == "plane"
+    if not falls or trace.ticks < SHORTEST:
+        return None
+    along = trace.along()
+    return settled(one.scene, one.last_law, along.position, along.force, Criterion(trace.ticks))
+
+
+def _played(name: str, trace: ChainTrace, settled: bool | None) -> Played:
+    axes = list(trace.axes)
+    several = len(axes) > 1
+
+    def of(values: Array) -> Array:
+        return values[:, axes] if several else values[:, axes[0]]
+
+    ends = tuple(trace.final[0, axes].tolist())
+    force = trace.force[:, axes]
+    return Played(
+        name=name,
+        rate_hz=1.0 / trace.period,
+        axes="".join("xyz"[i] for i in axes),
+        settled=settled,
+        stopped_at_tick=trace.stopped_at,
+        peak_force_n=float(np.linalg.norm(force, axis=1).max()),
+        final_position_m=ends if several else ends[0],
+        time_s=trace.time,
+        position_m=of(trace.position),
+        velocity_m_per_s=of(trace.velocity),
+        measured_m=of(trace.measured),
+        deflection_m=of(trace.deflection),
+        proxy_m=of(trace.proxy),
+        normal=of(trace.normal),
+        contact=trace.contact,
+        force_n=of(trace.force),
+        bodies=trace.bodies,
+    )

@@ -1,0 +1,78 @@
+"""A device as it may be by what the residual leaves open, and the poles of a law on it.
+
+Each term that a recording shows and the model lacks gives one such device (`remainder`). K_max of a
+reference law grades the terms before any law exists; once a law is designed, its own pole radius
+on these devices says what they matter to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from nodes.laws import CompiledLaw
+from nodes.stability.flexible import FlexiblePlant, flexible_radius
+
+
+@dataclass(frozen=True)
+class AlteredDevice:
+    """An identified device with one term more, at the largest size that the recording leaves open."""
+
+    cause: str  # the term, in words
+    plant: FlexiblePlant  # the linear device, the delay of the loop included
+    # part of the sample before in each reading; its mean delay is part of the plant's
+    average: float = 0.0
+    # stiffness that the term adds to the law's own, or takes from it [N/m]
+    spring: float = 0.0
+    gain: float = 1.0  # largest factor of the law, its inverse being the least [1]
+
+    def radius(self, law: CompiledLaw, period: float) -> float:
+        """Return the largest pole of a law on the device, the worst sign of spring and gain.
+
+        Parameters
+        ----------
+        law : CompiledLaw
+            The law. The average of the sensor stands in its taps; with sections, in the delay.
+        period : float
+            Sampling period T [s].
+        """
+        springs = {self.spring, -self.spring}
+        gains = {self.gain, 1.0 / self.gain}
+        return max(self._radius(law, period, spring, gain) for spring in springs for gain in gains)
+
+    def _radius(self, law: CompiledLaw, period: float, spring: float, gain: float) -> float:
+        taps = np.array(law.taps) * gain
+        taps[0] += spring
+        sections = tuple((gain * b0, gain * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
+        plant = self.plant
+        if self.average and not law.sections:
+            taps = np.convolve(taps, [1.0 - self.average, self.average])
+            plant = FlexiblePlant(**asdict(plant) | {"delay": max(plant.delay - self.average, 0.0)})
+        return flexible_radius(CompiledLaw(tuple(taps.tolist()), sections), period, plant)
+
+
+def worst_altered(
+    law: CompiledLaw, period: float, devices: Iterable[AlteredDevice]
+) -> tuple[float, str] | None:
+    """Return the largest pole radius of a law over the devices and its cause; None without any."""
+    return max(((one.radius(law, period), one.cause) for one in devices), default=None)
+
+
+def as_record(device: AlteredDevice) -> dict[str, Any]:
+    """Return a device as JSON has it: a rigid one has no frequency."""
+    record = asdict(device)
+    if not math.isfinite(device.plant.frequency):
+        record["plant"]["frequency"] = None
+    return record
+
+
+def from_record(record: Mapping[str, Any]) -> AlteredDevice:
+    """Return the device of a record: the inverse of `as_record`."""
+    plant = dict(record["plant"])
+    if plant["frequency"] is None:
+        plant["frequency"] = math.inf
+    return AlteredDevice(**{**record, "plant": FlexiblePlant(**plant)})

@@ -1,0 +1,156 @@
+"""Measure a law on curved surfaces: energy along closed ways, kicks, and K_max of a sliding contact, in both frames."""
+
+from __future__ import annotations
+
+import math
+from argparse import ArgumentTypeError
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.launcher import launch_file
+from nodes.laws.pd import PD
+from nodes.laws.pd_alpha import PDAlpha
+from nodes.parameters.options import FileOptions, option, quantity
+from nodes.parameters.quantities import not_negative, positive
+from nodes.recording import figure_style as style
+from sim.results import fresh
+from sim.studies.result import Answer, answered
+from sim.studies.sweeps import SpreadOptions, spread
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from sim.lab.curved import AlongTheWay
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvedOptions(SpreadOptions, FileOptions):
+    """Options of `curved`."""
+
+    stiffness: float = quantity("stiffness", 800.0)
+    gain: float = quantity("gain", 2.0)
+    rate: float = quantity("rate", 500.0)
+    depth: float = option(
+        default=0.002, type=positive, help="below the surface [m] (default: 0.002)"
+    )
+    speed: float = option(default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)")
+    slides: str = option(
+        default="0,0.02,0.04", help="speeds of the sliding contact [m/s] (default: 0,0.02,0.04)"
+    )
+    launched: bool = option(
+        action="store_true", help="confirm each K_max by two launches, 2 %% below it and above"
+    )
+
+
+def curved(options: CurvedOptions) -> Answer:
+    """Lead laws along surfaces, then search the edge of stability while one slides."""
+    if options.depth > 0.005:
+        raise UsageError(f"--depth {options.depth:g}: at most 0.005 m, in a rod of 0.006 m")
+    try:
+        slides = [not_negative(text) for text in options.slides.split(",") if text]
+    except ArgumentTypeError as error:
+        raise UsageError(f"--slides {options.slides}: {error}") from error
+    from sim.lab.curved import FRAMES, SEARCHED, along_ways, growth_launched, sliding_k_max, theory
+
+    period, k, b = 1.0 / options.rate, options.stiffness, options.gain
+    alpha = PDAlpha(stiffness=k, damping=b, order=1.2, taps=10, gains="physical")
+    laws = [("pd", PD(stiffness=k, damping=b).compile(period)), ("pd_alpha", alpha.compile(period))]
+    found = along_ways(laws, period, options.speed, options.depth)
+    lines = [
+        f"{'surface':26}{'law':10}{'frame':9}{'given out':>12}{'kicks [mN]':>12}{'off a spring [mN]':>19}"
+    ]
+    lines += [
+        f"{row.surface:26}{row.law:10}{row.frame:9}{100.0 * row.given_out:10.3f}"
+        f" %{1e3 * row.kicks_n:12.3f}{1e3 * row.largest_n:19.3f}"
+        for row in found
+    ]
+    launch = launch_file.read("sphere_feel", {"rate": options.rate, "pace": "lockstep"})
+    one_axis = theory(period)
+    lines += [
+        "",
+        f"K_max of a contact that slides over a sphere of 35 mm; in one axis {one_axis:.5g} N/m",
+    ]
+    edges: list[dict[str, Any]] = []
+    ways = [(speed, frame) for speed in slides for frame in FRAMES]
+    limits = spread(
+        options, [partial(sliding_k_max, launch, speed, frame) for speed, frame in ways]
+    )
+    for (speed, frame), edge in zip(ways, limits, strict=True):
+        row: dict[str, Any] = {
+            "speed_m_per_s": speed,
+            "frame": frame,
+            "k_max_n_per_m": None,
+            "over": None,
+        }
+        if edge in (0.0, math.inf):
+            end = f"below {SEARCHED[0]:g}" if edge == 0.0 else f"above {SEARCHED[1]:g}"
+            lines.append(f"at {speed:g} m/s, {frame:8} {end} of it, where the search ends")
+            edges.append(row | {"beyond": end})
+            continue
+        row |= {"k_max_n_per_m": edge, "over": edge / one_axis}
+        text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"
+        if options.launched:
+            below, above = (
+                growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02)
+            )
+            row["growth_below"], row["growth_above"] = below, above
+            text += (
+                f"; launched, the ripple grows {below:.3f} times at 0.98 of that, {above:.3f} times"
+                " at 1.02"
+            )
+        lines.append(text)
+        edges.append(row)
+    figures = {"ways": [asdict(row) for row in found], "one_axis_n_per_m": one_axis, "edges": edges}
+    return answered(figures, lines, plot=draw(options.out / "curved.png", found, edges))
+
+
+@style.styled
+def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[Mapping[str, Any]]) -> Path:
+    """Draw the energy along closed ways, and how a slide moves the edge, in the world's axes and in turning ones."""
+    surfaces, frames, laws = (
+        list(dict.fromkeys(getattr(row, key) for row in ways))
+        for key in ("surface", "frame", "law")
+    )
+    figure = style.new_figure(9.4, 1.6 + 0.36 * len(surfaces))
+    # Without slides there is no edge to show.
+    panels = figure.subplots(
+        1, 1 + bool(edges), width_ratios=(1.4, 1.0)[: 1 + bool(edges)], squeeze=False
+    )
+    energy = panels[0, 0]
+    style.name_rows(energy, surfaces)
+    for number, (frame, law) in enumerate((frame, law) for frame in frames for law in laws):
+        mine = [row for row in ways if (row.frame, row.law) == (frame, law)]
+        rows = [surfaces.index(row.surface) + 0.16 * (number - 1.5) for row in mine]
+        mark = {
+            "marker": style.MARKERS[number],
+            "color": style.COLOURS[frames.index(frame)],
+            "ls": "",
+        }
+        energy.plot(
+            [100.0 * row.given_out for row in mine],
+            rows,
+            **mark,
+            label=f"{law}, axes of the {frame}",
+        )
+    energy.set_xlabel("energy given out, of force times way, there and back  [%]")
+    style.threshold(energy, 0.0, "gives out nothing", vertical=True)
+    style.legend_above(energy)
+    if edges:
+        _draw_edges(panels[0, 1], edges)
+    return style.save_figure(figure, path, fresh)
+
+
+def _draw_edges(limit: Axes, edges: Sequence[Mapping[str, Any]]) -> None:
+    for number, frame in enumerate(dict.fromkeys(row["frame"] for row in edges)):
+        mine = [row for row in edges if row["frame"] == frame and row["over"] is not None]
+        places = [row["speed_m_per_s"] for row in mine], [row["over"] for row in mine]
+        limit.plot(*places, marker=style.MARKERS[number], label=f"axes of the {frame}")
+    limit.set_xlabel("speed of a slide over a sphere of 35 mm  [m/s]")
+    limit.set_ylabel(r"$K_\mathrm{max}$ over that of one axis  [1]")
+    limit.set_ylim(0.99 * min(limit.get_ylim()[0], 1.0), 1.01 * max(limit.get_ylim()[1], 1.0))
+    limit.locator_params(nbins=5)
+    style.legend_above(limit)

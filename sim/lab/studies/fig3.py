@@ -1,0 +1,52 @@
+"""The paper's figure 3: f(ω) of its optimised two-term law beside PD, and what is claimed about it."""
+
+from dataclasses import dataclass
+
+from messages.errors import UsageError
+from nodes.parameters.options import FileOptions, quantity
+from nodes.recording.figure_style import COLOURS, GREY, OMEGA, label_ends, new_figure, styled
+from sim.studies.result import Answer, answered
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fig3Options(FileOptions):
+    """Options of `fig3`."""
+
+    taps: int = quantity("taps", 4)
+    rate: float = quantity("rate", 500.0)
+
+
+@styled
+def fig3(options: Fig3Options) -> Answer:
+    """Draw the figure and check the claims."""
+    from sim.lab.paper.claims import save, table
+    from sim.lab.paper.fig2_fig3 import claims_3, figure_3
+
+    if options.taps < 2:
+        raise UsageError(f"--taps {options.taps}: a derivative needs at least 2")
+    curves = figure_3(options.taps)
+    claims = claims_3(options.taps, 1.0 / options.rate)
+    share = curves["theta"] / curves["theta"][-1]
+    figure = new_figure(6.4, 4.2)
+    axes = figure.add_subplot(
+        xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]"
+    )
+    axes.plot(share, curves["optimum"], color=COLOURS[0], ls="-", label="paper's optimum")
+    axes.plot(share, curves["pd"], color=COLOURS[1], ls="--", label="PD")
+    for i, label in enumerate((r"$1.69\,D^{1.50}$", r"$1.32\,D^{3.47}$")):
+        axes.plot(
+            share, curves["terms"][i], color=COLOURS[2 + i], ls=("-.", ":")[i], lw=1.0, label=label
+        )
+    for level in (-1.0, 0.0):
+        axes.axhline(level, color=GREY, lw=0.8)
+    axes.set_title(f"f of the paper's optimum, {options.taps} taps per term")
+    axes.set_xlim(0.0, 1.0)
+    label_ends(axes)
+    figures = {"taps": options.taps, "frequency_nyquist": share.tolist()}
+    figures |= {f"f_{name}": curves[name].tolist() for name in ("optimum", "pd", "terms")}
+    saved = save("fig3", figures, claims, figure, options.out)
+    head = (
+        f"figure 3: f of the paper's optimum beside PD, {options.taps} taps per term; seconds as"
+        f" at {options.rate:g} Hz"
+    )
+    return answered(saved, [head, table(claims), saved["plot"], saved["data"]])

@@ -1,0 +1,248 @@
+"""Optimise a multi-term law: the paper's steepest descent and where it fails, then linear programmes over all orders."""
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from messages.errors import UsageError
+from nodes.laws import CompiledLaw
+from nodes.laws.multi_term import MultiTerm, Term
+from nodes.parameters.options import FileOptions, option, quantity
+from nodes.parameters.quantities import interval, positive, whole
+from nodes.recording.figure_style import COLOURS, LINES, OMEGA, new_figure, save_figure, styled
+from nodes.stability.k_max import k_max, without_spring
+from sim.lab.paper.descent import (
+    Descent,
+    Shaping,
+    best_orders,
+    cost,
+    damping_curve,
+    free_taps,
+    measured,
+    paper_targets,
+    starting,
+    steepest_descent,
+)
+from sim.lab.paper.fig2_fig3 import optimum_terms
+from sim.results import fresh
+from sim.studies import device_options as shared
+from sim.studies.device_options import DeviceOptions
+from sim.studies.result import Answer, answered
+from sim.studies.sweeps import SpreadOptions, spread
+
+OUTCOMES = ("converged", "slow", "out_of_range", "diverged")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimiseOptions(DeviceOptions, SpreadOptions, FileOptions):
+    """Options of `optimise`."""
+
+    taps: int = quantity("taps", 4)
+    gain: float = quantity("gain", 3.0)
+    terms: int = option(default=2, type=whole(1, 8), help="number of terms (default: %(default)s)")
+    at: list[float] = option(
+        default=[0.1, 0.5], type=positive, nargs="+", help="frequencies of the targets [ω_N]"
+    )
+    rates: list[float] = option(
+        default=[0.003, 0.03, 0.3], type=positive, nargs="*", help="of the descent"
+    )
+    steps: int = option(
+        default=2000, type=whole(1, 10**7), help="of each descent (default: %(default)s)"
+    )
+    starts: int = option(
+        default=8, type=whole(1, 1000), help="orders per axis to start from (default: %(default)s)"
+    )
+    band: tuple[float, float] = option(
+        default=(0.02, 0.55), type=interval, help="where f = -1 is wanted [ω_N]"
+    )
+    nyquist: list[float] = option(
+        default=[1.0, 2.0, 3.05, 4.0], type=positive, nargs="+", help="bounds on f at Nyquist"
+    )
+
+
+def optimise(options: OptimiseOptions) -> Answer:
+    """Reproduce the descent, then do better."""
+    if options.taps < 2 or options.terms < 1 or options.starts < options.terms:
+        raise UsageError(
+            "--taps must be at least 2, --terms at least 1 and --starts at least --terms"
+        )
+    if not all(0.0 < at < 1.0 for at in options.at) or options.band[1] >= 1.0:
+        raise UsageError("--at and --band are fractions of ω_N: above 0 and below 1")
+    targets = paper_targets(tuple(options.at))
+    starts = starting(options.starts, options.terms)
+    # The searches first: each takes as long as many descents.
+    shape, bounds = (options.taps, options.band), options.nyquist
+    jobs: list[partial[Any]] = [
+        partial(best_orders, options.terms, options.band, one, options.taps) for one in bounds
+    ]
+    jobs += [partial(free_taps, *shape, bound) for bound in bounds]
+    jobs += [
+        partial(
+            steepest_descent,
+            np.ones(options.terms),
+            orders,
+            targets,
+            options.taps,
+            rate,
+            options.steps,
+        )
+        for rate in options.rates
+        for orders in starts
+    ]
+    try:
+        done = spread(options, jobs)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    count = len(bounds)
+    runs = done[2 * count :]
+    descents = {
+        rate: runs[i * len(starts) :][: len(starts)] for i, rate in enumerate(options.rates)
+    }
+    paper = measured(*optimum_terms(), options.band, 4)
+    rows = [_row("paper_optimum", None, paper, options)] if options.terms == 2 else []
+    for bound, (optimum, programmes), (taps, least) in zip(
+        bounds, done[:count], done[count : 2 * count], strict=True
+    ):
+        rows.append(_row("best orders", bound, optimum, options) | {"programmes": programmes})
+        rows.append(_free_row(bound, taps, least, options))
+    figures = {
+        "descent": [{"rate": rate, **_counts(runs)} for rate, runs in descents.items()],
+        "paper_cost": cost(*optimum_terms(), targets, 4),
+        "shapes": rows,
+    }
+    return answered(figures, _text(figures), plot=_draw(options, descents, rows))
+
+
+def _row(
+    name: str, bound: float | None, shape: Shaping, options: OptimiseOptions
+) -> dict[str, Any]:
+    law = MultiTerm(
+        stiffness=1.0,
+        damping=options.gain,
+        terms=tuple(
+            Term(gain=a, order=o)
+            for a, o in zip(shape.gains.tolist(), shape.orders.tolist(), strict=True)
+        ),
+        taps=4 if name == "paper_optimum" else options.taps,
+        gains="paper",
+    )
+    return {
+        "law": name,
+        "nyquist_bound": bound,
+        "gains": shape.gains.tolist(),
+        "orders": shape.orders.tolist(),
+        "ripple": shape.ripple,
+        "f_nyquist": shape.nyquist,
+        "h1_max_n_per_m": _stiffest(without_spring(law, 1.0 / options.rate), options),
+    }
+
+
+def _free_row(bound: float, taps: Any, ripple: float, options: OptimiseOptions) -> dict[str, Any]:
+    # T = 2 in the programme: at the loop's own period a derivative part is 2/T times as large per N
+    # s/m.
+    scale = 2.0 * options.rate * options.gain
+    derivative = CompiledLaw(tuple((scale * taps).tolist()))
+    nyquist = float(np.dot(taps, (-1.0) ** np.arange(len(taps))))
+    return {
+        "law": "any taps",
+        "nyquist_bound": bound,
+        "taps": taps.tolist(),
+        "ripple": ripple,
+        "f_nyquist": nyquist,
+        "h1_max_n_per_m": _stiffest(derivative, options),
+    }
+
+
+def _stiffest(derivative: CompiledLaw, options: OptimiseOptions) -> float | None:
+    return k_max(derivative, shared.device(options)).h1_max_n_per_m
+
+
+def _counts(runs: list[Descent]) -> dict[str, Any]:
+    counts = Counter(run.outcome for run in runs)
+    ends = sorted(float(run.cost[-1]) for run in runs if run.outcome in ("converged", "slow"))
+    return {
+        "starts": len(runs),
+        **{outcome: counts[outcome] for outcome in OUTCOMES},
+        "cost_best": ends[0] if ends else None,
+        "cost_median": ends[len(ends) // 2] if ends else None,
+    }
+
+
+def _text(figures: dict[str, Any]) -> list[str]:
+    lines = [
+        "steepest descent (13)-(15)",
+        "     rate  starts  converged  slow  left 0<α<4  diverged  best J     median J",
+    ]
+    for row in figures["descent"]:
+        best, median = row["cost_best"], row["cost_median"]
+        lines.append(
+            f"{row['rate']:9.4g}  {row['starts']:6d}  {row['converged']:9d}  {row['slow']:4d} "
+            f" {row['out_of_range']:10d}  {row['diverged']:8d} "
+            f" {'-' if best is None else f'{best:.2e}':9} "
+            f" {'-' if median is None else f'{median:.2e}'}"
+        )
+    lines.append(f"the paper's own optimum has J = {figures['paper_cost']:.3g} by its eq. (13)")
+    lines.append("\nlaw            bound   ripple  f(ω_N)  H(1)_max  gains; orders")
+    for row in figures["shapes"]:
+        bound, h1 = row["nyquist_bound"], row["h1_max_n_per_m"]
+        terms = "; ".join(
+            " ".join(f"{value:.3f}" for value in row[key])
+            for key in ("gains", "orders", "taps")
+            if key in row
+        )
+        lines.append(
+            f"{row['law']:13} {'-' if bound is None else f'{bound:.3g}':>6}  {row['ripple']:7.4f} "
+            f" {row['f_nyquist']:6.3f}  {'-' if h1 is None else f'{h1:.5g}':>8}  {terms}"
+        )
+    return lines
+
+
+@styled
+def _draw(
+    options: OptimiseOptions, descents: dict[float, list[Descent]], rows: list[dict[str, Any]]
+) -> Path:
+    figure = new_figure(10.0, 4.0)
+    left, right = figure.subplots(1, 2)
+    for k, (rate, runs) in enumerate(descents.items()):
+        for i, one in enumerate(runs):
+            look: Any = {"color": COLOURS[k % len(COLOURS)], "lw": 0.6, "ls": LINES[k % len(LINES)]}
+            left.loglog(
+                np.arange(1, one.cost.size + 1),
+                one.cost,
+                **look,
+                label=f"rate {rate:g}" if i == 0 else None,
+            )
+    left.set(
+        xlabel="step  [1]",
+        ylabel="J, eq. (13)  [1]",
+        title="steepest descent from a grid of orders",
+        ylim=(1e-7, 1e6),
+    )
+    if descents:
+        left.legend(title="of descent", title_fontsize=8.0)
+    theta = np.linspace(0.0, np.pi, 401)
+    for row in rows:
+        if "orders" in row:
+            curve = damping_curve(
+                theta, np.array(row["gains"]), np.array(row["orders"]), options.taps, leak=False
+            )
+            bound = row["nyquist_bound"]
+            label = (
+                row["law"]
+                if bound is None
+                else rf"best orders, $f(\omega_\mathrm{{N}}) \leq {bound:g}$"
+            )
+            right.plot(
+                theta / np.pi,
+                curve,
+                label=label,
+                **({"color": "k", "ls": "-"} if bound is None else {}),
+            )
+    right.set(xlabel=OMEGA, ylabel="f over the spring as H(1)  [1]", title="shapes of f")
+    if rows:
+        right.legend()
+    return save_figure(figure, options.out / "optimise.png", fresh)

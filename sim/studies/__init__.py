@@ -1,0 +1,1 @@
+"""Studies: functions of typed options that return what they found; ``haptic study`` and ``haptic.study`` call them."""

@@ -1,0 +1,177 @@
+"""Find how coarse a scene may be before the device could tell: mesh to plane, bodies from dynamic to fixed."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import UsageError
+from nodes.parameters.options import FileOptions, argument, option
+from nodes.parameters.quantities import not_negative, positive
+from nodes.recording import figure_style as style
+from sim.results import fresh
+from sim.studies.result import Answer, answered
+
+if TYPE_CHECKING:
+    from sim.experiments.detail import Detail
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetailOptions(FileOptions):
+    """Options of `detail`."""
+
+    scenario: str = argument(
+        help="name of a launch file with a shape in three axes, or the path of one"
+    )
+    assignments: list[str] = argument(
+        default=[], nargs="*", metavar="name:=value", help="arguments of the launch file"
+    )
+    fraction: float = option(
+        default=0.01,
+        type=not_negative,
+        help="part of the largest force that is no difference (default: 0.01)",
+    )
+    resolution: float | None = option(
+        type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)"
+    )
+
+
+def detail(options: DetailOptions) -> Answer:
+    """Lead a lockstep run's path through every level."""
+    import tempfile
+
+    import numpy as np
+
+    from messages.topics import PROXY
+    from nodes.coupling.law_book import LawBook
+    from nodes.coupling.parameters import CouplingParameters
+    from nodes.environment.shapes.kinds import Touchable
+    from nodes.environment.surfaces import parse_surface
+    from nodes.launcher import launch_file
+    from nodes.parameters.store import ParameterError, convert
+    from nodes.recording.reader import Recording
+    from sim.experiments.detail import body_detail, detail
+    from sim.experiments.terms import RESOLUTION
+    from sim.measure.measured_launch import launch as run_launch
+
+    words = [*options.assignments, "pace:=lockstep"]
+    try:
+        launch = launch_file.read(options.scenario, launch_file.parse_assignments(words))
+        parts = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
+        if not {"environment", "mujoco"} & set(parts) or "coupling" not in parts:
+            raise UsageError(
+                f"{launch.scenario}: has no node of kind environment with a shape or of kind"
+                " mujoco, and a coupling"
+            )
+        name, given = parts["coupling"]
+        coupling = convert(given, CouplingParameters, name)
+        stiffness = LawBook(name, launch.run.period).compile(coupling, coupling.law).h1
+        device = parts.get("sim_driver", ("", {}))[1].get("device", {})
+        resolution = options.resolution or device.get("resolution") or RESOLUTION
+        if "mujoco" in parts:
+            # In one process: it gives the bits of a launch.
+            found = body_detail(
+                launch, stiffness, resolution, options.fraction, options.progress(5)
+            )
+        else:
+            name, given = parts["environment"]
+            surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
+            if not isinstance(surface, Touchable):
+                raise UsageError(
+                    f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape"
+                    " in three axes, e.g. mesh_pebble"
+                )
+            solids = surface.solids(f"{name}.surface")
+            with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+                figures = run_launch(options.scenario, *words, folder=Path(folder))
+                recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
+            path = np.array([message.position for message in recorded])
+            loop = launch.run.period, stiffness, resolution, options.fraction
+            found = detail(solids, path, surface.tool_radius, *loop, options.progress(12))
+    except ParameterError:
+        raise
+    except ValueError as error:
+        raise UsageError(f"{launch.scenario}: {error}") from error
+    result: dict[str, Any] = {
+        "scenario": launch.scenario,
+        **asdict(found),
+        "needs": found.coarsest.name,
+    }
+    picture = draw(options.out / f"detail_{launch.scenario}.png", launch.scenario, found)
+    return answered(result, _text(launch.scenario, stiffness, resolution, found), plot=picture)
+
+
+def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:
+    lines = [
+        (
+            f"{scenario}: H(1) {stiffness:.4g} N/m, encoder step {1e6 * resolution:.3g} µm: force"
+            f" step {1e3 * found.force_step_n:.3g} mN; largest force {found.largest_n:.3g} N; no"
+            f" difference up to {1e3 * found.limit_n:.3g} mN"
+        ),
+        "",
+        (
+            f"{'level':30}{'shapes':>8}{'triangles':>11}{'force differs [mN]':>20}"
+            f"{'proxy [µm]':>12}{'places':>8}{'µs a call':>18}"
+        ),
+        f"{'':49}{'max':>10}{'rms':>10}{'':20}{'median':>9}{'p99':>9}",
+    ]
+    lines += [
+        f"{level.name:30}{level.solids:8}{level.triangles:11}{1e3 * level.force_n:10.3g}{1e3 * level.rms_n:10.3g}"
+        f"{level.proxy_um:12.3g}{level.places:8}{level.call_us:9.3g}{level.call_p99_us:9.3g}"
+        f"{'  enough' if level.enough else ''}"
+        for level in found.levels
+    ]
+    lines += [f"left out: {text}" for text in found.left_out]
+    enough, finest = found.coarsest, found.levels[0]
+    lines.append(f"this scene needs: {enough.name}")
+    if enough is not finest:
+        lines[-1] += (
+            f"; as it is, it adds at most {1e3 * enough.force_n:.3g} mN and costs "
+            f"{finest.call_us - enough.call_us:+.3g} µs a tick"
+        )
+    return "\n".join(lines)
+
+
+@style.styled
+def draw(path: Path, scenario: str, found: Detail) -> Path:
+    """Draw by how much the force of each level differs, and what a call costs."""
+    import numpy as np
+
+    levels = found.levels
+    figure = style.new_figure(8.6, 1.4 + 0.32 * len(levels))
+    differs, costs = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
+    style.name_rows(differs, [level.name for level in levels])
+    # What differs by nothing, or by rounding alone, has no place on a logarithmic axis: it stands
+    # at its end.
+    least = 1e-3 * (1e3 * found.limit_n)
+    for axes, low, high, names, scale in (
+        (differs, "rms_n", "force_n", ("rms", "largest"), 1e3),
+        (costs, "call_us", "call_p99_us", ("median", "p99"), 1.0),
+    ):
+        for key, name, colour, mark in zip(
+            (low, high), names, style.COLOURS, style.MARKERS, strict=False
+        ):
+            values = np.maximum(
+                [scale * getattr(level, key) for level in levels], least if axes is differs else 0.0
+            )
+            axes.plot(values, range(len(levels)), mark, color=colour, label=name, clip_on=False)
+        style.legend_above(axes)
+    differs.set(
+        xscale="log",
+        xlabel="the force differs by, at the left end less than that  [mN]",
+        xlim=(least, None),
+    )
+    # One call that the machine has interrupted would push all others to the left.
+    apart = max(level.call_p99_us for level in levels) > 20.0 * min(
+        level.call_us for level in levels
+    )
+    costs.set(xscale="log" if apart else "linear", xlabel="time of a call  [µs]")
+    figure.suptitle(f"{scenario} needs: {found.coarsest.name}", fontsize=9.5, x=0.01, ha="left")
+    style.threshold(
+        differs,
+        1e3 * found.limit_n,
+        f"no difference: up to {1e3 * found.limit_n:.3g} mN",
+        vertical=True,
+    )
+    return style.save_figure(figure, path, fresh)

@@ -1,0 +1,231 @@
+"""The frequency that occurs at the edge of stability: K_max by Colgate's condition there alone, and from a recorded swing."""
+
+import math
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from messages.errors import UsageError
+from nodes.laws.parse import parse_law
+from nodes.parameters.options import FileOptions, argument, option, quantity
+from nodes.parameters.quantities import COUNT, Interval, not_negative, whole
+from nodes.recording.figure_style import (
+    COLOURS,
+    INK,
+    MARKERS,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
+from nodes.recording.writer import RecordError
+from nodes.stability.k_max import edge_of, k_max, without_spring
+from nodes.stability.plant import Plant
+from sim.studies import device_options as shared
+from sim.studies.device_options import DeviceOptions
+from sim.studies.result import Answer, answered
+from sim.studies.sweeps import SPREAD, SpreadOptions, spread
+
+# The laws that are compared.
+LAWS: dict[str, dict[str, Any]] = {
+    "pd": {"kind": "pd", "stiffness": 1.0},
+    "pd_filtered 100 Hz": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
+    "pd_alpha 0.5": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "order": 0.5,
+        "taps": 20,
+        "gains": "paper",
+    },
+    "pd_alpha 1.5": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "order": 1.5,
+        "taps": 4,
+        "gains": "paper",
+    },
+    "paper_optimum": {"kind": "paper_optimum"},
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeOptions(DeviceOptions, SpreadOptions, FileOptions):
+    """Options of `edge`."""
+
+    recording: Path | None = argument(
+        default=None,
+        type=Path,
+        help="predict an interval of K_max from the swing of its longest contact, no mass known",
+    )
+    gain: tuple[float, float] = quantity("gain", Interval(1.0, 40.0))
+    drops: int | None = option(
+        type=COUNT,
+        help="of random devices instead: how often the interval of a swing holds the true K_max",
+    )
+    points: int = option(
+        default=24, type=whole(2, 100000), help="gains, in geometric steps (default: %(default)s)"
+    )
+    device_damping: float | None = option(
+        type=not_negative,
+        help="of the recorded device and its hand, when it is real [N s/m]; narrows the interval",
+    )
+
+
+def edge(options: EdgeOptions) -> Answer:
+    """Compare laws, or predict from a recording."""
+    if options.recording is not None:
+        options.refuse_unused("the recording tells it", "gain", "mass", "delay", "rate")
+        options.refuse_unused("the device's damping is --device-damping", "damping")
+        options.refuse_unused("one recording is looked at", "drops", "points", *SPREAD)
+        return _predict(options, options.recording)
+    options.refuse_unused(
+        "there is no RECORDING; the device's damping is --damping", "device_damping"
+    )
+    if options.drops is not None:
+        options.refuse_unused(
+            "--drops draws its devices and gains at random",
+            "gain",
+            "points",
+            "mass",
+            "damping",
+            "delay",
+            "hand",
+        )
+        return _drops(options, options.drops)
+    low, high = options.gain
+    if not 0.0 < low < high:
+        raise UsageError(f"--gain {low:g}..{high:g}: needs 0 < LOW < HIGH")
+    device, period = shared.device(options), 1.0 / options.rate
+    gains = [low * (high / low) ** (i / (options.points - 1)) for i in range(options.points)]
+    found = spread(
+        options, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4
+    )
+    rows = [row for row in found if row is not None]
+    if not rows:
+        raise UsageError(
+            f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains"
+        )
+    ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
+    exact = max(abs(row["k_exact_n_per_m"] / row["k_max_n_per_m"] - 1.0) for row in rows)
+    figures = {
+        "points": rows,
+        "ratio_min": min(ratios),
+        "ratio_max": max(ratios),
+        "exact_error": exact,
+    }
+    text = (
+        f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay"
+        f" {device.delay:g} ticks, {options.rate:g} Hz; B {low:g} .. {high:g}\nK_max = 2(b R -"
+        f" f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is"
+        f" {min(ratios):.3f} .. {max(ratios):.3f} (THEORY.md §9)\npd_windowed is left out: no taps,"
+        " so no f(w); its K_max is by drops (study kmax --method simulation)"
+    )
+    return answered(figures, text, plot=_draw(options, rows, device.damping, period))
+
+
+def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
+    """Find where a law rings on a device; None where it has no limit."""
+    derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
+    limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
+    return (
+        None
+        if limit is None or edge is None
+        else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
+    )
+
+
+def _drops(options: EdgeOptions, drops: int) -> Answer:
+    from sim.identify.swing import counted, dropped
+
+    named = [list(LAWS)[number % len(LAWS)] for number in range(drops)]
+    jobs = [
+        partial(dropped, number, name, LAWS[name], 1.0 / options.rate)
+        for number, name in enumerate(named)
+    ]
+    rows = spread(options, jobs)
+    laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
+    lines = [
+        f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11}"
+        f" {'median width':>13}"
+    ]
+    for name, one in {**laws, "all": counted(rows)}.items():
+        if one["told"]:
+            lines.append(
+                f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d}"
+                f" {100.0 * one['worst_miss']:9.2f} % {100.0 * one['median_width']:11.2f} %"
+            )
+    return answered({**counted(rows), "laws": laws, "rows": rows}, lines)
+
+
+def _predict(options: EdgeOptions, recording: Path) -> Answer:
+    from sim.identify.swing import CannotTellError, recorded_swing
+
+    try:
+        swing = recorded_swing(recording, options.device_damping, options.hand or None)
+    except CannotTellError as error:
+        return answered({"k_max_n_per_m": None, "why": str(error)}, f"unknown: {error}", held=False)
+    except (RecordError, ValueError, OSError) as error:
+        raise UsageError(str(error)) from error
+    low, high = swing.k_max_n_per_m
+    mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
+    known = (
+        f"with the damping of {damping[0]:g} N s/m"
+        if damping[0] == damping[1]
+        else (
+            f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows"
+            " (--device-damping narrows it)"
+        )
+    )
+    hand = swing.hand_n_per_m
+    held = f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
+    text = (
+        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg,"
+        f" {known}, {held} (THEORY.md §9)\nmeasured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to"
+        f" {100.0 * k / low if low else math.inf:.0f} % of it: swings at"
+        f" {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick;"
+        f" rings at {swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
+    )
+    return answered(asdict(swing), text)
+
+
+@styled
+def _draw(options: EdgeOptions, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
+    figure = new_figure(10.0, 4.2)
+    left, right = figure.subplots(1, 2)
+    for i, name in enumerate(LAWS):
+        mine = [row for row in rows if row["law"] == name]
+        k = [row["k_max_n_per_m"] for row in mine]
+        look: Any = {"ls": "none", "marker": MARKERS[i], "color": COLOURS[i], "label": name}
+        left.plot([row["f_n_s_per_m"] for row in mine], k, **look)
+        hertz = [row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine]
+        right.plot(hertz, [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], **look)
+    span = sorted(row["f_n_s_per_m"] for row in rows)
+    left.plot(
+        span,
+        [2.0 * (damping - f) / period for f in span],
+        color=INK,
+        ls="-",
+        lw=0.8,
+        label="$2(b-f)/T$",
+    )
+    left.set(
+        xlabel=r"$f(\omega_c)$  [N s/m]",
+        ylabel=r"$K_\mathrm{max}$  [N/m]",
+        title="the smaller f where it rings, the stiffer",
+    )
+    right.set(
+        xlabel=r"$\omega_c/2\pi$  [Hz]",
+        ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
+        title=r"Colgate at $\omega_c$ alone, without R",
+    )
+    # Room for the name of the threshold, below the title.
+    right.set_ylim(top=1.0 + 0.25 * (1.0 - right.get_ylim()[0]))
+    threshold(right, 1.0, "1: as predicted")
+    left.legend()
+    figure.suptitle(
+        f"m = {options.mass:g} kg, b = {damping:g} N s/m, d = {options.delay:g},"
+        f" {options.rate:g} Hz",
+        fontsize=9,
+    )
+    return save_figure(figure, options.out / "edge.png")

@@ -1,0 +1,122 @@
+"""From a device to its law: identify it, design, predict, try it from far below up to its edge, and report."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from messages.errors import RefusedError, UsageError
+from nodes.client import launches
+from sim.identify.pushing import identify_running
+from sim.studies.result import StudyResult
+from sim.tune.session import Tuning
+from sim.tune.tune_options import STEPS, TuneOptions
+
+if TYPE_CHECKING:
+    from sim.identify.identified import Identified
+
+
+@dataclass(frozen=True, repr=False)
+class TuneResult(StudyResult):
+    """What was identified, designed and measured, and the files that hold it."""
+
+    record: dict[str, Any]  # what each step found, by its name
+    files: dict[str, str]  # what was written
+    came_through: bool  # whether no law was tried, or the one that was holds
+    interrupted: int = 0
+
+    @property
+    def refused(self) -> str:
+        """Why a step was refused; empty where none was."""
+        return str(self.record.get("refused", ""))
+
+    @property
+    def held(self) -> bool:
+        """Whether every step was done and the law holds."""
+        return self.came_through and not self.refused
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        return self.record | {"files": self.files}
+
+    @property
+    def text(self) -> str:
+        """What a person reads."""
+        from sim.tune.tuning_text import text
+
+        return text(self.record, self.files)
+
+
+def tune(options: TuneOptions) -> TuneResult:
+    """Go through the steps of a tuning; whatever happens, the device is left safe and what is known is written.
+
+    Parameters
+    ----------
+    options : TuneOptions
+        The launch, the steps, the law's length and its demands.
+
+    Returns
+    -------
+    TuneResult
+        What each step found; a refusal of a step stands in it.
+
+    Raises
+    ------
+    messages.errors.UsageError
+        For options that do not go together.
+    """
+    if not 1 <= options.taps <= 12:
+        raise UsageError(
+            f"--taps {options.taps}: between 1 and 12; the search is over each of them"
+        )
+    options.excitation()
+    options.out.mkdir(parents=True, exist_ok=True)
+    from sim.identify.borrowed import PushedLaunch
+    from sim.measure.haptic_commands import MeasurementError
+    from sim.measure.interrupts import interrupted_once, undisturbed
+    from sim.measure.measured_launch import launched
+
+    places, run_name = options.places or [0.0], options.run_name
+
+    def identified() -> tuple[Path, str, Identified]:
+        asked = replace(options, places=places, run_name=run_name)
+        (pushed, found), *_ = identify_running(asked)
+        return pushed.recording, pushed.reason, found
+
+    steps = [name for name in STEPS if name in options.steps]
+    tuning = Tuning(
+        options,
+        lambda: PushedLaunch(launches.find(run_name)),
+        identified,
+        options.say,
+        "identify" in steps,
+    )
+    live = {"identify", "apply", "verify"} & set(steps)
+    number, now = 0, ""
+    with interrupted_once() as signalled, contextlib.ExitStack() as held:
+        try:
+            if live and options.scenario:
+                options.say(f"starting {options.scenario} ...")
+                words = (*options.assignments, "duration:=0")
+                run_name = held.enter_context(launched(options.scenario, *words)).run
+            for now in steps:
+                options.say(f"{now} ...")
+                tuning.do(now)
+                tuning.keep()
+            now = ""
+        except KeyboardInterrupt:
+            tuning.record["interrupted"] = now or "the start"
+            number = signalled() or 2
+        except (RefusedError, ValueError, MeasurementError) as error:
+            tuning.record["refused"] = str(error)
+        finally:
+            with undisturbed():
+                tuning.keep()
+                # A loop in lockstep would go on beside whoever draws.
+                held.close()
+                tuning.write()
+    options.say("")
+    return TuneResult(tuning.record, tuning.files, tuning.came_through, number)
