@@ -23,7 +23,8 @@ def state_message(s: DriverState, seq: int, stamp: float) -> DeviceState:
     """Return the state of a tick as it is published."""
     assert s.asked == seq  # noqa: S101  # `take_sample` comes before
     s.stamp = stamp
-    return _message(s, SAFETY[s.safety])
+    message: DeviceState = _message(s, SAFETY[s.safety])
+    return message
 
 
 class PlainTicks:
