@@ -1,4 +1,4 @@
-"""The recording of a lockstep launch of one axis, made in this process: a twentieth of what a launch costs.
+"""The recording of a lockstep launch of one axis, made in this process.
 
 What one process plays has the bits of the launch (tests/sim/play/test_lockstep.py), and what it
 leaves, but for statuses and response times, is what the launch leaves (test_one_process.py there).
@@ -25,7 +25,7 @@ from nodes.recording.logger import open_writer
 from sim.play.launched import from_launch, parameters_of
 
 RESPONSE = 160e-6
-"""What every tick's answer takes here [s]; of a launch in lockstep it says how busy the machine was."""
+"""Time of each tick's answer here [s]; a launch's shows how busy the machine was."""
 
 
 def recorded(

@@ -102,7 +102,7 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep ``smoke`` at the parameters that it names, ``smoke("a-b", "c")``; without any it is of all."""
+    """Restrict ``smoke`` to the parameters it names, ``smoke("a-b", "c")``, or to all."""
     named: dict[str, set[str]] = {}
     for item in items:
         names = {name for mark in item.iter_markers("smoke") for name in mark.args}

@@ -1,4 +1,4 @@
-"""The publish tables: each field of a loop's message has one variable, and both ticks send what stands there."""
+"""Publish tables: one variable per field, sent alike by both ticks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How large the noise is that a fit leaves: its own freedom is taken off, so that short windows say what long ones do."""
+"""The noise that a fit leaves: short windows agree with long ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T, NOISE = 0.002, 1e-5
 
 @pytest.mark.parametrize("length", [8, 40])
 def test_the_noise_left_is_the_noise_that_was_put_in(length: int) -> None:
-    """Each window fits a position and a velocity of its own: of 8 ticks that takes off an eighth of the noise."""
+    """Each window fits a position and a velocity: of 8 ticks, an eighth of the noise."""
     clean = excite(DeviceModel(mass=0.1, damping=1.0), T, 6.0, seed=2)
     noise = NOISE * np.random.default_rng(4).standard_normal(len(clean.position))
     clean.position[:] += noise

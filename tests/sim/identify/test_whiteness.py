@@ -32,7 +32,7 @@ def coloured(rng: np.random.Generator, correlation: float) -> Array:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_with_a_memory_is_improbable_and_without_any_is_not(seed: int) -> None:
-    """Of 2000 samples a correlation of 0.2 between neighbours is nine standard deviations, 1/√2000 each."""
+    """Of 2000 samples a correlation of 0.2 is nine standard deviations of 1/√2000."""
     rng = np.random.default_rng(seed)
     draws = rng.standard_normal((DRAWS, WINDOWS, LENGTH))
     white = whiteness(left_of(coloured(rng, 0.0), draws))

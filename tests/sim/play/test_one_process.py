@@ -1,4 +1,4 @@
-"""A recording made in one process is the one that a launch leaves, field by field (tests/support/one_process.py)."""
+"""A recording made in one process equals a launch's, field by field."""
 
 from __future__ import annotations
 
