@@ -1,4 +1,4 @@
-"""The publish tables: each field of a loop's message has one variable, and both ticks send what stands there."""
+"""The publish tables: both ticks send the same variable of the state for each field."""
 
 from __future__ import annotations
 
