@@ -1,4 +1,4 @@
-"""The publish table of a hop: the variable of a node's state for each field of its message.
+"""The publish table of a hop: the variable of a node's state for each message field.
 
 The interpreted tick makes the message from this table, and the compiled tick writes it from the
 same one, straight out of the state. So a new field is a line in messages/types.py, and one in the
