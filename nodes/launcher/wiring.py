@@ -1,4 +1,4 @@
-"""From a launch to one setup per node: cores and priorities, and what its graph and endpoints say."""
+"""The setup of each node of a launch: graph, endpoints, cores and priorities."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -33,7 +33,7 @@ def chains_of(launch: Launch) -> list[str]:
 
 
 def _cores(launch: Launch) -> dict[str, int | None]:
-    """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest.
+    """Choose each chain's processor; chains share one if that leaves none for the rest.
 
     Chains that one processor does not carry, by what their ticks cost here before, are spread over
     all.
@@ -126,7 +126,7 @@ def free_name(launch: Launch, name: str) -> str:
 
 
 def with_forwarder(launch: Launch) -> Launch:
-    """Add the process at which strangers may listen, where a node allows it; in the loop's own they have no business."""
+    """Add the process at which strangers may listen, if a node has an open port."""
     ports = {name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port}
     if not ports:
         return launch
@@ -255,7 +255,7 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
 
 
 def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> dict[str, str]:
-    """Describe one chain of a run as if it were alone; its launch file is written out, without arguments."""
+    """Describe one chain of a run as if it were alone, in a launch file without arguments."""
     if not namespace:
         return manifest
     inside = {
