@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 from nodes.arithmetic import cross_fade, deflection, eased, fir, limit, one_sided, push, sections
-from nodes.compiled.rules import rule
+from nodes.compiled.rules import Made, rule
 from nodes.coupling.state import SLOTS, CouplingState
 
 
@@ -106,9 +106,6 @@ def deflections(
     if s.turning == 0:
         return [world[s.axis[n]] for n in range(s.axes)]
     return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
-
-
-Made: TypeAlias = Callable[[Any], Any]
 
 
 @rule
