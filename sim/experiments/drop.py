@@ -31,7 +31,8 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
 from sim.play.compiled import compiled
 from sim.play.one_axis import Scene, SceneSurface, Trace, contact_of, in_numbers, motion_of, run
-from sim.play.one_axis_loop import Contact, LawTables, Motion, Records, play_compiled, respond
+from sim.play.one_axis_loop import play_compiled, respond
+from sim.play.one_axis_tables import Contact, LawTables, Motion, Records
 
 SHORTEST = 8  # horizon of which a quarter is two ticks [ticks]
 GRAVITY = 9.81  # of a device without gravity of its own [m/s²]

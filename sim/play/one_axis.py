@@ -20,16 +20,8 @@ from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.play.compiled import numbers_of
 from sim.play.given import Given
-from sim.play.one_axis_loop import (
-    Arrivals,
-    Contact,
-    Guard,
-    LawTables,
-    Motion,
-    Records,
-    play,
-    play_compiled,
-)
+from sim.play.one_axis_loop import play, play_compiled
+from sim.play.one_axis_tables import Arrivals, Contact, Guard, LawTables, Motion, Records
 
 MAX_TICKS: Final = 10_000_000  # longest run of one process: it keeps some 100 bytes of each tick
 

@@ -28,7 +28,8 @@ from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.measure.haptic_commands import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
 from sim.play.one_axis import Scene, contact_of, motion_of
-from sim.play.one_axis_loop import LawTables, Records, play_compiled
+from sim.play.one_axis_loop import play_compiled
+from sim.play.one_axis_tables import LawTables, Records
 
 SOURCE = r"""
 void play(long ticks, double x, double v, const double *c, double load, double surface, double normal,
