@@ -1,7 +1,4 @@
-"""How large the noise is that a fit leaves, and how often an interval of 95 % holds the truth.
-
-A fit's own freedom is taken off, so that short windows say what long ones do.
-"""
+"""The noise that a fit leaves, by windows of any length; how often an interval holds the truth."""
 
 from __future__ import annotations
 
@@ -32,7 +29,7 @@ def truth() -> Array:
 
 @pytest.mark.parametrize("length", [8, 40])
 def test_the_noise_left_is_the_noise_that_was_put_in(length: int) -> None:
-    """Each window fits a position and a velocity of its own: of 8 ticks that takes off an eighth of the noise."""
+    """Each window fits a position and a velocity: of 8 ticks, an eighth of the noise."""
     clean = excite(DeviceModel(mass=0.1, damping=1.0), T, 6.0, seed=2)
     noise = NOISE * np.random.default_rng(4).standard_normal(len(clean.position))
     clean.position[:] += noise
