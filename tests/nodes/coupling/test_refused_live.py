@@ -188,6 +188,7 @@ def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.0
 
 
+@pytest.mark.process
 def test_what_is_certain_of_a_scene_that_moves_is_said_anew_when_the_law_changes(
     tmp_path: Path,
 ) -> None:

@@ -176,7 +176,7 @@ NAMED_RULES: Final = (
         "sim/identify/conclude.py",
         "CONFIDENCE = 0.95",
         "CONFIDENCE = 0.68",
-        (IDENTIFY, FITS, REMAINDER),
+        ("tests/sim/identify/test_left.py",),
     ),
     Mutation(
         "windows that differ are as sure as those that agree",
