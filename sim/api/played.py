@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nodes.stability.plant import Plant
 from sim.api.laws import LawLike, compiled, plain
-from sim.api.notebook_results import Result, new_figure
+from sim.studies.notebook_results import Result, new_figure
 from sim.arrays import Array
 
 if TYPE_CHECKING:
