@@ -111,6 +111,10 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     surplus : float
         Energy put into this device so far that its law cannot return, as the passivity guard counts
         it [J]: a partner's device may generate as much. 0 without a guard.
+    heat : float
+        Heat of the motors as part of what they bear: mean square of the force over their thermal
+        time, over the square of the continuous force. The driver lowers forces so that it stays
+        below 1; 0 for a device without a continuous limit.
     """
 
     position: Vector
@@ -130,6 +134,7 @@ class DeviceState(Message, frozen=True, kw_only=True, gc=False):
     target: Vector = ZERO
     rebased: Count = 0
     surplus: Real = 0.0
+    heat: Real = 0.0
 
 
 class Handle(Message, frozen=True, kw_only=True, gc=False):

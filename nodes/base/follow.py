@@ -16,8 +16,7 @@ M = TypeVar("M", bound=Message)
 Hear = Mapping[bytes, Callable[[bytes], None]]
 
 
-# Long: one compiled function, because a call would cost more than it saves.
-def _follow(  # noqa: C901, PLR0915
+def _follow(
     node: Node, inbox: Subscription, decoder: Decoder[M], topic: str, hear: Hear
 ) -> Callable[[], M | None]:
     """Return a function that receives the next message of a loop topic.
@@ -30,30 +29,7 @@ def _follow(  # noqa: C901, PLR0915
     realtime, period = node.setup.pace == "realtime", node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
     waker = node.waker
-    patience = IDLE_MS if waker is None else -1
-
-    def newest(message: M) -> M:
-        while (frames := inbox.receive(0)) is not None:
-            if frames[0] in hear:
-                hear[frames[0]](frames[1])
-                continue
-            newer = node.intake.take(decoder, frames, expected)
-            if newer is not None:
-                counters.skipped += 1
-                message = newer
-        inbox.set_timeout(patience)
-        return message
-
-    def out_of_order(seq: int, last: int) -> None:
-        missing = seq - last - 1
-        if missing > 0 and last >= 0:
-            counters.gaps = min(counters.gaps + missing, MAX_COUNT)
-        elif seq < last:
-            node.events.emit(
-                "restart",
-                f"{topic} went back from tick {last} to {seq}",
-                {"last_tick": last, "tick": seq},
-            )
+    newest = _make_newest(node, inbox, decoder, expected, hear)
 
     def take() -> M | None:
         try:
@@ -89,12 +65,51 @@ def _follow(  # noqa: C901, PLR0915
             message = newest(message)
         seq, last = message.seq, counters.seq
         if seq != last + 1:
-            out_of_order(seq, last)
+            _count_gap(node, topic, seq, last)
         counters.seq = seq
         return message
 
-    inbox.set_timeout(patience)
+    inbox.set_timeout(_patience(node))
     return take if ticks is None else ticks.in_front_of(take)
+
+
+def _patience(node: Node) -> int:
+    """Return how long a node waits for a message before it checks [ms]; -1 until woken."""
+    return IDLE_MS if node.waker is None else -1
+
+
+def _make_newest(
+    node: Node, inbox: Subscription, decoder: Decoder[M], expected: bytes, hear: Hear
+) -> Callable[[M], M]:
+    """Return the function that skips messages of the followed topic for the newest one."""
+    patience = _patience(node)
+
+    def newest(message: M) -> M:
+        while (frames := inbox.receive(0)) is not None:
+            if frames[0] in hear:
+                hear[frames[0]](frames[1])
+                continue
+            newer = node.intake.take(decoder, frames, expected)
+            if newer is not None:
+                node.counters.skipped += 1
+                message = newer
+        inbox.set_timeout(patience)
+        return message
+
+    return newest
+
+
+def _count_gap(node: Node, topic: str, seq: int, last: int) -> None:
+    """Count missing ticks, or report that the driver counts anew."""
+    missing = seq - last - 1
+    if missing > 0 and last >= 0:
+        node.counters.gaps = min(node.counters.gaps + missing, MAX_COUNT)
+    elif seq < last:
+        node.events.emit(
+            "restart",
+            f"{topic} went back from tick {last} to {seq}",
+            {"last_tick": last, "tick": seq},
+        )
 
 
 def _pass_on(

@@ -2,6 +2,7 @@
 
 import importlib
 
+from messages import topics
 from nodes.base.node import Node
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError
@@ -38,3 +39,13 @@ def load(factory: str) -> type[Node]:
             " nodes.base.node.Node"
         )
     return found
+
+
+def drives(kind: type[Node]) -> bool:
+    """Return whether nodes of a kind are the driver of a chain: they publish a device's state."""
+    return topics.DEVICE_STATE in kind.publishes
+
+
+def is_hop(kind: type[Node]) -> bool:
+    """Return whether nodes of a kind are a part of the loop, not listeners."""
+    return any(topic in kind.publishes for topic in topics.LOOP)

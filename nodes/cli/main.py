@@ -8,7 +8,6 @@ code. A name with a dot is a sub-verb, ``study.kmax``; it may be a function of o
 import argparse
 import ast
 import contextlib
-import difflib
 import io
 import json
 import os
@@ -26,6 +25,7 @@ from nodes.base.kept_line import is_smart
 from nodes.base.printable import COLOURS, printable
 from nodes.base.stderr_queue import drain_stderr
 from nodes.parameters.installed import OURS, version
+from nodes.parameters.nearest import did_you_mean
 from nodes.parameters.options import takes_options
 from nodes.parameters.registry import NotInstalledError, Registry
 from nodes.parameters.store import ParameterError
@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
         """Print the error, with a suggestion, and exit with 2."""
         wrong = _CHOICE.search(message)
         if wrong is not None:
-            message += _probably(
+            message += did_you_mean(
                 wrong["given"], (word.strip("'\" ") for word in wrong["known"].split(","))
             )
         super().error(message)
@@ -79,7 +79,7 @@ class Parser(argparse.ArgumentParser):
     def refuse(self, words: list[str]) -> NoReturn:
         """Report unknown words and exit with 2."""
         options = [word.partition("=")[0] for word in words if word.startswith("-")]
-        hint = _probably(options[0], self._option_string_actions) if options else ""
+        hint = did_you_mean(options[0], self._option_string_actions) if options else ""
         super().error(f"unrecognized arguments: {' '.join(words)}{hint}")
 
 
@@ -91,12 +91,6 @@ def verbs() -> list[str]:
 def sub_verbs(verb: str) -> dict[str, str]:
     """Return the sub-verbs of a verb: name to registered name."""
     return {name.partition(".")[2]: name for name in VERBS.names() if name.startswith(f"{verb}.")}
-
-
-def _probably(given: str, known: Iterable[str]) -> str:
-    return "".join(
-        f"; did you mean {name}?" for name in difflib.get_close_matches(given, list(known), 1)
-    )
 
 
 def add_run_name(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,6 @@
 Used by the command line, the studies and Python programs.
 """
 
-import difflib
 import functools
 import os
 import time
@@ -15,6 +14,7 @@ from messages.transport.context import new_context
 from messages.transport.requests import Connection, ControlError
 from nodes.client.moved_device import is_moved, set_moved
 from nodes.launcher.runs import RunError, RunInfo, alive, find_run, runs
+from nodes.parameters.nearest import nearest
 
 TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
 FIND_TIMEOUT = 2.0  # longest wait for a launch that has just been started [s]
@@ -73,8 +73,8 @@ def known_topic(run: RunInfo, topic: str) -> str:
 
 
 def _hint(name: str, known: list[str], otherwise: str) -> str:
-    close = difflib.get_close_matches(name, known, 1)
-    return f"did you mean {close[0]}?" if close else f"{otherwise} {', '.join(known)}"
+    meant = nearest(name, known)
+    return f"did you mean {meant}?" if meant else f"{otherwise} {', '.join(known)}"
 
 
 def roles(run: RunInfo) -> dict[str, str]:

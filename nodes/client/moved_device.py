@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from messages import topics
 from messages.transport.requests import ControlError
-from nodes.base.node_kinds import load
+from nodes.base.node_kinds import drives, load
 from nodes.launcher.plants import has_plant
 from nodes.launcher.runs import RunInfo
 
@@ -19,9 +18,7 @@ def is_moved(run: RunInfo, node: str, values: object) -> bool:
     """Return whether setting `values` of a `node` changes a device on which laws are judged."""
     if not (isinstance(values, Mapping) and FIELDS.keys() & values.keys()):
         return False
-    return topics.DEVICE_STATE in load(run.nodes[node].factory).publishes and bool(
-        _coupling(run, node)
-    )
+    return drives(load(run.nodes[node].factory)) and bool(_coupling(run, node))
 
 
 def _coupling(run: RunInfo, driver: str) -> str:

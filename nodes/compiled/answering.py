@@ -46,7 +46,7 @@ class CompiledTicks:
         self.state = state = node.counters  # the node's state, in which the kernel ticks
         self.inside = False  # whether the kernel runs
         self._posting = threading.Lock()
-        self._at = ctypes.addressof(state)
+        self._at = state.here = ctypes.addressof(state)
         realtime = node.setup.pace == "realtime"
         self._most = NEVER if realtime else LOCKSTEP_TICKS
         for name, address in functions().items():

@@ -85,6 +85,8 @@ def _laid_out(where: str, kind: Any) -> Any:
 class LoopState:
     """The part of a state that all nodes have."""
 
+    here: int  # address of this state, for what is written straight out of it
+
     # Addresses of C functions
     zmq_recv: int
     zmq_send: int
@@ -148,11 +150,9 @@ class LoopState:
     unlooked: int  # ticks since the kernel checked for posted messages
     upstream: int  # 1 if a listener has sent something
 
-    # Numbers of the decoded message, and of the one to encode
+    # Numbers of the decoded message
     reals: Annotated[list[float], REALS]
     wholes: Annotated[list[int], WHOLES]
-    out_reals: Annotated[list[float], REALS]
-    out_wholes: Annotated[list[int], WHOLES]
 
 
 @cache

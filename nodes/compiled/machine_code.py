@@ -16,14 +16,10 @@ import tempfile
 from pathlib import Path
 from typing import Any, Final
 
+from nodes.compiled.lean_numba import make_lean
+
 ENTRY: Final = "haptic_tick"  # name of a kernel in its file
 _LINKERS: Final = ("cc", "gcc", "clang")
-
-# A kernel's memory belongs to Python, so numba's reference counts have nothing to count.
-_NO_COUNTS: Final = """
-    define linkonce_odr void @NRT_incref(ptr %memory) alwaysinline { ret void }
-    define linkonce_odr void @NRT_decref(ptr %memory) alwaysinline { ret void }
-"""
 
 
 def object_file(module: str) -> bytes:
@@ -98,6 +94,7 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
         def finalize(self) -> None:
             self._finalized = True
 
+    make_lean()
     context = cpu_target.target_context
     context.refresh()
     codegen = context.codegen()
@@ -115,7 +112,7 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
         (result,) = compiled.overloads.values()
         names[name] = result.fndesc.llvm_func_name
         waiting.append(result.library)
-    unit = llvm.parse_assembly(_NO_COUNTS)
+    unit = llvm.parse_assembly("")
     unit.triple, unit.data_layout = llvm.get_process_triple(), str(codegen.target_data)
     seen: set[Any] = set()
     while waiting:

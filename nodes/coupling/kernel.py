@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from messages.types import Force, Proxy
+from messages.types import Proxy
 from nodes.arithmetic import SMOOTHING, newest_gain, revise_sections, sections
-from nodes.compiled.kernels.encode import make_encode
+from nodes.compiled.kernels.encode import make_write
 from nodes.compiled.kernels.follow_kernel import count_gap, in_order, overtaken
 from nodes.compiled.kernels.hop import answer, called, flush, monotonic, out_at, receive
 from nodes.compiled.kernels.machine import compilable, reals_at, record_at
@@ -14,13 +14,12 @@ from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.coupling.render import LawPort, evaluate, make_render
-from nodes.coupling.state import SLOTS, CouplingState
+from nodes.coupling.state import PUBLISHED, SLOTS, CouplingState
 
 register_rules()
 _look = record_at(record_of(CouplingState))
 _scan = make_scan(Proxy)
-_encode = make_encode(Force)
-_IN, _OUT = fields_of(Proxy), fields_of(Force)
+_write_answer = make_write(PUBLISHED)
 (
     _SEQ,
     _CONTACT,
@@ -34,7 +33,7 @@ _IN, _OUT = fields_of(Proxy), fields_of(Force)
     _CREDIT,
     _COMPLIANCE,
 ) = slots(
-    _IN,
+    fields_of(Proxy),
     "seq",
     "contact",
     "rebased",
@@ -46,9 +45,6 @@ _IN, _OUT = fields_of(Proxy), fields_of(Force)
     "delay",
     "credit",
     "compliance",
-)
-_TO_SEQ, _TO_REVISION, _TO_STAMP, _TO_FORCE, _TO_NORMAL, _TO_CREDIT = slots(
-    _OUT, "seq", "revision", "stamp", "force", "normal", "credit"
 )
 _SLOTS = SLOTS
 
@@ -140,7 +136,6 @@ def ticks(address: int) -> int:
         s.reals[_PROXY : _PROXY + 3],
         s.reals[_NORMAL : _NORMAL + 3],
     )
-    force = s.out_reals[_TO_FORCE : _TO_FORCE + 3]
     while done < s.most:
         if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
             break
@@ -172,7 +167,7 @@ def ticks(address: int) -> int:
             distance,
             contact,
             compliance,
-            force,
+            s.force,
             s.pushes[s.axes - 1] + 1,
         ):
             _note(s, False)  # the plain tick repeats it, and falls back
@@ -180,18 +175,14 @@ def ticks(address: int) -> int:
         s.frames = 0
         s.seq = s.answered = seq
         s.delay += (s.reals[_DELAY] - s.delay) * SMOOTHING
-        s.out_wholes[_TO_SEQ] = seq
-        s.out_wholes[_TO_REVISION] = s.revision
         for i in range(3):
-            s.out_reals[_TO_NORMAL + i] = normal[i] if contact else 0.0
-        s.out_reals[_TO_CREDIT] = s.reals[_CREDIT]
-        s.out_reals[_TO_STAMP] = (
-            monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
-        )
+            s.normal[i] = normal[i] if contact else 0.0
+        s.credit = s.reals[_CREDIT]
+        s.stamp = monotonic(s) + s.clock_offset if s.realtime != 0 else s.reals[_STAMP]
         # before sending: a client that has the answer must find it counted
         s.ticks += 1
         at = out_at(s)
-        answer(s, at, _encode(at, s.out_keys, s.out_reals, s.out_wholes, s.text, s.text_size) - at)
+        answer(s, at, _write_answer(s, at) - at)
         done += 1
         if called(s):
             break

@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 import msgspec
 
 from messages import topics
-from messages.codec import encode
-from messages.types import ZERO, Force, Proxy, Receipt, Vector
+from messages.types import ZERO, Proxy, Receipt, Vector
 from nodes.arithmetic import SMOOTHING
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.compiled.layout import NEVER, state_of
+from nodes.compiled.published import payload_of
 from nodes.coupling.judgement import Judgement, StartAnyway, refuses_start
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
-from nodes.coupling.state import CouplingState
+from nodes.coupling.state import PUBLISHED, CouplingState
 from nodes.coupling.time_budget import Budget
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 # tick, law and ramp [ticks] of a scheduled change
 Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
 ATTEMPTS = 5  # tests of a law's own code before it counts as too slow
+
+_payload = payload_of(PUBLISHED)
 
 
 def _least_delay(setup: Setup) -> float:
@@ -517,18 +519,10 @@ class Coupling(Node):
             force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
         if jumped:
             self._report_jump(proxy)
-        stamp = proxy.stamp if self.clock.simulated else self.clock.now()
-        return encode(
-            Force(
-                seq=seq,
-                stamp=stamp,
-                force=force,
-                law=renderer.name,
-                revision=s.revision,
-                normal=proxy.normal if proxy.contact else ZERO,
-                credit=proxy.credit,
-            )
-        )
+        s.stamp = proxy.stamp if self.clock.simulated else self.clock.now()
+        s.seq, s.credit, s.force[:] = seq, proxy.credit, force
+        s.normal[:] = proxy.normal if proxy.contact else ZERO
+        return _payload(s, renderer.name)
 
     def loop(self) -> None:
         """Answer proxies until stopped."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from nodes.arithmetic import cross_fade, deflection, eased, fir, limit, one_sided, push, sections
 from nodes.compiled.rules import rule
@@ -108,33 +108,146 @@ def deflections(
     return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
 
 
-# Long: one compiled function, because a call would cost more than it saves.
-def make_render(  # noqa: C901, PLR0915
-    port: LawPort, made: Callable[[Any], Any] = lambda function: function
+Made: TypeAlias = Callable[[Any], Any]
+
+
+@rule
+def turned_deflection(
+    s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
+) -> float:
+    """Return the deflection along a turned axis; the scene then computes all three axes."""
+    value = 0.0
+    for i in range(3):
+        value += s.turned[3 * n + i] * deflection(
+            position[i], proxy[i], distance, normal[i], contact, s.raw != 0
+        )
+    return value
+
+
+@rule
+def deflection_along(
+    s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
+) -> float:
+    """Return the deflection of a tick in the axes of the histories."""
+    if s.turning != 0:
+        return turned_deflection(s, n, position, proxy, distance, normal, contact)
+    i = s.axis[n]
+    return deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
+
+
+@rule
+def hold_one_sided(s: CouplingState, normal: Any, contact: bool, force: Any) -> None:
+    """Limit a force to pushing where the law's conventions ask for it."""
+    along = 0.0
+    for n in range(s.axes):
+        i = s.axis[n]
+        along += force[i] * normal[i]
+    for n in range(s.axes):
+        i = s.axis[n]
+        force[i] = one_sided(force[i], normal[i], along, contact, s.raw != 0, s.clamp != 0)
+
+
+@rule
+def ease(s: CouplingState, force: Any) -> None:
+    """Ease a force over a jump that no motion made."""
+    # A force beyond the driver's limit is not felt: eased in full, 500 N would reach the limit at
+    # once.
+    peak = s.ease_peak if s.ease_peak > 0.0 else math.inf
+    for n in range(s.axes):
+        i = s.axis[n]
+        asked = limit(force[i], 0.0, peak, math.inf)
+        if s.ease_done == 0:
+            s.ease_from[i] = limit(s.felt[i], 0.0, peak, math.inf)
+            s.ease_offset[i] = s.ease_from[i] - asked
+        force[i] = eased(asked, s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
+    s.ease_done += 1
+    if s.ease_done >= s.ease_ramp:
+        s.ease_ramp = 0
+
+
+def make_render(
+    port: LawPort, made: Made = lambda function: function
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Return the functions that render a tick, and that bridge missing ticks."""
-    ring, force_of, see, gain_of, revise = port
-    slots = SLOTS
+    force_along = _make_force_along(port, _make_give_way(port, made), made)
     turn_axes = made(turn)
 
     @made
-    def turned_deflection(
+    def render(
         s: CouplingState,
-        n: int,
         position: Any,
         proxy: Any,
-        distance: float,
         normal: Any,
+        distance: float,
         contact: bool,
-        raw: bool,
+        compliance: float,
+        force: Any,
+        due: int,
+    ) -> bool:
+        """Render the force of one tick into `force`. Return whether it is finite.
+
+        The tick's deflection has number `due` in each history.
+        """
+        is_fading = s.fade_ramp > 0
+        force[0] = force[1] = force[2] = 0.0
+        if s.turning == 1 and s.pushes[0] < due:
+            turn_axes(s.turned, s.upright, normal, contact)
+        for n in range(s.axes):
+            value = 0.0
+            is_new = s.pushes[n] < due
+            if is_new:
+                value = deflection_along(s, n, position, proxy, distance, normal, contact)
+            value = force_along(s, n, is_new, value, compliance)
+            if s.turning != 0:
+                for j in range(3):
+                    force[j] += s.turned[3 * n + j] * value
+            else:
+                force[s.axis[n]] = value
+        hold_one_sided(s, normal, contact, force)
+        if not math.isfinite(force[0] + force[1] + force[2]):
+            return False
+        if is_fading:
+            s.fade_done += 1
+            if s.fade_done >= s.fade_ramp:
+                s.fade_ramp = 0
+        if s.ease_ramp > 0:
+            ease(s, force)
+        s.felt[0], s.felt[1], s.felt[2] = force[0], force[1], force[2]
+        return True
+
+    return render, _make_bridge(port, made)
+
+
+def _make_force_along(port: LawPort, give_way: Callable[..., float], made: Made) -> Any:
+    ring, force_of = port.ring, port.force_of
+    slots = SLOTS
+
+    @made
+    def force_along(
+        s: CouplingState, n: int, is_new: bool, value: float, compliance: float
     ) -> float:
-        """Return the deflection along a turned axis; the scene then computes all three axes."""
-        value = 0.0
-        for i in range(3):
-            value += s.turned[3 * n + i] * deflection(
-                position[i], proxy[i], distance, normal[i], contact, raw
-            )
-        return value
+        """Return the force of the laws along an axis; push the deflection first if it is new."""
+        history = ring(s, n)
+        head = s.head[n]
+        if is_new:
+            s.head[n] = head = push(history, head, s.length, value)
+            s.pushes[n] += 1
+        force = force_of(s, n, 0, history, head)
+        if s.fade_ramp > 0:
+            old = 0.0
+            for m in range(1, 1 + s.leaving):
+                old += s.weight[slots * n + m] * force_of(s, n, m, history, head)
+            force = cross_fade(old, force, s.fade_done, s.fade_ramp)
+        if compliance > 0.0 and is_new:
+            force = give_way(s, n, history, head, force, compliance)
+        return float(force)
+
+    return force_along
+
+
+def _make_give_way(port: LawPort, made: Made) -> Callable[..., float]:
+    gain_of, revise = port.gain_of, port.revise
+    slots = SLOTS
 
     @made
     def give_way(
@@ -162,82 +275,12 @@ def make_render(  # noqa: C901, PLR0915
             revise(s, n, m, by)
         return force
 
-    # Long: one compiled function, because a call would cost more than it saves.
-    @made
-    def render(  # noqa: C901
-        s: CouplingState,
-        position: Any,
-        proxy: Any,
-        normal: Any,
-        distance: float,
-        contact: bool,
-        compliance: float,
-        force: Any,
-        due: int,
-    ) -> bool:
-        """Render the force of one tick into `force`. Return whether it is finite.
+    yielding: Callable[..., float] = give_way
+    return yielding
 
-        The tick's deflection has number `due` in each history.
-        """
-        raw, clamp = s.raw != 0, s.clamp != 0
-        fading = s.fade_ramp > 0
-        force[0] = force[1] = force[2] = along = 0.0
-        turned = s.turning != 0
-        if s.turning == 1 and s.pushes[0] < due:
-            turn_axes(s.turned, s.upright, normal, contact)
-        for n in range(s.axes):
-            i = s.axis[n]
-            history = ring(s, n)
-            head = s.head[n]
-            is_new = s.pushes[n] < due
-            if is_new:
-                if turned:
-                    value = turned_deflection(s, n, position, proxy, distance, normal, contact, raw)
-                else:
-                    value = deflection(position[i], proxy[i], distance, normal[i], contact, raw)
-                s.head[n] = head = push(history, head, s.length, value)
-                s.pushes[n] += 1
-            value = force_of(s, n, 0, history, head)
-            if fading:
-                old = 0.0
-                for m in range(1, 1 + s.leaving):
-                    old += s.weight[slots * n + m] * force_of(s, n, m, history, head)
-                value = cross_fade(old, value, s.fade_done, s.fade_ramp)
-            if compliance > 0.0 and is_new:
-                value = give_way(s, n, history, head, value, compliance)
-            if turned:
-                for j in range(3):
-                    force[j] += s.turned[3 * n + j] * value
-            else:
-                force[i] = value
-        for n in range(s.axes):
-            i = s.axis[n]
-            along += force[i] * normal[i]
-        for n in range(s.axes):
-            i = s.axis[n]
-            force[i] = one_sided(force[i], normal[i], along, contact, raw, clamp)
-        if not math.isfinite(force[0] + force[1] + force[2]):
-            return False
-        if fading:
-            s.fade_done += 1
-            if s.fade_done >= s.fade_ramp:
-                s.fade_ramp = 0
-        if s.ease_ramp > 0:
-            for n in range(s.axes):
-                i = s.axis[n]
-                # A force beyond the driver's limit is not felt: eased in full, 500 N would reach
-                # the limit at once.
-                peak = s.ease_peak if s.ease_peak > 0.0 else math.inf
-                asked = limit(force[i], 0.0, peak, math.inf)
-                if s.ease_done == 0:
-                    s.ease_from[i] = limit(s.felt[i], 0.0, peak, math.inf)
-                    s.ease_offset[i] = s.ease_from[i] - asked
-                force[i] = eased(asked, s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
-            s.ease_done += 1
-            if s.ease_done >= s.ease_ramp:
-                s.ease_ramp = 0
-        s.felt[0], s.felt[1], s.felt[2] = force[0], force[1], force[2]
-        return True
+
+def _make_bridge(port: LawPort, made: Made) -> Callable[..., None]:
+    ring, see = port.ring, port.see
 
     @made
     def bridge(
@@ -252,14 +295,8 @@ def make_render(  # noqa: C901, PLR0915
         """Fill missing ticks with a straight line to the newest deflection: no velocity jump."""
         laws = 1 + s.leaving if s.fade_ramp > 0 else 1
         for n in range(s.axes):
-            i = s.axis[n]
             history = ring(s, n)
-            if s.turning != 0:
-                newest = turned_deflection(
-                    s, n, position, proxy, distance, normal, contact, s.raw != 0
-                )
-            else:
-                newest = deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
+            newest = deflection_along(s, n, position, proxy, distance, normal, contact)
             before = history[s.head[n]]
             # Of a gap longer than the history only the end is used.
             for k in range(max(1, missing + 1 - s.length), missing + 1):
@@ -269,4 +306,5 @@ def make_render(  # noqa: C901, PLR0915
                 for m in range(laws):
                     see(s, n, m, history, head)
 
-    return render, bridge
+    filled: Callable[..., None] = bridge
+    return filled

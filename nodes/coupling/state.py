@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated, Final, TypeAlias
 
+from messages.types import Force
 from nodes.compiled.layout import LoopState, Vector3, struct
+from nodes.compiled.published import published
 
 # laws that may fade out at once, to limit a tick's work; faster changes are merged
 LEAVING: Final = 8
@@ -26,6 +28,12 @@ class CouplingState(LoopState):
     clamp: int  # 1 if a force never pulls
     revision: int  # receipts published so far
     delay: float  # measured delay of the loop [ticks]
+
+    # The answer
+    stamp: float  # its time [s]
+    force: Vector3  # [N]
+    normal: Vector3  # of the surface that is touched; 0 for none
+    credit: float  # energy that a partner has put in so far [J]
 
     # Axes of the scene, and per axis the history
     axes: int  # number of axes
@@ -72,3 +80,7 @@ class CouplingState(LoopState):
     ease_offset: Vector3  # force at the jump minus the requested force [N]
     # largest force of the driver along an axis [N]; beyond it nothing is felt; 0: unknown
     ease_peak: float
+
+
+PUBLISHED: Final = published(Force, CouplingState)
+"""Where the fields of a force stand here: under the same names."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from messages.types import DeviceState, Force
+from messages.types import Force
 from nodes.compiled.kernels import hop, machine
-from nodes.compiled.kernels.encode import make_encode
+from nodes.compiled.kernels.encode import make_write
 from nodes.compiled.kernels.hop import (
     called,
     enqueue,
@@ -20,33 +20,14 @@ from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.driver.calls import JUMPED
-from nodes.driver.state import BETWEEN, DriverState
+from nodes.driver.state import BETWEEN, PUBLISHED, DriverState
 from nodes.driver.tick import GOT, NONE, UNREAD, Port, make_ticks
 
 register_rules()
 _look = record_at(record_of(DriverState))
 _scan = make_scan(Force)
-_encode = make_encode(DeviceState)
-_IN, _OUT = fields_of(Force), fields_of(DeviceState)
-_SEQ, _FORCE, _NORMAL, _CREDIT = slots(_IN, "seq", "force", "normal", "credit")
-_TO_SEQ, _TO_FORCE_SEQ, _TO_AGE, _TO_MISSED, _TO_OVERRUNS, _TO_REBASED = slots(
-    _OUT, "seq", "force_seq", "age", "missed", "overruns", "rebased"
-)
-_TO_POSITION, _TO_FORCE, _TO_MEAN, _TO_TARGET = slots(
-    _OUT, "position", "force", "mean_force", "target"
-)
-(
-    _TO_STAMP,
-    _TO_CHANGED_AT,
-    _TO_RESPONSE,
-    _TO_LATENESS,
-    _TO_ENERGY,
-    _TO_DELAY,
-    _TO_GUARD,
-    _TO_SURPLUS,
-) = slots(
-    _OUT, "stamp", "changed_at", "response", "lateness", "energy", "delay", "guard", "surplus"
-)
+_write_state = make_write(PUBLISHED)
+_SEQ, _FORCE, _NORMAL, _CREDIT = slots(fields_of(Force), "seq", "force", "normal", "credit")
 _TIMER_ABSTIME = 1
 # shortest wait of ZeroMQ in `Subscription.receive_soon` [s]
 _SOON = 1e-3
@@ -94,23 +75,11 @@ def _write(s: DriverState, seq: int, offset: float) -> bool:
 
 
 @compilable
-def _publish(s: DriverState, seq: int, stamp: float) -> None:
-    out, whole = s.out_reals, s.out_wholes
-    for i in range(3):
-        out[_TO_POSITION + i], out[_TO_FORCE + i], out[_TO_MEAN + i] = (
-            s.position[i],
-            s.force[i],
-            s.acting[i],
-        )
-        out[_TO_TARGET + i] = s.target[i]
-    out[_TO_STAMP], out[_TO_RESPONSE], out[_TO_LATENESS] = stamp, s.response, s.lateness
-    out[_TO_ENERGY], out[_TO_DELAY], out[_TO_CHANGED_AT] = s.energy, s.delay, s.changed_at
-    out[_TO_GUARD] = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
-    out[_TO_SURPLUS] = s.guard_surplus
-    whole[_TO_SEQ], whole[_TO_FORCE_SEQ], whole[_TO_AGE] = seq, s.force_seq, s.age
-    whole[_TO_MISSED], whole[_TO_OVERRUNS], whole[_TO_REBASED] = s.missed, s.overruns, s.rebased
+def _publish(s: DriverState, seq: int, stamp: float) -> None:  # noqa: ARG001  # the port's
+    s.stamp = stamp
+    s.text, s.text_size = s.texts[s.safety], s.text_sizes[s.safety]
     at = out_at(s)
-    size = _encode(at, s.out_keys, out, whole, s.texts[s.safety], s.text_sizes[s.safety]) - at
+    size = _write_state(s, at) - at
     s.sent, s.sent_size = at, size
     s.states_sent += 1
     # before sending: under FIFO the whole chain may run before the call returns

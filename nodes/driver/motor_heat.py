@@ -42,6 +42,7 @@ def close_tick(s: DriverState, ticks: int) -> None:
         rest = s.heat_keep ** float(ticks - 1)
         s.heat = rest * s.heat + (1.0 - rest) * held
         s.heat_largest = 0.0
+        s.heat_part = s.heat / (s.continuous * s.continuous)
 
 
 @rule

@@ -35,7 +35,8 @@ from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.plain_tick import PlainTicks
 from nodes.driver.run_report import DriverReport
-from nodes.driver.safety import rearm, set_safety, soft_stop
+from nodes.driver.safety import rearm
+from nodes.driver.safety_setup import set_safety, soft_stop
 from nodes.driver.state import BETWEEN, DriverState
 from nodes.driver.tick import BROKEN, SILENT, UNREAD, take_sample
 from nodes.driver.watch import Watch

@@ -3,48 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from messages import topics
 from messages.codec import Decoder, encode
 from messages.transport.sockets import TimedOut
-from messages.types import DeviceState, Force, Vector
+from messages.types import DeviceState, Force
 from nodes.base import realtime
+from nodes.compiled.published import message_of
 from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
-from nodes.driver.state import SAFETY, DriverState
+from nodes.driver.state import PUBLISHED, SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
 
-
-def _vector(values: Sequence[float]) -> Vector:
-    x, y, z = values
-    return x, y, z
+_message = message_of(PUBLISHED)
 
 
 def state_message(s: DriverState, seq: int, stamp: float) -> DeviceState:
     """Return the state of a tick as it is published."""
-    return DeviceState(
-        seq=seq,
-        stamp=stamp,
-        position=_vector(s.position),
-        force=_vector(s.force),
-        mean_force=_vector(s.acting),
-        changed_at=s.changed_at,
-        force_seq=s.force_seq,
-        age=s.age,
-        response=s.response,
-        lateness=s.lateness,
-        missed=s.missed,
-        overruns=s.overruns,
-        safety=SAFETY[s.safety],
-        energy=s.energy,
-        delay=s.delay,
-        guard=s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2],
-        target=_vector(s.target),
-        surplus=s.guard_surplus,
-        rebased=s.rebased,
-    )
+    assert s.asked == seq  # noqa: S101  # `take_sample` comes before
+    s.stamp = stamp
+    message: DeviceState = _message(s, SAFETY[s.safety])
+    return message
 
 
 class PlainTicks:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from typing import Annotated, Final
 
+from messages.types import DeviceState
 from nodes.compiled.layout import LoopState, Vector3, struct
+from nodes.compiled.published import published
 from nodes.compiled.rules import rule
 
 BETWEEN: Final = 0
@@ -59,6 +61,7 @@ class DriverState(LoopState):
     position_ready: int  # 1 if the driver has already read the position
     pending_result: int  # outcome of a message that the driver has already processed, plus 1
     failed: int  # 1 after a failed call of the device
+    waits_until: float  # time until which this tick waits for its answer [s]
     late_answer: int  # 1 if a message is kept for the next tick
     heard: int  # 1 if a message came in this tick
     unanswered: int  # successive ticks without their answer
@@ -72,6 +75,7 @@ class DriverState(LoopState):
     taken: int  # messages received
     states_sent: int  # states published
     asked: int  # tick of the last published sample
+    stamp: float  # its time, as told in the message [s]
 
     # The message received
     got: Vector3  # its force [N]
@@ -171,6 +175,7 @@ class DriverState(LoopState):
     heat_keep: float  # share of it that remains per tick
     heat_reserve: float  # share that remains over a gap
     heat_largest: float  # largest square of this tick [N²]
+    heat_part: float  # heat as part of its limit; 0 without a limit
 
     # Guard
     guard_on: int
@@ -179,6 +184,7 @@ class DriverState(LoopState):
     guard_rate: float  # damping over T of the absorber [N/m]
     guard_allowance: float  # energy generated before the guard acts [J]
     guard_energy: Vector3  # accounts of generated energy [J]
+    guard_owed: float  # sum of the accounts at the newest sample [J]
     guard_highest: float  # largest so far [J]
     guard_step: Vector3  # displacement expected in a tick [m]
     normal: Vector3  # normal of the acting force; 0 for none
@@ -199,6 +205,18 @@ class DriverState(LoopState):
     notes_count: int
     texts: Annotated[list[int], len(SAFETY)]  # addresses of the states' names, encoded
     text_sizes: Annotated[list[int], len(SAFETY)]  # [bytes]
+
+
+PUBLISHED: Final = published(
+    DeviceState,
+    DriverState,
+    seq="asked",
+    mean_force="acting",
+    guard="guard_owed",
+    surplus="guard_surplus",
+    heat="heat_part",
+)
+"""Where the fields of a device state stand here; whatever is not named has the same name."""
 
 
 @rule

@@ -9,7 +9,7 @@ again, and the tick continues.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from nodes.compiled.rules import rule
 from nodes.driver.motion import act, sample, split
@@ -39,7 +39,9 @@ from nodes.driver.state import (
 )
 
 # outcome of a wait for a message: valid; none in time; refused; the port cannot judge it
-GOT, NONE, REFUSED, UNREAD = range(4)
+# the last two end the wait
+GOT, REFUSED, NONE, UNREAD = range(4)
+READY = -1  # a sample is published and awaits its answer
 # why `ticks` ended: nothing unusual; no answer for a while; a device call failed
 GO_ON, SILENT, BROKEN = range(3)
 
@@ -107,6 +109,34 @@ def patience(s: DriverState, deadline: float, following: float) -> float:
 
 
 @rule
+def begin_waiting(s: DriverState, deadline: float) -> None:
+    """Reset the counts of a tick, and compute the deadline of its answer.
+
+    Whatever a tick decides stands in the state: the tick may be left for a message that the port
+    cannot judge, and entered again after its first answer has changed the safety.
+    """
+    s.age = max(s.seq - s.force_seq, 0) if s.force_seq >= 0 else 0
+    # A late answer is waited for, and the next tick sampled late: sampled on time, it would use
+    # the processor that this answer needs, and be answered late itself. Not so when nothing came.
+    s.patient, s.heard, s.answered = s.heard, 0, 0
+    s.split, s.changed_at = 0.0, 1.0
+    for i in range(3):
+        s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
+    s.waits_until = patience(s, deadline, deadline + s.period)
+
+
+@rule
+def note_answered(s: DriverState) -> None:
+    """Count ticks in a row without their answer, from which `patience` follows."""
+    if s.answered == 0:
+        # Only who is heard is behind: in a silence nobody is waited for, and every tick is sampled.
+        s.unanswered = min(s.unanswered + s.heard, MAX_BEHIND)
+    elif s.arrival < s.epoch + s.seq * s.period + s.period:
+        # On time again; an answer that had to be waited for leaves the patience as it is.
+        s.unanswered //= 2
+
+
+@rule
 def in_time(s: DriverState, now: float, answers: int) -> bool:
     """Return whether a force may still be written, or the driver was held up too long.
 
@@ -149,6 +179,7 @@ def take_sample(s: DriverState, seq: int, stamp: float) -> None:
         if s.stop_after != 0:
             watch_swings(s, seq)
     s.asked = seq
+    s.guard_owed = s.guard_energy[0] + s.guard_energy[1] + s.guard_energy[2]
 
 
 @rule
@@ -169,15 +200,32 @@ def close(s: DriverState) -> None:
     s.phase = BETWEEN
 
 
-# Long: one compiled function, because a call would cost more than it saves.
-def make_ticks(  # noqa: C901, PLR0915
-    port: Port, made: Callable[[Any], Any] = lambda function: function
-) -> tuple[Callable[[Any], int], Callable[[Any], int]]:
-    """Return the ticks of a port in lockstep and real time; they run until a caller is needed.
+Made: TypeAlias = Callable[[Any], Any]
+Tick: TypeAlias = Callable[[Any], int]
 
-    They return why they ended.
+
+class Calls(NamedTuple):
+    """What both ticks do with a port."""
+
+    begin: Callable[[Any, int, float], bool]  # reads and publishes a sample; False if it failed
+    hand_over: Callable[[Any, Any, int, float], None]  # gives a force to the device
+    # the same, where the driver was not held up meanwhile; whether it did
+    hand_over_in_time: Callable[[Any, Any, int, float, int], bool]
+
+
+def make_ticks(port: Port, made: Made = lambda function: function) -> tuple[Tick, Tick]:
+    """Return the ticks of a port, in lockstep and in real time.
+
+    Both go on until something waits, and return why they ended.
     """
-    clock, sleep_until, read, write, publish, receive, aside, called = port
+    calls = _make_calls(port, made)
+    lockstep = _make_lockstep_tick(port, calls, made)
+    realtime = _make_realtime_tick(port, calls, made)
+    return _repeated(lockstep, port, made), _repeated(realtime, port, made)
+
+
+def _make_calls(port: Port, made: Made) -> Calls:
+    clock, read, write, publish = port.clock, port.read, port.write, port.publish
 
     @made
     def begin(s: DriverState, seq: int, stamp: float) -> bool:
@@ -201,12 +249,19 @@ def make_ticks(  # noqa: C901, PLR0915
     def hand_over_in_time(
         s: DriverState, force: Any, seq: int, offset: float, answers: int
     ) -> bool:
-        # The last check of the clock before the device is called: every wait may have held the
-        # driver up.
+        # The last look at the clock before the device is called: the driver may be held up after
+        # every wait.
         if not in_time(s, clock(s), answers):
             return False
         hand_over(s, force, seq, offset)
         return True
+
+    return Calls(begin, hand_over, hand_over_in_time)
+
+
+def _make_lockstep_tick(port: Port, calls: Calls, made: Made) -> Tick:
+    receive = port.receive
+    begin, hand_over, _ = calls
 
     @made
     def lockstep_tick(s: DriverState) -> int:
@@ -220,7 +275,7 @@ def make_ticks(  # noqa: C901, PLR0915
                 return UNREAD
             if got == NONE:
                 return SILENT
-            # only the tick's own answer counts
+            # Only the tick's own answer counts.
             if got == GOT and s.got_seq == seq and admit(s, seq):
                 break
             s.skipped += 1
@@ -232,121 +287,162 @@ def make_ticks(  # noqa: C901, PLR0915
         close(s)
         return GO_ON
 
-    # Long: one compiled function, because a call would cost more than it saves.
+    tick: Tick = lockstep_tick
+    return tick
+
+
+def _make_realtime_tick(port: Port, calls: Calls, made: Made) -> Tick:
+    start_sample = _make_start(port, calls, made)
+    take_answers = _make_answers(port, calls, made)
+    hand_over_in_time = calls.hand_over_in_time
+
     @made
-    def realtime_tick(s: DriverState) -> int:  # noqa: C901, PLR0915
+    def finish(s: DriverState) -> None:
         seq = s.seq
-        deadline = s.epoch + seq * s.period
-        following = deadline + s.period
-        if s.phase == BETWEEN:
-            now = deadline + s.lateness
-            if s.position_ready == 0:
-                now = sleep_until(s, deadline)
-                if now < deadline:
-                    return GO_ON
-                if now - deadline >= s.period:
-                    lost(s, seq, now - deadline)  # the driver itself was held up
-                    return GO_ON
-                s.lateness = now - deadline
-                if s.has_following != 0:
-                    # under ``next_tick`` hardware also gets its force at the start of the tick
-                    s.has_following = 0
-                    hand_over_in_time(s, s.following, seq, 0.0, s.force_seq)
-            if not begin(s, seq, now + s.clock_offset):
-                return BROKEN
-            s.age = max(seq - s.force_seq, 0) if s.force_seq >= 0 else 0
-            # Wait for an answer that is a little late, and sample the next tick late. Sampling on
-            # time would steal the CPU from the late answer and delay every later one. Not so if
-            # nothing came.
-            s.patient, s.heard, s.answered = s.heard, 0, 0
-            s.split, s.changed_at = 0.0, 1.0
-            for i in range(3):
-                s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
-        last = patience(s, deadline, following)
-        while s.answered == 0:
-            got = GOT
-            if s.late_answer != 0:
-                s.late_answer, s.arrival = 0, s.late_answer_at
-            else:
-                got = s.pending_result - 1 if s.pending_result != 0 else receive(s, last)
-                s.pending_result = 0
-                if got == NONE:
-                    break
-                s.heard = 1
-                if got == UNREAD:
-                    return UNREAD
-                if got == GOT and s.arrival >= last:
-                    # a flooded topic must not delay the next tick
-                    s.late_answer, s.late_answer_at = 1, s.arrival
-                    break
-            if got == REFUSED or not admit(s, seq):
-                s.skipped += 1
-                if s.arrival >= last:
-                    break
-                continue
-            s.answered = 1 if s.got_seq == seq else 0
-            s.age = seq - s.got_seq
-            offset = min(max((s.arrival - deadline) / s.period, 0.0), 1.0)
-            command(s, seq, 1.0 if s.next_tick != 0 else offset)
-            if s.next_tick != 0:
-                s.has_following = 1
-                for i in range(3):
-                    s.following[i] = s.force[i]
-                s.delay = 1.0 + s.age
-            else:
-                split(s, offset)
-                if hand_over_in_time(s, s.force, seq, offset, s.got_seq):
-                    s.changed_at = min(s.changed_at, offset)
-                s.delay = max(offset, (s.arrival - deadline) / s.period) + s.age
-            if s.answered != 0:
-                s.response = s.arrival - s.sampled
-                note_response(s, s.response)
         s.oldest_age = max(s.oldest_age, s.age)
         if s.next_tick == 0:
             split(s, 1.0)
+        note_answered(s)
         if s.answered == 0:
-            # Only a peer that is heard is behind: in a silence nobody is waited for, and every tick
-            # is sampled.
-            s.unanswered = min(s.unanswered + s.heard, MAX_BEHIND)
-        elif s.arrival < following:
-            # on time again; an answer that had to be waited for leaves the count as it is
-            s.unanswered //= 2
-        if s.answered == 0:
-            # in a fault there is no position that could have been answered
+            # In a fault there is no position that could have been answered.
             s.missed += 1 if s.safety != FAULT else 0
             s.response = 0.0
             is_written = False
             if missed(s, seq):
                 s.has_following = 0
                 is_written = hand_over_in_time(s, s.force, seq + 1, 0.0, -1)
-            if (
-                not is_written
-                and s.has_following == 0
-                and seq + 1 - s.written >= s.device_hold_ticks
-            ):
+            lets_go = seq + 1 - s.written >= s.device_hold_ticks
+            if not is_written and s.has_following == 0 and lets_go:
                 let_go(s, seq, s.written + s.device_hold_ticks)
         close(s)
+
+    @made
+    def realtime_tick(s: DriverState) -> int:
+        if s.phase == BETWEEN:
+            told = start_sample(s)
+            if told != READY:
+                return int(told)
+        if take_answers(s) == UNREAD:
+            return UNREAD
+        finish(s)
         return GO_ON
 
-    def ticks_of(tick: Callable[[Any], int]) -> Callable[[Any], int]:
-        @made
-        def ticks(s: DriverState) -> int:
-            done = 0
-            while done < s.most and s.seq < s.until:
-                before = s.ticks
-                why = tick(s)
-                if why != GO_ON:
-                    return why
-                if s.ticks != before:
-                    done += 1
-                    aside(s)
-                if called(s) or s.notes_count != 0:
-                    break
-                if s.failed != 0:
-                    return BROKEN
-            return GO_ON
+    tick: Tick = realtime_tick
+    return tick
 
-        done: Callable[[Any], int] = ticks
-        return done
 
-    return ticks_of(lockstep_tick), ticks_of(realtime_tick)
+def _make_start(port: Port, calls: Calls, made: Made) -> Tick:
+    sleep_until = port.sleep_until
+    begin, _, hand_over_in_time = calls
+
+    @made
+    def start_sample(s: DriverState) -> int:
+        """Sleep until the deadline, write the force that waits for it, and publish the sample."""
+        seq = s.seq
+        deadline = s.epoch + seq * s.period
+        now = deadline + s.lateness
+        if s.position_ready == 0:
+            now = sleep_until(s, deadline)
+            if now < deadline:
+                return GO_ON
+            if now - deadline >= s.period:
+                lost(s, seq, now - deadline)  # the driver itself was held up
+                return GO_ON
+            s.lateness = now - deadline
+            if s.has_following != 0:
+                # Under ``next_tick`` hardware, too, gets its force at the start of the tick.
+                s.has_following = 0
+                hand_over_in_time(s, s.following, seq, 0.0, s.force_seq)
+        if not begin(s, seq, now + s.clock_offset):
+            return BROKEN
+        begin_waiting(s, deadline)
+        return READY
+
+    start: Tick = start_sample
+    return start
+
+
+def _make_answers(port: Port, calls: Calls, made: Made) -> Tick:
+    receive, hand_over_in_time = port.receive, calls.hand_over_in_time
+
+    @made
+    def next_answer(s: DriverState) -> int:
+        """Return what came before the wait is over; what came later is kept for the next tick."""
+        if s.late_answer != 0:
+            s.late_answer, s.arrival = 0, s.late_answer_at
+            return GOT
+        got = s.pending_result - 1 if s.pending_result != 0 else receive(s, s.waits_until)
+        s.pending_result = 0
+        if got == NONE:
+            return NONE
+        s.heard = 1
+        if got == GOT and s.arrival >= s.waits_until:
+            # A flooded topic must not delay the next tick.
+            s.late_answer, s.late_answer_at = 1, s.arrival
+            return NONE
+        return int(got)
+
+    @made
+    def use(s: DriverState) -> None:
+        """Use a force that was admitted: now, or at the next deadline under ``next_tick``."""
+        seq = s.seq
+        after = (s.arrival - (s.epoch + seq * s.period)) / s.period
+        s.answered = 1 if s.got_seq == seq else 0
+        s.age = seq - s.got_seq
+        offset = min(max(after, 0.0), 1.0)
+        command(s, seq, 1.0 if s.next_tick != 0 else offset)
+        if s.next_tick != 0:
+            s.has_following = 1
+            for i in range(3):
+                s.following[i] = s.force[i]
+            s.delay = 1.0 + s.age
+        else:
+            split(s, offset)
+            if hand_over_in_time(s, s.force, seq, offset, s.got_seq):
+                s.changed_at = min(s.changed_at, offset)
+            s.delay = max(offset, after) + s.age
+        if s.answered != 0:
+            s.response = s.arrival - s.sampled
+            note_response(s, s.response)
+
+    @made
+    def take_answers(s: DriverState) -> int:
+        """Use the forces that arrive in time, up to the one that answers this tick."""
+        while s.answered == 0:
+            got = next_answer(s)
+            if got >= NONE:
+                return int(got)
+            if got == GOT and admit(s, s.seq):
+                use(s)
+                continue
+            s.skipped += 1
+            if s.arrival >= s.waits_until:
+                return NONE
+        return GOT
+
+    take: Tick = take_answers
+    return take
+
+
+def _repeated(tick: Tick, port: Port, made: Made) -> Tick:
+    aside, called = port.aside, port.called
+
+    @made
+    def ticks(s: DriverState) -> int:
+        done = 0
+        while done < s.most and s.seq < s.until:
+            before = s.ticks
+            why = tick(s)
+            if why != GO_ON:
+                return why
+            if s.ticks != before:
+                done += 1
+                aside(s)
+            if called(s) or s.notes_count != 0:
+                break
+            if s.failed != 0:
+                return BROKEN
+        return GO_ON
+
+    repeated: Tick = ticks
+    return repeated

@@ -13,20 +13,30 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import msgspec
 
 from messages import topics
-from messages.codec import encode
-from messages.types import DeviceState, Proxy, Vector
+from messages.types import DeviceState, Vector
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
 from nodes.compiled.layout import state_of
+from nodes.compiled.published import payload_of
 from nodes.environment.spent import note_spent, spent_us
-from nodes.environment.state import SHAPES, UNKNOWN, EnvironmentState
+from nodes.environment.state import (
+    DISTANCE,
+    PUBLISHED,
+    SHAPES,
+    UNKNOWN,
+    EnvironmentState,
+    tell_jump,
+)
 from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
     from nodes.compiled.library import Kernel
+
+
+_payload = payload_of(PUBLISHED)
 
 
 class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -177,22 +187,13 @@ class Environment(Node):
             self.note_inside()
         if not simulated:
             note_spent(s.spent, time.monotonic() - begin)
-        stamp = state.stamp if simulated else self.clock.now()
-        own, told = s.rebased, state.rebased
-        return encode(
-            Proxy(
-                seq=state.seq,
-                stamp=stamp,
-                position=state.position,
-                proxy=proxy,
-                normal=normal,
-                distance=distance,
-                contact=contact,
-                delay=state.delay,
-                rebased=own if own > told else told,
-                ease=s.ease if own >= told else 0,
-            )
-        )
+        s.stamp = state.stamp if simulated else self.clock.now()
+        s.seq = state.seq
+        s.position[:], s.delay, s.contact = state.position, state.delay, contact
+        if s.kind == UNKNOWN:
+            s.met[: DISTANCE + 1] = (*proxy, *normal, distance)
+        tell_jump(s)
+        return _payload(s, "")
 
     def _meet_anew(self, state: DeviceState) -> None:
         """Restart the proxy at the device: first tick of a driver, or a jump of its position."""

@@ -21,7 +21,8 @@ from messages.types import ZERO, DeviceState, Proxy, Vector
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
-from nodes.environment.spent import SpentCounters, note_spent, spent_us
+from nodes.environment.spent import note_spent, spent_us
+from nodes.environment.spent_counters import SpentCounters
 from nodes.parameters.store import ParameterError
 
 UNHEARD, HEARD, SILENT = range(3)

@@ -12,21 +12,12 @@ from collections.abc import MutableSequence, Sequence
 from itertools import accumulate
 from typing import Final
 
-from nodes.base.status_report import Counters
 from nodes.compiled.rules import rule
 
 BINS: Final = 136  # bins, from SHORTEST_SPENT to 13 ms
 SHORTEST_SPENT: Final = 1e-7  # lower edge of the first bin [s]
 PER_OCTAVE: Final = 8  # bins for each doubling, so a quantile is exact to 4.4 %
 _AT = (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
-
-
-class SpentCounters(Counters):
-    """Counters of an environment without compiled ticks."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.spent = [0] * BINS
 
 
 @rule

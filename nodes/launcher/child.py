@@ -12,11 +12,10 @@ from typing import Any
 
 import msgspec
 
-from messages.topics import DEVICE_STATE, LOOP
 from messages.transport.endpoints import Context
 from messages.transport.requests import ControlError, call
 from nodes.base.hang_watchdog import held_in
-from nodes.base.node_kinds import load
+from nodes.base.node_kinds import drives, is_hop, load
 from nodes.base.processor_wait import ProcessorWait, state_of
 from nodes.base.setup import Setup
 from nodes.base.status_report import write_whole
@@ -39,9 +38,8 @@ class Child:
 
     def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
         self.setup = setup
-        self.drives = DEVICE_STATE in load(setup.factory).publishes  # whether it is the driver
-        # Whether it publishes a topic of the loop.
-        self.hops = any(topic in LOOP for topic in load(setup.factory).publishes)
+        kind = load(setup.factory)
+        self.drives, self.hops = drives(kind), is_hop(kind)  # a driver; a part of the loop
         self.listens = bool(setup.manifest)  # whether it only subscribes (a logger)
         self.respawns = respawns
         self.delay = delay

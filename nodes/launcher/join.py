@@ -27,12 +27,11 @@ from messages.transport.keys import identity
 from messages.transport.requests import Reply, ReplySocket, decode_request
 from nodes.base import realtime
 from nodes.base.node import Node
-from nodes.base.node_kinds import load, node_kinds
+from nodes.base.node_kinds import is_hop, load, node_kinds
 from nodes.base.process import live
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.load import load_kernel
 from nodes.launcher import runs
-from nodes.launcher.wiring import is_hop
 from nodes.parameters.paths import check_paths
 from nodes.parameters.store import ParameterError, convert
 

@@ -68,13 +68,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     def drivers(self) -> list[str]:
         """Return the drivers: the nodes that publish a device state."""
-        from nodes.base.node_kinds import load
+        from nodes.base.node_kinds import drives, load
 
-        return [
-            name
-            for name, setup in self.nodes.items()
-            if topics.DEVICE_STATE in load(setup.factory).publishes
-        ]
+        return [name for name, setup in self.nodes.items() if drives(load(setup.factory))]
 
     def chains(self) -> list[str]:
         """Return the namespaces of the chains."""

@@ -12,24 +12,23 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import signal
-import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import ControlError, call
 from nodes.base import realtime
-from nodes.base.hang_watchdog import CHECK_INTERVAL, HangWatchdog
 from nodes.base.node_kinds import load
-from nodes.launcher import reaper, runs
+from nodes.launcher import runs
 from nodes.launcher.chain_load import LATE, Load, Meter, keep_costs, kind_of_chain, load_of, warning
-from nodes.launcher.child import PYTHON, Child
+from nodes.launcher.child import Child
+from nodes.launcher.ending import burden, end
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
+from nodes.launcher.reaper_process import ReaperProcess
 from nodes.launcher.wiring import (
     chain_manifest,
     chains_of,
@@ -38,15 +37,6 @@ from nodes.launcher.wiring import (
     wire,
     with_forwarder,
 )
-
-INT_TIMEOUT = 3.0
-TERM_TIMEOUT = 2.0
-HURRY_TIMEOUT = 0.3
-KILL_TIMEOUT = 2.0
-
-DYING = 20.0  # so much longer may one take that is not held by the kernel [s]
-
-_INSISTENCE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 
 class LaunchFailedError(HapticError):
@@ -71,6 +61,12 @@ class Supervisor:
         self.unjudged: dict[str, str] = {}  # nodes whose force nobody judges for stability, and why
         self._stop_asked = ""
         self._interrupted = self._hurry = False
+        self._begun = 0.0
+        self.run_dir = Path()
+        self.context = new_context()
+        self.children: dict[str, Child] = {}
+        self._reaper: ReaperProcess | None = None
+        self._meter: Meter | None = None  # once the driver has started
 
     def stop(self, reason: str) -> None:
         """Ask for the end. Safe in a signal handler."""
@@ -102,8 +98,6 @@ class Supervisor:
         run_dir = runs.new_run_dir(self.run)
         held.callback(os.close, runs.hold(run_dir))
         self.run_dir = run_dir
-        self.context = new_context()
-        self.children: dict[str, Child] = {}
         try:
             offset = time.time() - time.monotonic()
             if self._launch.run.tick == "compiled":
@@ -136,7 +130,7 @@ class Supervisor:
                     if chain
                 },
             )
-            self._reaper = self._start_reaper(run_dir)
+            self._reaper = ReaperProcess(run_dir, self._say)
             for name, setup in setups.items():
                 spec = self._launch.nodes[name]
                 respawns = spec.respawn_max if spec.respawn else 0
@@ -161,8 +155,8 @@ class Supervisor:
                 child.release()
             self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
-            if hasattr(self, "_reaper"):
-                self._dismiss_reaper()
+            if self._reaper is not None:
+                self._reaper.dismiss()
 
     def _hops(self) -> dict[str, Child]:
         """Return the nodes of the chains that have a process here."""
@@ -180,7 +174,7 @@ class Supervisor:
 
     def _note_load(self) -> None:
         """Find out how busy the processors were, and keep what a tick cost for the next launch."""
-        if not hasattr(self, "_meter"):
+        if self._meter is None:
             return
         had = self._meter.had(self.reports)
         reports = {
@@ -207,56 +201,8 @@ class Supervisor:
         self._write_down(child)
 
     def _write_down(self, child: Child) -> None:
-        """Tell the reaper of a process; it notices by itself when one is gone."""
-        pipe = self._reaper.stdin
-        if child.process is not None and pipe is not None:
-            # A reaper that is gone is replaced soon, and told of all; one that is stopped must not
-            # hold up the launcher.
-            with contextlib.suppress(BrokenPipeError, BlockingIOError):
-                os.write(
-                    pipe.fileno(), b"%d %f\n" % (child.process.pid, child.opening + child.closing)
-                )
-
-    def _start_reaper(self, run_dir: Path) -> subprocess.Popen[bytes]:
-        started = subprocess.Popen(
-            [*PYTHON, "-S", "-E", str(reaper.__file__), str(run_dir)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-            bufsize=0,
-        )
-        assert started.stdin is not None  # noqa: S101
-        os.set_blocking(started.stdin.fileno(), False)
-        return started
-
-    def _dismiss_reaper(self) -> None:
-        pipe: IO[bytes] | None = self._reaper.stdin
-        assert pipe is not None  # noqa: S101
-        # It may have been killed this moment; then nothing is left for it to do.
-        with contextlib.suppress(BrokenPipeError):
-            pipe.write(b"done\n")
-        with contextlib.suppress(BrokenPipeError):
-            pipe.close()
-        # One that somebody has stopped must not hold up the launcher; all that it was there for is
-        # done.
-        self._reaper.send_signal(signal.SIGCONT)
-        try:
-            self._reaper.wait(KILL_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            self._reaper.kill()
-            self._reaper.wait()
-
-    def _keep_reaper(self) -> None:
-        if self._reaper.poll() is not None:
-            self._say(
-                f"the reaper ended with exit code {self._reaper.returncode}; starting another"
-            )
-            if self._reaper.stdin is not None:
-                self._reaper.stdin.close()
-            self._reaper = self._start_reaper(self.run_dir)
-            for child in self.children.values():
-                if child.running:
-                    self._write_down(child)
+        if self._reaper is not None:
+            self._reaper.write_down(child)
 
     def _await_ready(self) -> None:
         begun = time.monotonic()
@@ -273,9 +219,7 @@ class Supervisor:
                     self._note_ready(child)
                     break
                 if time.monotonic() - begun > patience:
-                    raise LaunchFailedError(
-                        f"{name}: still {state} after {patience:g} s{_burdened()}"
-                    )
+                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s{burden()}")
                 time.sleep(0.01)
 
     def _note_ready(self, child: Child) -> None:
@@ -306,12 +250,14 @@ class Supervisor:
     def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
         next_progress = 0.0
         while not self._stop_asked:
-            self._keep_reaper()
+            if self._reaper is not None:
+                self._reaper.check(self.children.values())
             for name, child in self.children.items():
                 self._look_after(name, child)
             if time.monotonic() >= next_progress:
                 next_progress = time.monotonic() + 0.2
-                self._meter.look()
+                if self._meter is not None:
+                    self._meter.look()
                 if progress is not None:
                     progress(self)
             time.sleep(0.01)
@@ -385,96 +331,16 @@ class Supervisor:
             [child for child in self.children.values() if child.listens],
         )
         for group in groups:
-            self._end(group)
+            for failure in end(group, self._say, lambda: self._hurry):
+                self.failures.append(failure)
+                self._say(failure)
         for name, child in self.children.items():
             self._read_report(name)
             if child.ended_badly and not child.over:
                 self.failures.append(f"{name}: ended with {child.end}")
-
-    def _end(self, group: list[Child]) -> None:
-        for number, patience in (
-            (signal.SIGINT, INT_TIMEOUT),
-            (signal.SIGTERM, TERM_TIMEOUT),
-            (signal.SIGKILL, KILL_TIMEOUT),
-        ):
-            left = [child for child in group if child.running]
-            for child in left:
-                if number != signal.SIGINT:
-                    self._say(f"{child.setup.name}: does not end; {number.name}")
-                # While its interpreter is being set up, a process answers SIGINT with a traceback,
-                # SIGTERM with silence.
-                child.send(
-                    number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index)
-                )
-            self._await_end(left, number, patience)
-        for child in group:
-            if child.running:
-                # The kernel holds on to it: a frozen control group, a file system that is gone.
-                self.failures.append(
-                    f"{child.setup.name}: process still there {KILL_TIMEOUT:g} s after SIGKILL;"
-                    " left behind"
-                )
-                self._say(self.failures[-1])
-
-    def _await_end(self, left: list[Child], number: signal.Signals, patience: float) -> None:
-        """Wait for as long as one may take, not counting time in which it gets on or is kept from running by others."""
-        killed = number == signal.SIGKILL
-        begun = looked = time.monotonic()
-        watched = {child.setup.name: HangWatchdog() for child in left}
-        announced = False
-        while any(child.running for child in left):
-            now = time.monotonic()
-            granted = 0.0 if killed else max((child.end_patience for child in left), default=0.0)
-            if killed and not any(child.is_frozen for child in left if child.running):
-                # On a machine with thirty times more to do than it can, dying takes its time too.
-                granted = DYING
-            if (
-                self._hurry
-                and not killed
-                and not any(child.drives for child in left)
-                and now - begun > HURRY_TIMEOUT
-            ):
-                return
-            if killed and now - begun > patience + granted:
-                return
-            if now >= looked and not killed:
-                looked = now + CHECK_INTERVAL
-                stood = [
-                    (
-                        child,
-                        watched[child.setup.name].check(
-                            child.progress() if child.listens else 0, child.waited()
-                        ),
-                    )
-                    for child in left
-                    if child.running
-                ]
-                if all(seconds > patience + granted for _, seconds in stood):
-                    return
-                half = 0.5 * (now - begun)
-                if not announced and now - begun > 0.5 * patience + granted:
-                    for child in (child for child, at in stood if at < half):
-                        why = (
-                            f"does not get its turn{_burdened()}"
-                            if child.waited() > half
-                            else "still writing"
-                        )
-                        self._say(f"{child.setup.name}: {why}; waited for (Ctrl-C again: not)")
-                        announced = True
-            time.sleep(0.005)
 
     def _read_report(self, name: str) -> dict[str, Any]:
         report = self.reports.get(name) or self.children[name].report(self.run_dir)
         if report:
             self.reports[name] = report
         return report
-
-
-def _burdened() -> str:
-    """Name a machine that has more to do than it can as the reason of what takes too long."""
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
-    return (
-        f"; this machine is busy: load {load:.0f} on {processors} processors"
-        if load > 2 * processors
-        else ""
-    )

@@ -4,13 +4,14 @@ Only path and field names are taken from msgspec's text; the rest comes from the
 at that path.
 """
 
-import difflib
 import operator
 import re
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from msgspec import inspect
+
+from nodes.parameters.nearest import did_you_mean
 
 _AT = re.compile(
     r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL
@@ -57,10 +58,7 @@ _BOUNDS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
 def choices(given: object, known: Iterable[str]) -> str:
     """Return the known names, and the most similar one, for an error about an unknown name."""
     names = list(known)
-    close = difflib.get_close_matches(given, names, 1) if isinstance(given, str) else []
-    return f"available: {', '.join(names) or 'nothing yet'}" + "".join(
-        f"; did you mean {name}?" for name in close
-    )
+    return f"available: {', '.join(names) or 'nothing yet'}{did_you_mean(given, names)}"
 
 
 def short(value: object) -> str:
@@ -97,10 +95,8 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
             length = f" of length {len(value)}" if isinstance(value, list | tuple) else ""
             return path, f"expected {words}{shown}{length}"
     if choice := [str(one) for info in types for one in getattr(info, "values", ())]:
-        close = difflib.get_close_matches(str(value), choice, 1)
-        return path, f"expected one of {', '.join(choice)}{shown}" + "".join(
-            f"; did you mean {name}?" for name in close
-        )
+        hint = did_you_mean(str(value), choice)
+        return path, f"expected one of {', '.join(choice)}{shown}{hint}"
     if words := " or ".join(
         dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)
     ):

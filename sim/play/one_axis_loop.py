@@ -23,7 +23,7 @@ from nodes.arithmetic import (
 from nodes.compiled.kernels.sources import kernel
 from nodes.coupling.render import evaluate
 from nodes.driver.passivity import backlog, control, forget, observe, through
-from nodes.environment.meet import meet_plane
+from nodes.environment.flat import meet_plane
 from nodes.environment.state import ANCHOR, PLANE
 from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate

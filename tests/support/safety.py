@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import ZERO, Force, Vector
-from nodes.driver import safety
+from nodes.driver import safety, safety_setup
 from nodes.driver.device import DeviceLimits
 from nodes.driver.force_words import take_notes
 from nodes.driver.limits import SafetyParameters, lower
@@ -44,7 +44,7 @@ class Port:
         # What a first force does is said where it is tried.
         given = SafetyParameters(**{"ramp": 0.0, **parameters})
         self.limits = lower(given, device or DeviceLimits(), T)
-        safety.set_safety(self.s, given, self.limits, T)
+        safety_setup.set_safety(self.s, given, self.limits, T)
         set_guard(self.s, guard)
         self.moves(ZERO)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,11 @@ from nodes.compiled.kernels.machine import (
     put_be64,
     put_byte,
     put_real,
+    reals_at,
+    wholes_at,
 )
 from nodes.compiled.message_fields import FLAG, REAL, VECTOR, WHOLE, fields_of
+from nodes.compiled.published import Published
 
 
 @compilable
@@ -53,10 +56,16 @@ def put_double(at: int, value: float) -> int:
     return at + 9
 
 
-def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, int], int]:
-    """Return the encoder of a message type."""
+def make_encode(
+    message: type[Message], offsets: Sequence[int] = ()
+) -> Callable[[int, int, Any, Any, int, int], int]:
+    """Return the encoder of a message type, with values at these offsets or in its slots."""
     fields = fields_of(message)
     count = len(fields)
+    if offsets:
+        fields = tuple(
+            field._replace(slot=offset) for field, offset in zip(fields, offsets, strict=True)
+        )
     kinds, slots, sizes = (
         np.array(row)
         for row in zip(*((f.kind, f.slot, 1 + len(f.name)) for f in fields), strict=True)
@@ -95,3 +104,20 @@ def make_encode(message: type[Message]) -> Callable[[int, int, Any, Any, int, in
         return at
 
     return encode
+
+
+def make_write(table: Published) -> Callable[[Any, int], int]:
+    """Make the function that writes a message at an address, straight out of a node's state.
+
+    It returns where the message ends.
+    """
+    encode = make_encode(table.message, table.offsets)
+    room = max(table.offsets) + 3
+
+    @compilable
+    def write(s: Any, at: int) -> int:
+        reals, wholes = reals_at(s.here, room), wholes_at(s.here, room)
+        return encode(at, s.out_keys, reals, wholes, s.text, s.text_size)
+
+    made: Callable[[Any, int], int] = write
+    return made

@@ -11,7 +11,9 @@ from typing import Any, TypeAlias, TypeVar
 
 import numba
 from llvmlite import ir
+from numba.core import typing
 from numba.extending import intrinsic, overload
+from numba.np import arrayobj
 
 from nodes.compiled.memory import pairs_at, shared_real, shared_whole
 from nodes.compiled.memory import reals_at as reals_at
@@ -19,7 +21,9 @@ from nodes.compiled.memory import wholes_at as wholes_at
 
 # a type checker knows only a part of numba
 types: Any = numba.types
-carray: Any = getattr(numba, "carray")  # noqa: B009
+arrays: Any = arrayobj
+extending: Any = numba.extending
+signature: Any = getattr(typing, "signature")  # noqa: B009
 
 Intrinsic: TypeAlias = Any  # a function that exists in compiled code only
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -127,19 +131,37 @@ def record_at(record: Any) -> Intrinsic:
     return _made(record, [types.int64], generate)
 
 
-_to_reals, _to_wholes = (
-    record_at(types.CPointer(types.float64)),
-    record_at(types.CPointer(types.int64)),
-)
-overload(reals_at)(lambda address, count: lambda address, count: carray(_to_reals(address), count))  # noqa: ARG005
-overload(wholes_at)(
-    lambda address, count: lambda address, count: carray(_to_wholes(address), count)  # noqa: ARG005
-)
-overload(pairs_at)(
-    lambda address, count: (  # noqa: ARG005
-        lambda address, count: carray(_to_reals(address), (count, 2))
-    )
-)
+def _look_at(function: Callable[..., Any], item: Any, *others: int) -> None:
+    """Compile a function that views an array by address and length, inlined."""
+    array = types.Array(item, 1 + len(others), "C")
+    count = [types.int64, types.int64]
+
+    def lower(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        address, length = arguments
+        made = arrays.make_array(array)(context, builder)
+        size = context.get_abi_sizeof(context.get_data_type(item))
+        shape = [length, *(context.get_constant(types.intp, n) for n in others)]
+        steps = [size]
+        for n in others:
+            steps.insert(0, steps[0] * n)
+        arrays.populate_array(
+            made,
+            data=builder.inttoptr(address, made.data.type),
+            shape=shape,
+            strides=[context.get_constant(types.intp, step) for step in steps],
+            itemsize=context.get_constant(types.intp, size),
+            meminfo=None,
+        )
+        return made._getvalue()
+
+    typed = extending.type_callable(function)
+    typed(lambda _: lambda address, length: signature(array, *count))  # noqa: ARG005
+    extending.lower_builtin(function, *count)(lower)
+
+
+_look_at(reals_at, types.float64)
+_look_at(wholes_at, types.int64)
+_look_at(pairs_at, types.float64, 2)
 
 
 def _foreign(*takes: Any) -> Intrinsic:

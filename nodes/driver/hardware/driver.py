@@ -17,7 +17,7 @@ from nodes.driver.hardware.libraries import Search
 from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice
 from nodes.driver.limits import lower
 from nodes.driver.node import Driver
-from nodes.driver.safety import set_workspace
+from nodes.driver.safety_setup import set_workspace
 from nodes.parameters.store import ParameterError, convert
 
 # interval of reading the handle; published on change, and each second [s]

@@ -21,7 +21,8 @@ from nodes.environment.bodies.contacts import contacts_text
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.poses import RATE, Poses, poses_file
 from nodes.environment.bodies.tool import ToolParameters, response_text
-from nodes.environment.spent import SpentCounters, note_spent, spent_us
+from nodes.environment.spent import note_spent, spent_us
+from nodes.environment.spent_counters import SpentCounters
 from nodes.parameters.store import ParameterError, convert
 
 

@@ -5,9 +5,18 @@ from __future__ import annotations
 from inspect import isfunction
 
 from nodes.compiled.kernels.sources import kernel
-from nodes.environment.shapes import beginning, convex, patch, planes, proxy, tree, triangle
+from nodes.environment.shapes import (
+    beginning,
+    convex,
+    friction,
+    patch,
+    planes,
+    proxy,
+    tree,
+    triangle,
+)
 
-for _module in (convex, triangle, tree, beginning, planes, patch, proxy):
+for _module in (convex, triangle, tree, beginning, planes, patch, friction, proxy):
     for _function in vars(_module).values():
         if isfunction(_function) and _function.__module__ == _module.__name__:
             kernel(_function)

@@ -19,13 +19,13 @@ from messages.types import Vector
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.beginning import leave, place, shape_gap
 from nodes.environment.shapes.convex import convex_hit, core, gap
+from nodes.environment.shapes.friction import STILL, carried, dynamic_cone, slide, total_share
 from nodes.environment.shapes.patch import nearer_in_patch
 from nodes.environment.shapes.planes import step_between
 from nodes.environment.shapes.tables import Memory, Table
 from nodes.environment.shapes.tree import mesh_hit
 from nodes.environment.shapes.triangle import triangle_gap
 
-_STILL = 1e-14  # length below which a step counts as zero [m]
 _MOST_ROUNDS = 200
 
 # rounds in which a leap may lead away from the device; after them it is taken for a cycle
@@ -96,8 +96,7 @@ def _go_back(memory: Memory) -> None:
     memory[t.TOUCHED] = 1.0
 
 
-# Long: one compiled function, because a call would cost more than it saves.
-def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:  # noqa: C901, PLR0915
+def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:
     """Descend with the proxy towards the device. Return whether a surface holds it."""
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     count, sliding, slid, idle = int(memory[t.TOUCHED]), memory[t.SLIDING] == 1.0, 0.0, 0
@@ -111,22 +110,11 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
         count = _touching(scene, memory, count, x, y, z)
         if shape >= 0.0:
             count = _add(scene, memory, count, nx, ny, nz, shape, face, x, y, z)
-        idle = idle + 1 if covered <= _STILL and count == before else 0
+        idle = idle + 1 if covered <= STILL and count == before else 0
         vx, vy, vz = dx - x, dy - y, dz - z
         sx, sy, sz = step_between(memory, count, vx, vy, vz)
-        length = sqrt(sx * sx + sy * sy + sz * sz)
-        part, held = 1.0, False
-        carrying, carrier = 0, 0
-        cone = coat = pressed = 0.0
-        for i in range(count):
-            at = t.CONTACTS + t.CONTACT * i
-            share = memory[at + t.SHARE]
-            if share > 0.0:
-                carrying, carrier = carrying + 1, i
-                row = t.ROWS + t.ROW * int(memory[at + t.SHAPE])
-                cone += share * scene[row + (t.DYNAMIC if sliding else t.STATIC)]
-                coat += share * scene[row + t.VISCOUS]
-                pressed += share
+        length, part = sqrt(sx * sx + sy * sy + sz * sz), 1.0
+        carrying, carrier, cone, coat, pressed = carried(scene, memory, count, sliding)
         held = carrying > 0
         if held and before_leap >= 0.0:
             if turn > _TRUSTED and vx * vx + vy * vy + vz * vz > before_leap:
@@ -136,23 +124,11 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
                 count, covered, shape, before_leap, leaping = 0, 1.0, -1.0, -1.0, False
                 continue
             before_leap = -1.0
-        if rough and held and length > _STILL:
-            behind = coat / (pressed * scene[t.CALL_PERIOD])
+        if rough and held and length > STILL:
             if not sliding and length > cone:
-                sliding = True
-                cone = 0.0
-                for i in range(count):
-                    at = t.CONTACTS + t.CONTACT * i
-                    cone += (
-                        memory[at + t.SHARE]
-                        * scene[t.ROWS + t.ROW * int(memory[at + t.SHAPE]) + t.DYNAMIC]
-                    )
-            left = length - cone - behind * slid
-            if left <= _STILL:
-                length = 0.0
-            else:
-                part = left / (length * (1.0 + behind))
-        if length <= _STILL or idle > 2 or turn == _MOST_ROUNDS - 1:
+                sliding, cone = True, dynamic_cone(scene, memory, count)
+            part = slide(length, cone, coat / (pressed * scene[t.CALL_PERIOD]), slid)
+        if length <= STILL or part == 0.0 or idle > 2 or turn == _MOST_ROUNDS - 1:
             break
         if held and leaping and carrying < 3:
             bx, by, bz, had_slid, before_leap = x, y, z, slid, vx * vx + vy * vy + vz * vz
@@ -171,16 +147,12 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
             go = min(go, 1.0)
             x, y, z = x + go * sx, y + go * sy, z + go * sz
         covered = go * sqrt(sx * sx + sy * sy + sz * sz)
-        if held:
-            slid += covered
+        slid += covered if held else 0.0
     memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
     memory[t.TOUCHED] = float(count)
     if rough:
-        memory[t.SLIDING] = 1.0 if slid > _STILL else 0.0
-    pressed = 0.0
-    for i in range(count):
-        pressed += memory[t.CONTACTS + t.CONTACT * i + t.SHARE]
-    return pressed > 0.0
+        memory[t.SLIDING] = 1.0 if slid > STILL else 0.0
+    return total_share(memory, count) > 0.0
 
 
 def _around(

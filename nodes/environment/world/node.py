@@ -15,7 +15,8 @@ from messages.types import ZERO, DeviceState, Proxy, Vector
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup
-from nodes.environment.spent import SpentCounters, note_spent, spent_us
+from nodes.environment.spent import note_spent, spent_us
+from nodes.environment.spent_counters import SpentCounters
 from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
 from nodes.parameters.checked import NonNegative
 from nodes.parameters.store import ParameterError, convert

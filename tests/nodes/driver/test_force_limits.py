@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from messages.types import ZERO, Force, Vector
 from nodes.driver.limits import STOP_TIME
-from nodes.driver.safety import soft_stop
+from nodes.driver.safety_setup import soft_stop
 from tests.support.safety import Port, T, force
 
 

@@ -21,8 +21,8 @@ import pytest
 import zmq
 
 from nodes.base.processor_wait import ProcessorWait
+from nodes.launcher.ending import TIMEOUTS
 from nodes.launcher.runs import alive
-from nodes.launcher.supervisor import INT_TIMEOUT
 from nodes.recording.logger import QUIET_MS
 from nodes.recording.reader import Recording
 from sim.measure.free_ports import free_ports
@@ -182,9 +182,8 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
         wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
         figures = launch.finish(signal.SIGINT, code=1)
         assert figures["failures"] == ["deaf: ended with SIGKILL"]
-        # Asked once, the launcher would wait INT_TIMEOUT before it presses at all, and TERM_TIMEOUT
-        # before it kills.
-        assert time.monotonic() - begun < INT_TIMEOUT
+        # Asked once, the launcher would wait for each of the TIMEOUTS before it kills.
+        assert time.monotonic() - begun < TIMEOUTS[signal.SIGINT]
         assert launch.errors.index("deaf: does not end; SIGTERM") < launch.errors.index(
             "deaf: does not end; SIGKILL"
         )
@@ -244,10 +243,10 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
             # Its own clock: what the launcher would have granted it, had it not been kept from
             # running.
             wait_for(
-                lambda: waits["logger"].update(logger) > INT_TIMEOUT,
+                lambda: waits["logger"].update(logger) > TIMEOUTS[signal.SIGINT],
                 "the logger waits for a processor",
             )
-            assert waits["reaper"].update(pids["reaper"]) < 0.5 * INT_TIMEOUT, (
+            assert waits["reaper"].update(pids["reaper"]) < 0.5 * TIMEOUTS[signal.SIGINT], (
                 "it waits for the launcher, not for a processor"
             )
             # The launcher comes to the logger when all others have ended.

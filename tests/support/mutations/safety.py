@@ -98,8 +98,8 @@ SAFETY_RULES: Final = (
     Mutation(
         "a delay without its age",
         f"{DRIVER}tick.py",
-        "/ s.period) + s.age",
-        "/ s.period)",
+        "max(offset, after) + s.age",
+        "max(offset, after)",
         (ORACLES,),
     ),
     Mutation(
