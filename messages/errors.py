@@ -28,6 +28,7 @@
 | `StalledError` | of those: a tuning on a machine that does not respond in time |
 | `UnknownEventError` | an event of an unregistered kind or number; a programming error |
 | `MeasurementError` | a benchmark, study or drill that could not measure |
+| `NotOneAxisError` | a chain that the loop of one axis does not play; its nodes do |
 | `ResultsError` | a section of sim/RESULTS.md that cannot be measured |
 | `NoCompilerError` | of those: no C compiler |
 | `FaultSkippedError` | of those: a fault that cannot be injected |

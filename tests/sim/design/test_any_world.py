@@ -34,6 +34,7 @@ from sim.design.any_world_families import (
     stiffest_taps,
     stiffness,
 )
+from tests.support.launching import typed_in
 
 T = 0.002
 DELAYS = {"any_hand_d0": 0.0, "any_hand_d1": 1.0, "any_hand_d1_5": 1.5, "any_hand_d2": 2.0}
@@ -359,3 +360,14 @@ def test_stiffest_one_pole_is_a_law_that_can_be_loaded() -> None:
     assert member.law is not None
     assert member.design is not None
     assert parse_law(member.law).compile(T).h1 == pytest.approx(member.design.h1_n_per_m, rel=1e-12)
+
+
+def test_the_study_asks_for_any_hand(tmp_path: Path) -> None:
+    """The command itself: options that have no effect beside --for are refused, by their names."""
+    done = typed_in(
+        tmp_path, "study", "design", "--for", "any_hand", "--delay", "1", "--taps", "2", "--json"
+    )
+    # The closed limit 2 b/(T (1 + d)) of 1 N s/m at 500 Hz, one tick late.
+    assert json.loads(done.stdout.splitlines()[-1])["closed_limit_n_per_m"] == pytest.approx(500.0)
+    refused = typed_in(tmp_path, "study", "design", "--for", "any_hand", "--every-delay", code=2)
+    assert "--every-delay: no effect here" in refused.stderr
