@@ -445,11 +445,14 @@ WORDED = (
     "nodes/ros2",
     "nodes/stability",
     "nodes/view",
+    "sim/design",
     "sim/device",
     "sim/device_check",
     "sim/drill",
     "sim/emulators",
+    "sim/identify",
     "sim/measure",
+    "sim/tune",
     "tests",
 )
 """Folders whose docstrings are in the words of the field; each new one is added."""

@@ -1,11 +1,11 @@
-"""The stiffest law that is stable whatever world is behind the coupling, for any hand or for a known device.
+"""The stiffest law that is stable for any passive world, with any hand or a known device.
 
 A wall is not the worst world (THEORY.md §18, §20). With D = (1 − w)/T the loop is stable for every
-passive world that answers within the tick iff Re{D/H} > r(θ): r is the device's, known, or the
-largest over all hands. That is Re{D* H} > r |H|², convex in the taps where r ≥ 0, which it is for
-any hand: cutting planes find the stiffest taps of a family, and the bound that no others exceed.
-For a known device r < 0 where the device itself dissipates; there each *shape* of a law has its
-largest scale in closed form, and the shapes are searched.
+passive world that answers within the tick iff Re{D/H} > r(θ); r belongs to the known device, or is
+the maximum over all hands. This is Re{D* H} > r |H|², convex in the taps for r ≥ 0, which holds for
+any hand: cutting planes find the stiffest taps of a family and an upper bound. For a known device r
+< 0 where the device itself dissipates; there each *shape* of a law has its largest scale in closed
+form, and the shapes are searched.
 """
 
 import math
@@ -24,17 +24,17 @@ from sim.arrays import Array
 from sim.design.demand import alternating
 
 _CUTS = 80
-# how far a design stays inside the condition, as a share of its taps: room for the proof's rounding
+# distance of a design from the condition, as a share of its taps: margin for the proof's rounding
 _INSIDE = 1e-7
-_LARGEST = 1e6  # of a tap, in units of b/T
+_LARGEST = 1e6  # largest tap, in units of b/T
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a law must be stable with: a device or any hand, and any passive world that answers within the tick."""
+    """Conditions under which a law must be stable, with any passive world within the tick."""
 
     period: float  # sampling period T [s]
-    damping: float  # viscous damping b of the device, the least of it [N s/m]
+    damping: float  # viscous damping b of the device, minimum [N s/m]
     delay: tuple[float, float]  # shortest and longest delay of the loop [ticks]
     nyquist: float  # largest |H(−1)| allowed [N/m]
     # lightest and heaviest device [kg]; None for any hand, of any mass
@@ -48,15 +48,22 @@ class Surroundings:
 
     @property
     def limit(self) -> float:
-        """2b/(T(1 + d)), which no causal linear law exceeds for any hand at the longest delay [N/m]."""
+        """Return 2b/(T(1 + d)), the limit of any causal linear law for any hand [N/m].
+
+        d is the longest delay.
+        """
         return 2.0 * self.damping / (self.period * (1.0 + self.delay[1]))
 
     def conditions(self, masses: int) -> list["Requirement"]:
-        """Return what to keep: for any hand at the ends and whole ticks of the delay, else at some masses and delays."""
+        """Return the requirements to meet.
+
+        For any hand: at the ends and whole ticks of the delay; for a known device: at some masses
+        and delays.
+        """
         low, high = self.delay
         whole = np.arange(math.ceil(low), math.floor(high) + 1).tolist()
         if self.mass is None:
-            # r is straight in the fraction of a tick: between two whole delays the ends are the
+            # r is linear in the fraction of a tick: between two whole delays the ends are the
             # worst.
             return [_any_hand(self, delay) for delay in sorted({low, high, *whole})]
         delays = sorted({*np.linspace(low, high, 5).tolist(), *whole})
@@ -69,14 +76,17 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Requirement:
-    """2 weight Re{H/(1 − w)}/T + rest |H|² > 0 at every θ: cosine sums of the weight (≥ 0) and of the rest [s/kg]."""
+    """The condition 2 weight Re{H/(1 − w)}/T + rest |H|² > 0 at every θ.
+
+    weight (≥ 0) and rest [s/kg] are cosine sums.
+    """
 
     period: float
     weight: Array
     rest: Array
 
     def margin(self, law: CompiledLaw) -> Array:
-        """Cosine sum that is above 0 wherever the condition is kept."""
+        """Return the cosine sum that is positive wherever the condition is met."""
         top, bottom = law_polynomials(law)
         linear = 2.0 / self.period * (top * bottom.conjugate).real_over_one_less_w()
         return _sum(
@@ -89,28 +99,28 @@ class WorldDesign:
     """The stiffest law of a family for any world."""
 
     taps: Array  # numerator h_0 … h_n [N/m], shape (n + 1,)
-    bottom: Array  # denominator in w behind them, 1 for taps alone, shape (1,) to (3,)
+    bottom: Array  # denominator in w, 1 for taps alone, shape (1,) to (3,)
     parameters: Array  # weights of the family's basis, shape (p,)
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     limit_n_per_m: float  # the closed limit for any hand, 2b/(T(1 + d)) [N/m]
-    bound_n_per_m: float | None  # no member of the family is stiffer; None for a known device [N/m]
-    # whether the condition is kept at every frequency, and H has no zero outside the unit circle
+    bound_n_per_m: float | None  # upper bound for the family; None for a known device [N/m]
+    # whether the condition is met at every frequency, and H has no zero outside the unit circle
     proven: bool
 
     @property
     def law(self) -> CompiledLaw:
-        """The law as the coupling renders it."""
+        """Return the law as the coupling renders it."""
         return over(self.taps, self.bottom)
 
 
 def behind_poles(*poles: complex) -> Array:
-    """Return the denominator in w of up to two poles, real ones or a conjugate pair: Π (1 − pole·w)."""
+    """Return the denominator Π (1 − pole·w) of up to two poles, real or conjugate."""
     return np.trim_zeros(np.real(np.poly(poles)), "b") if poles else np.ones(1)
 
 
 def over(taps: Array, bottom: Array) -> CompiledLaw:
-    """Compile h_0 … h_n over 1 + a1·w + a2·w²: taps, and one section for what is left of the quotient.
+    """Compile h_0 … h_n over 1 + a1·w + a2·w²: taps and one section for the remainder.
 
     Parameters
     ----------
@@ -137,12 +147,13 @@ def stiffest_for_any_world(
     bottom: Array | None = None,
     masses: int = 7,
 ) -> WorldDesign | None:
-    """Find the member of a family with the largest H(1) that is stable for any world; None where none is.
+    """Find the member of a family with the largest H(1) stable for any world, or None.
 
-    `basis`: rows whose sum, weighted by the parameters, is the numerator, shape (p, n + 1) [N/m per
-    parameter]. `free`: whether parameters may be negative. `bottom`: denominator of a section behind
-    them (`behind_poles`).
-    `masses`: of a range that are kept.
+    basis: rows whose sum, weighted by the parameters, is the numerator, shape (p, n + 1) [N/m per
+        parameter].
+    free: parameters may be negative.
+    bottom: denominator of a section behind them (`behind_poles`).
+    masses: number of masses of the range that are checked.
     """
     conditions = surroundings.conditions(masses)
     below = np.ones(1) if bottom is None else bottom
@@ -152,7 +163,7 @@ def stiffest_for_any_world(
 
 
 class _Table:
-    """The parts of all conditions over a grid of angles, linear in the parameters of a family."""
+    """Terms of all conditions over a grid of angles, linear in a family's parameters."""
 
     def __init__(
         self, conditions: Sequence[Requirement], basis: Array, bottom: Array, fineness: int = 64
@@ -175,7 +186,7 @@ class _Table:
         self.response = np.tile(self.response, (len(conditions), 1))
 
     def parts(self, parameters: Array) -> tuple[Array, Array, Array]:
-        """Linear part, rest |N|², and the slopes of the latter along the parameters."""
+        """Return the linear part, rest |N|², and the gradient of the latter by the parameters."""
         response = self.response @ parameters
         square = self.rest * np.abs(response) ** 2
         slopes = 2.0 * self.rest[:, None] * (np.conj(response)[:, None] * self.response).real
@@ -189,7 +200,7 @@ def _convex(
     free: bool,
     bottom: Array,
 ) -> WorldDesign | None:
-    """Cutting planes for any hand, where the condition is convex: the rest is ≤ 0."""
+    """Search by cutting planes for any hand, where the condition is convex: rest ≤ 0."""
     from scipy.optimize import linprog
 
     table = _Table(conditions, basis, bottom)
@@ -198,7 +209,7 @@ def _convex(
         basis.sum(axis=1) / bottom.sum(),
         basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom))),
     )
-    # of a parameter, so that its taps are about b/T
+    # scale of a parameter, so that its taps are about b/T
     scale = unit / np.maximum(np.abs(basis).max(axis=1), 1e-300)
     rows, limits = (
         [noise * scale, -noise * scale, gain * scale],
@@ -206,8 +217,7 @@ def _convex(
     )
     bounds = [(-_LARGEST if free else 0.0, _LARGEST)] * len(basis)
     best, most, bound = None, 0.0, math.inf
-    # Re{H/(1 − w)} ≥ 0 holds all the more: at a few frequencies it keeps the first programmes
-    # bounded.
+    # Re{H/(1 − w)} ≥ 0 is necessary: at a few frequencies it keeps the first programs bounded.
     few = table.linear[::16]
     rows, limits = [*rows, *(-few * scale)], [*limits, *np.zeros(len(few))]
     for _ in range(_CUTS):
@@ -217,7 +227,7 @@ def _convex(
         here = np.asarray(found.x, dtype=np.float64) * scale
         bound = min(bound, float(gain @ here))
         linear, square, slopes = table.parts(here)
-        # Scaled by s the linear part grows with s, the rest with s²: the largest s that keeps every
+        # Scaled by s the linear part grows with s, the rest with s²: s is limited by the worst
         # angle.
         with np.errstate(divide="ignore", invalid="ignore"):
             shrink = np.where(square < 0.0, linear / -square, np.inf)
@@ -242,7 +252,7 @@ def _for_device(
     free: bool,
     bottom: Array,
 ) -> WorldDesign | None:
-    """Search the shapes of a family of which each has a stiffest scale in closed form; H(1) = 1 for a shape."""
+    """Search the shapes of a family, with H(1) = 1; each has its largest scale in closed form."""
     from scipy.optimize import differential_evolution, minimize
 
     coarse, table = _Table(conditions, basis, bottom, 8), _Table(conditions, basis, bottom)
@@ -253,7 +263,7 @@ def _for_device(
     size = np.maximum(np.abs(basis).max(axis=1), 1e-300)
 
     def shape(free_ones: Array) -> Array | None:
-        """Parameters with H(1) = 1: the first one follows from the others."""
+        """Return parameters with H(1) = 1; the first follows from the others."""
         others = free_ones / size[1:]
         first = (1.0 - gain[1:] @ others) / gain[0]
         return None if not free and first < 0.0 else np.append(first, others)
@@ -294,7 +304,10 @@ def _for_device(
 
 
 def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
-    """Largest factor of a shape that keeps every angle, and by how much it falls short of the least one, as a ratio."""
+    """Return the largest factor of a shape at all angles, and its relative shortfall.
+
+    The shortfall is relative to the smallest factor required.
+    """
     linear, square, _ = table.parts(parameters)
     against, with_it = square < 0.0, square > 0.0
     high = float(np.min(linear[against] / -square[against], initial=np.inf))
@@ -305,7 +318,10 @@ def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
 
 
 def zeros_inside(law: CompiledLaw) -> bool:
-    """Whether H has no zero in |z| ≥ 1: an inverse that is stable, so that a world cannot swing while the force is zero."""
+    """Check that H has no zero in |z| ≥ 1, so that its inverse is stable.
+
+    Otherwise a world could oscillate while the force is zero.
+    """
     top, _ = law_polynomials(law)
     zeros = np.roots(top.coefficients)
     return not len(zeros) or float(np.abs(zeros).max()) < 1.0
@@ -314,7 +330,7 @@ def zeros_inside(law: CompiledLaw) -> bool:
 def _finished(
     surroundings: Surroundings, parameters: Array, basis: Array, bottom: Array, bound: float | None
 ) -> WorldDesign | None:
-    """Step inside by what rounding may need, and prove the result at every frequency."""
+    """Shrink a design slightly for rounding, and prove it at every frequency."""
     inside, proven = parameters, False
     for shrink in (_INSIDE, 1e-5, 1e-4, 1e-3):
         inside = parameters * (1.0 - shrink)
@@ -331,10 +347,10 @@ def _finished(
 
 
 def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> bool:
-    """Whether a law is stable for any world in these surroundings: proven at every frequency, at all delays for any hand.
+    """Check that a law is stable for any world: proven at every frequency.
 
-    For a known device it is proven at `masses` of the range and five delays, and the loop at the
-    wall is checked there too.
+    For any hand this holds at all delays. For a known device it is proven at `masses` of the range
+    and five delays, and the loop at the wall is checked there too.
     """
     if not (law.h1 > 0.0 and law.stable_sections() and zeros_inside(law)):
         return False
@@ -364,7 +380,10 @@ def _any_hand(surroundings: Surroundings, delay: float) -> Requirement:
 
 
 def _known(surroundings: Surroundings, mass: float, delay: float) -> Requirement:
-    """Set r = −Re{D P_d} of a known device, over |1 − w e|² / (1 − cos θ) of its own denominator."""
+    """Return the requirement of a known device: r = −Re{D P_d}.
+
+    Both sides are multiplied by |1 − w e|² / (1 − cos θ) of its own denominator.
+    """
     held = held_plant(Plant(surroundings.period, mass, surroundings.damping, delay))
     own = Laurent(np.cumsum(held.denominator)[:-1])  # the denominator without 1 − w
     path = Laurent(np.array(held.numerator), held.whole + 1)
@@ -376,7 +395,7 @@ def _known(surroundings: Surroundings, mass: float, delay: float) -> Requirement
 
 
 def _product(a: Array, b: Array) -> Array:
-    """Product of two cosine sums."""
+    """Return the product of two cosine sums."""
     long = len(a) + len(b) - 1
     total = np.zeros(long)
     for i, one in enumerate(a.tolist()):

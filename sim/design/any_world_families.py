@@ -1,4 +1,4 @@
-"""Families of laws compared where the world, or hand and world, are not known: PD, PDα, the optimum, free taps, a pole."""
+"""Families of laws for an unknown world: PD, PDα, the optimum, free taps, poles."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -12,20 +12,21 @@ from nodes.laws.presets import PRESETS
 from sim.arrays import Array
 from sim.design.any_world import Surroundings, WorldDesign, behind_poles, stiffest_for_any_world
 
-# at which PDα is tuned before the best is refined
+# orders at which PDα is tuned before the best is refined
 ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))
 MOST_POLE = 0.995  # largest radius of a pole
-POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)  # of the section, before the best is refined
+# poles of the section tried before the best is refined
+POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)
 
 
 @dataclass(frozen=True)
 class Member:
     """The stiffest member of a family."""
 
-    # ``pd``, ``pd_alpha``, ``paper_optimum``, ``taps``, ``one_pole``, ``taps_over_pole`` or ``two_poles``
+    # ``pd``, ``pd_alpha``, ``paper_optimum``, ``taps``, ``one_pole``, ``taps_over_pole`` or
+    # ``two_poles``
     family: str
-    # Its description, as `nodes.laws.parse.parse_law` reads it; None when none is stable for every
-    # world.
+    # description for `nodes.laws.parse.parse_law`; None if none is stable for every world
     law: dict[str, Any] | None
     design: WorldDesign | None  # its figures
 
@@ -33,9 +34,10 @@ class Member:
 def stiffest_members(
     surroundings: Surroundings, taps: int, sections: bool = False
 ) -> Iterator[Member]:
-    """Yield the stiffest member of each family, PD first; of `taps` taps where a family has a choice.
+    """Yield the stiffest member of each family, PD first.
 
-    `sections`: whether more taps over a pole and two poles are searched as well, half a minute each.
+    taps: number of taps of a family with a choice.
+    sections: also search taps over a pole and two poles, half a minute each.
     """
     yield stiffest_pd(surroundings)
     yield stiffest_pd_alpha(surroundings, taps)
@@ -55,7 +57,7 @@ def stiffest_pd(surroundings: Surroundings) -> Member:
 
 
 def stiffest_pd_alpha(surroundings: Surroundings, taps: int) -> Member:
-    """Tune stiffness, damping and order of PDα of so many taps."""
+    """Tune stiffness, damping and order of PDα with `taps` taps."""
 
     def at(order: float) -> Member:
         return stiffest_linear(
@@ -68,14 +70,14 @@ def stiffest_pd_alpha(surroundings: Surroundings, taps: int) -> Member:
 
 
 def stiffest_taps(surroundings: Surroundings, taps: int) -> Member:
-    """Design so many free taps, or fewer where those are as stiff: a longer law with zeros behind is a shorter one."""
+    """Design up to `taps` free taps; fewer if they are as stiff."""
     best: Member | None = None
     for length in range(1 if surroundings.mass is None else min(2, taps), taps + 1):
         design = stiffest_for_any_world(surroundings, np.eye(length))
         member = Member(
             "taps", None if design is None else _fir(design, surroundings.period), design
         )
-        # Where more taps buy less than a thousandth, the shorter law is the better one.
+        # The shorter law is preferred if more taps gain less than a thousandth.
         if best is None or stiffness(member) > 1.001 * stiffness(best):
             best = member
     if best is None:
@@ -93,7 +95,7 @@ def stiffest_one_pole(surroundings: Surroundings) -> Member:
 
 
 def stiffest_over_pole(surroundings: Surroundings, taps: int) -> Member:
-    """Design so many taps over one pole, anywhere inside the unit circle."""
+    """Design `taps` taps over one pole, anywhere inside the unit circle."""
 
     def at(pole: float) -> Member:
         return _behind("taps_over_pole", surroundings, taps, behind_poles(pole))
@@ -102,9 +104,10 @@ def stiffest_over_pole(surroundings: Surroundings, taps: int) -> Member:
 
 
 def stiffest_two_poles(surroundings: Surroundings, taps: int = 3) -> Member:
-    """Design taps over a section of second order: two poles anywhere inside the unit circle, by steps that halve.
+    """Design taps over a second-order section with poles anywhere inside the unit circle.
 
-    The numbers a1, a2 of 1 + a1·w + a2·w² lie in a triangle: |a2| < 1, |a1| < 1 + a2.
+    The coefficients a1, a2 of 1 + a1·w + a2·w² lie in a triangle: |a2| < 1, |a1| < 1 + a2. They are
+    searched with steps that are halved.
     """
 
     def at(a1: float, a2: float) -> Member:
@@ -151,14 +154,14 @@ def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundin
 
 
 def stiffness(member: Member) -> float:
-    """H(1) of a member, 0 where there is none [N/m]."""
+    """Return H(1) of a member, 0 if there is none [N/m]."""
     return 0.0 if member.design is None else member.design.h1_n_per_m
 
 
 def _refined(
     at: Callable[[float], Member], values: tuple[float, ...], step: float, ends: tuple[float, float]
 ) -> Member:
-    """Return the best of some values, then of values closer and closer about it."""
+    """Return the best of some values, refined by smaller and smaller steps."""
     tried = {value: at(value) for value in values}
     best = max(tried, key=lambda value: stiffness(tried[value]))
     while step > 0.004 * (ends[1] - ends[0]) / 4.0:
@@ -185,13 +188,13 @@ def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
 
 
 def fractional_gain(members: list[Member]) -> float | None:
-    """Compute what a fractional term buys over PD, as a ratio of H(1); None where one of the two has no stiffness."""
+    """Return the ratio of H(1) of PDα to PD; None if one of them has no stiffness."""
     found = {member.family: stiffness(member) for member in members}
     return found["pd_alpha"] / found["pd"] if min(found["pd_alpha"], found["pd"]) > 0.0 else None
 
 
 def margin_figures(design: WorldDesign) -> dict[str, Any]:
-    """Figures of a design as JSON has them."""
+    """Return the figures of a design for JSON."""
     bound = design.bound_n_per_m
     return {
         "taps_n_per_m": list(design.law.taps),

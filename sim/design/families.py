@@ -1,8 +1,8 @@
-"""Laws designed for the device and the loop one really has, and what they gain over the best-tuned known ones.
+"""Laws designed for the actual device and loop, compared with tuned conventional laws.
 
 The comparison is at equal demand: same range of mass, same delay, same pole radius, same bound on
-H(−1), same search. PD, every PDα and the paper's optimum are then just narrower families than free
-taps of the same length.
+H(−1), same search. PD, PDα and the paper's optimum are narrower families than free taps of the same
+length.
 """
 
 import itertools
@@ -29,8 +29,8 @@ ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))
 REFINED = 0.0125  # spacing of the orders at which refining stops
 
 
-# Cutoffs of the filtered velocity that are tried first, as shares of the loop's rate: above 0.8 it
-# is plain PD.
+# Cutoffs of the filtered velocity tried first, relative to the loop's rate: above 0.8 it equals
+# plain PD.
 CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
 
 
@@ -39,15 +39,14 @@ class Tuned:
     """The stiffest member of a family at one demand."""
 
     family: str  # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
-    # Its description, as `nodes.laws.parse.parse_law` reads it; None when no member keeps the
-    # demand.
+    # description for `nodes.laws.parse.parse_law`; None if no member meets the demand
     law: dict[str, Any] | None
     found: Robust | None  # its figures
 
 
 def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
-    """Design the taps themselves: a law of kind ``fir`` of so many, tied to its sampling period."""
-    # A shorter law with zeros behind it is a longer one: more taps are never worse.
+    """Design free taps: a law of kind ``fir`` for one sampling period."""
+    # A shorter law padded with zeros is a longer one: more taps are never worse.
     found: Robust | None = None
     for length in range(min(taps, 2), taps + 1):
         shorter: list[Array] = [] if found is None else [np.append(found.taps, 0.0)]
@@ -56,7 +55,7 @@ def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
 
 
 def fir(taps: Array, period: float) -> dict[str, Any]:
-    """Describe raw taps h_0 ... h_n [N/m] as a law."""
+    """Return taps h_0 ... h_n [N/m] as a law description."""
     return {"kind": "fir", "taps": [float(tap) for tap in taps], "period": period}
 
 
@@ -66,7 +65,7 @@ def best_pd(demand: Demand) -> Tuned:
 
 
 def best_pd_filtered(demand: Demand) -> Tuned:
-    """Tune PD with a filtered velocity at `CUTOFFS` of the loop's rate, then refine the best cutoff [Hz]."""
+    """Tune PD with a filtered velocity at `CUTOFFS`, then refine the best cutoff [Hz]."""
 
     def at(cutoff: float, wanted: Demand) -> Tuned:
         return best_linear("pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted)
@@ -80,7 +79,10 @@ def best_pd_filtered(demand: Demand) -> Tuned:
 
 
 def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = None) -> Tuned:
-    """Tune stiffness and damping of PDα of so many taps at every order, by default `ORDERS`; refine the best."""
+    """Tune stiffness and damping of PDα at every order and refine the best.
+
+    orders: by default `ORDERS`.
+    """
 
     def at(order: float, wanted: Demand) -> Tuned:
         return best_linear(
@@ -99,14 +101,14 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
 
 
 def best_paper_optimum(demand: Demand) -> Tuned:
-    """Tune stiffness and damping of the paper's optimum; its gains and orders stay."""
+    """Tune stiffness and damping of the paper's optimum; its gains and orders are fixed."""
     return best_linear(
         "paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, demand
     )
 
 
 def compare(demand: Demand, taps: int) -> Iterator[Tuned]:
-    """Tune PD, with a filtered velocity too, PDα, the paper's optimum and a designed law of so many taps to one demand."""
+    """Tune PD, filtered PD, PDα, the paper's optimum and a designed law to one demand."""
     yield best_pd(demand)
     yield best_pd_filtered(demand)
     yield best_pd_alpha(demand, taps)
@@ -119,7 +121,7 @@ def _stiffness(tuned: Tuned) -> float:
 
 
 def best_linear(family: str, shape: dict[str, Any], demand: Demand) -> Tuned:
-    """Tune K and B of a law that is linear in both: its taps at (K, B) = (1, 0) and what one B adds."""
+    """Tune K and B of a law that is linear in both."""
     spring, pole = _numerator(
         parse_law({**shape, "stiffness": 1.0, "damping": 0.0}).compile(demand.period)
     )
@@ -139,7 +141,10 @@ def _stiffest_of(
     demand: Demand,
     best: Tuned | None = None,
 ) -> Tuned:
-    """Tune at each value; where laws must land, only while what the linear demand allows is above the best so far."""
+    """Tune at each value and return the stiffest.
+
+    If drops must settle, a value is skipped when its linear bound is not above the best so far.
+    """
     if not demand.lands:
         found = [at(value, demand) for value in values]
         return max(found if best is None else [best, *found], key=_stiffness)
@@ -147,7 +152,7 @@ def _stiffest_of(
     bounds = sorted(((_stiffness(at(value, linear)), value) for value in values), reverse=True)
     for bound, value in bounds:
         if best is None or bound > _stiffness(best):
-            # Two per cent below it, so that the search still sees where drops settle.
+            # 2 % below the best, so that the search still explores where drops settle.
             tuned = at(value, replace(demand, above=0.98 * _stiffness(best) if best else 0.0))
             best = tuned if best is None else max(best, tuned, key=_stiffness)
     if best is None:
@@ -156,7 +161,7 @@ def _stiffest_of(
 
 
 def _numerator(law: CompiledLaw) -> tuple[Array, float]:
-    """Taps of a law, or its two numerator taps over 1 − pole·w."""
+    """Return the taps of a law, or its two numerator taps over 1 − pole·w."""
     if not law.sections:
         return np.array(law.taps), 0.0
     ((b0, b1, a1, _),) = law.sections
@@ -164,9 +169,10 @@ def _numerator(law: CompiledLaw) -> tuple[Array, float]:
 
 
 def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
-    """Find the delay [ticks] up to which a law stays stable at five masses, the ends of damping and hand, every joint and lag.
+    """Find the largest delay [ticks] at which a law is stable over a demand.
 
-    None without a limit; 0 for a law that is unstable at the longest delay that was demanded.
+    Checked at five masses, the ends of damping and hand, every joint and lag. Return None without a
+    limit and 0 for a law unstable at the longest demanded delay.
     """
     masses = np.unique(np.geomspace(*demand.mass, 5)).tolist()
     edges: list[float | None] = []
@@ -186,7 +192,10 @@ def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
 def _latest(
     law: CompiledLaw, demand: Demand, body: tuple[float, float], beyond: tuple[float, ...]
 ) -> float | None:
-    """Go on by quarters of a tick until a pole leaves the unit circle, at most 20 ticks, and find where it does."""
+    """Return the delay at which a pole leaves the unit circle, up to 20 ticks beyond.
+
+    Searched in quarters of a tick, then bisected; None if there is none.
+    """
 
     def stable(delay: float) -> bool:
         return flexible_radius(law, demand.period, FlexiblePlant(*body, delay, *beyond)) < 1.0
@@ -206,7 +215,10 @@ def _latest(
 
 
 def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
-    """Certify a law for every sequence of the demanded delays (THEORY.md §10); False where one grows, None where undecided."""
+    """Certify a law for every sequence of the demanded delays (THEORY.md §10).
+
+    Return False if one sequence grows, None if undecided.
+    """
     if demand.delay[1] > demand.delay[0] + 1.0:
         return "too wide"
     worst: bool | None = True
@@ -219,7 +231,10 @@ def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
 
 
 def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
-    """Tune to smaller pole radii, 10 % further from 1 each, until every sequence of delays is certified; ten times at most."""
+    """Reduce the pole radius until every sequence of delays is certified, ten times at most.
+
+    Each time the radius is 10 % further from 1.
+    """
     margin = 1.0 - demand.radius
     if demand.delay[1] > demand.delay[0] + 1.0:
         raise ValueError(
@@ -237,6 +252,6 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
 def to_yaml(
     law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = ""
 ) -> str:
-    """Write a law so that ``haptic param load`` takes it at once: defined under its name, and switched to."""
+    """Return a law as YAML for ``haptic param load``, which defines and activates it."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     return head + write_yaml({node: {"law": name, "laws": {name: law}}})

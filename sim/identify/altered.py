@@ -1,8 +1,8 @@
-"""A device as it may be by what the residual leaves open, and the poles of a law on it.
+"""A device altered by what the residual leaves open, and the poles of a law on it.
 
 Each term that a recording shows and the model lacks gives one such device (`remainder`). K_max of a
-reference law grades the terms before any law exists; once a law is designed, its own pole radius
-on these devices says what they matter to it.
+reference law grades the terms before any law exists; once a law is designed, its own pole radius on
+these devices gives their effect.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from nodes.stability.flexible import FlexiblePlant, flexible_radius
 
 @dataclass(frozen=True)
 class AlteredDevice:
-    """An identified device with one term more, at the largest size that the recording leaves open."""
+    """An identified device with one more term, at the largest size the recording allows."""
 
     cause: str  # the term, in words
-    plant: FlexiblePlant  # the linear device, the delay of the loop included
-    # part of the sample before in each reading; its mean delay is part of the plant's
+    plant: FlexiblePlant  # the linear device, including the delay of the loop
+    # weight of the previous sample in each reading; its mean delay is part of the plant's
     average: float = 0.0
-    # stiffness that the term adds to the law's own, or takes from it [N/m]
+    # stiffness that the term adds to the law's own, or subtracts [N/m]
     spring: float = 0.0
     gain: float = 1.0  # largest factor of the law, its inverse being the least [1]
 
@@ -58,12 +58,12 @@ class AlteredDevice:
 def worst_altered(
     law: CompiledLaw, period: float, devices: Iterable[AlteredDevice]
 ) -> tuple[float, str] | None:
-    """Return the largest pole radius of a law over the devices and its cause; None without any."""
+    """Return the largest pole radius of a law over the devices, and its cause, or None."""
     return max(((one.radius(law, period), one.cause) for one in devices), default=None)
 
 
 def as_record(device: AlteredDevice) -> dict[str, Any]:
-    """Return a device as JSON has it: a rigid one has no frequency."""
+    """Return a device for JSON: a rigid one has no frequency."""
     record = asdict(device)
     if not math.isfinite(device.plant.frequency):
         record["plant"]["frequency"] = None

@@ -1,9 +1,8 @@
-"""A running launch whose law and surface are borrowed, and restored whatever happens to the borrower.
+"""Borrow law and surface of a running launch, and restore them in all cases.
 
-The surface is restored first and the law after it: at no time does a stiff law meet a point that
-has jumped. Everything is changed under leases, which this process renews several times a second.
-When it is killed or held up (Ctrl-Z), the nodes restore surface and law and refuse its later
-changes.
+The surface is restored first and the law after it, so a stiff law never meets a point that has
+jumped. All changes are made under leases, which this process renews several times a second. If it
+is killed or suspended (Ctrl-Z), the nodes restore surface and law and refuse its later changes.
 """
 
 import contextlib
@@ -24,30 +23,29 @@ from nodes.driver.node import LONGEST_PAUSE
 from nodes.launcher.runs import RunInfo
 from sim.measure.interrupts import deferred, undisturbed
 
-RAMP = 100  # cross-fade from and to the law that was there [ticks]
-# So long after the last renewal surface and law are put back; the law later, as it is the stiffer
-# one [s].
+RAMP = 100  # cross-fade from and to the previous law [ticks]
+# time after the last renewal at which surface and law are restored; the law later, because it is
+# the stiffer one [s]
 SURFACE_LEASE, LAW_LEASE = 4.0, 5.0
-# leases are so many times longer in lockstep: a loop that takes the whole machine pushes nobody
+# factor on the leases in lockstep, where the loop may use the whole machine and pushes nobody
 PATIENT = 6.0
-RENEWED = 0.4  # how often leases are renewed [s]
-# What holds the device between pushes and knocks: its name, and a trial that is over at once, which
-# leaves the spring.
+RENEWED = 0.4  # interval of lease renewals [s]
+# The law between pushes and knocks: its name, and a trial that ends at once, which leaves the
+# spring.
 SOFT_LAW, SOFT = "soft", {"kind": "knock", "taps": [0.0], "step": 1e-9, "ticks": 1}
-SOFT_RAMP = 250  # cross-fade to it [ticks]
-REST = 0.2  # the force of a device at rest is averaged over so long [s]
+SOFT_RAMP = 250  # cross-fade to the soft law [ticks]
+REST = 0.2  # averaging time of the force of a device at rest [s]
 STILL = 1e-4  # a device that moves less than this is at rest [m]
-SETTLING = 3.0  # a device that does not come to rest within so long goes on moving [s]
-SILENCE = 30.0  # after so long without a tick a launch is given up [s]
+SETTLING = 3.0  # time within which a device must come to rest [s]
+SILENCE = 30.0  # time without a tick after which a launch is given up [s]
 LEASE = "borrowed"  # name of the leases
 
 
 class PushedLaunch:
-    """The nodes of a running launch that are needed to push its device."""
+    """The nodes of a running launch needed to push its device."""
 
     def __init__(self, run: RunInfo) -> None:
-        # Of a launch of several chains the one that was chosen, also where its recorder is asked
-        # for it.
+        # Of a launch with several chains the chosen one, also for its recorder.
         self.run = run = run.only_chain()
         self.chosen = run.chosen
         found = roles(run)
@@ -63,14 +61,17 @@ class PushedLaunch:
         setup = run.nodes[self.driver]
         self.period = setup.period  # sampling period [s]
         self.axes = tuple(AXIS_INDEX[axis] for axis in setup.axes)  # axes that the scene computes
-        # The driver's limits, by `read_limits`: force [N], change per tick [N].
+        # driver limits, set by `read_limits`: force [N], change per tick [N]
         self.peak: float | None = None
         self.slew: float | None = None
-        self.holder = ""  # of the leases that this process has taken; empty while it has none
-        self.leased: set[str] = set()  # nodes that hold one
+        self.holder = ""  # holder of this process's leases; empty if there are none
+        self.leased: set[str] = set()  # nodes with a lease of this process
 
     def poses(self) -> tuple[float, float] | None:
-        """Ask a device that knows its inertia by how much it is lighter and heavier elsewhere, along its first axis [kg]."""
+        """Return how much lighter and heavier the device is in other poses [kg], or None.
+
+        Only for a device that knows its inertia, along its first axis.
+        """
         if not hasattr(load(self.run.nodes[self.driver].factory), "hardware"):
             return None
         answer = ask(self.run, self.driver, "inertia")
@@ -80,17 +81,17 @@ class PushedLaunch:
         return max(0.0, here - answer["least_kg"]), max(0.0, answer["greatest_kg"] - here)
 
     def read_limits(self) -> None:
-        """Ask the driver for its limits."""
+        """Read the driver's limits."""
         safety = ask(self.run, self.driver, "param.get", name="safety")
         self.peak = safety["peak_force"]
         self.slew = None if safety["slew"] is None else safety["slew"] * self.period
 
     def progress(self) -> Any:
-        """Ask the driver how it goes."""
+        """Return the driver's progress."""
         return ask(self.run, self.driver, "progress")
 
     def ready(self) -> None:
-        """Refuse a driver that gives no force."""
+        """Raise RefusedError for a driver that renders no force."""
         state = self.progress()["safety"]
         if state == "stopped":
             raise RefusedError(f"{self.driver}: has stopped for good ({self.why_stopped()})")
@@ -100,16 +101,16 @@ class PushedLaunch:
             )
 
     def why_stopped(self) -> str:
-        """Ask the driver for the newest change of its safety state."""
+        """Return the latest change of the driver's safety state."""
         reasons = ask(self.run, self.driver, "report").get("safety", {}).get("reasons", [])
         return str(reasons[-1]) if reasons else "the driver gives no reason"
 
     def rearm(self, beside: bool) -> None:
-        """Let a driver that has stopped take forces again; that of a real device only with somebody `beside` it."""
+        """Rearm a stopped driver; a real device only if somebody is `beside` it."""
         self.change(self.driver, "rearm", beside=beside)
 
     def wait(self, ticks: int, silence: float = SILENCE) -> None:
-        """Wait for some ticks; a driver that makes none for so long [s] is an error."""
+        """Wait for some ticks; raise RefusedError after `silence` [s] without one."""
         first = tick = self.progress()["tick"]
         last = time.monotonic()
         while tick < first + ticks:
@@ -124,12 +125,15 @@ class PushedLaunch:
 
     @contextlib.contextmanager
     def standing(self) -> Iterator[None]:
-        """Let a loop in lockstep, which takes all processors, stand still in a with block, or while the driver grants it."""
+        """Pause a lockstep loop, which uses all processors, within a with block.
+
+        The driver limits the length of the pause.
+        """
         if self.run.nodes[self.driver].pace != "lockstep":
             yield
             return
         try:
-            # A launch that has ended is told of by whoever asks it next.
+            # A launch that has ended is reported by the next request.
             with contextlib.suppress(RefusedError):
                 self.change(self.driver, "stand", seconds=LONGEST_PAUSE)
             yield
@@ -138,7 +142,7 @@ class PushedLaunch:
                 ask(self.run, self.driver, "stand", seconds=0.0)
 
     def states(self, silence: float = SILENCE) -> Iterator[DeviceState]:
-        """Hear every tick of the driver; one that says nothing for so long [s] is an error."""
+        """Yield every state of the driver; raise RefusedError after `silence` [s] without one."""
         heard = listen(self.run, [topics.DEVICE_STATE])
         last = time.monotonic()
         try:
@@ -156,9 +160,10 @@ class PushedLaunch:
             heard.close()  # type: ignore[attr-defined]
 
     def change(self, node: str, operation: str, **arguments: Any) -> Any:
-        """Change something at a node, under its lease if it has one; a signal that comes meanwhile waits for the answer.
+        """Request a change at a node, under its lease if it has one.
 
-        Raises RefusedError when the node refuses, or when the lease has run out.
+        Signals are deferred until the answer. Raise RefusedError if the node refuses or the lease
+        has expired.
         """
         with deferred():
             if node not in self.leased:
@@ -174,19 +179,23 @@ class PushedLaunch:
             )
 
     def soften(self, load: float) -> None:
-        """Let a soft spring hold the device, whatever the surface is."""
+        """Switch to a soft spring that holds the device, whatever the surface is."""
         self.change(self.coupling, "param.set", values={f"laws.{SOFT_LAW}": {**SOFT, "load": load}})
         self.change(self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
         self.wait(SOFT_RAMP)
 
     def anchor(self, place: Sequence[float]) -> int:
-        """Let the coupling pull the device to a point [m]; from which tick on."""
+        """Anchor the surface at a point [m]; return the tick from which it applies."""
         surface = {"kind": "anchor", "position": list(place)}
         return int(self.change(self.environment, "param.set", values={"surface": surface})["seq"])
 
 
 def carried(loop: PushedLaunch, amplitude: float, given: float | None) -> float:
-    """Find the force that carries the device's weight [N]: the given one, or that at rest, if no hand can be meant by it."""
+    """Return the force that carries the device's weight [N].
+
+    The given force, or that at rest unless a hand may cause it. Raise RefusedError if the push
+    would exceed the driver's limit.
+    """
     strongest = loop.peak if loop.peak is not None else 20.0
     weight = _at_rest(loop, amplitude) if given is None else given
     if abs(weight) + amplitude > strongest:
@@ -220,21 +229,20 @@ def _at_rest(loop: PushedLaunch, amplitude: float) -> float:
                 f" of {amplitude:g} N: let go first. If it carries the device's weight, say so:"
                 f" --load {pressed:.3g}"
             )
-        # Of a device that moves the force tells no weight; with several axes nobody knows which way
-        # is down.
+        # The force on a moving device is not its weight; with several axes the vertical is unknown.
         return 0.0 if moves or len(loop.axes) > 1 else means[0]
     raise RefusedError(f"{loop.run.run}: the launch has ended")
 
 
 class Borrowed:
-    """Law and surface of a launch while they are borrowed, and what else is borrowed with them."""
+    """Borrowed law, surface and further parameters of a launch."""
 
     def __init__(self, loop: PushedLaunch) -> None:
         self._loop = loop
-        self.law, self._surface = self._found()  # what comes back at the end
-        self.not_put_back = ""  # why law or surface could not be put back; empty when they were
-        self._lost = ""  # why what was borrowed is lost
-        # by leased node: operation and arguments that revert
+        self.law, self._surface = self._found()  # restored at the end
+        self.not_put_back = ""  # why law or surface could not be restored; else empty
+        self._lost = ""  # why the leases are lost
+        # by leased node: operation and arguments that restore it
         self._reverts: dict[str, tuple[str, dict[str, Any]]] = {}
         loop.holder = f"{os.getpid()}-{time.monotonic_ns()}"
         self._over = threading.Event()
@@ -246,23 +254,26 @@ class Borrowed:
         return law, ask(loop.run, loop.environment, "param.get", name="surface")
 
     def take(self) -> None:
-        """Take the leases of law and surface."""
+        """Acquire the leases of law and surface."""
         loop = self._loop
         self.borrow(loop.coupling, LAW_LEASE, "law.switch", law=self.law, ramp=RAMP, force=True)
         self.borrow(loop.environment, SURFACE_LEASE, "param.set", values={"surface": self._surface})
         if self._found() != (self.law, self._surface):
-            # Another tuning gave them back after they were looked at here: what was seen may have
-            # been its law on trial.
+            # Another tuning restored them after they were read here: the law read may have been its
+            # trial.
             raise RefusedError(
                 f"{loop.run.run}: law or surface were changed just now by somebody else; try again"
             )
         self._renewing.start()
 
     def borrow(self, node: str, seconds: float, revert: str, **arguments: Any) -> None:
-        """Take a lease at a node: it is reverted by an operation at the end, or after so long without a renewal [s]."""
+        """Acquire a lease at a node, with the operation that restores it.
+
+        The operation runs at the end, or after `seconds` without a renewal.
+        """
         loop = self._loop
         longer = PATIENT if loop.run.nodes[loop.driver].pace == "lockstep" else 1.0
-        # A node that refuses holds another's lease: what is there now may be another tuning's.
+        # A refusal means that another process holds a lease: the present values may be its own.
         with deferred():
             agreed: dict[str, Any] = {
                 "seconds": longer * seconds,
@@ -274,7 +285,7 @@ class Borrowed:
             loop.leased.add(node)
 
     def _holds(self, node: str) -> bool:
-        """Renew a lease; False where it has run out, and may be another's by now."""
+        """Renew a lease; return False if it has expired."""
         return not ask(
             self._loop.run, node, "lease.renew", names=[LEASE], holder=self._loop.holder
         )["run_out"]
@@ -292,12 +303,12 @@ class Borrowed:
                 self._lost = self._lost or str(error)
 
     def check(self) -> None:
-        """Raise when the launch has taken back what was borrowed."""
+        """Raise RefusedError if the launch has restored what was borrowed."""
         if self._lost:
             raise RefusedError(self._lost)
 
     def give_back(self) -> None:
-        """Restore what was borrowed, law last; a launch that has ended meanwhile has nothing to restore."""
+        """Restore everything borrowed, law last; a launch that has ended needs nothing."""
         self._over.set()
         with undisturbed():
             begun, loop = self._renewing.ident is not None, self._loop
@@ -311,7 +322,10 @@ class Borrowed:
                 loop.holder = ""
 
     def _revert(self, node: str, begun: bool) -> None:
-        """Restore one node and end its lease; a node that refuses keeps the lease, and tries again when it runs out."""
+        """Restore one node and end its lease.
+
+        If the node refuses, the lease remains, and the node restores itself when it expires.
+        """
         loop = self._loop
         try:
             if not self._holds(node):
@@ -326,7 +340,7 @@ class Borrowed:
 
 @contextlib.contextmanager
 def borrowed(loop: PushedLaunch) -> Iterator[Borrowed]:
-    """Borrow law and surface for the length of a with block."""
+    """Borrow law and surface within a with block."""
     held = Borrowed(loop)
     try:
         held.take()

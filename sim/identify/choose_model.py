@@ -1,9 +1,9 @@
-"""Choose the model: a rigid device, and one more term only while the data ask for it and are explained by it.
+"""Choose the model: a rigid device plus the terms that the data support.
 
-The terms are those that devices have and that a law can be designed for: an actuator lag, one
-flexible mode, quadratic damping. Each is begun where the scan of the residual puts it, fitted in
-full, and kept if it explains windows that the fit has not seen. Where the residual still does not
-hold, the model is refuted, and the suspect that takes up most of it is named.
+The possible terms occur in devices and can be designed for: actuator lag, one flexible mode,
+quadratic damping, an averaging sensor. Each starts at the values from the scan of the residual, is
+fitted in full, and is kept if it explains held-out windows. If the residual is still significant,
+the model is refuted and the most likely missing term is named.
 """
 
 from __future__ import annotations
@@ -31,50 +31,50 @@ from sim.identify.output_error import Fit, fit
 from sim.identify.remainder import CLEAR, NAMED, NOTHING, REFUSED, Remainder, likeliest, remainder
 from sim.identify.suspects import describe
 
-# Terms that the model can have, and their unknowns.
+# Terms the model can have, and their unknowns.
 TERMS = {
     "quadratic damping": (QUADRATIC,),
     "actuator lag": (LAG,),
     "sensor filter": (AVERAGE,),
     "flexible mode": (SHARE, FREQUENCY, LOSS),
 }
-# a quarter of the mass beyond a joint, as a ratio of the two: what a bound on joints is told for
+# mass ratio of a joint with a quarter of the mass beyond it, for which bounds are reported
 QUARTER = 1.0 / 3.0
-# part of a remainder that a term must leave at most, to be kept where the model still leaves
-# something
+# largest share of the remainder that a term may leave to be kept, if the model still leaves one
 HALVES = 0.5
-HELD_OUT = 4  # every so many windows one is held out, to judge the fit by what it has not seen
-LEAST = 6  # fewer windows without such answers are too few to leave out the others
-PROMISES = 0.15  # part that a term must take up by the scan to be fitted in full
-# standard errors, over unseen windows, by which a joint's three unknowns must beat a term of one
+HELD_OUT = 4  # one window out of this many is held out to judge the fit
+MIN_WINDOWS = 6  # minimum number of undisturbed windows to leave out the others
+PROMISES = 0.15  # share a term must explain in the scan to be fitted in full
+# standard errors, over held-out windows, by which a joint's three unknowns must beat a term with
+# one
 BETTER = 3.0
-CLOSE = 1.1  # or a factor of the error, where the windows differ much
+CLOSE = 1.1  # or factor of the error, if the windows differ much
 JOINT = "flexible mode"
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A model and what the run says about it."""
+    """A model and its judgement."""
 
-    model: Fit  # over all windows that a stall has not spoilt
-    test: Fit  # its windows that the search has not seen
-    whiteness: float  # of those
-    terms: tuple[str, ...]  # what it has beyond a rigid device
-    why: str  # what refutes it; empty where it holds
-    # spread of the instants of the samples, root mean square [s]; 0 where none is seen
+    model: Fit  # over all undisturbed windows
+    test: Fit  # its held-out windows
+    whiteness: float  # of the held-out windows
+    terms: tuple[str, ...]  # terms beyond a rigid device
+    why: str  # what refutes it; empty if it holds
+    # jitter of the sample instants, root mean square [s]; 0 if not significant
     unsteady: float
-    # joints above it, a quarter of the mass beyond them, would not have been seen [Hz]
+    # frequency above which a joint with a quarter of the mass beyond it would not be detected [Hz]
     mode_bound: float
-    # Largest lag [s] and quadratic damping per mass [1/m] that would not have been seen.
+    # largest undetectable lag [s] and quadratic damping per mass [1/m]
     lag_bound: float
     quadratic_bound: float
-    dropped: int  # windows that a stall spoilt
-    remainder: Remainder = NOTHING  # what is left that is not noise, and what it may do
+    dropped: int  # number of disturbed windows
+    remainder: Remainder = NOTHING  # significant remaining term and its effect
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of a run: first ticks of those that the search sees and of those that judge it, and the ticks of each."""
+    """First ticks of the windows for the search and of the held-out ones, and their length."""
 
     seen: WholeArray
     unseen: WholeArray
@@ -82,7 +82,7 @@ class Windows:
 
     @classmethod
     def of(cls, starts: WholeArray, length: int) -> Windows:
-        """Hold some of them out."""
+        """Divide windows into searched and held-out ones."""
         unseen = starts[HELD_OUT - 1 :: HELD_OUT]
         return cls(np.setdiff1d(starts, unseen), unseen, length)
 
@@ -90,7 +90,10 @@ class Windows:
 def choose(
     experiment: Experiment, found: Fit, windows: Windows, scale: float, step: float | None
 ) -> Choice:
-    """Judge a rigid fit, and add terms while the data ask for them; what is left at last is weighed."""
+    """Judge a rigid fit, and add terms while the data support them.
+
+    The remainder of the last model is weighed by its effect on K_max.
+    """
     choice, evidence, kept = _judged(experiment, found, windows, (), scale, step)
     tried = [(choice, evidence)]
     while _doubted(choice, evidence) and len(choice.terms) < len(TERMS):
@@ -107,15 +110,18 @@ def choose(
 def _weighed(
     experiment: Experiment, tried: list[tuple[Choice, list[Evidence]]], step: float | None
 ) -> Choice:
-    """Return a model whose remainder changes little, a richer one only if it leaves much less; else the rigid one, refuted."""
+    """Return the model whose remainder matters least, or the rigid one, refuted.
+
+    A richer model must leave much less.
+    """
     rigid, first = tried[0]
     best: tuple[Choice, float] | None = None
     for choice, evidence in tried:
         left_out = remainder(experiment, choice.model, evidence, step)
         beyond = max(choice.model.rms**2 - (step or FINEST) ** 2 / 12.0, 0.0)
         if JOINT in choice.terms and left_out.explained < NAMED:
-            # A joint beside something that nothing explains stands in for it (a gap, say): its
-            # frequency would be told with an interval, and is that of no joint.
+            # A joint beside an unexplained residual only imitates it (a gap, say): its frequency
+            # would be reported with an interval, but belongs to no joint.
             continue
         if left_out.k_max_change <= REFUSED and (best is None or beyond <= HALVES * best[1]):
             best = _with(choice, left_out), beyond
@@ -130,7 +136,7 @@ def _weighed(
 
 
 def _with(choice: Choice, left_out: Remainder) -> Choice:
-    """Return a choice with what it leaves: where a term explains that, it was no unsteady sampling."""
+    """Return a choice with its remainder; a term that explains it replaces jitter."""
     return replace(
         choice, remainder=left_out, unsteady=0.0 if left_out.explained >= CLEAR else choice.unsteady
     )
@@ -152,12 +158,12 @@ def _judged(
     scale: float,
     step: float | None,
 ) -> tuple[Choice, list[Evidence], Windows]:
-    """Fit all windows, judge by those that the search has not seen, and scan what is left."""
+    """Fit all windows, judge by the held-out ones, and scan the residual."""
     free, length = tuple(found.free.tolist()), windows.length
     test = fit(experiment, windows.unseen, length, found.theta, (), scale)
     starts = np.concatenate([windows.seen, windows.unseen])
     order = np.argsort(starts)
-    # All windows together for what is reported: the held-out ones have judged.
+    # All windows together for the reported values; the held-out ones are for judging.
     model = fit(
         experiment,
         starts[order],
@@ -178,10 +184,10 @@ def _judged(
             scale,
             model.states[undisturbed],
         )
-        # Divided anew: what a stall spoilt may have been all that was held out.
+        # Divided again, because all held-out windows may have been disturbed.
         windows = Windows.of(model.starts, length)
-    # The search may have stopped short: from where all windows lead, and again without those that
-    # judge.
+    # The search may have stopped early: restart from the fit of all windows, without the held-out
+    # ones.
     seen = np.isin(model.starts, windows.seen)
     again = fit(
         experiment, model.starts[seen], length, model.theta, free, scale, model.states[seen]
@@ -190,7 +196,7 @@ def _judged(
     what = left(experiment, model, step)
     evidence = scan(experiment, model, what)
     spread, sure = unsteady(experiment, what)
-    # What a lag does beyond its mean delay grows with its square.
+    # The effect of a lag beyond its mean delay grows with its square.
     lags = [one for one in evidence if one.suspect.term == "actuator lag" and one.visible <= 1.0]
     lag_bound = min(
         (one.suspect.start[0] * math.sqrt(one.visible) for one in lags), default=math.inf
@@ -209,7 +215,7 @@ def _judged(
 
 
 def _mode_bound(evidence: list[Evidence]) -> float:
-    """Frequency up to which every joint would have been seen [Hz]."""
+    """Return the frequency up to which every joint would have been detected [Hz]."""
     modes = sorted(
         (one for one in evidence if one.suspect.term == "flexible mode"),
         key=lambda one: one.suspect.size,
@@ -225,10 +231,11 @@ def _mode_bound(evidence: list[Evidence]) -> float:
 def _undisturbed(
     experiment: Experiment, found: Fit, scale: float, step: float | None
 ) -> NDArray[np.bool_]:
-    """Tell which windows to keep: none with four times the error of the middle one, or of rounding; all if a third has it.
+    """Return which windows are undisturbed.
 
-    Nor one with several late answers in a tick, of which only the mean is told, that does not fit a
-    model of those without.
+    A window is disturbed if its error exceeds four times the median or the rounding; if this
+    applies to a third of them, none is. A window with several late answers in a tick, of which only
+    the mean is known, is also disturbed if it does not fit a model of the others.
     """
 
     def fits(errors: Array, middle: float, grid: float) -> NDArray[np.bool_]:
@@ -239,7 +246,7 @@ def _undisturbed(
         kept = np.ones_like(kept)
     late = _late(experiment, found)
     whole = kept & ~late
-    if not late.any() or np.count_nonzero(whole) < LEAST:
+    if not late.any() or np.count_nonzero(whole) < MIN_WINDOWS:
         return kept
     free, length = tuple(found.free.tolist()), found.length
     theta = fit(
@@ -250,7 +257,7 @@ def _undisturbed(
 
 
 def _late(experiment: Experiment, found: Fit) -> NDArray[np.bool_]:
-    """Tell which windows have a late answer."""
+    """Return which windows have a late answer."""
     rows = found.starts[:, None] + np.arange(found.length)
     return (
         np.zeros(len(rows), dtype=bool)
@@ -262,7 +269,7 @@ def _late(experiment: Experiment, found: Fit) -> NDArray[np.bool_]:
 def _richer(
     experiment: Experiment, choice: Choice, evidence: list[Evidence], windows: Windows, scale: float
 ) -> tuple[Fit, str] | None:
-    """Fit every term that is left from where the scan puts it; the one that explains unseen windows best, if any does."""
+    """Fit every remaining term; return the fit that best explains held-out windows, or None."""
     tried: list[tuple[Array, Fit, str]] = []
     before = choice.model
     at = np.isin(before.starts, windows.seen)
@@ -272,7 +279,7 @@ def _richer(
             continue
         theta = before.theta.copy()
         theta[list(unknowns)] = _start(asked)
-        # A sensor that averages is late by its mean, which stood in the delay.
+        # An averaging sensor delays by its mean, which was part of the delay.
         theta[DELAY] = max(theta[DELAY] - theta[AVERAGE] + before.theta[AVERAGE], 0.0)
         free = (*before.free.tolist(), *unknowns)
         found = fit(
@@ -294,7 +301,7 @@ def _richer(
 
 
 def _simplest(tried: list[tuple[Array, Fit, str]]) -> tuple[Array, Fit, str] | None:
-    """Return the fit with the least error in unseen windows; a joint only if it is better beyond chance."""
+    """Return the fit with the smallest held-out error; a joint only if significantly better."""
     best = min(tried, key=lambda one: float(one[0].sum()), default=None)
     if best is None or best[2] != JOINT:
         return best
@@ -305,26 +312,26 @@ def _simplest(tried: list[tuple[Array, Fit, str]]) -> tuple[Array, Fit, str] | N
         chance = BETTER * float(more.std(ddof=1)) / math.sqrt(len(more))
         return close and float(more.mean()) <= chance
 
-    # Each other term has one unknown, and a blur resembles a stiff joint with much loss.
+    # Each other term has one unknown, and a blur resembles a stiff, well-damped joint.
     others = [one for one in tried if one[2] != JOINT and as_good(one[0])]
     return min(others, key=lambda one: float(one[0].sum()), default=best)
 
 
 def _start(asked: Evidence) -> tuple[float, ...]:
-    """Sizes of a term to begin with."""
+    """Return the initial values of a term."""
     if asked.suspect.term == "quadratic damping":
         return (max(asked.factor, 1e-3),)
     if asked.suspect.term == "actuator lag":
         return asked.suspect.start
     if asked.suspect.term == "sensor filter":
         return (0.4,)
-    # The mode moves the motor's side by as much as the mass beyond is of its own.
+    # The mode moves the motor side by the ratio of the mass beyond to its own.
     ratio = max(asked.factor, 0.05)
     return (min(ratio / (1.0 + ratio), 0.7), *asked.suspect.start[1:])
 
 
 def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: float | None) -> str:
-    """Say what refutes a model and what the data ask for."""
+    """Describe what refutes a model and which term is missing."""
     size = (
         f"{found.rms * 1e6:.3g} µm"
         if step is None

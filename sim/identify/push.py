@@ -1,7 +1,7 @@
-"""Push the device of a running launch: the excitation takes over as a law, and everything is put back whatever happens.
+"""Push the device of a running launch by an excitation law, and restore everything.
 
-The law goes first and the surface after it, the other way round at the end. Should this process be
-killed, the launch takes law and surface back by itself (sim/identify/borrowed.py).
+The law changes first and the surface after it, in reverse order at the end. If this process is
+killed, the launch restores law and surface by itself (sim/identify/borrowed.py).
 """
 
 import signal
@@ -17,26 +17,26 @@ from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carrie
 from sim.measure.haptic_commands import start_command, within
 from sim.measure.interrupts import undisturbed
 
-# name that the excitation gets in the coupling; it stays defined afterwards, inactive
+# name of the excitation in the coupling; it remains defined afterwards, inactive
 LAW = "identify"
-# a device that is pushed and has not moved for so many seconds' worth of ticks is held fast [s]
+# time without motion after which a pushed device counts as held, counted in ticks [s]
 HELD_FAST = 1.5
 STUCK = (
     f"the device has not moved for {HELD_FAST:g} s though it was pushed: it is held fast, or"
     " friction holds it"
 )
-MOVED = 1e-4  # less than this is not a motion [m]
-# A driver that gives no force for so many seconds' worth of ticks ends the push; shorter silences
-# are a busy machine's [s].
+MOVED = 1e-4  # smallest motion [m]
+# Time without force, counted in ticks, after which the push ends; shorter gaps are a busy machine's
+# [s].
 ALARM = 1.0
-LONGER = 2.0  # so much longer than it is recorded the excitation pushes, should nobody end it [s]
-LONGEST = 600.0  # the excitation takes no longer duration [s]
-START = 20.0  # a recorder that has not begun after so long will not [s]
+LONGER = 2.0  # how much longer than recorded the excitation runs if it is not ended [s]
+MAX_DURATION = 600.0  # longest duration of an excitation [s]
+START = 20.0  # time within which a recorder must begin [s]
 
 
 @dataclass
 class Pushed:
-    """What a push left."""
+    """Result of a push."""
 
     recording: Path  # its recording
     place: tuple[float, float, float]  # where the device was centred [m], shape (3,)
@@ -53,7 +53,10 @@ def push(
     say: Callable[[str], None] = lambda _: None,
     load: float | None = None,
 ) -> Pushed:
-    """Push the device once, record it, and put everything back; `load` is the force that carries its weight [N]."""
+    """Push the device once, record it, and restore everything.
+
+    `load` is the force that carries its weight [N]. Raise RefusedError if nothing was recorded.
+    """
     loop.ready()
     loop.read_limits()
     here = tuple(float(x) for x in loop.progress()["position_m"])
@@ -69,10 +72,10 @@ def push(
         with borrowed(loop) as held:
             loop.soften(law["load"])
             _centre(loop, here, centre)
-            # It is ended from here; by itself only should nobody do so.
-            longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, LONGEST)}}
+            # This process ends it; the longer duration is a fallback.
+            longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, MAX_DURATION)}}
             loop.change(loop.coupling, "param.set", values=longer)
-            # In lockstep a push is over in less time than a process takes to start.
+            # In lockstep a push would end before a process has started.
             with loop.standing():
                 recorder = start_command(
                     *record, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -92,7 +95,7 @@ def push(
 
 
 def _centre(loop: PushedLaunch, here: Sequence[float], centre: Sequence[float]) -> None:
-    """Bring the spring's far end there in steps of a millimetre, which the soft spring turns into a slow pull."""
+    """Move the anchor to `centre` in steps of 1 mm, so that the soft spring pulls slowly."""
     steps = max(1, round(max(abs(c - h) for c, h in zip(centre, here, strict=True)) / 1e-3))
     for n in range(1, steps + 1):
         loop.anchor([h + (c - h) * n / steps for c, h in zip(centre, here, strict=True)])
@@ -101,7 +104,10 @@ def _centre(loop: PushedLaunch, here: Sequence[float], centre: Sequence[float]) 
 def _watch(
     loop: PushedLaunch, duration: float, held: Borrowed, say: Callable[[str], None], result: Pushed
 ) -> None:
-    """Let the excitation take over, and hear every tick until the push is over, or must be; all times are counted in ticks."""
+    """Activate the excitation and watch every tick until the push ends.
+
+    All times are counted in ticks.
+    """
     ticks, first = round(duration / loop.period), -1
     still_at: Sequence[float] = ()
     still_since = alarmed_since = 0

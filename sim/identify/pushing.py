@@ -1,4 +1,4 @@
-"""A device identified where it is: pushed in a running launch at some places, or in a scenario started for it."""
+"""Push and identify a device, in a running launch or in a scenario started for it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def quiet(what: str) -> None:
-    """Say nothing."""
+    """Ignore progress messages."""
     del what
 
 
@@ -78,18 +78,18 @@ class PushOptions(Options):
             " (default: $HAPTIC_RUN)"
         ),
     )
-    # is called with what goes on
+    # called with progress messages
     say: Callable[[str], None] = field(default=quiet, repr=False, compare=False)
 
     def excitation(self) -> dict[str, Any]:
-        """Describe the excitation; raises LawRefusedError for one beyond its limits."""
+        """Return the excitation; raise LawRefusedError beyond its limits."""
         law = {"kind": "excitation", **self.chosen("duration", "amplitude", "reach")}
         parse_law(law, "excitation")
         return law
 
 
 def identify_running(options: PushOptions) -> list[tuple[Pushed, Identified]]:
-    """Push the device of a running launch at each place, and identify it there on each axis."""
+    """Push the device of a running launch at each place and identify it on each axis."""
     from sim.identify.borrowed import PushedLaunch
 
     loop = PushedLaunch(launches.find(options.run_name))
@@ -111,14 +111,17 @@ def identify_running(options: PushOptions) -> list[tuple[Pushed, Identified]]:
 def _pushed(
     loop: PushedLaunch, law: dict[str, Any], out: Path, centre: list[float], options: PushOptions
 ) -> tuple[Pushed, list[Identified]]:
-    """Push and identify; again and longer when too many ticks were lost: on a busy machine, or by the recorder in lockstep."""
-    from sim.identify.push import LONGEST, push
+    """Push and identify; repeat with a longer push if too many ticks were lost.
+
+    Ticks are lost on a busy machine, or by the recorder in lockstep.
+    """
+    from sim.identify.push import MAX_DURATION, push
 
     # In lockstep ticks cost no time.
     longer = (1, 4, 16) if loop.run.nodes[loop.driver].pace == "lockstep" else (1, 3)
     for times in longer:
         out.unlink(missing_ok=True)
-        duration = min(times * law["duration"], LONGEST)
+        duration = min(times * law["duration"], MAX_DURATION)
         asked = {**law, "duration": duration}
         pushed = push(loop, asked, out, centre, options.say, options.load)
         try:
@@ -146,7 +149,7 @@ def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identif
 def identify_scenario(
     options: PushOptions, scenario: str, assignments: list[str]
 ) -> list[tuple[Pushed, Identified]]:
-    """Start a scenario that pushes by itself, and identify its recording."""
+    """Start a scenario that pushes by itself and identify its recording."""
     from nodes.launcher import launch_file
     from sim.identify.experiment import read
     from sim.identify.identify import identify
@@ -163,7 +166,7 @@ def identify_scenario(
         try:
             started.wait()
         except KeyboardInterrupt:
-            # It ends safely; what it recorded until then counts.
+            # It ends safely; its recording up to then is used.
             started.interrupt()
         figures, failure = started.figures, started.failure()
     if "recording" not in figures or figures["recording"] is None:

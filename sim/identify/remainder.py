@@ -246,7 +246,7 @@ def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
 
 
 def altered(experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0) -> AlteredDevice:
-    """Return the device of a fit with one term at the largest size that the windows leave open.
+    """Return the device of a fit with one term at the largest size the windows allow.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def altered(experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0
 def _change(
     experiment: Experiment, device: AlteredDevice, here: float | None, gain: float
 ) -> float:
-    """Return what one term may change K_max by, as a part of it: infinite where nothing is stable with it."""
+    """Return the relative change of K_max by a term; infinite if nothing is stable."""
     average = device.average
     there = stiffest(_averaging(device.plant, average), experiment.period, gain, average)
     if here is None or there is None:

@@ -194,7 +194,7 @@ def predict(
 
 
 def remainder_figures(law: CompiledLaw, found: Identified) -> dict[str, Any]:
-    """Return the worst pole radius of a law on what the recording's residual leaves open, and the term that does it.
+    """Return the largest pole radius over the altered devices, and the term that causes it.
 
     Both are None for a device whose residual is noise.
     """
@@ -203,7 +203,7 @@ def remainder_figures(law: CompiledLaw, found: Identified) -> dict[str, Any]:
 
 
 def remainder_refusal(law: CompiledLaw, found: Identified) -> str | None:
-    """Return why a law is not tried where the residual of the recording may make it unstable; None where it may not."""
+    """Return why the residual forbids to try a law: it may be unstable; else None."""
     worst = worst_altered(law, found.period, found.altered)
     if worst is None or worst[0] < 1.0:
         return None

@@ -1,4 +1,4 @@
-"""One tuning: its steps, what they told, and what is left behind. A step that is done anew drops all that rested on it."""
+"""The steps of `haptic tune` and their record; redoing a step invalidates later ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sim.identify.identified import Identified
     from sim.tune.tune_options import TuneOptions
 
-# What each step does anew; the rest of it was another law's, or another device's.
+# Record entries that each step invalidates.
 OVERTAKES = {
     "identify": (
         "identified",
@@ -39,11 +39,11 @@ OVERTAKES = {
 }
 RAMP = 250  # cross-fade to the tuned law [ticks]
 LAW = "tuned"  # name of the law that is delivered
-NYQUIST = (1e3, 1e4)  # the bound on |H(−1)| that friction asks for is kept within these [N/m]
+NYQUIST = (1e3, 1e4)  # limits of the bound on |H(−1)| derived from friction [N/m]
 
 
 def _kept(file: Path) -> dict[str, Any]:
-    """Read what an earlier tuning kept: what each step told."""
+    """Read the record of an earlier tuning."""
     from sim.identify.identified_text import from_figures
 
     try:
@@ -58,7 +58,10 @@ def _kept(file: Path) -> dict[str, Any]:
 
 
 class Tuning:
-    """The steps, each a method; a launch is asked for when one needs it, and nothing earlier counts when it is `fresh`."""
+    """The steps, each a method; a `fresh` tuning ignores earlier results.
+
+    The launch is looked up when a step needs it.
+    """
 
     def __init__(
         self,
@@ -72,14 +75,14 @@ class Tuning:
         self._file, self._tuned, self._designed = (
             options.out / name for name in ("tune.json", "tuned.yaml", "designed.yaml")
         )
-        # what was written
+        # written files
         self.files = {"html": str(options.out / "tune.html"), "json": str(self._file)}
-        self.record: dict[str, Any] = {}  # what is known
+        self.record: dict[str, Any] = {}  # results of the steps
         if not fresh and self._file.exists():
             self.record = _kept(self._file)
             for key in ("interrupted", "refused", "headline", "not_put_back"):
                 self.record.pop(key, None)
-        # An earlier tuning's result stays as it is until this one knows something.
+        # The files of an earlier tuning are kept until this one has a result.
         self._untouched = self._file.exists() if fresh else "designed" in self.record
         self._loop: PushedLaunch | None = None
 
@@ -91,29 +94,29 @@ class Tuning:
 
     def _need(self, key: str) -> Any:
         if key not in self.record:
-            raise RefusedError(f"{self._file}: holds no {key!r}; run that step first")
+            raise RefusedError(f"{self._file}: contains no {key!r}; run that step first")
         return self.record[key]
 
     def do(self, step: str) -> None:
-        """Do one step, after dropping what it overtakes."""
+        """Perform one step after dropping the entries it invalidates."""
         before = dict(self.record)
         for key in OVERTAKES[step]:
             self.record.pop(key, None)
-        # In lockstep a launch stands still while something is calculated.
+        # In lockstep the launch pauses during calculations.
         loop = self._loop if step in ("design", "predict") else None
         try:
             with contextlib.nullcontext() if loop is None else loop.standing():
                 getattr(self, f"_{step}")()
         finally:
             if not set(OVERTAKES[step]) & set(self.record):
-                # Refused before it began: what was known stays.
+                # Refused before it began: earlier results remain.
                 self.record.update(before)
             else:
                 self._untouched = False
                 if step in ("identify", "design", "verify") and not self.record.get(
                     "verified", {}
                 ).get("holds"):
-                    # A law that was delivered before is not this one.
+                    # The law delivered before is not this one.
                     self._tuned.unlink(missing_ok=True)
                     if step == "verify":
                         self._write_law(
@@ -149,8 +152,7 @@ class Tuning:
         refused = refusal(found)
         if refused and not chosen.refuted:
             raise RefusedError(
-                f"{refused}. A law for it would be a law for another device; --refuted designs it"
-                " all the same"
+                f"{refused}. A law would be for another device; --refuted designs it anyway"
             )
         found = found.anyway()
         self._say(
@@ -172,10 +174,10 @@ class Tuning:
         if (risk := remainder_refusal(law.found.law, found)) and not chosen.refuted:
             raise RefusedError(
                 f"{risk}. Ask for a smaller --radius, or push longer (--duration);"
-                " --refuted designs it all the same"
+                " --refuted designs it anyway"
             )
         lands = all(drops(law.found.law, asked).values())
-        # A ratio between a law that lands and one that does not would compare two different things.
+        # A ratio between a law that settles and one that does not would be meaningless.
         comparable = pd.found is not None and lands and all(drops(pd.found.law, asked).values())
         known = pd.found.h1_n_per_m if pd.found is not None and comparable else None
         self.record["designed"] = {
@@ -197,7 +199,10 @@ class Tuning:
         )
 
     def _nyquist(self, found: Identified) -> float:
-        """Bound encoder noise by what friction swallows: an edge of the encoder crossed to and fro gains Δ²·H(−1)."""
+        """Return the bound on |H(−1)| for which friction absorbs encoder noise [N/m].
+
+        Crossing an encoder edge to and fro generates Δ²·H(−1).
+        """
         if self._options.nyquist is not None:
             return self._options.nyquist
         low, high = NYQUIST
@@ -210,7 +215,7 @@ class Tuning:
 
         designed = self.record["designed"]
         low, high = designed["demand"]["mass"]
-        lands = "every drop settles" if designed["lands"] else "it does NOT survive a landing"
+        lands = "every drop settles" if designed["lands"] else "it FAILS the drop test"
         lines = (
             f"haptic launch SCENARIO --params {path}",
             tried,
@@ -280,7 +285,7 @@ class Tuning:
             self._designed.unlink(missing_ok=True)
 
     def _refuse_other_rate(self, loop: PushedLaunch) -> None:
-        """Refuse a launch of another rate than that of the law: its taps are for one period."""
+        """Refuse a launch at another rate than the law's; its taps are for one period."""
         period = self._need("designed")["demand"]["period"]
         if not math.isclose(period, loop.period, rel_tol=1e-6):
             raise RefusedError(
@@ -289,7 +294,7 @@ class Tuning:
             )
 
     def _apply(self) -> None:
-        """Fade to the tuned law in the running coupling: only to one that was tried and held."""
+        """Switch the running coupling to the tuned law, only if it was verified."""
         designed = self._need("designed")
         if not self.record.get("verified", {}).get("holds"):
             raise RefusedError(
@@ -300,8 +305,8 @@ class Tuning:
         self._refuse_other_rate(loop)
         loop.ready()
         law = {"kind": "fir", "taps": designed["taps_n_per_m"], "period": loop.period}
-        # What renders now, perhaps the law of an earlier tuning, stays as it is: it is faded from,
-        # and can be switched back to.
+        # The active law, perhaps of an earlier tuning, remains defined, to fade from and to switch
+        # back to.
         before = str(ask(loop.run, loop.coupling, "law.list")["active"])
         name = LAW if before != LAW else f"{LAW}_again"
         ask(loop.run, loop.coupling, "param.set", values={f"laws.{name}": law})
@@ -310,7 +315,7 @@ class Tuning:
         self.record["applied"] = {**told, "law": name, "before": before}
 
     def keep(self) -> None:
-        """Write what is known, for steps that are done later."""
+        """Write the record, for later steps."""
         from sim.tune.outcome import headline
 
         self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
@@ -338,7 +343,7 @@ class Tuning:
         self._file.write_text(json.dumps(self.record, indent=1), encoding="utf-8")
 
     def write(self) -> None:
-        """Write what is known, and draw it for people: that takes as long as some steps."""
+        """Write the record and the report, which takes as long as some steps."""
         from sim.tune.tuning_page import page
 
         self.keep()
@@ -349,6 +354,6 @@ class Tuning:
 
     @property
     def came_through(self) -> bool:
-        """Whether no law was tried, or the one that was holds."""
+        """Return whether no law was tried, or the law holds."""
         after = self.record.get("verified")
         return after is None or bool(after["holds"])

@@ -1,4 +1,4 @@
-"""From a device to its law: identify it, design, predict, try it from far below up to its edge, and report."""
+"""Identify a device, design and predict a law, verify it up to its edge, and report."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class TuneResult(StudyResult):
-    """What was identified, designed and measured, and the files that hold it."""
+    """Results of a tuning and its files."""
 
-    record: dict[str, Any]  # what each step found, by its name
-    files: dict[str, str]  # what was written
-    came_through: bool  # whether no law was tried, or the one that was holds
+    record: dict[str, Any]  # result of each step, by name
+    files: dict[str, str]  # written files
+    came_through: bool  # whether no law was tried, or the law holds
     interrupted: int = 0
 
     @property
     def refused(self) -> str:
-        """Why a step was refused; empty where none was."""
+        """Return why a step was refused; else empty."""
         return str(self.record.get("refused", ""))
 
     @property
     def held(self) -> bool:
-        """Whether every step was done and the law holds."""
+        """Return whether every step was done and the law holds."""
         return self.came_through and not self.refused
 
     @property
     def answer(self) -> dict[str, Any]:
-        """Figures by name."""
+        """Return the figures by name."""
         return self.record | {"files": self.files}
 
     @property
     def text(self) -> str:
-        """What a person reads."""
+        """Return the text report."""
         from sim.tune.tuning_text import text
 
         return text(self.record, self.files)
 
 
 def tune(options: TuneOptions) -> TuneResult:
-    """Go through the steps of a tuning; whatever happens, the device is left safe and what is known is written.
+    """Run the steps of a tuning; the device is left safe and results are written in all cases.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ def tune(options: TuneOptions) -> TuneResult:
     Returns
     -------
     TuneResult
-        What each step found; a refusal of a step stands in it.
+        The result of each step; a refusal of a step is part of it.
 
     Raises
     ------
     messages.errors.UsageError
-        For options that do not go together.
+        For incompatible options.
     """
     if not 1 <= options.taps <= 12:
         raise UsageError(
@@ -115,7 +115,7 @@ def tune(options: TuneOptions) -> TuneResult:
         finally:
             with undisturbed():
                 tuning.keep()
-                # A loop in lockstep would go on beside whoever draws.
+                # A lockstep loop would run on while the report is drawn.
                 held.close()
                 tuning.write()
     options.say("")

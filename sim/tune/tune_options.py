@@ -1,4 +1,4 @@
-"""Options of `sim.tune.tune`: which steps, which law, what may be off, and how the device is pushed."""
+"""Options of `sim.tune.tune`."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +12,7 @@ STEPS = ("identify", "design", "predict", "verify", "apply")
 
 @dataclass(frozen=True, kw_only=True)
 class TuneOptions(PushOptions):
-    """What a tuning is asked for."""
+    """Options of a tuning."""
 
     scenario: str | None = argument(
         default=None, help="start this launch file for it; left out: the running launch"
@@ -57,5 +57,5 @@ class TuneOptions(PushOptions):
     out: Path = option(
         type=Path, default=Path("tuning"), help="directory of files (default: %(default)s)"
     )
-    # what was typed, for the report
+    # the command line, for the report
     command: str = field(default="", repr=False, compare=False)

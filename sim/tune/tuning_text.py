@@ -97,7 +97,7 @@ def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
 
 
 def _left_open(record: Mapping[str, Any]) -> list[TextRow]:
-    """Return how the law does on what the recording left open; a residual that is noise leaves nothing."""
+    """Return the rows on terms that the recording leaves open; none if the residual is noise."""
     if (radius := record.get("remainder_pole_radius")) is None:
         return []
     told = "NOT stable" if radius >= 1.0 else "stable"

@@ -152,7 +152,7 @@ def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(
     assert told["designed"]["gain_over_pd"] is None
     assert "fails the drop test" in told["headline"]
     assert "fails the drop test" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
-    assert "does NOT survive a landing" in Path(folder / told["files"]["params"]).read_text(
+    assert "FAILS the drop test" in Path(folder / told["files"]["params"]).read_text(
         encoding="utf-8"
     )
 
