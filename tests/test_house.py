@@ -217,7 +217,7 @@ NAMED = re.compile(
     r"(?<![\w./-])((?:messages|nodes|sim|tests|launch)/"
     r"[\w/.-]*?\.(?:py|md|js|c|yaml|png|css|html))\b"
 )
-EXAMPLES = {"nodes/cli/NAME.py", "sim/cli/NAME.py", "nodes/gone.py"}
+EXAMPLES = {"nodes/gone.py"}
 
 
 def test_files_that_are_named_exist() -> None:
@@ -225,6 +225,8 @@ def test_files_that_are_named_exist() -> None:
     for pattern in (*PAGES, *SOURCES):
         for path in ROOT.glob(pattern):
             named = set(NAMED.findall(path.read_text(encoding="utf-8"))) - EXAMPLES
+            # `NAME.py` stands for one of the reader's own.
+            named = {name for name in named if "NAME" not in name}
             assert {name for name in named if not (ROOT / name).exists()} == set(), path
 
 

@@ -252,8 +252,8 @@ def test_commands_of_tables_run(name: str, line: str, tmp_path: Path) -> None:
     if line.startswith(QUICK) and name == "README.md":
         typed_in(tmp_path, *command(line, SHORTER).words[1:])
     elif words[0] in ("study", "lab", "bench") and len(words) > 2:
-        own = Parser()
-        VERBS.load(".".join(words[:2])).add(own)
+        own, declaring = Parser(), parser_for(words[0]).parse_args(words[:2]).declare
+        declaring(VERBS.load(".".join(words[:2])), own)
         own.parse_args(words[2:])
     elif any(word.startswith("-") for word in words):
         parser_for(words[0]).parse_args(words)
@@ -321,6 +321,15 @@ def test_every_scenario_and_every_verb_is_mentioned() -> None:
             assert re.search(rf"\bhaptic {verb.name}\b", README), (
                 f"haptic {verb.name} is not mentioned"
             )
+
+
+def test_every_study_is_explained() -> None:
+    """Studies and claims of the laboratory stand on sim/README.md, by their names."""
+    page = PAGES["sim/README.md"]
+    for name, point in VERBS.points().items():
+        group, _, verb = name.partition(".")
+        if point.package == OURS and group in ("study", "lab"):
+            assert re.search(rf"\b{group} {verb}\b|`{verb}`", page), f"haptic {group} {verb}"
 
 
 def test_nothing_is_shortened_that_is_not_there() -> None:

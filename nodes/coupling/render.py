@@ -137,7 +137,7 @@ def deflection_along(
 
 @rule
 def hold_one_sided(s: CouplingState, normal: Any, contact: bool, force: Any) -> None:
-    """Remove the part of a force that pulls, where the law's conventions ask for that."""
+    """Limit a force to pushing where the law's conventions ask for it."""
     along = 0.0
     for n in range(s.axes):
         i = s.axis[n]

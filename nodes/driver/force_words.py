@@ -85,11 +85,11 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.SWINGS: Note(
         "stopped",
         ("limit_n", "strokes", "span_s", "energy_j"),
-        "the loop gives out energy: its force came to the limit of {limit_n:g} N, or stayed there,"
-        " {strokes:.0f} times within {span_s:.2g} s and gave out {energy_j:.3g} J; no force until"
-        " it is asked for: a softer law first, then haptic node rearm, or launch again",
+        "the loop generates energy: its force reached the limit of {limit_n:g} N, or stayed there,"
+        " {strokes:.0f} times within {span_s:.2g} s and generated {energy_j:.3g} J; no force until"
+        " rearmed: choose a softer law, then run haptic node rearm, or launch again",
         "{strokes:.0f} strokes to the limit of {limit_n:g} N within {span_s:.2g} s, {energy_j:.3g}"
-        " J given out",
+        " J generated",
     ),
     notes.CONTINUOUS: Note(
         "limit",
@@ -99,7 +99,7 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.HELD_UP: Note(
         "device",
         ("from_tick",),
-        "no force from tick {from_tick:.0f} to {tick:.0f}; the device let go by itself",
+        "no force from tick {from_tick:.0f} to {tick:.0f}; the device released the force itself",
     ),
     notes.REARMED: Note(
         "rearmed",
@@ -112,13 +112,13 @@ NOTES: Final[Mapping[int, Note]] = {
     notes.REFUSED_FIRST: Note(
         "refused_future",
         ("refused", "answers_tick"),
-        "a force for tick {answers_tick:.0f}, which is still to come: now is {tick:.0f}",
+        "a force for the future tick {answers_tick:.0f}: now is tick {tick:.0f}",
     ),
     notes.REFUSED_FIRST + 1: Note(
         "refused_replayed",
         ("refused", "answers_tick", "last_tick"),
-        "a force for tick {answers_tick:.0f} once more: {last_tick:.0f} was the last (replayed or"
-        " out of order)",
+        "a force for tick {answers_tick:.0f}, but tick {last_tick:.0f} was answered already"
+        " (replayed or out of order)",
     ),
     notes.REFUSED_FIRST + 2: Note(
         "refused_stale",

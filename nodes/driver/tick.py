@@ -110,7 +110,7 @@ def patience(s: DriverState, deadline: float, following: float) -> float:
 
 @rule
 def begin_waiting(s: DriverState, deadline: float) -> None:
-    """Reset the counts of a tick, and decide once how long its answer is waited for.
+    """Reset the counts of a tick, and compute the deadline of its answer.
 
     Whatever a tick decides stands in the state: the tick may be left for a message that the port
     cannot judge, and entered again after its first answer has changed the safety.

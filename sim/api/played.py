@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from nodes.stability.plant import Plant
 from sim.api.laws import LawLike, compiled, plain
-from sim.api.notebook_results import Result, new_figure
 from sim.arrays import Array
+from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -100,7 +100,7 @@ def _lands(
     return 1.0, first
 
 
-# Long because it is one compiled function: calls would cost more than they save.
+# Long: one compiled function; calls would cost more than they save.
 def _evolve(  # noqa: C901
     fixed: Any,
     by_tap: Any,

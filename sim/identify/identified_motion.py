@@ -229,7 +229,7 @@ def _rigid(
             )
 
 
-# Long because it is one compiled function.
+# Long: one compiled function.
 @compiled()
 def _richer(  # noqa: PLR0915
     theta: Array,

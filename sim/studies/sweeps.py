@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from messages.errors import RefusedError, UsageError
-from messages.transport.endpoints import is_remote
-from nodes.base.workers import Workers
 from nodes.parameters.options import FileOptions, Options, ProgressStep, option
 from nodes.parameters.quantities import whole
 from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
@@ -58,6 +56,8 @@ class SweepOptions(SpreadOptions, FileOptions):
 def executor(options: SpreadOptions) -> Iterator[Executor]:
     """Open what the jobs run on."""
     if options.cluster is None:
+        from nodes.base.workers import Workers
+
         with Workers(options.workers or os.cpu_count() or 1) as pool:
             yield pool
         return
@@ -98,6 +98,9 @@ def _flags(names: Sequence[str]) -> str:
 
 def check_cluster(options: SpreadOptions) -> dict[str, Any]:
     """Refuse a cluster that is reached over a network without TLS: its workers run whatever they are sent."""
+    # Only a cluster takes network code.
+    from messages.transport.endpoints import is_remote
+
     address = urlsplit(options.cluster)
     if address.scheme not in ("tcp", "tls") or not address.hostname or not address.port:
         raise UsageError(

@@ -101,13 +101,21 @@ def pytest_configure() -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Limit ``smoke("a-b", "c")`` to the parameters it names; without names it covers all."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Restrict ``smoke`` to the parameters it names, ``smoke("a-b", "c")``, or to all."""
+    named: dict[str, set[str]] = {}
     for item in items:
-        names = [name for mark in item.iter_markers("smoke") for name in mark.args]
-        if names and item.name.partition("[")[2].removesuffix("]") not in names:
+        names = {name for mark in item.iter_markers("smoke") for name in mark.args}
+        test, _, parameters = item.nodeid.partition("[")
+        parameters = parameters.removesuffix("]")
+        if names:
+            named.setdefault(test, set(names)).discard(parameters)
+        if names and parameters not in names:
             item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "smoke"]
             item.keywords._markers.pop("smoke", None)  # type: ignore[attr-defined]
+    gone = [f"{test}: {sorted(left)}" for test, left in named.items() if left]
+    if gone and not any("::" in argument for argument in config.args):
+        raise pytest.UsageError(f"smoke names parameters that there are not: {'; '.join(gone)}")
 
 
 def _cost() -> tuple[float, float]:

@@ -41,7 +41,7 @@ def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
     # Not even one that has run out, before what was agreed is done.
     now = time.monotonic()
     monkeypatch.setattr("nodes.base.leases.time.monotonic", lambda: now + 6.0)
-    with pytest.raises(ParameterError, match="held by somebody else"):
+    with pytest.raises(ParameterError, match="held by another client"):
         take(**asked, args={"law": "trial"})
     assert leases.run_out() == [("borrowed", "law.switch", {"law": "pd"})]
     take(**asked, args={"law": "pd"})

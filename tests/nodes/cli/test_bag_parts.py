@@ -13,18 +13,16 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.recording.reader import Recording
 from sim.measure.haptic_commands import start_command
-from tests.support.launching import Running, launch_json, running, typed, wait_for
+from tests.support.launching import Running, running, typed, wait_for
+from tests.support.one_process import recorded
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drop")
-    return folder / str(
-        launch_json(folder, "floor_drop", "pace:=lockstep", "duration:=1")["recording"]
-    )
+    return recorded(folder, "floor_drop", "duration:=1")
 
 
-@pytest.mark.process
 def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
     out = tmp_path / "part.mcap"
     assert main(["bag", "cut", str(path), "--from", "0.2", "--to", "0.4", "--out", str(out)]) == 0
@@ -37,7 +35,6 @@ def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
     assert main(["bag", "plot", str(out), "--out", str(tmp_path / "p.png")]) == 0
 
 
-@pytest.mark.process
 def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> None:
     def topics(*words: str) -> set[str]:
         out = tmp_path / "few.mcap"
@@ -51,7 +48,6 @@ def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> 
     assert topics("--topics", FORCE, "-e", "state$") == {FORCE, DEVICE_STATE}
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -73,7 +69,6 @@ def test_what_cannot_be_is_refused(
     assert not path.with_suffix(".cut.mcap").exists()
 
 
-@pytest.mark.process
 def test_play_begins_later_and_under_other_names(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

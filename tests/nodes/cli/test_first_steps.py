@@ -10,15 +10,14 @@ import pytest
 
 from nodes.base.kept_line import is_smart
 from nodes.cli.main import main
-from tests.support.launching import Running, haptic, launch_json, typed_in
+from tests.support.launching import Running, haptic, typed_in
+from tests.support.one_process import recorded
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    return folder / str(
-        launch_json(folder, "floor_drop", "duration:=0.2", "pace:=lockstep")["recording"]
-    )
+    return recorded(folder, "floor_drop", "duration:=0.2")
 
 
 @pytest.mark.process
@@ -40,7 +39,6 @@ def test_a_backend_that_is_not_there_does_not_stop_a_plot(recording: Path) -> No
     assert out.stat().st_size > 10_000
 
 
-@pytest.mark.process
 def test_an_unknown_ending_is_no_directory(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,4 +1,4 @@
-"""The publish tables: both ticks send the same variable of the state for each field."""
+"""Publish tables: one variable per field, sent alike by both ticks."""
 
 from __future__ import annotations
 

@@ -20,16 +20,14 @@ from nodes.recording.export_ros2 import export_ros2
 from nodes.recording.reader import Recording
 from nodes.recording.table import read
 from nodes.recording.writer import RecordWriter
-from tests.support.launching import launch_json
+from tests.support.one_process import recorded
 from tests.support.recorded import drop
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    return folder / str(
-        launch_json(folder, "floor_drop", "duration:=0.4", "pace:=lockstep")["recording"]
-    )
+    return recorded(folder, "floor_drop", "duration:=0.4")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +37,6 @@ def bag(recording: Path) -> Path:
     return out
 
 
-@pytest.mark.process
 def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     table = read(recording)
@@ -65,7 +62,6 @@ def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
     assert all(abs(step - 2_000_000) <= 1 for step in steps)
 
 
-@pytest.mark.process
 def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
     with open(next(bag.glob("*.mcap")), "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -79,7 +75,6 @@ def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
     assert "version: 8" in (bag / "metadata.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.process
 def test_what_stands_there_is_kept(
     bag: Path, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

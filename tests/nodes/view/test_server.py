@@ -35,6 +35,7 @@ from tests.support.launching import (
     haptic,
     launch_json,
     running,
+    typed_in,
     wait_for,
 )
 from tests.support.live_page import live, texts
@@ -184,11 +185,10 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.process
 def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("not a recording", encoding="utf-8")
-    assert "text.mcap" in haptic(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
-    assert "none.mcap" in haptic(tmp_path, "view", "--replay", "none.mcap", code=2).stderr
+    assert "text.mcap" in typed_in(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
+    assert "none.mcap" in typed_in(tmp_path, "view", "--replay", "none.mcap", code=2).stderr
 
 
 @pytest.mark.process

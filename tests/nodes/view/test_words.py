@@ -120,7 +120,7 @@ def test_a_stop_is_told_by_its_strokes() -> None:
     event = Event(
         seq=7, stamp=0.0, node="driver", kind="stopped", reason="put otherwise", data=data
     )
-    assert cause_of(event) == "6 strokes to the limit of 10 N within 0.25 s, 0.0653 J given out"
+    assert cause_of(event) == "6 strokes to the limit of 10 N within 0.25 s, 0.0653 J generated"
     # Of an older recording, another package, or a number that was not finite: the sentence itself.
     for less in (
         {},

@@ -39,6 +39,7 @@ def dropped(delay: float = 0.0) -> Scene:
     return drop_scene(DeviceModel(mass=0.1, damping=1.0, delay=delay), T, raw=False, clamp=True)
 
 
+@pytest.mark.process
 def test_settles_just_inside_and_not_just_outside() -> None:
     """Found in one process to 0.1 %, tried with processes on both sides."""
     law, scene = PD(stiffness=1.0, damping=3.0), dropped(delay=1.0)
@@ -73,6 +74,7 @@ def test_both_bisect_to_the_same_stiffness() -> None:
     assert found.launches == 5  # both ends, and log2(8)
 
 
+@pytest.mark.process
 def test_recorded_run_is_the_trace_and_is_judged_alike() -> None:
     """A free swing about an anchor in a hand: other surface, convention and load."""
     hand = Hand(mass=0.05, damping=0.5, stiffness=50.0, path=[(0.0, 0.0)])

@@ -25,6 +25,7 @@ from sim.identify.identified_motion import window
 from sim.identify.identify import identify
 from sim.lab.monte_carlo.virtual import draw, excite
 from tests.support.launching import launch_json, typed_in
+from tests.support.one_process import recorded
 from tests.support.recorded import PUBLISHES, drop
 
 T = 0.002
@@ -308,10 +309,9 @@ def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
     assert figures["axis"] == "x"
 
 
-@pytest.mark.process
 def test_study_identify_of_a_run_without_force(tmp_path: Path) -> None:
-    run = launch_json(tmp_path, "free_space", "pace:=lockstep", "duration:=3")
-    done = typed_in(tmp_path, "study", "identify", run["recording"], "--json", code=1)
+    path = recorded(tmp_path, "free_space", "duration:=3")
+    done = typed_in(tmp_path, "study", "identify", str(path), "--json", code=1)
     figures = json.loads(done.stdout.splitlines()[-1])
     assert figures["mass_kg"]["value"] is None
     assert "force never changed" in figures["mass_kg"]["why"]

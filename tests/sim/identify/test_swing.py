@@ -30,7 +30,8 @@ from sim.identify.swing import (
 )
 from sim.play.one_axis import run
 from sim.studies.edge import LAWS
-from tests.support.launching import exit_code, launch_json
+from tests.support import one_process
+from tests.support.launching import exit_code
 from tests.support.recorded import rewritten
 
 T = 0.002
@@ -46,9 +47,8 @@ def recorded(folder: Path, words: str, law: str = "", device: str = "{}") -> Pat
     (folder / "more.yaml").write_text(
         f"coupling: {law or '{}'}\ndriver: {{device: {device}}}", encoding="utf-8"
     )
-    assignments = f"pace:=lockstep duration:=1 {words}".split()
-    told = launch_json(folder, "floor_drop", *assignments, "--params", "more.yaml")
-    return folder / str(told["recording"])
+    assignments = f"duration:=1 {words}".split()
+    return one_process.recorded(folder, "floor_drop", *assignments, params=folder / "more.yaml")
 
 
 def limit_of(path: Path, delay: float = 0.0) -> float:
@@ -59,7 +59,6 @@ def limit_of(path: Path, delay: float = 0.0) -> float:
     return limit
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "law", "delay"),
     [("law:=pd stiffness:=900 apply:=next_tick", "", 1.0), ("", PD_ALPHA, 0.0)],
@@ -168,7 +167,6 @@ def test_off_the_ringing_pole_it_cannot_tell(
     assert capsys.readouterr().out.startswith("unknown: ")
 
 
-@pytest.mark.process
 def test_where_nothing_was_touched_nothing_swings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -206,7 +204,6 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert main(["study", "edge", str(tmp_path / "none.mcap")]) == 2
 
 
-@pytest.mark.process
 def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(
     tmp_path: Path,
 ) -> None:
@@ -220,7 +217,6 @@ def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(
         recorded_swing(rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq % 10 != 0))
 
 
-@pytest.mark.process
 def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_launch_file_s(
     tmp_path: Path,
 ) -> None:
@@ -230,7 +226,6 @@ def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_laun
         recorded_swing(late)
 
 
-@pytest.mark.process
 def test_without_the_coupling_s_forces_nothing_tells_the_law(tmp_path: Path) -> None:
     path = recorded(tmp_path, "law:=pd stiffness:=2500")
     with pytest.raises(CannotTellError, match="were not recorded"):
@@ -259,7 +254,6 @@ def test_a_hand_that_holds_the_device_is_in_the_loop(stiffness: float) -> None:
     assert not low < limit < high
 
 
-@pytest.mark.process
 def test_the_hand_of_a_recorded_scene_is_taken_into_account(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -155,14 +155,14 @@ NAMED_RULES: Final = (
         "sim/identify/judge_fit.py",
         "IMPROBABLE = 1e-4",
         "IMPROBABLE = 0.0",
-        (FITS, "tests/sim/identify/test_refuted.py"),
+        ("tests/sim/identify/test_whiteness.py",),
     ),
     Mutation(
         "the windows' own states cost no degrees of freedom",
         "sim/identify/judge_fit.py",
         "int((~unread).sum()) - own * len(residual) - unknowns.shape[1]",
         "int((~unread).sum())",
-        (FITS,),
+        ("tests/sim/identify/test_left.py",),
     ),
     Mutation(
         "models that hold are drawn without noise",
