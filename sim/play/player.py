@@ -12,7 +12,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from nodes.driver.limits import SafetyParameters, start_ramp
-from nodes.driver.safety import REACH, pressed_ticks
+from nodes.driver.safety import REACH
+from nodes.driver.safety_setup import pressed_ticks
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import chains_of
 from nodes.parameters.store import ParameterError

@@ -22,7 +22,7 @@ def _followed(launch: Launch, name: str, topic: str) -> str:
     return launch.nodes[name].remap.get(topic) or next(full_names(name, [topic]))
 
 
-class Graph:
+class NodeGraph:
     """The nodes of a launch by topic.
 
     Attributes
