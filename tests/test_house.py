@@ -438,6 +438,7 @@ WORDED = (
     "nodes/coupling",
     "nodes/driver",
     "nodes/environment",
+    "nodes/launcher",
     "nodes/laws",
     "nodes/cli",
     "nodes/parameters",

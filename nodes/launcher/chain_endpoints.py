@@ -47,16 +47,16 @@ class _Places:
             ) from error
 
     def far(self, name: str, offset: int = 0) -> str:
-        """Endpoint of a node on another machine; empty for one on this machine."""
+        """Return the endpoint of a node on another machine; empty for one on this machine."""
         spec = self._launch.nodes[name]
         if not spec.host:
             return ""
-        # On loopback without a key's name it is this user who starts it.
+        # On loopback without a key name, this user starts the node.
         key = spec.key or (spec.host if is_remote(f"tcp://{spec.host}:1") else "")
         return self._tcp(spec.host, self._ports[name] + offset, key, f"nodes.{name}.key")
 
     def reach(self, name: str, offset: int) -> str:
-        """Endpoint at which other machines reach a node on this one."""
+        """Return the endpoint at which other machines reach a node on this one."""
         hosts = [spec.host for spec in self._launch.nodes.values() if spec.host]
         address = self._launch.run.host
         if not address:

@@ -13,12 +13,12 @@ from nodes.parameters.store import ParameterError, convert
 
 
 def full_names(name: str, names: Iterable[str]) -> Iterator[str]:
-    """Full names of topics inside the chain of a node."""
+    """Return the full names of topics inside the chain of a node."""
     return (topics.within(name.rpartition("/")[0], topic) for topic in names)
 
 
 def _followed(launch: Launch, name: str, topic: str) -> str:
-    """Full name of the topic that a node takes for one inside its chain."""
+    """Return the full name of the topic that a node receives for one of its chain."""
     return launch.nodes[name].remap.get(topic) or next(full_names(name, [topic]))
 
 
@@ -52,7 +52,7 @@ class NodeGraph:
         self._subscribes = {
             name: len(kind.subscribes(parameters[name])) for name, kind in self.classes.items()
         }
-        # Of nodes that listen to everything: whom each hears.
+        # Nodes heard by each listener to everything.
         self._heard = {
             name: kind.hears(parameters[name], _audible(launch, name))
             for name, kind in self.classes.items()

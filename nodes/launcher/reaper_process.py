@@ -13,7 +13,7 @@ from typing import IO, Final
 from nodes.launcher import reaper
 from nodes.launcher.child import PYTHON, Child
 
-WAIT: Final = 2.0  # how long the reaper is waited for before it is killed [s]
+WAIT: Final = 2.0  # time that the reaper has to end before it is killed [s]
 
 
 class ReaperProcess:

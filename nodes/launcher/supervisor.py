@@ -57,8 +57,8 @@ class Supervisor:
         self.failed = False
         self.failures: list[str] = []
         self.startup_s = 0.0
-        self.load: Load | None = None  # how busy the chains kept their processors
-        self.unjudged: dict[str, str] = {}  # nodes whose force nobody judges for stability, and why
+        self.load: Load | None = None  # load of the chains' processors
+        self.unjudged: dict[str, str] = {}  # nodes not judged for stability, and why
         self._stop_asked = ""
         self._interrupted = self._hurry = False
         self._begun = 0.0
@@ -69,7 +69,7 @@ class Supervisor:
         self._meter: Meter | None = None  # once the driver has started
 
     def stop(self, reason: str) -> None:
-        """Ask for the end. Safe in a signal handler."""
+        """Request the end. Safe in a signal handler."""
         self._stop_asked = self._stop_asked or reason
 
     def interrupt(self, reason: str) -> None:
@@ -80,7 +80,7 @@ class Supervisor:
 
     @property
     def ending(self) -> bool:
-        """Whether the end was asked for, by a signal or by a node that is gone."""
+        """Whether the end was requested, by a signal or by a lost node."""
         return bool(self._stop_asked)
 
     def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
@@ -101,7 +101,7 @@ class Supervisor:
         try:
             offset = time.time() - time.monotonic()
             if self._launch.run.tick == "compiled":
-                # What is wrong is refused before half a minute of compiling.
+                # Report mistakes before half a minute of compiling.
                 whole = with_forwarder(self._launch)
                 wire(whole, self.run, run_dir, manifest_of(whole, self.run, offset))
             self._launch = with_forwarder(settle_tick(self._launch, self._say))
@@ -173,7 +173,7 @@ class Supervisor:
             self._say(text)
 
     def _note_load(self) -> None:
-        """Find out how busy the processors were, and keep what a tick cost for the next launch."""
+        """Determine the processors' load, and store the cost of a tick for the next launch."""
         if self._meter is None:
             return
         had = self._meter.had(self.reports)
@@ -206,11 +206,11 @@ class Supervisor:
 
     def _await_ready(self) -> None:
         begun = time.monotonic()
-        # All wait for those that somebody has to start by hand.
+        # All nodes wait for those started by hand.
         patience = max(child.patience for child in self.children.values())
         for name, child in self.children.items():
             while not self._stop_asked:
-                # The others too: one that is gone may be what this one waits for.
+                # Check the others too: this node may wait for one that has ended.
                 for other, there in self.children.items():
                     if not there.running:
                         raise LaunchFailedError(f"{other}: ended during start with {there.end}")
@@ -225,7 +225,7 @@ class Supervisor:
     def _note_ready(self, child: Child) -> None:
         child.ready, child.ready_at = True, time.monotonic()
         if child.drives:
-            # A driver in another language may not know the question.
+            # A driver in another language may not know this request.
             with contextlib.suppress(ControlError):
                 times = call(
                     self.context, child.setup.control, "device", timeout=1.0 + child.distance
@@ -278,7 +278,7 @@ class Supervisor:
         if child.drives and child.is_done(self.run_dir):
             child.over = True
             reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
-            # Of several chains the longest decides.
+            # The longest of several chains decides.
             if all(other.over for other in self.children.values() if other.drives):
                 self.exit_reason = reason
                 self.stop(reason)
@@ -315,14 +315,14 @@ class Supervisor:
             if state == "ready":
                 self._note_ready(child)
                 call(self.context, child.setup.control, "start", timeout=0.5 + child.distance)
-            # A lost answer shows as a driver that runs.
+            # If the answer was lost, the driver runs already.
             child.to_start = state not in ("ready", "running")
 
     def _end_all(self) -> None:
         try:
             runs.write_end(self.run_dir, self.exit_reason or self._stop_asked, self.failed_node)
         except OSError as error:
-            # A full disk: the nodes end in order all the same.
+            # On a full disk the nodes still end in order.
             self.failures.append(f"{self.run_dir}: {error.strerror}")
             self._say(self.failures[-1])
         groups = (

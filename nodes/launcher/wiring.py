@@ -20,13 +20,13 @@ from nodes.launcher.node_graph import NodeGraph, full_names
 from nodes.launcher.plants import has_plant, known_peak, known_plant
 from nodes.parameters.store import ParameterError
 
-FORWARDER = "forwarder"  # the kind of node at which strangers may listen
+FORWARDER = "forwarder"  # kind of node to which other users may subscribe
 # priority of the chain in real time: above what a desktop runs, below the kernel's own threads
 FIFO = 50
 
 
 def chains_of(launch: Launch) -> list[str]:
-    """List the namespaces of a launch's chains: of the nodes that publish a device's state."""
+    """Return the namespaces of a launch's chains: of its drivers."""
     factories = node_kinds()
     drivers = [name for name, spec in launch.nodes.items() if drives(load(factories[spec.kind]))]
     return list(dict.fromkeys(name.rpartition("/")[0] for name in drivers))
@@ -66,11 +66,11 @@ def _cores(launch: Launch) -> dict[str, int | None]:
 
 
 def _rank(namespace: str, cores: Mapping[str, int | None]) -> int:
-    """Return how many chains on the same processor go before this one.
+    """Return how many chains on the same processor take precedence over this one.
 
-    Were they equal, the drivers of all chains would go before every environment and coupling: on a
-    processor with too many chains nobody would be answered at all. So each chain goes before the
-    next as a whole, and only the last ones lose ticks.
+    With equal priorities, the drivers of all chains would run before every environment and
+    coupling, and on an overloaded processor no tick would be answered. So chains take precedence as
+    a whole, and only the last ones lose ticks.
     """
     together = [chain for chain, core in cores.items() if core == cores.get(namespace)]
     return together.index(namespace) if namespace in together else 0
@@ -90,8 +90,8 @@ def _scheduling(
     automatic = FIFO if launch.run.pace == "realtime" and run.cpu != "any" else 0
     fifo = automatic if run.fifo == "auto" else run.fifo
     fifo = max(1, fifo - len(topics.LOOP) * _rank(namespace, cores)) if fifo else 0
-    # Who has sent must not hold up who has received: coupling above environment, and the driver,
-    # which waits for both, on top.
+    # A sender must not delay its receiver: coupling above environment, and the driver, which waits
+    # for both, on top.
     urgency = fifo + (hops[0] or len(topics.LOOP)) if fifo else 0
     return (
         Scheduling(fifo=urgency)
@@ -101,7 +101,7 @@ def _scheduling(
 
 
 def kernel_modules(launch: Launch) -> list[str]:
-    """Name the compiled ticks that the nodes of this machine could take."""
+    """Return the compiled ticks that nodes on this machine could use."""
     factories = node_kinds()
     here = [
         (load(factories[spec.kind]), spec.parameters)
@@ -112,14 +112,14 @@ def kernel_modules(launch: Launch) -> list[str]:
 
 
 def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
-    """Settle which tick the nodes take, and have it compiled where it is asked for."""
+    """Decide which tick the nodes use, and compile it if requested."""
     scarce = launch.run.pace == "realtime" and launch.run.rate >= SCARCE
     tick = choose(launch.run.tick, kernel_modules(launch), say, scarce)
     return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
 
 
 def free_name(launch: Launch, name: str) -> str:
-    """Name a node that is added to a launch: as wanted, or with a number behind."""
+    """Return the wanted name for an additional node, numbered if it is in use."""
     return next(
         free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes
     )
@@ -223,7 +223,7 @@ def _setup(
 
 
 def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[str, str]:
-    """Describe a run for its recordings."""
+    """Return the manifest of a run for its recordings."""
     uname = os.uname()
     factories = node_kinds()
     publishes = {

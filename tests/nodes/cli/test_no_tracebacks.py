@@ -227,7 +227,7 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
         ),
         (
             ("device", "info", "touch_driver", "touch:=1", "touch.library:=a"),
-            "touch.library:=a: touch:=1 is given too",
+            "touch.library:=a: conflicts with touch:=1",
         ),
     ],
 )
