@@ -210,7 +210,7 @@ class Coupling(Node):
         return self._judged(law.name, wanted, verdict, before)
 
     def _judge_moving(self, wanted: CouplingParameters, law: ActiveLaw) -> dict[str, Any]:
-        """Return what a receipt says of a law and a world that moves, and report it where it has changed."""
+        """Return a receipt's lines on a law and a moving world; report them where changed."""
         told = self._judgement.of_moving_world(wanted, self._felt_delay, law.compiled, law.name)
         if told and told != self._told_of_world:
             for text in told:

@@ -22,8 +22,11 @@ import pytest
 STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"})
 ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
 """Programs of some milliseconds whose results are cached: the first caller is random."""
-CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile")
-"""Modules that compile only if necessary: whether they start a process is random."""
+CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile", "glfw.library")
+"""Modules that start a process only once, which test comes first being random.
+
+Two compile, and MuJoCo's window library asks a process of its own for its version on import.
+"""
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
 

@@ -1,4 +1,4 @@
-"""Whether all that a scene can hang on its tool is passive within the step in which it is pushed.
+"""Passivity, within the step, of all that a scene can hang on its tool.
 
 Then a heavy tool is a promise of its own, without damping (`nodes.stability.worlds.EulerTool`).
 Bodies, contacts, limits and equalities are solved together with the step: with the solver's force
@@ -25,7 +25,7 @@ _SOLVED = (
 
 
 def euler_step(mujoco: Any, model: Any) -> float | None:
-    """Return the step of semi-implicit Euler with which all behind a tool is solved [s]; None where it is not.
+    """Return the step within which all behind a tool is solved [s]; None where it is not.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def euler_step(mujoco: Any, model: Any) -> float | None:
 def passive_within(
     ref: NDArray[np.float64], imp: NDArray[np.float64], step: float, kept: bool = True
 ) -> NDArray[np.bool_]:
-    """Return which of MuJoCo's constraints are passive within the step in which they are pushed.
+    """Return which of MuJoCo's constraints are passive within the step of their push.
 
     Parameters
     ----------

@@ -98,7 +98,8 @@ class MujocoEnvironment(Node):
         self.events.emit_each(
             "bodies",
             f"the tool weighs {self._world.mass:.4g} kg (a coupling's plant.tool_mass);"
-            f" {self._world.steps} steps a tick; {response_text(self._world.response(), self._world.euler_step)}; its"
+            f" {self._world.steps} steps a tick;"
+            f" {response_text(self._world.response(), self._world.euler_step)}; its"
             f" contacts, measured: {contacts_text(self._world.stiffness())}",
             {"tool_mass_kg": self._world.mass, "steps": self._world.steps},
         )

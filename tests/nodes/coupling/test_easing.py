@@ -108,7 +108,7 @@ def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str) -> None:
-    """One process, interpreted over the loop's own rules, and over the nodes' renderer and driver."""
+    """One process: interpreted by the loop's rules, and by the nodes' renderer and driver."""
     force = force_of(drop(law, -0.0012), 150)
     nodes = play(dropped(law, -0.0012), ticks=150, how="nodes")
     assert np.array_equal(nodes.force[:, 2], force)
@@ -214,7 +214,7 @@ def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
 
 
 def unexplained(found: ChainTrace, changes: Sequence[int]) -> float:
-    """Return the largest change of force per tick beyond ramp and motion, of pd in the world's axes [N].
+    """Return pd's largest change of force per tick beyond ramp and motion, world axes [N].
 
     The requested force is computed from the trace by the law's equation in world axes, without
     velocity over a jump; the ramp may add its share of each jump's step while it lasts.

@@ -228,8 +228,8 @@ def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: in
         if seen[-1] > 1e3 or world.diverged():
             return math.inf
     quarters = np.array(seen).reshape(4, -1).max(axis=1)
-    if quarters[1] == 0.0:
-        return 0.0  # it has come to rest, to the last bit
+    if quarters[3] < 1e-7 * quarters[0]:
+        return 0.0  # at rest: MuJoCo's solver stops at 1e-8, and what remains is its rounding
     return float((quarters[3] / quarters[1]) ** (2.0 / ticks))
 
 
@@ -320,7 +320,7 @@ def test_a_coupling_to_a_tool_tells_what_is_certain_and_what_would_make_it_so() 
 
 
 def test_a_constraint_is_passive_within_its_step_or_it_is_not() -> None:
-    """By the real part of its impedance over all frequencies, from MuJoCo's own difference equation."""
+    """By the real part of its impedance at all frequencies, from MuJoCo's own equation."""
     rng, theta = np.random.default_rng(1), np.linspace(1e-4, np.pi, 4001)
     w = np.exp(-1j * theta)
     seen = set()
@@ -360,7 +360,7 @@ def test_a_scene_tells_whether_all_behind_its_tool_is_solved_within_a_step(
     parameters = convert({"scene": str(path)}, MujocoParameters, "environment")
     world = MovingScene(path, "tool", T, "environment")
     assert world.euler_step == step
-    assert ("no promise" in response_text(world.response(), step)) is (step is None)
+    assert ("no law is provably stable" in response_text(world.response(), step)) is (step is None)
     facts = MujocoEnvironment.plant({"scene": str(path)}, "environment", ("x", "y", "z"))
     assert facts.get("tool_step") == step
     assert parameters.tool == "tool"
@@ -370,7 +370,7 @@ def test_a_scene_tells_whether_all_behind_its_tool_is_solved_within_a_step(
 
 
 def tied_scene(folder: Path, rng: np.random.Generator, mass: float, steps: int) -> Path:
-    """Write a tool tied to one or two bodies and to the ground by what MuJoCo solves: equalities, linear ones."""
+    """Write a tool tied to one or two bodies and to the ground by linear equalities."""
     names = ["t", *(f"b{i}" for i in range(rng.integers(1, 3)))]
     slides = SLIDES.replace('axis="1 0 0"', 'axis="1 0 0" name="t"')
     quiet = 'contype="0" conaffinity="0"'
@@ -396,7 +396,7 @@ def tied_scene(folder: Path, rng: np.random.Generator, mass: float, steps: int) 
 
 
 def swinging(folder: Path, count: int, factors: tuple[float, ...]) -> list[int]:
-    """How many of so many tied scenes swing behind a tool of these factors of the mass that is needed."""
+    """Count the tied scenes that swing with a tool of these factors of the needed mass."""
     rng, found = np.random.default_rng(3), [0] * len(factors)
     for i in range(count):
         plant, steps = Plant(T, 0.1, 1.0, float(i % 2)), (1, 4)[(i // 2) % 2]

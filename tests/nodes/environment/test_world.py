@@ -236,7 +236,7 @@ def test_the_loop_solves_for_the_force_of_the_same_tick(
 
 
 def growth(launch: Any, ticks: int) -> float:
-    """Growth of a swing per tick, from its largest value in the second and in the last quarter."""
+    """Return a swing's growth per tick, from its peaks in the second and last quarter."""
     swing = np.abs(play(launch, ticks=ticks).position[:, 0]).reshape(4, -1).max(axis=1)
     return float((swing[3] / swing[1]) ** (2.0 / ticks))
 

@@ -1,4 +1,4 @@
-"""What a residual leaves open is judged by the poles of the law that was designed, not only by a reference law's K_max."""
+"""What a residual leaves open is judged by the poles of the designed law itself."""
 
 from __future__ import annotations
 

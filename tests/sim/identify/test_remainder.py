@@ -121,7 +121,7 @@ def test_a_joint_is_taken_only_where_it_beats_a_term_of_one_unknown_beyond_chanc
 
 @pytest.mark.slow
 def test_a_gap_is_not_told_as_a_joint() -> None:
-    """Seed 2, device 1: a joint with 0.1 to 1 mm of backlash was told as another one, 31 half widths off."""
+    """A joint with 0.1 to 1 mm of backlash was reported as another, 31 half widths off."""
     device = draw_outside("backlash", 1, 2)
     found = identify(excite_outside(device, T, 8.0, 1))
     assert found.refuted or found.frequency.value is None
