@@ -99,7 +99,10 @@ def _judge(options: NeedsOptions, launch: Launch, chain: str) -> tuple[dict[str,
 
 
 def _rest(launch: Launch, chain: str, path: Path) -> dict[str, Any] | None:
-    """Return what encoder and friction do to the last law at rest; None but for one rigid device in contact and taps."""
+    """Return what encoder and friction do to the last law at rest; None without contact.
+
+    Also None where the device is not rigid or the law is not linear.
+    """
     from nodes.stability.rest import rest
     from sim.experiments.rest_map import rest_map
     from sim.experiments.terms import FRICTION, RESOLUTION

@@ -228,8 +228,8 @@ def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: in
         if seen[-1] > 1e3 or world.diverged():
             return math.inf
     quarters = np.array(seen).reshape(4, -1).max(axis=1)
-    if quarters[1] == 0.0:
-        return 0.0  # it has come to rest, to the last bit
+    if quarters[3] < 1e-7 * quarters[0]:
+        return 0.0  # at rest: MuJoCo's solver stops at 1e-8, and what remains is its rounding
     return float((quarters[3] / quarters[1]) ** (2.0 / ticks))
 
 
@@ -360,7 +360,7 @@ def test_a_scene_tells_whether_all_behind_its_tool_is_solved_within_a_step(
     parameters = convert({"scene": str(path)}, MujocoParameters, "environment")
     world = MovingScene(path, "tool", T, "environment")
     assert world.euler_step == step
-    assert ("no promise" in response_text(world.response(), step)) is (step is None)
+    assert ("no law is provably stable" in response_text(world.response(), step)) is (step is None)
     facts = MujocoEnvironment.plant({"scene": str(path)}, "environment", ("x", "y", "z"))
     assert facts.get("tool_step") == step
     assert parameters.tool == "tool"
