@@ -1,4 +1,4 @@
-"""Arguments that most launch files have: unit, help and limits stand here, a file gives defaults.
+"""Arguments of most launch files: unit, help and limits; a file states defaults.
 
 ``rate: 500.0`` under ``arguments`` declares the argument `USUAL` describes, with that default. A
 setting of ``run`` that is declared so needs no line under ``run``.

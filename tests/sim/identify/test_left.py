@@ -1,4 +1,4 @@
-"""The noise that a fit leaves, by windows of any length; how often an interval holds the truth."""
+"""The noise a fit leaves, by window length, and how often an interval is right."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_noise_left_is_the_noise_that_was_put_in(length: int) -> None:
 
 
 def test_an_interval_of_95_percent_holds_the_truth_so_often() -> None:
-    """Forty runs whose noise alone differs: of two unknowns each, 76 of 80 are expected within."""
+    """Forty runs with different noise, two unknowns each: 76 of 80 are expected within."""
     clean = excite(DeviceModel(mass=0.1, damping=1.0), T, 4.0, seed=2)
     position, starts = clean.position.copy(), windows(clean, 100)
     held = 0
