@@ -22,8 +22,8 @@ from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import manifest_of
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.recording.logger import open_writer
-from sim.play.launched import from_launch
-from sim.play.player import parameters_of, play
+from sim.play.launched import from_launch, parameters_of
+from sim.play.player import play
 
 RESPONSE = 160e-6
 """Time of each tick's answer here [s]; a launch's shows how busy the machine was."""
