@@ -133,7 +133,7 @@ def test_encoder_step_is_read_off_the_grid(step: float) -> None:
 def test_no_grid_no_step() -> None:
     found = encoder(np.random.default_rng(1).normal(size=2000))
     assert found.value is None
-    assert "no even grid" in found.why
+    assert "no regular grid" in found.why
     assert "only 3" in encoder(np.array([0.0, 1e-5, 2e-5] * 100)).why
 
 
