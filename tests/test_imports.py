@@ -64,7 +64,7 @@ def test_a_command_imports_nothing_that_it_does_not_need(command: str, tmp_path:
 def test_the_python_api_starts_no_process_itself() -> None:
     """Launches start in sim/measure; studies, identification and tuning run in this process."""
     wrong = [
-        f"{path.relative_to(ROOT)}:{node.lineno}"
+        f"{path.relative_to(ROOT)}: {name}"
         for folder in ("sim/api", "sim/studies", "sim/tune")
         for path in (ROOT / folder).rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))

@@ -1,10 +1,12 @@
 """The frequency that occurs at the edge of stability: K_max by Colgate's condition there alone, and from a recorded swing."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.laws.parse import parse_law
@@ -24,8 +26,11 @@ from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions
-from sim.studies.result import Answer, answered
+from sim.studies.result import Answer, StudyResult, answered
 from sim.studies.sweeps import SPREAD, SpreadOptions, spread
+
+if TYPE_CHECKING:
+    from sim.identify.swing import Swing
 
 # The laws that are compared.
 LAWS: dict[str, dict[str, Any]] = {
@@ -72,7 +77,7 @@ class EdgeOptions(DeviceOptions, SpreadOptions, FileOptions):
     )
 
 
-def edge(options: EdgeOptions) -> Answer:
+def edge(options: EdgeOptions) -> StudyResult:
     """Compare laws, or predict from a recording."""
     if options.recording is not None:
         options.refuse_unused("the recording tells it", "gain", "mass", "delay", "rate")
@@ -158,7 +163,46 @@ def _drops(options: EdgeOptions, drops: int) -> Answer:
     return answered({**counted(rows), "laws": laws, "rows": rows}, lines)
 
 
-def _predict(options: EdgeOptions, recording: Path) -> Answer:
+@dataclass(frozen=True, repr=False)
+class SwingFound(StudyResult):
+    """What the swing of a recorded contact says of K_max."""
+
+    swing: Swing
+    held: bool = True
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        return asdict(self.swing)
+
+    @property
+    def text(self) -> str:
+        """What a person reads."""
+        swing = self.swing
+        low, high = swing.k_max_n_per_m
+        mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
+        known = (
+            f"with the damping of {damping[0]:g} N s/m"
+            if damping[0] == damping[1]
+            else (
+                f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows"
+                " (--device-damping narrows it)"
+            )
+        )
+        hand = swing.hand_n_per_m
+        held = (
+            f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
+        )
+        return (
+            f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg,"
+            f" {known}, {held} (THEORY.md §9)\nmeasured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to"
+            f" {100.0 * k / low if low else math.inf:.0f} % of it: swings at"
+            f" {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick;"
+            f" rings at {swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
+        )
+
+
+def _predict(options: EdgeOptions, recording: Path) -> StudyResult:
     from sim.identify.swing import CannotTellError, recorded_swing
 
     try:
@@ -167,26 +211,7 @@ def _predict(options: EdgeOptions, recording: Path) -> Answer:
         return answered({"k_max_n_per_m": None, "why": str(error)}, f"unknown: {error}", held=False)
     except (RecordError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
-    low, high = swing.k_max_n_per_m
-    mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
-    known = (
-        f"with the damping of {damping[0]:g} N s/m"
-        if damping[0] == damping[1]
-        else (
-            f"with a damping between none and the {damping[1]:.3g} N s/m that the decay shows"
-            " (--device-damping narrows it)"
-        )
-    )
-    hand = swing.hand_n_per_m
-    held = f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
-    text = (
-        f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg,"
-        f" {known}, {held} (THEORY.md §9)\nmeasured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to"
-        f" {100.0 * k / low if low else math.inf:.0f} % of it: swings at"
-        f" {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick;"
-        f" rings at {swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
-    )
-    return answered(asdict(swing), text)
+    return SwingFound(swing)
 
 
 @styled

@@ -1,13 +1,19 @@
 """Identify the device of a recording: mass, damping, friction, delay, encoder, each with a 95 % interval."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import RefusedError, UsageError
 from nodes.parameters.options import Options, argument, option
 from nodes.parameters.quantities import whole
 from nodes.recording.writer import RecordError
-from sim.studies.result import Answer, answered
+from sim.studies.result import StudyResult
+
+if TYPE_CHECKING:
+    from sim.identify.identified import Identified
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +35,56 @@ class IdentifyOptions(Options):
     )
 
 
-def identify(options: IdentifyOptions) -> Answer:
-    """Identify."""
+@dataclass(frozen=True, repr=False)
+class IdentifiedRecording(StudyResult):
+    """The device of a recording: what is known of it, and whether the recording supports it."""
+
+    recording: Path
+    found: Identified
+
+    @property
+    def held(self) -> bool:
+        """Whether its mass is known and nothing refutes the model."""
+        return self.found.mass.value is not None and not self.found.refuted
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        from sim.identify.identified_text import figures
+
+        return {"recording": str(self.recording), **figures(self.found)}
+
+    @property
+    def text(self) -> str:
+        """What a person reads."""
+        from sim.identify.identified_text import text
+
+        return text(self.found)
+
+
+def identify(options: IdentifyOptions) -> IdentifiedRecording:
+    """Identify the device of a recording.
+
+    Parameters
+    ----------
+    options : IdentifyOptions
+        The recording, its axis, whether a hand held the device, and the length of a window [ticks].
+
+    Returns
+    -------
+    IdentifiedRecording
+        Mass [kg], damping [N s/m], friction [N], delay [ticks] and encoder [m], each with its 95 %
+        interval.
+
+    Raises
+    ------
+    messages.errors.UsageError
+        When it is no recording.
+    messages.errors.RefusedError
+        When the recording identifies nothing.
+    """
     from sim.identify.experiment import read
-    from sim.identify.identified_text import figures, text
-    from sim.identify.identify import identify
+    from sim.identify.identify import identify as found_in
 
     try:
         experiment = read(options.recording, options.axis)
@@ -42,8 +93,7 @@ def identify(options: IdentifyOptions) -> Answer:
     except ValueError as error:
         raise RefusedError(str(error)) from error
     try:
-        found = identify(experiment, options.held, options.window)
+        found = found_in(experiment, options.held, options.window)
     except ValueError as error:
         raise RefusedError(f"{options.recording}: {error}") from error
-    held = found.mass.value is not None and not found.refuted
-    return answered({"recording": str(options.recording), **figures(found)}, text(found), held=held)
+    return IdentifiedRecording(options.recording, found)

@@ -68,7 +68,7 @@ MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     KMaxFound.__name__: lambda _: haptic.study("kmax", law="pd", gain=3),
 }
 
-LAUNCHED = {"IdentifiedPlaces", "TuneResult"}
+LAUNCHED = {"IdentifiedPlaces", "IdentifiedRecording", "SwingFound", "TuneResult"}
 """Made of launches, which tests of identification and tuning start."""
 
 
