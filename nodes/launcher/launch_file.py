@@ -34,6 +34,7 @@ from nodes.launcher.launch_spec import (
 )
 from nodes.launcher.origins import Origins
 from nodes.launcher.plants import with_plants
+from nodes.launcher.usual_arguments import with_usual
 from nodes.parameters.refusals import choices
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
@@ -119,7 +120,7 @@ def find(name: str) -> Path:
 
 def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
     """Read summary and arguments of a launch file."""
-    file = convert(read_yaml(path), LaunchText, path.name)
+    file = convert(with_usual(read_yaml(path)), LaunchText, path.name)
     return file.summary, {**_offered(path, file, Including()), **file.arguments}
 
 
@@ -142,7 +143,7 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
         for entry in file.include:
             inner = find(_beside(path, str(entry.get("launch"))))
             if offered := _offered(
-                inner, convert(read_yaml(inner), LaunchText, inner.name), including
+                inner, convert(with_usual(read_yaml(inner)), LaunchText, inner.name), including
             ):
                 return offered
     return {}
@@ -289,7 +290,7 @@ def _read(
     origins: Origins,
     including: Including,
 ) -> Launch:
-    file = convert(data, LaunchText, path.name)
+    file = convert(with_usual(data), LaunchText, path.name)
     # Every launch file accepts ``run.NAME`` and ``tick``.
     over = {
         name

@@ -118,7 +118,7 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
 def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_path: Path) -> None:
     words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
     content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
-    content["run"]["axes"] = ["x", "z"]
+    content.setdefault("run", {})["axes"] = ["x", "z"]
     (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     with (
         running(tmp_path, str(tmp_path / "two.yaml"), *words[1:]) as launch,

@@ -60,7 +60,18 @@ TINY: dict[str, list[str]] = {
 ELSEWHERE = {"coverage", "fig4", "tuned"}
 """Studies that take minutes on any grid; same pool and ledger as ``price``."""
 
-ALONE = {"analyse", "detail", "fig2", "fig3", "hands", "identify", "response", "two_rate", "world"}
+ALONE = {
+    "analyse",
+    "detail",
+    "fig2",
+    "fig3",
+    "hands",
+    "identify",
+    "response",
+    "results",
+    "two_rate",
+    "world",
+}
 """Studies of one law, scene or recording, or of a few closed forms."""
 
 LEDGER = {"price", "relatives"}
