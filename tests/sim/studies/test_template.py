@@ -15,6 +15,7 @@ import pytest
 
 from nodes.cli.main import VERBS, Parser
 from nodes.parameters.installed import EntryPoint, points
+from sim.api import verbs
 from sim.cli.functions import declare
 from tests.support import ROOT
 from tests.support.pages import written_files
@@ -31,7 +32,7 @@ def halving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     assert '"study.halving" = "halving:halving"' in FILES["halving/pyproject.toml"]
     row = EntryPoint("study.halving", "halving:halving", "halving")
     known = points("haptic.verbs") | {"study.halving": row}
-    monkeypatch.setattr("sim.api.verbs.points", lambda _: known)
+    monkeypatch.setattr(verbs, "points", lambda _: known)
     monkeypatch.setattr(VERBS, "points", lambda: known)
     return module.halving
 
