@@ -68,12 +68,9 @@ def test_the_python_api_starts_no_process_itself() -> None:
         for folder in ("sim/api", "sim/studies", "sim/tune")
         for path in (ROOT / folder).rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Import | ast.ImportFrom)
         for name in (
-            [one.name for one in node.names]
-            if isinstance(node, ast.Import)
-            else [str(node.module)]
-            if isinstance(node, ast.ImportFrom)
-            else []
+            [one.name for one in node.names] if isinstance(node, ast.Import) else [str(node.module)]
         )
         if name.partition(".")[0] in ("subprocess", "multiprocessing")
     ]

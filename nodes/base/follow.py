@@ -74,7 +74,7 @@ def _follow(
 
 
 def _patience(node: Node) -> int:
-    """Return how long a node waits for a message before it checks [ms]; -1 until woken."""
+    """Return how long a node waits for a message [ms]; -1 for a node that is woken."""
     return IDLE_MS if node.waker is None else -1
 
 

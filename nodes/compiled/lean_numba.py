@@ -1,4 +1,4 @@
-"""Remove what numba does for each function it compiles and no kernel needs.
+"""Work that numba does for each function and a kernel does not need, left out.
 
 Only the process that compiles kernels calls `make_lean`, and it compiles nothing else. Each change
 leaves the machine code as it is; together they save a third of the time.
@@ -59,7 +59,7 @@ def make_lean() -> None:
     options.__eq__ = same
     options.__hash__ = lambda self: hash(type(self))
 
-    # numba tries an operator on numbers for lists, sets and texts each time and records why not.
+    # An operator on numbers is tried on lists, sets and texts each time, and each failure worded.
     resolve = function.get_call_type
     resolved: dict[Any, Any] = {}
     plain = types.Number, types.Boolean, types.Literal

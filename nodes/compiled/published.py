@@ -1,4 +1,4 @@
-"""The publish table of a hop: the state variable of each field of its message.
+"""The publish table of a hop: the variable of a node's state for each message field.
 
 The interpreted tick makes the message from this table, and the compiled tick writes it from the
 same one, straight out of the state. So a new field is a line in messages/types.py, and one in the
@@ -97,7 +97,7 @@ def _value_of(name: str, first: int | None, wanted: Any, is_flag: bool) -> str:
 
 
 def message_of(table: Published) -> Callable[[Any, str], Any]:
-    """Return the plain tick's function that makes a message from a state and its text.
+    """Return the function that makes a message from a state and its text, interpreted.
 
     Its source is written from the table, as `dataclasses` does: a tick has no time for a loop over
     names.
@@ -106,7 +106,7 @@ def message_of(table: Published) -> Callable[[Any, str], Any]:
 
 
 def payload_of(table: Published) -> Callable[[Any, str], bytes]:
-    """Return the plain tick's function that encodes a message from a state and its text."""
+    """Return the function that encodes a message from a state and its text, interpreted."""
     return _made(table, "encode(message({}))")
 
 

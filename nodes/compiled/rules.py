@@ -7,11 +7,13 @@ here imports numba.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 RULES: Final[list[Callable[..., Any]]] = []  # all rules defined so far in this process
+
+Made: TypeAlias = Callable[[Any], Any]  # compiles a function, or returns it as it is
 
 
 def rule(function: Function) -> Function:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, MutableSequence, Sequence
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 from nodes.arithmetic import cross_fade, deflection, eased, fir, limit, one_sided, push, sections
-from nodes.compiled.rules import rule
+from nodes.compiled.rules import Made, rule
 from nodes.coupling.state import SLOTS, CouplingState
 
 
@@ -108,9 +108,6 @@ def deflections(
     return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
 
 
-Made: TypeAlias = Callable[[Any], Any]
-
-
 @rule
 def turned_deflection(
     s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
@@ -137,7 +134,7 @@ def deflection_along(
 
 @rule
 def hold_one_sided(s: CouplingState, normal: Any, contact: bool, force: Any) -> None:
-    """Limit a force to pushing where the law's conventions ask for it."""
+    """Remove the part of a force that pulls, where the law's conventions ask for that."""
     along = 0.0
     for n in range(s.axes):
         i = s.axis[n]

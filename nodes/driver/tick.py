@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
-from nodes.compiled.rules import rule
+from nodes.compiled.rules import Made, rule
 from nodes.driver.motion import act, sample, split
 from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
@@ -110,7 +110,7 @@ def patience(s: DriverState, deadline: float, following: float) -> float:
 
 @rule
 def begin_waiting(s: DriverState, deadline: float) -> None:
-    """Reset the counts of a tick, and compute the deadline of its answer.
+    """Reset the counts of a tick, and decide once how long its answer is waited for.
 
     Whatever a tick decides stands in the state: the tick may be left for a message that the port
     cannot judge, and entered again after its first answer has changed the safety.
@@ -200,11 +200,10 @@ def close(s: DriverState) -> None:
     s.phase = BETWEEN
 
 
-Made: TypeAlias = Callable[[Any], Any]
-Tick: TypeAlias = Callable[[Any], int]
+TickFunction: TypeAlias = Callable[[Any], int]
 
 
-class Calls(NamedTuple):
+class TickCalls(NamedTuple):
     """What both ticks do with a port."""
 
     begin: Callable[[Any, int, float], bool]  # reads and publishes a sample; False if it failed
@@ -213,7 +212,9 @@ class Calls(NamedTuple):
     hand_over_in_time: Callable[[Any, Any, int, float, int], bool]
 
 
-def make_ticks(port: Port, made: Made = lambda function: function) -> tuple[Tick, Tick]:
+def make_ticks(
+    port: Port, made: Made = lambda function: function
+) -> tuple[TickFunction, TickFunction]:
     """Return the ticks of a port, in lockstep and in real time.
 
     Both go on until something waits, and return why they ended.
@@ -224,7 +225,7 @@ def make_ticks(port: Port, made: Made = lambda function: function) -> tuple[Tick
     return _repeated(lockstep, port, made), _repeated(realtime, port, made)
 
 
-def _make_calls(port: Port, made: Made) -> Calls:
+def _make_calls(port: Port, made: Made) -> TickCalls:
     clock, read, write, publish = port.clock, port.read, port.write, port.publish
 
     @made
@@ -256,10 +257,10 @@ def _make_calls(port: Port, made: Made) -> Calls:
         hand_over(s, force, seq, offset)
         return True
 
-    return Calls(begin, hand_over, hand_over_in_time)
+    return TickCalls(begin, hand_over, hand_over_in_time)
 
 
-def _make_lockstep_tick(port: Port, calls: Calls, made: Made) -> Tick:
+def _make_lockstep_tick(port: Port, calls: TickCalls, made: Made) -> TickFunction:
     receive = port.receive
     begin, hand_over, _ = calls
 
@@ -287,11 +288,11 @@ def _make_lockstep_tick(port: Port, calls: Calls, made: Made) -> Tick:
         close(s)
         return GO_ON
 
-    tick: Tick = lockstep_tick
+    tick: TickFunction = lockstep_tick
     return tick
 
 
-def _make_realtime_tick(port: Port, calls: Calls, made: Made) -> Tick:
+def _make_realtime_tick(port: Port, calls: TickCalls, made: Made) -> TickFunction:
     start_sample = _make_start(port, calls, made)
     take_answers = _make_answers(port, calls, made)
     hand_over_in_time = calls.hand_over_in_time
@@ -327,11 +328,11 @@ def _make_realtime_tick(port: Port, calls: Calls, made: Made) -> Tick:
         finish(s)
         return GO_ON
 
-    tick: Tick = realtime_tick
+    tick: TickFunction = realtime_tick
     return tick
 
 
-def _make_start(port: Port, calls: Calls, made: Made) -> Tick:
+def _make_start(port: Port, calls: TickCalls, made: Made) -> TickFunction:
     sleep_until = port.sleep_until
     begin, _, hand_over_in_time = calls
 
@@ -358,11 +359,11 @@ def _make_start(port: Port, calls: Calls, made: Made) -> Tick:
         begin_waiting(s, deadline)
         return READY
 
-    start: Tick = start_sample
+    start: TickFunction = start_sample
     return start
 
 
-def _make_answers(port: Port, calls: Calls, made: Made) -> Tick:
+def _make_answers(port: Port, calls: TickCalls, made: Made) -> TickFunction:
     receive, hand_over_in_time = port.receive, calls.hand_over_in_time
 
     @made
@@ -420,11 +421,11 @@ def _make_answers(port: Port, calls: Calls, made: Made) -> Tick:
                 return NONE
         return GOT
 
-    take: Tick = take_answers
+    take: TickFunction = take_answers
     return take
 
 
-def _repeated(tick: Tick, port: Port, made: Made) -> Tick:
+def _repeated(tick: TickFunction, port: Port, made: Made) -> TickFunction:
     aside, called = port.aside, port.called
 
     @made
@@ -444,5 +445,5 @@ def _repeated(tick: Tick, port: Port, made: Made) -> Tick:
                 return BROKEN
         return GO_ON
 
-    repeated: Tick = ticks
+    repeated: TickFunction = ticks
     return repeated

@@ -1,4 +1,4 @@
-"""How nodes end: asked with SIGINT, then SIGTERM, then SIGKILL, each with the time that it needs."""
+"""The end of nodes: SIGINT, then SIGTERM, then SIGKILL, each with the time it needs."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class _Wait:
 
 
 def burden() -> str:
-    """Return that the machine is overloaded, as the reason why something takes long; else nothing."""
+    """Return the load of an overloaded machine as text; empty for any other machine."""
     load, processors = os.getloadavg()[0], os.cpu_count() or 1
     return (
         f"; this machine is busy: load {load:.0f} on {processors} processors"

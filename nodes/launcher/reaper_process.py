@@ -1,4 +1,4 @@
-"""The launcher's side of the reaper: a process that ends the nodes if the launcher is killed."""
+"""The launcher's side of the reaper, which ends the nodes if the launcher is killed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WAIT: Final = 2.0  # how long the reaper is waited for before it is killed [s]
 
 
 class ReaperProcess:
-    """A reaper (nodes/launcher/reaper.py) that is told of each process, and replaced if it is gone."""
+    """A reaper (nodes/launcher/reaper.py) that knows each process; replaced if it is gone."""
 
     def __init__(self, run_dir: Path, say: Callable[[str], None]) -> None:
         self._run_dir, self._say = run_dir, say

@@ -1,4 +1,4 @@
-"""Supervision of one run in ROS 2's manner: start, respawn, required nodes, and an end that leaves nothing behind.
+"""Supervision of a run as in ROS 2: start, respawn, required nodes, and a complete end.
 
 An end goes in order: first the driver (which brings the force to zero, and has the time that its
 device declares), then the rest of the chain, last the loggers, so that every message is recorded.
@@ -40,7 +40,7 @@ from nodes.launcher.wiring import (
 
 
 class LaunchFailedError(HapticError):
-    """A launch that could not be started or had to be ended; the text names the node and the reason."""
+    """A launch that could not start or had to end; the text names node and reason."""
 
 
 class Supervisor:
@@ -73,7 +73,7 @@ class Supervisor:
         self._stop_asked = self._stop_asked or reason
 
     def interrupt(self, reason: str) -> None:
-        """Ask for the end for a user; asked twice by users, for a quick one. Safe in a signal handler."""
+        """Request the end for a user; a second request hurries. Safe in a signal handler."""
         self._hurry = self._interrupted
         self._interrupted = True
         self.stop(reason)
@@ -299,7 +299,7 @@ class Supervisor:
             self._say(f"{reason}{'; ending the launch' if child.required else ''}")
 
     def _own_reason(self, name: str, child: Child) -> str:
-        """Return what a node said itself when it ended in order, although something failed; empty for any other end."""
+        """Return the reason that a failed node gave at an orderly end; else empty."""
         status = self._read_report(name).get("status", {})
         said = (
             str(status.get("reason", ""))

@@ -1,4 +1,4 @@
-"""From a launch to one setup per node: cores and priorities, and what its graph and endpoints say."""
+"""The setup of each node of a launch: graph, endpoints, cores and priorities."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -12,11 +12,11 @@ from nodes.base.node import Node
 from nodes.base.node_kinds import drives, is_hop, load, node_kinds
 from nodes.base.setup import Scheduling, Setup
 from nodes.compiled.choose_tick import SCARCE, choose
+from nodes.launcher.chain_endpoints import Endpoints
 from nodes.launcher.chain_load import estimated, spread
-from nodes.launcher.endpoints import Endpoints
 from nodes.launcher.external_child import ARRIVAL_TIMEOUT, LEASE
-from nodes.launcher.graph import Graph, full_names
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
+from nodes.launcher.node_graph import NodeGraph, full_names
 from nodes.launcher.plants import has_plant, known_peak, known_plant
 from nodes.parameters.store import ParameterError
 
@@ -33,7 +33,7 @@ def chains_of(launch: Launch) -> list[str]:
 
 
 def _cores(launch: Launch) -> dict[str, int | None]:
-    """Choose each chain's processor, once for all nodes; chains share one where that leaves none for the rest.
+    """Choose each chain's processor; chains share one if that leaves none for the rest.
 
     Chains that one processor does not carry, by what their ticks cost here before, are spread over
     all.
@@ -126,7 +126,7 @@ def free_name(launch: Launch, name: str) -> str:
 
 
 def with_forwarder(launch: Launch) -> Launch:
-    """Add the process at which strangers may listen, where a node allows it; in the loop's own they have no business."""
+    """Add the process at which strangers may listen, if a node has an open port."""
     ports = {name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port}
     if not ports:
         return launch
@@ -140,7 +140,7 @@ def with_forwarder(launch: Launch) -> Launch:
 
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
     """Return the setup of each node of a launch."""
-    graph, endpoints, cores = Graph(launch), Endpoints(launch, run_dir), _cores(launch)
+    graph, endpoints, cores = NodeGraph(launch), Endpoints(launch, run_dir), _cores(launch)
     setups = {}
     for name in launch.nodes:
         _check_respawn(launch, name, graph.classes[name])
@@ -167,7 +167,7 @@ def _check_respawn(launch: Launch, name: str, kind: type[Node]) -> None:
         )
 
 
-def _sources(name: str, graph: Graph, endpoints: Endpoints) -> dict[str, str]:
+def _sources(name: str, graph: NodeGraph, endpoints: Endpoints) -> dict[str, str]:
     """Return the endpoint of each topic that a node follows, or of each node that it hears."""
     topics_ = graph.classes[name].listens_to
     if topics_ == ("*",):
@@ -178,7 +178,7 @@ def _sources(name: str, graph: Graph, endpoints: Endpoints) -> dict[str, str]:
 
 
 def _setup(
-    launch: Launch, name: str, graph: Graph, endpoints: Endpoints, cores: dict[str, int | None]
+    launch: Launch, name: str, graph: NodeGraph, endpoints: Endpoints, cores: dict[str, int | None]
 ) -> Setup:
     """Return the setup of a node, but for its run and manifest."""
     spec, kind, run = launch.nodes[name], graph.classes[name], launch.run
@@ -255,7 +255,7 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
 
 
 def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> dict[str, str]:
-    """Describe one chain of a run as if it were alone; its launch file is written out, without arguments."""
+    """Describe one chain of a run as if it were alone, in a launch file without arguments."""
     if not namespace:
         return manifest
     inside = {

@@ -22,7 +22,8 @@ from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import manifest_of
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.recording.logger import open_writer
-from sim.play.launched import from_launch, parameters_of
+from sim.play.launched import from_launch
+from sim.play.player import parameters_of, play
 
 RESPONSE = 160e-6
 """Time of each tick's answer here [s]; a launch's shows how busy the machine was."""
@@ -68,7 +69,7 @@ def messages(launch: Launch) -> Iterator[tuple[str, Message]]:
     """Play a launch of one axis, and go through what its nodes publish, tick by tick."""
     played = from_launch(launch)
     ticks, period, lag = played.ticks, launch.run.period, int(launch.run.apply == "next_tick")
-    trace = played.play(ticks + 1)
+    trace = play(launch, ticks=ticks + 1).along()
     assert max(abs(trace.force)) < (played.scene.peak or 1e300), "a limit acts: launch it"
     _, environment = parameters_of(launch, "environment", EnvironmentParameters)
     meet = parse_surface(environment.surface, "surface").meeting()

@@ -19,6 +19,7 @@ from nodes.compiled.kernels.machine import (
     reals_at,
     wholes_at,
 )
+from nodes.compiled.layout import LoopState
 from nodes.compiled.message_fields import FLAG, REAL, VECTOR, WHOLE, fields_of
 from nodes.compiled.published import Published
 
@@ -115,7 +116,7 @@ def make_write(table: Published) -> Callable[[Any, int], int]:
     room = max(table.offsets) + 3
 
     @compilable
-    def write(s: Any, at: int) -> int:
+    def write(s: LoopState, at: int) -> int:
         reals, wholes = reals_at(s.here, room), wholes_at(s.here, room)
         return encode(at, s.out_keys, reals, wholes, s.text, s.text_size)
 

@@ -132,7 +132,7 @@ def record_at(record: Any) -> Intrinsic:
 
 
 def _look_at(function: Callable[..., Any], item: Any, *others: int) -> None:
-    """Compile a function that views an array by address and length, inlined."""
+    """Register an array at an address with numba, built in place of a call."""
     array = types.Array(item, 1 + len(others), "C")
     count = [types.int64, types.int64]
 

@@ -19,9 +19,15 @@ from messages.types import Vector
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.beginning import leave, place, shape_gap
 from nodes.environment.shapes.convex import convex_hit, core, gap
-from nodes.environment.shapes.friction import STILL, carried, dynamic_cone, slide, total_share
 from nodes.environment.shapes.patch import nearer_in_patch
 from nodes.environment.shapes.planes import step_between
+from nodes.environment.shapes.surface_friction import (
+    STILL,
+    carried,
+    dynamic_cone,
+    slide,
+    total_share,
+)
 from nodes.environment.shapes.tables import Memory, Table
 from nodes.environment.shapes.tree import mesh_hit
 from nodes.environment.shapes.triangle import triangle_gap

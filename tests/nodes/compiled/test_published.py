@@ -1,4 +1,4 @@
-"""Publish tables: one variable per field, sent alike by both ticks."""
+"""The publish tables: both ticks send the same variable of the state for each field."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from itertools import pairwise
 
 import pytest
@@ -10,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from messages.types import ZERO, Force, Vector
+from nodes.compiled.published import message_of
 from nodes.driver.limits import STOP_TIME
 from nodes.driver.safety_setup import soft_stop
+from nodes.driver.state import PUBLISHED
 from tests.support.safety import Port, T, force
 
 
@@ -67,6 +70,22 @@ def test_continuous_force_comes_down_at_the_slew_and_stays_at_its_limit() -> Non
     assert handed[-1] == pytest.approx(limit, rel=1e-3)
     assert max(abs(b - a) for a, b in pairwise(handed)) <= slew * (1.0 + 1e-12)
     assert port.limited["continuous"] > 0
+
+
+def test_heat_is_told_as_part_of_what_the_device_bears() -> None:
+    limit, tau, given, ticks = 3.0, 0.5, 2.0, 400
+    port = Port(continuous_force=limit, thermal_time=tau, peak_force=7.9)
+    unlimited = Port(peak_force=7.9)
+    for one in (port, unlimited):
+        for tick in range(ticks):
+            assert one.answer(Force(seq=tick, stamp=0.0, force=(0.0, 0.0, given)), tick)
+    # The tick under way is not over: the mean square is that of the ticks before it.
+    expected = (given / limit) ** 2 * (1.0 - math.exp(-(ticks - 1) * T / tau))
+    # A rounding per tick, of a sum that grows to at most one.
+    assert message_of(PUBLISHED)(port.s, "active").heat == pytest.approx(
+        expected, abs=ticks * sys.float_info.epsilon
+    )
+    assert message_of(PUBLISHED)(unlimited.s, "active").heat == 0.0
 
 
 def test_continuous_force_also_counts_ticks_without_an_answer() -> None:

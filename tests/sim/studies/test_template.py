@@ -14,8 +14,7 @@ import haptic
 import pytest
 
 from nodes.cli.main import VERBS, Parser
-from nodes.parameters.installed import EntryPoint
-from sim.api import verbs
+from nodes.parameters.installed import EntryPoint, points
 from sim.cli.functions import declare
 from tests.support import ROOT
 from tests.support.pages import written_files
@@ -31,10 +30,10 @@ def halving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     exec(compile(FILES["halving/halving.py"], "halving.py", "exec"), module.__dict__)  # noqa: S102
     assert '"study.halving" = "halving:halving"' in FILES["halving/pyproject.toml"]
     row = EntryPoint("study.halving", "halving:halving", "halving")
-    known = verbs.points("haptic.verbs") | {"study.halving": row}
-    monkeypatch.setattr(verbs, "points", lambda _: known)
+    known = points("haptic.verbs") | {"study.halving": row}
+    monkeypatch.setattr("sim.api.verbs.points", lambda _: known)
     monkeypatch.setattr(VERBS, "points", lambda: known)
-    return module.halving  # type: ignore[attr-defined]
+    return module.halving
 
 
 def test_the_study_is_called_by_its_name_with_checked_options(halving: Any) -> None:

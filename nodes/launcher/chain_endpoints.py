@@ -1,4 +1,4 @@
-"""Endpoints of the nodes of one launch: ipc on this machine, tcp to and from nodes on others."""
+"""Endpoints of the nodes of a launch: ipc on this machine, tcp to and from other machines."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def _followed(launch: Launch, name: str, topic: str) -> str:
     return launch.nodes[name].remap.get(topic) or next(full_names(name, [topic]))
 
 
-class Graph:
+class NodeGraph:
     """The nodes of a launch by topic.
 
     Attributes
@@ -142,7 +142,7 @@ class Graph:
 
 
 def _audible(launch: Launch, name: str) -> set[str]:
-    """Nodes that one which listens to everything may hear: those of its namespace; outside of any, all."""
+    """Return the nodes of a listener's namespace; all nodes for one outside of any."""
     namespace = name.rpartition("/")[0]
     return {
         other
