@@ -363,7 +363,7 @@ def test_stiffest_one_pole_is_a_law_that_can_be_loaded() -> None:
 
 
 def test_the_study_asks_for_any_hand(tmp_path: Path) -> None:
-    """The command refuses options without effect beside --for, by their names."""
+    """Options without effect beside --for are refused by name."""
     done = typed_in(
         tmp_path, "study", "design", "--for", "any_hand", "--delay", "1", "--taps", "2", "--json"
     )
