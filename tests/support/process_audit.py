@@ -22,8 +22,13 @@ import pytest
 STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"})
 ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
 """Programs of some milliseconds whose results are cached: the first caller is random."""
-CACHED: Final = ("nodes.compiled.machine_code", "nodes.driver.hardware.compile", "glfw.library")
-"""Modules that start a process at random: compilers, and version checks on first use."""
+CACHED: Final = (
+    "nodes.compiled.build",
+    "nodes.compiled.machine_code",
+    "nodes.driver.hardware.compile",
+)
+"""Modules that compile what is not kept yet: what they start needs no marker, and may bear one."""
+KEPT: Final = "compiling: "
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
 
@@ -45,8 +50,8 @@ class Watch:
         if event not in STARTS or self.started is None:
             return
         program = _program(event, arguments)
-        if Path(program).name not in ASIDE and not _in_cache():
-            self.started.append(program)
+        if Path(program).name not in ASIDE:
+            self.started.append(f"{KEPT}{program}" if _in_cache() else program)
 
     def of(self, item: pytest.Item) -> list[str]:
         """Return what a test and its fixtures started."""
@@ -160,9 +165,10 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[Any]:
     started = watch.of(item)
     if item.get_closest_marker("slow") is None:
         marked = item.get_closest_marker("process") is not None
-        if started and not marked:
+        needed = [program for program in started if not program.startswith(KEPT)]
+        if needed and not marked:
             pytest.fail(
-                f"starts {started[0]}, which needs @pytest.mark.process (README's line leaves it"
+                f"starts {needed[0]}, which needs @pytest.mark.process (README's line leaves it"
                 " out unless it is marked smoke too); or run it in this process: `typed_in` of"
                 " tests/support/launching.py types a verb in, `haptic.play` makes a recording"
             )

@@ -238,7 +238,6 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
     assert not (tmp_path / "evil").exists()
 
 
-@pytest.mark.process
 def test_the_servo_loop_of_a_device_is_not_taken_from_others(place: Path) -> None:
     from nodes.driver.hardware.compile import servo_library
     from nodes.driver.touch.driver import TouchDevice

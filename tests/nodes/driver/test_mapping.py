@@ -197,6 +197,7 @@ def test_weights_are_told_to_the_library_before_forces_are_on(tmp_path: Path) ->
             device.close()
 
 
+@pytest.mark.process
 def test_the_gripper_and_the_buttons_of_each_kind_are_in_the_handle(tmp_path: Path) -> None:
     for kind, gripper, pressed in (
         ("force_dimension_driver", 0.012, 5),
