@@ -285,7 +285,7 @@ def _richer(  # noqa: PLR0915
                 until = at[j + 1] + delay - (start + k)
             span = until - now
             if span > 1e-12:
-                parts = math.ceil(span * _PARTS - 1e-9)
+                parts = max(math.ceil(span * _PARTS - 1e-9), 1)
                 h = span / parts
                 for _ in range(parts):
                     mean = acting

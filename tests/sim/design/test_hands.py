@@ -163,6 +163,38 @@ def test_a_law_for_any_hand_is_stable_in_every_grasp_of_a_wide_box() -> None:
     assert "NOT every one stable" in judged.text()
 
 
+def broken(seeds: range) -> tuple[int, list[int]]:
+    """Return how many random boxes are certified, and which hold an unstable grasp."""
+    certified, wrong = 0, []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        plant = Plant(
+            T,
+            10.0 ** rng.uniform(-1.5, 0.0),
+            10.0 ** rng.uniform(-1.0, 0.7),
+            float(rng.choice([0.0, 1.0, rng.uniform(0.0, 2.0)])),
+        )
+        unit = plant.mass / T**2
+        law = pd(10.0 ** rng.uniform(-3.5, -0.5) * unit, 10.0 ** rng.uniform(-2.5, -0.2) * unit * T)
+        middle = [10.0 ** rng.uniform(*e) for e in ((-2.5, -0.3), (1.5, 3.5), (-1.0, 0.7))]
+        wide = 1.0 + 10.0 ** rng.uniform(-3.0, -0.3)
+        box = HandBox(*((value / wide, value * wide) for value in middle))
+        if certify_box(law, plant, box, 1500)[0]:
+            certified += 1
+            within = (Grasp(*(rng.uniform(*side) for side in box.sides)) for _ in range(12))
+            if max(alone(plant, one, law) for one in (*box.corners(), *within)) >= 1.0:
+                wrong.append(seed)
+    return certified, wrong
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_no_certificate_of_a_thousand_boxes_is_broken_by_a_grasp() -> None:
+    certified, wrong = broken(range(1000))
+    assert wrong == []
+    assert certified > 300
+
+
 @pytest.mark.slow
 def test_designed_preset_is_certified_in_the_grasp_of_a_stylus() -> None:
     demand = Demand((0.1, 0.1), 1.0, (1.0, 1.0), T, 0.99, 1e4)

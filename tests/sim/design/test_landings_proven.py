@@ -125,12 +125,13 @@ def test_no_proof_of_many_random_laws_is_refuted_by_a_drop() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_no_proof_of_a_law_of_any_kind_is_refuted_by_a_drop() -> None:
     """Sections, fractional terms and scaled presets, at any fraction of a tick."""
-    stable, proven, wrong = refuted(range(10_000, 14_000), drawn_of_a_kind)
+    stable, proven, wrong = refuted(range(10_000, 12_500), drawn_of_a_kind)
     assert wrong == []
     assert stable > 1000
-    assert proven > 0.5 * stable
+    assert proven > 0.9 * stable
 
 
 @pytest.mark.parametrize("name", preset_names())

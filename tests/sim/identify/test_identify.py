@@ -98,15 +98,30 @@ def test_forces_count_from_the_instant_they_take_effect() -> None:
         device_part(device.state, acting, offset * T)
         device_part(device.state, force, (1.0 - offset) * T)
         acting = force
-    theta = np.array([1.0 / 0.08, 0.7 / 0.08, 0.05 / 0.08, *[0.0] * 8])
+    theta = np.array([1.0 / 0.08, 0.7 / 0.08, 0.05 / 0.08, *[0.0] * 9])
     out = np.empty(300)
     window(theta, np.array([0.0, 0.0, 0.0, 0.0]), 0, 300, T, np.arange(300) + offsets, forces, out)
     # Rounding of 600 steps of a motion of centimetres.
     assert np.max(np.abs(out - positions)) < 1e-13
 
 
+@pytest.mark.parametrize("sliver", [3e-12, 9e-11, 2e-10, 3e-10])
+def test_a_force_may_take_effect_next_to_a_tick(sliver: float) -> None:
+    """Too short a part of a tick for a step of its own, behind a lag: it moves nothing."""
+    forces, found = np.random.default_rng(5).normal(0.0, 1.0, 50), []
+    forces[0] = 0.0  # the window begins at rest, whichever force is the first
+    for delay in (0.0, sliver):
+        theta = np.array([24.6, 89.3, 0.68, 0.0, 0.0, delay, 0.0, 1.3, 0.0, 0.0, 0.0, 0.0])
+        out = np.empty(50)
+        window(theta, np.zeros(4), 0, 50, T, np.arange(50.0), forces, out)
+        found.append(out)
+    assert np.abs(found[0]).max() > 1e-5
+    # The motion is late by the sliver: by less than its largest value for every thousandth tick.
+    assert np.abs(found[1] - found[0]).max() < 1e3 * sliver * np.abs(found[0]).max()
+
+
 def test_a_window_stuck_by_friction_stays() -> None:
-    theta = np.array([10.0, 0.0, 1.0, *[0.0] * 8])
+    theta = np.array([10.0, 0.0, 1.0, *[0.0] * 9])
     out = np.empty(50)
     window(
         theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.0999), out
