@@ -63,7 +63,6 @@ class Rig(Running):
         self.states: list[DeviceState] = []  # states published, in the order of receipt
         # Result of ``haptic launch --json``; empty before the end.
         self.summary: dict[str, Any] = {}
-        self.exit_code: int | None = None  # exit code of the launcher
         self.left: list[str] = []  # processes and files that outlived the launch
         self.said = ""  # complete standard error
         self._ending = threading.Event()
@@ -123,7 +122,6 @@ class Rig(Running):
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         self._await_end()
-        self.exit_code = self.process.poll()
         self.said = self.errors
         self.left = left_behind(self.runtime_dir, 5.0)
         if self.process.poll() is None:

@@ -27,7 +27,7 @@ CACHED: Final = (
     "nodes.compiled.machine_code",
     "nodes.driver.hardware.compile",
 )
-"""Modules that compile what is not kept yet: what they start needs no marker, and may bear one."""
+"""Modules that compile on a cold cache: their processes need no marker, and may bear one."""
 KEPT: Final = "compiling: "
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
