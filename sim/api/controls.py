@@ -29,7 +29,7 @@ class Parameters:
         self.set(node, {path: value})
 
     def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
-        """Change several parameters of a node between two ticks, all or none; return the receipt.
+        """Change a node's parameters between two ticks, all or none; return the receipt.
 
         The receipt holds the tick, the old and new values by path, and the force step [N]. With
         `force` a change that makes the loop unstable is accepted.
