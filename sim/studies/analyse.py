@@ -144,8 +144,8 @@ def _text(figures: dict[str, Any]) -> list[str]:
     if limits is not None:
         lines += [
             (
-                "mass           "
-                f" {shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')}"
+                "mass            "
+                f"{shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')}"
                 " .. "
                 f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}"
             ),
