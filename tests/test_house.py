@@ -446,6 +446,8 @@ WORDED = (
     "nodes/ros2",
     "nodes/stability",
     "nodes/view",
+    "sim/api",
+    "sim/cli",
     "sim/design",
     "sim/device",
     "sim/device_check",
@@ -453,6 +455,9 @@ WORDED = (
     "sim/emulators",
     "sim/identify",
     "sim/measure",
+    "sim/play",
+    "sim/python",
+    "sim/studies",
     "sim/tune",
     "tests",
 )

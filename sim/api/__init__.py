@@ -1,1 +1,1 @@
-"""What ``import haptic`` offers: launch, play, laws, stability, recordings, in the words that a notebook needs."""
+"""Functions of ``import haptic``: launch, play, laws, stability and recordings."""

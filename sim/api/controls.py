@@ -1,11 +1,11 @@
-"""Parameters and laws of a running launch: read, listed, changed between two ticks."""
+"""Parameters and laws of a running launch: read, list and change them between two ticks."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from sim.api.laws import plain
 
-# from a node, an operation and its arguments to the answer: `sim.api.python_runs.Run.ask`
+# calls a node: (node, operation, arguments) to the answer, `sim.api.python_runs.Run.ask`
 AskNode = Callable[..., Any]
 
 
@@ -24,15 +24,15 @@ class Parameters:
         return [f"{node}.{path}" for node in self._nodes for path in self.list(node)]
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """Change one; what would be unstable is refused."""
+        """Change one parameter; an unstable value is refused."""
         node, _, path = name.partition(".")
         self.set(node, {path: value})
 
     def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
-        """Change several parameters of a node between two ticks, all or nothing; gives the receipt.
+        """Change a node's parameters between two ticks, all or none; return the receipt.
 
-        The receipt has the tick, old and new values by their path, and the force step. `force`
-        takes a change with which the loop becomes unstable.
+        The receipt holds the tick, the old and new values by path, and the force step [N]. With
+        `force` a change that makes the loop unstable is accepted.
         """
         receipt: dict[str, Any] = self._ask(
             node, "param.set", values=plain(values), **({"force": True} if force else {})
@@ -40,7 +40,7 @@ class Parameters:
         return receipt
 
     def list(self, node: str) -> dict[str, Any]:
-        """List a node's parameters: path to value."""
+        """Return a node's parameters by path."""
         found: dict[str, Any] = self._ask(node, "param.list")
         return found
 
@@ -52,10 +52,11 @@ class Laws:
         self._ask = ask
 
     def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
-        """Switch the law between two ticks; gives the receipt: tick, force step, what was and what is rendered.
+        """Switch the law between two ticks; return the receipt.
 
-        `law`: one of `list`. `ramp`: cross-fade [ticks]; the coupling's own when left out. `force`
-        takes a law with which the loop becomes unstable.
+        The receipt holds the tick, the force step [N] and both laws. `law`: a name of `list`.
+        `ramp`: cross-fade [ticks]; None: the coupling's own. With `force` a law that makes the loop
+        unstable is accepted.
         """
         wanted: dict[str, Any] = {"force": True} if force else {}
         if ramp is not None:
@@ -64,11 +65,11 @@ class Laws:
         return receipt
 
     def list(self) -> dict[str, dict[str, Any]]:
-        """List the laws that the coupling can switch to: name to kind and parameters."""
+        """Return the laws that the coupling can switch to: name to kind and parameters."""
         found: dict[str, dict[str, Any]] = self._ask("law.list")["laws"]
         return found
 
     @property
     def active(self) -> str:
-        """Name of the law that renders now."""
+        """Name of the law that is rendered now."""
         return str(self._ask("law.list")["active"])

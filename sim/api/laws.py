@@ -1,4 +1,4 @@
-"""Laws by name, and wherever a law is meant: an object, a name, a mapping as in YAML, or taps; and what is installed."""
+"""Laws from whatever a caller has: an object, a name, a mapping as in YAML, or taps."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
@@ -11,13 +11,13 @@ from nodes.laws import CompiledLaw, Law, law_names
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
 
-# What is taken for a law: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or
+# A law, or its description: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or
 # taps [N/m].
 LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Turn what a notebook holds into what YAML holds: numbers and arrays of numpy, and laws."""
+    """Convert numpy numbers, arrays and laws to the types of YAML."""
     return {name: _plain(value) for name, value in values.items()}
 
 
@@ -28,7 +28,7 @@ def _plain(value: Any) -> Any:
 
 
 def scenarios() -> dict[str, dict[str, Any]]:
-    """List the scenarios that can be launched.
+    """Return the scenarios that can be launched.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def scenarios() -> dict[str, dict[str, Any]]:
 
 
 def laws() -> list[str]:
-    """List the kinds of law and the presets that `law` takes.
+    """Return the kinds of law and the presets that `law` accepts.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def laws() -> list[str]:
 
 
 def law(kind: LawLike, **parameters: Any) -> Law:
-    """Make a law, checked as a launch file's is.
+    """Build a law, with the checks of a launch file.
 
     Parameters
     ----------
@@ -112,5 +112,5 @@ def law(kind: LawLike, **parameters: Any) -> Law:
 
 
 def compiled(kind: LawLike, period: float) -> CompiledLaw:
-    """Compile whatever is taken for a law, with the sampling period T [s]; raises LawRefusedError as `law` does."""
+    """Compile a law for the sampling period T [s]; raises LawRefusedError as `law` does."""
     return kind if isinstance(kind, CompiledLaw) else compile_law(law(kind), period)

@@ -1,4 +1,4 @@
-"""Laws on a device, without starting a process: how stiff they may get, and their poles."""
+"""Largest stable stiffness and poles of a law on a device, without starting a process."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _SHOWN = 41
 
 @dataclass(frozen=True, repr=False)
 class KMaxResult(Result):
-    """How stiff a law may get on a device."""
+    """Largest stable stiffness of a law on a device."""
 
-    k_max_n_per_m: float | None  # largest stable nominal stiffness [N/m]; None when none is stable
-    h1_max_n_per_m: float | None  # stiffness that is felt there, H(1) [N/m]
+    k_max_n_per_m: float | None  # largest stable nominal stiffness [N/m]; None: none is stable
+    h1_max_n_per_m: float | None  # DC stiffness there, H(1) [N/m]
     method: str  # ``closed_form``, ``pole_radius``, or ``certificate`` for worlds other than a wall
     stable: tuple[tuple[float, float], ...]  # stable intervals of the nominal stiffness [N/m]
     plant: Plant  # the device and the loop's period
-    about: str  # which worlds and hands it is about
+    about: str  # the worlds and hands for which it holds
     _derivative: Any
 
     def plot(self) -> Figure:
-        """Draw the pole radius over the nominal stiffness: stable where the line is below 1."""
+        """Plot the pole radius over the nominal stiffness; stable below 1."""
         figure, (axes,) = new_figure()
         top = 1.3 * (self.k_max_n_per_m or 1000.0)
         if not np.isfinite(top):
@@ -66,13 +66,13 @@ class KMaxResult(Result):
 class Poles(Result):
     """Poles of a law on a device."""
 
-    radius: float  # the largest; the loop decays by this factor per tick
-    stable: bool  # whether it is below 1
-    real: Array  # of all poles, the largest first
+    radius: float  # largest pole radius; the loop decays by this factor per tick
+    stable: bool  # whether the radius is below 1
+    real: Array  # real parts of all poles, the largest pole first
     imaginary: Array
 
     def plot(self) -> Figure:
-        """Draw the poles in the z plane, with the unit circle."""
+        """Plot the poles in the z plane, with the unit circle."""
         figure, (axes,) = new_figure(width=4.2, height=4.2)
         angle = np.linspace(0.0, 2.0 * np.pi, 361)
         axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8)
@@ -84,41 +84,44 @@ class Poles(Result):
 
 
 def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KMaxResult:
-    """Find the largest stable stiffness of a law, everything else fixed.
+    """Compute the largest stable stiffness of a law, everything else fixed.
 
     Parameters
     ----------
     law : str, mapping, sequence of float, Law or CompiledLaw
-        Its own stiffness does not matter.
+        The law; its own stiffness is ignored.
     plant : Plant
         Period [s], mass [kg], damping [N s/m], delay [ticks] and a hand's stiffness [N/m].
     world : str
-        What the device is coupled to (THEORY.md §18). ``wall``; ``spring``, of any stiffness of a
-        range; ``any``, every passive world that answers in the same tick; ``any_hand``, the same in
-        every passive hand; ``any_hand_wall``; ``tool`` and ``any_hand_tool``, a stepped tool with
-        anything passive hung on it; ``euler_tool``, one of known mass that semi-implicit Euler
-        moves, implicit bodies behind it; ``two_hands``, a second device in any hand.
+        The world that the device is coupled to (THEORY.md §18). ``wall``; ``spring``, any stiffness
+        within a range; ``any``, every passive world that answers in the same tick; ``any_hand``,
+        the same in every passive hand; ``any_hand_wall``; ``tool`` and ``any_hand_tool``, a stepped
+        tool that carries any passive load; ``euler_tool``, a tool of known mass, moved by
+        semi-implicit Euler, with implicit bodies behind it; ``two_hands``, a second device in any
+        hand.
     **options : object
-        What a world needs: ``springs`` (softest, stiffest) [N/m], ``tool_damping`` [N s/m],
+        Options of the world: ``springs`` (softest, stiffest) [N/m], ``tool_damping`` [N s/m],
         ``tool_mass`` [kg], ``other``, the second device (Plant).
 
     Returns
     -------
     KMaxResult
-        The edge; ``.plot()`` draws the way to it. For other worlds than a wall the edge of what is
-        certified.
+        K_max of a wall, or the largest certified stiffness of another world; ``.plot()`` plots the
+        pole radius up to it.
 
     Raises
     ------
     ValueError
-        For a law with code of its own, which has no poles; for an unknown world or options that it
-        does not have.
+        For a law with code of its own, which has no poles, for an unknown world, or for options
+        that the world does not have.
 
     Examples
     --------
-    >>> k_max(made("pd", stiffness=1, damping=3), Plant(period=0.002, mass=0.1, damping=1.0)).k_max_n_per_m
+    >>> pd = made("pd", stiffness=1, damping=3)
+    >>> plant = Plant(period=0.002, mass=0.1, damping=1.0)
+    >>> k_max(pd, plant).k_max_n_per_m
     3781.8664...
-    >>> k_max(made("pd", stiffness=1, damping=3), Plant(period=0.002, mass=0.1, damping=1.0), world="any").k_max_n_per_m
+    >>> k_max(pd, plant, world="any").k_max_n_per_m
     2244.217...
     """
     from nodes.laws import CompiledLaw
@@ -150,7 +153,7 @@ def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KM
 
 
 def poles(law: LawLike, plant: Plant) -> Poles:
-    """Find the poles of a law on a device, exactly: force held between ticks, delay included.
+    """Compute the poles of a law on a device, exactly, with zero-order hold and delay.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from nodes.stability.worlds import (
     WorldKind,
 )
 
-# Name to the options that it needs and whether any hand may hold the device.
+# World name to its options, and whether any hand may hold the device.
 NAMES: dict[str, tuple[tuple[str, ...], bool]] = {
     "wall": ((), False),
     "spring": (("springs",), False),
@@ -30,7 +30,10 @@ NAMES: dict[str, tuple[tuple[str, ...], bool]] = {
 
 
 def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
-    """Return a kind of world and whether any hand is meant; raises ValueError for a name or options that do not fit."""
+    """Return a kind of world, and whether any hand may hold the device.
+
+    Raises ValueError for an unknown name and for options that the world does not have.
+    """
     if name not in NAMES:
         raise ValueError(f"world = {name!r}: expected one of {', '.join(NAMES)}")
     needed, any_hand = NAMES[name]
@@ -57,7 +60,7 @@ def read_world(name: str, options: dict[str, Any]) -> tuple[WorldKind, bool]:
 
 
 def _numbers(name: str, value: Any, count: int = 1) -> list[float]:
-    """Return the numbers of an option, of which it has `count`."""
+    """Return an option's numbers; ValueError unless there are `count` of them."""
     given = list(value) if isinstance(value, list | tuple) and count > 1 else [value]
     if len(given) != count or not all(
         isinstance(one, int | float) or hasattr(one, "__float__") for one in given

@@ -1,4 +1,4 @@
-"""Launch files and drops played in this process, without starting another."""
+"""Play launch files and drops in this process."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Played(Result):
-    """A run in one process, one row a tick; of several axes an array has a column for each of them."""
+    """One-process run, one row per tick; arrays of several axes have a column per axis."""
 
-    name: str  # what was played
-    rate_hz: float  # of the loop [Hz]
-    axes: str  # axes that the scene computes, e.g. ``z`` or ``xyz``
-    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None where nothing
-    # falls, or not for long.
+    name: str  # scenario or experiment
+    rate_hz: float  # tick rate of the loop [Hz]
+    axes: str  # computed axes, e.g. ``z`` or ``xyz``
+    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None if nothing
+    # falls or the run is too short.
     settled: bool | None
-    stopped_at_tick: int | None  # first tick at which the driver had stopped the loop; None: never
+    stopped_at_tick: int | None  # first tick with the driver stopped; None: never stopped
     peak_force_n: float  # largest force [N]
-    # Where the device ended [m]: a number for one axis, else one for each.
+    # Final position [m]: a number for one axis, else one per axis.
     final_position_m: float | tuple[float, ...]
     time_s: Array
     position_m: Array
     velocity_m_per_s: Array
-    measured_m: Array  # what the encoders read
+    measured_m: Array  # encoder readings
     deflection_m: Array
-    proxy_m: Array  # where the proxy was
-    normal: Array  # outward normal of what was touched
-    contact: NDArray[np.bool_]  # whether something was touched
+    proxy_m: Array  # proxy positions
+    normal: Array  # outward normal of the touched surface
+    contact: NDArray[np.bool_]  # whether a surface is touched
     force_n: Array
-    # Where what moves besides was, by name: bodies of a MuJoCo scene, the devices of a pair. A
-    # table has them as columns: place [m], and orientation as a quaternion, w first.
+    # Trajectories of other moving things by name: bodies of a MuJoCo scene, devices of a pair.
+    # Their table columns are the position [m] and the orientation as a quaternion, w first.
     bodies: Mapping[str, BodyTrace] = field(default_factory=dict)
 
     def figures(self) -> dict[str, Any]:
-        """List what is no column; of the bodies their names."""
+        """Return the scalar results, and the names of the bodies."""
         return {**super().figures(), "bodies": ", ".join(self.bodies)}
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """List what has one row a tick, places and orientations of bodies included."""
+        """Return the arrays with one row per tick, bodies' positions and orientations included."""
         found = super().columns()
         for name, body in self.bodies.items():
             found[f"{name}_m"] = body.position
@@ -62,7 +62,7 @@ class Played(Result):
         return found
 
     def plot(self) -> Figure:
-        """Draw position and force over time, a line for each axis."""
+        """Plot position and force over time, one line per axis."""
         figure, (top, below) = new_figure(2, height=2.2)
         several = len(self.axes) > 1
         for i, axis in enumerate(self.axes):
@@ -86,21 +86,20 @@ def drop(
     history: Literal["penetration", "position"] = "penetration",
     clamp: bool = True,
 ) -> Played:
-    """Drop a mass on a virtual floor, the experiment of the paper, as a launch and ``haptic study kmax`` drop it.
+    """Drop a mass on a virtual floor, as a launch and ``haptic study kmax`` do.
 
     Parameters
     ----------
     law : str, mapping, sequence of float, Law or CompiledLaw
         The law.
     plant : Plant
-        Period [s], mass [kg], damping [N s/m] and delay [ticks]; nobody holds what is dropped.
+        Period [s], mass [kg], damping [N s/m] and delay [ticks]; no hand holds the dropped mass.
     height : float
-        Of the fall [m].
+        Height of the fall [m].
     ticks : int
-        How long [ticks].
+        Length of the run [ticks].
     history : str
-        What feeds the law outside contact: ``penetration`` (zero) or ``position`` (the raw
-        distance).
+        Input of the law outside contact: ``penetration`` (zero) or ``position`` (the raw distance).
     clamp : bool
         Whether a force into the wall is set to zero, as the coupling does. A wall that may pull
         settles at up to 25 % more stiffness (PD, B = 40 N s/m: 18 000 N/m, against 14 400).
@@ -113,8 +112,7 @@ def drop(
     Raises
     ------
     ValueError
-        When the plant has a hand: nobody holds what is dropped; when the height is below 0; when
-        the history is neither of the two.
+        If the plant has a hand, the height is below 0, or the history is neither of the two.
 
     Examples
     --------
@@ -163,14 +161,14 @@ def drop(
 
 
 def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
-    """Play a scenario's launch file in one process: the bits of its lockstep run, without starting it.
+    """Play a scenario's launch file in this process; bit-identical to its lockstep launch.
 
     Parameters
     ----------
     scenario : str
         Name or path of a launch file; ``haptic.scenarios()`` lists them.
     chain : str, optional
-        Namespace of the chain to play, of a launch file with several.
+        Namespace of the chain to play, if the launch file has several.
     **arguments : object
         Arguments of the launch file, e.g. ``stiffness=1500``.
 
@@ -182,8 +180,8 @@ def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
     Raises
     ------
     nodes.parameters.store.ParameterError
-        When the launch file refuses an argument, has several chains and none is named, or holds
-        what one process does not play: a real device, or a network between two hands.
+        If the launch file refuses an argument, has several chains and none is named, or contains a
+        node that cannot run in one process: a real device, or a network between two hands.
 
     Examples
     --------
@@ -202,7 +200,7 @@ def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
 
 
 def _settled(launch: Launch, chain: str, trace: ChainTrace) -> bool | None:
-    """Return whether a drop came to rest; None for what is no drop, or too short to tell."""
+    """Return whether a drop came to rest; None if it is no drop or too short to decide."""
     from sim.experiments.drop import SHORTEST, Criterion, settled
     from sim.play.launched import NotOneAxisError, from_launch
 

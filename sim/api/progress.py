@@ -1,4 +1,4 @@
-"""How far something is: a bar in a notebook or on a terminal, nothing elsewhere."""
+"""Progress bars in a notebook or on a terminal; silent elsewhere."""
 
 import contextlib
 import importlib
@@ -13,7 +13,7 @@ _WIDE = 40
 
 @contextlib.contextmanager
 def progress(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """Show a bar while the block runs; the block calls what it gets with how much is done."""
+    """Show a bar during the block; the yielded function sets the amount done."""
     handle = _notebook_handle(title)
     terminal = handle is None and sys.stderr.isatty()
 
@@ -33,7 +33,7 @@ def progress(title: str, total: int | None) -> Iterator[Callable[[int], None]]:
 
 @contextlib.contextmanager
 def bars_of(title: str) -> Iterator[ProgressOf]:
-    """Show a bar for each job that begins in the block; the block gives its functions what begins one."""
+    """Show a bar per job; the block yields the function that starts a job's bar."""
     with contextlib.ExitStack() as shown:
 
         def begin(total: int) -> ProgressStep:
@@ -50,7 +50,7 @@ def bars_of(title: str) -> Iterator[ProgressOf]:
 
 
 def _notebook_handle(title: str) -> Any:
-    """Something that a running notebook shows and that can be shown anew; None elsewhere."""
+    """Return an updatable display of a running notebook; None elsewhere."""
     if "IPython" not in sys.modules:
         return None
     shell = importlib.import_module("IPython").get_ipython()

@@ -1,7 +1,7 @@
-"""Launches from Python: start one, or connect to one that runs; change it, record it, wait for it, read what came out.
+"""Launches from Python: start or connect, change, record, wait, read the results.
 
-A launch is started as ``haptic launch`` starts it, in processes of its own. However the program or
-the notebook's cell ends, nothing is left behind.
+A launch is started as ``haptic launch`` starts it, in its own processes. However the program or the
+notebook's cell ends, no process is left behind.
 """
 
 import contextlib
@@ -24,22 +24,22 @@ from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
 from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
 
-STARTS_WITHIN = 60.0  # when a launch that has not ticked is given up [s]
+STARTS_WITHIN = 60.0  # time to the first tick before a launch is given up [s]
 
 
 class LaunchError(HapticError):
-    """A launch did not start, or did not end as asked; the text holds what it wrote."""
+    """A launch did not start, or did not end as asked; the text contains its output."""
 
 
 class Run:
-    """A launch: one that this program started, or one that it is connected to.
+    """A running launch, started or connected to by this program.
 
     Parameters
     ----------
     info : RunInfo
         Its nodes.
     started : StartedLaunch, optional
-        The launch, when this program started it; the end of a ``with`` block ends it.
+        The launch, if this program started it; the end of a ``with`` block stops it.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Run:
         self._summary: RunSummary | None = None
 
     def __enter__(self) -> Self:
-        """Go on with it."""
+        """Return the launch itself."""
         return self
 
     def __exit__(
@@ -77,7 +77,7 @@ class Run:
         value: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """End a launch that this program started; leave any other alone."""
+        """Stop the launch if this program started it; otherwise leave it running."""
         if self._started is not None:
             self.stop()
 
@@ -89,28 +89,28 @@ class Run:
 
     @property
     def nodes(self) -> list[str]:
-        """Names of its nodes."""
+        """Names of the nodes."""
         return list(self.info.nodes)
 
     @property
     def running(self) -> bool:
-        """Whether it goes on."""
+        """Whether the launch is running."""
         if self._started is not None:
             return not self._started.ended
         return alive(self.info.launcher, self.info.launcher_started)
 
     def role(self, part: str) -> str:
-        """Name the node that has a part in the loop.
+        """Return the name of the node with a part in the loop.
 
         Parameters
         ----------
         part : {"driver", "environment", "coupling"}
-            Its part.
+            Part in the loop.
 
         Returns
         -------
         str
-            Its name.
+            Name of the node.
         """
         found = launches.roles(self.info)
         if part not in found:
@@ -120,7 +120,7 @@ class Run:
         return found[part]
 
     def ask(self, node: str, op: str, **args: Any) -> Any:
-        """Ask a node; see messages/PROTOCOL.md.
+        """Send a request to a node; see messages/PROTOCOL.md.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class Run:
 
     @property
     def url(self) -> str:
-        """URL of the page, for a launch with ``view=True``."""
+        """URL of the page of a launch with ``view=True``."""
         lines = [] if self._started is None else self._started.lines
         if not lines or "url" not in (printed := json.loads(lines[0])):
             raise LaunchError(f"{self.info.run}: no page; launch with view=True")
@@ -149,23 +149,23 @@ class Run:
 
     @property
     def ticks(self) -> int:
-        """Ticks that the driver has done."""
+        """Number of ticks that the driver has done."""
         return int(self.ask(self.role("driver"), "status")["ticks"])
 
     def record(self, duration: float, out: str | Path | None = None) -> Recorded:
-        """Attach one more logger for a while.
+        """Record with an additional logger for `duration` seconds.
 
         Parameters
         ----------
         duration : float
-            How long [s].
+            Length of the recording [s].
         out : str or Path, optional
-            File that does not exist yet; a name with the time when left out.
+            File to create, which must not exist; by default a name with the time.
 
         Returns
         -------
         Recorded
-            What it recorded.
+            The recording.
         """
         path = (
             Path(out)
@@ -180,7 +180,7 @@ class Run:
         return read(path)
 
     def wait(self, timeout: float | None = None) -> RunSummary:
-        """Wait for its end; an interrupted cell ends the launch.
+        """Wait until the launch ends; interrupting the cell stops the launch.
 
         Parameters
         ----------
@@ -190,16 +190,16 @@ class Run:
         Returns
         -------
         RunSummary
-            What it reported.
+            Its final report.
 
         Raises
         ------
         LaunchError
-            When it failed, or takes longer.
+            If the launch failed or is still running after `timeout`.
         """
         started = self._started_here("wait for")
         until = None if timeout is None else time.monotonic() + timeout
-        # Of several chains the first stands for all.
+        # With several chains, progress shows the first.
         driver = next(iter(self.info.drivers()), None)
         total = self.info.nodes[driver].ticks if driver else None
         try:
@@ -217,7 +217,7 @@ class Run:
         return self.summary
 
     def stop(self) -> None:
-        """End it as Ctrl-C does: force to zero first, recordings complete."""
+        """Stop the launch as Ctrl-C does: ramp the force to zero first, finish the recordings."""
         if self._started is not None:
             self._started.interrupt()
             return
@@ -235,19 +235,19 @@ class Run:
 
     @property
     def summary(self) -> RunSummary:
-        """What the launch reported at its end.
+        """Final report of the launch.
 
         Raises
         ------
         LaunchError
-            When it goes on, failed, or was started elsewhere.
+            If the launch is still running, failed, or was started elsewhere.
         """
         started = self._started_here("report")
         if self._summary is None:
             if not started.ended:
                 raise LaunchError(f"{self.info.run}: still running; wait() or stop() first")
             printed = started.figures
-            # Of one that was killed the URL of its page may be all that it printed.
+            # A killed launch may have printed only the URL of its page.
             if started.exit_code == 1 or "exit_reason" not in printed:
                 raise LaunchError(started.failure())
             keys = (
@@ -270,7 +270,7 @@ class Run:
         Raises
         ------
         LaunchError
-            When it made none on this machine.
+            If the launch made no recording on this machine.
         """
         path = self.summary.recording
         if path is None or not Path(path).exists():
@@ -279,22 +279,22 @@ class Run:
 
 
 def connect(name: str | None = None) -> Run:
-    """Connect to a launch that runs already.
+    """Connect to a running launch.
 
     Parameters
     ----------
     name : str, optional
-        Name of the run or of its scenario; left out, the only one.
+        Name of the run or of its scenario; may be omitted if only one runs.
 
     Returns
     -------
     Run
-        The launch; it goes on when this program ends.
+        The launch; it keeps running when this program ends.
 
     Raises
     ------
     nodes.launcher.runs.RunError
-        When none is meant, or several are.
+        If no run matches, or several do.
 
     Examples
     --------
@@ -308,7 +308,7 @@ def connect(name: str | None = None) -> Run:
 def launch(
     scenario: str, *, view: bool = False, out_dir: str | Path | None = None, **arguments: Any
 ) -> Run:
-    """Start a scenario in processes of its own, and return at its first tick.
+    """Start a scenario in its own processes; return at its first tick.
 
     Parameters
     ----------
@@ -317,19 +317,19 @@ def launch(
     view : bool
         Serve the page; its URL is in ``run.url``.
     out_dir : str or Path, optional
-        Directory of recordings; as the launch file says when left out.
+        Directory of recordings; by default the launch file's.
     **arguments : object
         Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``.
 
     Returns
     -------
     Run
-        The launch; the end of a ``with`` block ends it.
+        The launch; the end of a ``with`` block stops it.
 
     Raises
     ------
     LaunchError
-        When it does not start; the text says why.
+        If the launch does not start; the text states why.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Recordings as arrays and pictures."""
+"""Recordings as arrays and figures."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Recorded(Result):
-    """A recording: one row per tick, as ``haptic bag export`` writes them."""
+    """A recording: one row per tick, as ``haptic bag export`` writes it."""
 
-    path: Path  # the file
-    scenario: str  # what was launched
+    path: Path  # path of the file
+    scenario: str  # name of the launched scenario
     duration_s: float  # from the first to the last stamp [s]
-    messages: dict[str, int]  # how many of each topic
-    complete: bool  # whether its writer finished it
+    messages: dict[str, int]  # number of messages of each topic
+    complete: bool  # whether its writer closed it
     _table: dict[str, NDArray[Any]]
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """List the columns: ``time`` [s], ``position`` [m], ``force`` [N] and so on, as nodes/recording/table.py has them."""
+        """Return the columns of nodes/recording/table.py, e.g. ``time`` [s], ``position`` [m]."""
         return self._table
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Read one column, e.g. ``recorded["position"]``."""
+        """Return one column, e.g. ``recorded["position"]``."""
         if column not in self._table:
             raise KeyError(f"{column!r} is no column; there are {', '.join(self._table)}")
         return self._table[column]
@@ -39,7 +39,10 @@ class Recorded(Result):
         return list(self._table)
 
     def plot(self) -> Figure:
-        """Draw position, proxy and force of the axis that moves most; ``haptic bag plot`` draws more."""
+        """Plot position, proxy and force of the axis that moves most.
+
+        ``haptic bag plot`` plots more.
+        """
         time, position, proxy, force = (
             self._table[name] for name in ("time", "position", "proxy", "force")
         )
@@ -60,17 +63,17 @@ def read(recording: str | Path) -> Recorded:
     Parameters
     ----------
     recording : str or Path
-        An MCAP file of a launch.
+        MCAP file of a launch.
 
     Returns
     -------
     Recorded
-        Its columns are numpy arrays.
+        Its columns as numpy arrays.
 
     Raises
     ------
     nodes.recording.writer.RecordError
-        When it is no recording, or is damaged.
+        If the file is not a recording, or is damaged.
 
     Examples
     --------
@@ -96,41 +99,41 @@ def read(recording: str | Path) -> Recorded:
 
 @dataclass(frozen=True, repr=False)
 class RunSummary(Result):
-    """What a launch reported at its end: the figures of ``haptic launch --json``."""
+    """Final report of a launch: the figures of ``haptic launch --json``."""
 
-    scenario: str  # what was launched
-    exit_reason: str  # why it ended
-    ticks: int  # ticks done
-    missed: int  # those whose force was late
-    rate_hz: float  # measured [Hz]
+    scenario: str  # name of the launched scenario
+    exit_reason: str  # reason of the exit
+    ticks: int  # number of ticks done
+    missed: int  # number of ticks whose force was late
+    rate_hz: float  # measured tick rate [Hz]
     response_us: dict[str, float]  # percentiles of the response time [µs]
-    final: dict[str, Any]  # position [m], force [N] and motion at the end
+    final: dict[str, Any]  # final position [m], force [N] and motion
     recording: str | None  # path of the recording
-    all: dict[str, Any]  # everything
+    all: dict[str, Any]  # all figures of the report
 
     def figures(self) -> dict[str, Any]:
-        """List the figures that fit on a screen."""
+        """Return the figures that fit on a screen."""
         return {name: value for name, value in super().figures().items() if name != "all"}
 
     def plot(self) -> Figure:
-        """Draw its recording: position and force; without one, the response times."""
+        """Plot position and force of its recording; without a recording, the response times."""
         if self.recording is not None and Path(self.recording).exists():
             return read(self.recording).plot()
         return bars(self.response_us, "response time [µs]", self.scenario)
 
 
 def plot(what: Result | str | Path) -> Figure:
-    """Draw a result, or a recording by its path.
+    """Plot a result, or a recording given by path.
 
     Parameters
     ----------
     what : Result, str or Path
-        Anything that `haptic` returned, or a recording's file.
+        Any result of `haptic`, or the file of a recording.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A notebook shows it.
+        The figure; a notebook shows it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a law renders, for notebooks: its response, its Bode plot and its K–B plane."""
+"""Rendered response, Bode plot and K–B plane of a law, for notebooks."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-USUAL = Plant(period=0.002, mass=0.1, damping=1.0)  # the device where none is given: the paper's
+USUAL = Plant(period=0.002, mass=0.1, damping=1.0)  # default device: that of the paper
 
 
 @dataclass(frozen=True, repr=False)
 class Response(Result):
-    """Stiffness and damping that a law renders, one value a frequency."""
+    """Rendered stiffness and damping of a law, one value per frequency."""
 
-    name: str  # the law
-    rate_hz: float  # of the loop [Hz]
-    delay_ticks: float  # until its force acts [ticks]
+    name: str  # name of the law
+    rate_hz: float  # tick rate of the loop [Hz]
+    delay_ticks: float  # delay of the force [ticks]
     frequency_hz: Array
-    stiffness_n_per_m: Array  # felt at the port, with hold and delay
+    stiffness_n_per_m: Array  # at the port, with hold and delay
     damping_n_s_per_m: Array
     law_stiffness_n_per_m: Array  # of the law alone
     law_damping_n_s_per_m: Array
@@ -39,7 +39,7 @@ class Response(Result):
     phase_deg: Array
 
     def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
-        """Draw stiffness and damping against frequency; `ax`: two axes to draw in."""
+        """Plot stiffness and damping over frequency, in the two axes `ax` if given."""
         top, below = _axes(ax)
         for axes, key, unit in (
             (top, "stiffness_n_per_m", "N/m"),
@@ -61,27 +61,30 @@ class Response(Result):
 
 @dataclass(frozen=True, repr=False)
 class ZWidthResult(Result):
-    """How stiff laws may be over the gain of their damper."""
+    """Largest stiffness of laws over their damping gain."""
 
-    names: tuple[str, ...]  # the laws
+    names: tuple[str, ...]  # names of the laws
     plant: Plant  # the device and the loop's period
     _planes: tuple[ZWidth, ...]
 
     def columns(self) -> dict[str, Array]:
-        """List gains and stiffnesses, those of each law after the other's."""
+        """Return gains and stiffnesses, law after law."""
         names = [field.name for field in fields(ZWidth) if field.name != "kind"]
         return {
             name: np.concatenate([getattr(one, name) for one in self._planes]) for name in names
         }
 
     def of(self, name: str) -> ZWidth:
-        """Return the plane of one law; KeyError names those there are."""
+        """Return the plane of one law; KeyError lists the names."""
         if name not in self.names:
             raise KeyError(f"{name!r}: no such law here; there are {', '.join(self.names)}")
         return self._planes[self.names.index(name)]
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the K–B plane: stable below a line in known hands, passive below the dashed one in any; `ax`: where to draw."""
+        """Plot the K–B plane, in the axes `ax` if given.
+
+        Stable below the solid line in known hands; passive below the dashed one in any hand.
+        """
         axes = new_figure(height=4.0)[1][0] if ax is None else ax
         for name, one in zip(self.names, self._planes, strict=True):
             line = axes.plot(one.gain, one.h1_max_n_per_m, label=f"{name}, stable")
@@ -119,28 +122,28 @@ def response(
     frequency_hz: Array | Sequence[float] | None = None,
     lowest: float = LOWEST,
 ) -> Response:
-    """Work out the stiffness and damping that a law renders against frequency, with the hold and the delay of the loop.
+    """Compute the rendered stiffness and damping over frequency, with hold and delay.
 
     Parameters
     ----------
     law : str, mapping, sequence of float, Law or CompiledLaw
         The law.
     plant : Plant, optional
-        Gives period [s] and delay [ticks]; 2 ms without a delay where there is none.
+        Period [s] and delay [ticks]; by default 2 ms without a delay.
     frequency_hz : array_like, shape (n,), optional
-        Above 0 and up to half the rate [Hz]; by default spread over the decades.
+        Frequencies above 0 and up to half the rate [Hz]; by default spaced logarithmically.
     lowest : float
-        Where that begins [Hz].
+        Lowest of the default frequencies [Hz].
 
     Returns
     -------
     Response
-        Re G and Im G/ω at the port, and those of the law alone; ``.plot(ax=)`` draws them.
+        Re G and Im G/ω at the port, and those of the law alone; ``.plot(ax=)`` plots them.
 
     Raises
     ------
     ValueError
-        For a law with code of its own, and a frequency out of range.
+        For a law with code of its own, and for a frequency out of range.
 
     Examples
     --------
@@ -162,18 +165,18 @@ def response(
 def bode(
     law: LawLike, plant: Plant | None = None, ax: Sequence[Axes] | None = None, **options: Any
 ) -> Figure:
-    """Draw magnitude and phase of what a law renders, with the hold and the delay of the loop.
+    """Plot magnitude and phase of a law's response, with hold and delay.
 
     Parameters
     ----------
     law : str, mapping, sequence of float, Law or CompiledLaw
         The law.
     plant : Plant, optional
-        Gives period [s] and delay [ticks]; 2 ms without a delay where there is none.
+        Period [s] and delay [ticks]; by default 2 ms without a delay.
     ax : sequence of two matplotlib.axes.Axes, optional
-        Where to draw magnitude and phase; a figure of its own where none is given.
+        Axes of magnitude and phase; by default those of a new figure.
     **options : object
-        Of `response`.
+        Options of `response`.
 
     Returns
     -------
@@ -205,21 +208,21 @@ def z_width(
     plant: Plant | None = None,
     gains: Sequence[float] | Array | None = None,
 ) -> ZWidthResult:
-    """Work out the K–B plane of one law or several: how stiff each may be at each gain of its damper.
+    """Compute the K–B plane of laws: K_max of each over the gain of its damper.
 
     Parameters
     ----------
     laws : str, mapping, Law, or a list of them
-        Their own stiffness and damping do not matter.
+        The laws; their own stiffness and damping are ignored.
     plant : Plant, optional
-        The device; 0.1 kg and 1 N s/m at 500 Hz where there is none.
+        The device; by default 0.1 kg and 1 N s/m at 500 Hz.
     gains : array_like, shape (n,), optional
-        Gains B; by default up to where PD on this device is stable with no stiffness, 2 m/T.
+        Gains B [N s/m]; by default up to 2 m/T, where PD is stable only with no stiffness.
 
     Returns
     -------
     ZWidthResult
-        K_max, H(1) there and the passive K over the gain; ``.plot(ax=)`` draws them.
+        K_max, its H(1) and the passive K over the gain; ``.plot(ax=)`` plots them.
 
     Raises
     ------
@@ -242,12 +245,12 @@ def z_width(
 
 
 def _several(laws: object) -> bool:
-    """Whether a list names laws; one of numbers is the taps of one law."""
+    """Return whether a list contains laws; a list of numbers is one law's taps."""
     return isinstance(laws, list | tuple) and not all(isinstance(one, int | float) for one in laws)
 
 
 def _missing(law: LawLike) -> dict[str, float]:
-    """Return a stiffness and a gain for a law given by its name alone: both are looked over."""
+    """Return stiffness and damping for a law given by name alone; the search replaces both."""
     return {"stiffness": 1.0, "damping": 1.0} if isinstance(law, str) else {}
 
 

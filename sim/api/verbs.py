@@ -1,7 +1,6 @@
-"""From a device to its law, from Python: the functions behind the command line, with their objects back.
+"""From a device to its law: the functions behind the command line, with their objects.
 
-They run in this process: an interrupted cell stops them where they are, and what they had written
-stays.
+They run in this process: interrupting the cell stops them, and the files already written remain.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _called(name: str, words: Sequence[Any], given: dict[str, Any]) -> StudyResult:
-    """Call what is registered as a sub-verb, with options as Python has them."""
+    """Call a registered sub-verb with options as Python objects."""
     found = points("haptic.verbs")
     if name not in found:
         kind, _, asked = name.partition(".")
@@ -41,30 +40,30 @@ def _called(name: str, words: Sequence[Any], given: dict[str, Any]) -> StudyResu
 
 
 def study(name: str, *words: str, client: Any = None, **options: Any) -> StudyResult:
-    """Run a study: ``haptic study NAME``; one that sweeps runs on the workers of a Dask client where one is given.
+    """Run a study: ``haptic study NAME``.
 
     Parameters
     ----------
     name : str
         E.g. ``kmax`` or ``edge``; ``haptic study --help`` lists them.
     *words : str
-        What stands without an option, e.g. a recording.
+        Positional arguments, e.g. a recording.
     client : distributed.Client, optional
-        Whose workers do the jobs; same figures to the bit.
+        Dask client whose workers run the jobs of a sweep; the figures are bit-identical.
     **options : object
         The study's options: ``gain=(1, 40)`` or ``gain="1..40"``, ``points=41``; ``progress``, a
-        function of the number of parts that returns what is called with each; ``haptic study kmax
-        --help`` lists them.
+        function of the number of parts that returns the function called for each part; ``haptic
+        study kmax --help`` lists them.
 
     Returns
     -------
     StudyResult
-        What it found: ``result["NAME"]`` is a figure, ``.held`` whether its verdict is yes.
+        The result: ``result["NAME"]`` is a figure, ``.held`` whether its verdict is yes.
 
     Raises
     ------
     HapticError
-        When it refuses; the text says why.
+        If the study refuses; the text states why.
 
     Examples
     --------
@@ -82,21 +81,21 @@ def lab(name: str, *words: str, client: Any = None, **options: Any) -> StudyResu
     name : str
         E.g. ``fig4`` or ``coverage``; ``haptic lab --help`` lists them.
     *words : str
-        What stands without an option.
+        Positional arguments.
     client : distributed.Client, optional
-        Whose workers do the jobs; same figures to the bit.
+        Dask client whose workers run the jobs; the figures are bit-identical.
     **options : object
-        The experiment's options, as of `study`.
+        The experiment's options, as those of `study`.
 
     Returns
     -------
     StudyResult
-        What it found: ``result["NAME"]`` is a figure, ``.held`` whether its verdict is yes.
+        The result: ``result["NAME"]`` is a figure, ``.held`` whether its verdict is yes.
 
     Raises
     ------
     HapticError
-        When it refuses; the text says why.
+        If the experiment refuses; the text states why.
 
     Examples
     --------
@@ -107,7 +106,7 @@ def lab(name: str, *words: str, client: Any = None, **options: Any) -> StudyResu
 
 
 def _cluster(client: Any) -> dict[str, Any]:
-    """Name the scheduler of a client, and its certificates."""
+    """Return the address of a client's scheduler, and the paths of its certificates."""
     if client is None:
         return {}
     address, security = client.scheduler.address, client.security
@@ -131,7 +130,7 @@ def _cluster(client: Any) -> dict[str, Any]:
 
 
 def design(**options: Any) -> StudyResult:
-    """Search the taps that bear the stiffest wall on a range of devices: ``haptic study design``.
+    """Search the taps of the stiffest wall for a range of devices: ``haptic study design``.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ def design(**options: Any) -> StudyResult:
     Raises
     ------
     HapticError
-        When it refuses; the text says why.
+        If the study refuses; the text states why.
 
     Examples
     --------
@@ -163,7 +162,7 @@ def identify(recording: str | Path, **options: Any) -> StudyResult:
     Parameters
     ----------
     recording : str or Path
-        Of a launch, best of the scenario ``identify``.
+        Recording of a launch, preferably of the scenario ``identify``.
     **options : object
         The verb's options.
 
@@ -175,7 +174,7 @@ def identify(recording: str | Path, **options: Any) -> StudyResult:
     Raises
     ------
     HapticError
-        When it refuses; the text says why.
+        If the study refuses; the text states why.
 
     Examples
     --------
@@ -196,9 +195,9 @@ def tune(
     Parameters
     ----------
     scenario : str
-        Launch file to start for it.
+        Launch file to start.
     out : str or Path
-        Directory of what it writes.
+        Output directory.
     arguments : dict, optional
         Arguments of the launch file.
     **options : object
@@ -207,12 +206,12 @@ def tune(
     Returns
     -------
     TuneResult
-        What was identified, designed and measured.
+        Identified device, designed laws and measurements.
 
     Raises
     ------
     LaunchError
-        When a step refuses; the text says why. What was found before it is in ``tune.json``.
+        If a step refuses; the text states why. ``tune.json`` contains the results up to there.
 
     Examples
     --------

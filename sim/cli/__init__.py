@@ -1,1 +1,4 @@
-"""The verbs that need the simulation: a module each, or a package of sub-verbs (pyproject.toml lists them)."""
+"""Verbs that need the simulation: a module each, or a package of sub-verbs.
+
+pyproject.toml lists them.
+"""

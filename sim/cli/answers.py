@@ -1,4 +1,7 @@
-"""What most verbs end with: an answer, its files, an exit code. Light, because a verb imports it before it does anything."""
+"""The end of most verbs: an answer, its files, an exit code.
+
+It imports little, because a verb imports it first.
+"""
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +15,7 @@ from nodes.cli.main import add_json, answer
 def add_answer(
     parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int], files: bool = True
 ) -> None:
-    """Declare --json, --out for a verb that writes files, and what runs."""
+    """Declare --json, --out for a verb that writes files, and the function to run."""
     add_json(parser)
     if files:
         text = "directory of files (default: %(default)s)"
@@ -31,7 +34,7 @@ def report(
     plot: Path | None = None,
     held: bool = True,
 ) -> int:
-    """Answer with figures and lines, last the files that there are; the exit code, 1 where the verdict is no."""
+    """Print figures and lines, then the paths of files; return the exit code, 1 if not `held`."""
     files = {
         name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None
     }
@@ -41,7 +44,7 @@ def report(
 
 
 def idle(arguments: argparse.Namespace, why: str, *names: str) -> None:
-    """Refuse options that would change nothing here: who gives one expects another answer."""
+    """Reject options that have no effect with these arguments."""
     dests = {name: name.replace("-", "_") for name in names}
     found = [
         f"--{name}"
@@ -53,5 +56,5 @@ def idle(arguments: argparse.Namespace, why: str, *names: str) -> None:
 
 
 def given(arguments: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Take arguments by name: what a job is told."""
+    """Pick arguments by name."""
     return {name: getattr(arguments, name) for name in names}

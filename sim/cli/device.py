@@ -1,4 +1,4 @@
-"""List, check, free and identify devices: mass, damping, friction, delay and encoder, each with a 95 % interval."""
+"""List, check, free and identify devices; every estimate has a 95 % interval."""
 
 from __future__ import annotations
 

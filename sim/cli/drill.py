@@ -59,7 +59,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the drills."""
-    # Ended by SIGTERM, it ends its launch first, as after Ctrl-C.
+    # On SIGTERM, end the launch first, as after Ctrl-C.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     if arguments.faults == ["soak"]:
         return _soak(arguments)
@@ -113,7 +113,7 @@ def _random(arguments: argparse.Namespace) -> int:
     return report(arguments, msgspec.to_builtins(found), text_of_launches(found), held=found.passed)
 
 
-# Columns of the table; the third to the fifth hold numbers.
+# Columns of the table; columns three to five are numbers.
 HEADS = (
     "fault",
     "what was done",
@@ -126,7 +126,7 @@ HEADS = (
 
 
 def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
-    """Write the table of a drill."""
+    """Format the outcomes of a drill as a table."""
     rows = [HEADS, *map(_row, outcomes)]
     if markdown:
         lines = [f"| {' | '.join(row)} |" for row in rows]

@@ -1,4 +1,4 @@
-"""Verbs that are functions of typed options: their arguments declared, the function called, its result printed."""
+"""Verbs that are functions of typed options: declare arguments, call, print the result."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from nodes.parameters.options import Options, ProgressStep, options_of
 if TYPE_CHECKING:
     from sim.studies.result import StudyResult
 
-PATIENCE = 2.0  # what is done so soon shows no progress [s]
+PATIENCE = 2.0  # time without a progress display [s]
 
 
 def declare(function: Any, parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of a function of options, and run it; a module declares its own."""
+    """Declare the arguments of a function of options, or call its own `add`."""
     if hasattr(function, "add"):
         function.add(parser)
         return
@@ -41,7 +41,7 @@ def declare(function: Any, parser: argparse.ArgumentParser) -> None:
 
 
 def progress(total: int) -> ProgressStep:
-    """Show progress on standard error, once it takes some seconds."""
+    """Show progress on standard error, from `PATIENCE` seconds on."""
     from sim.measure.stopwatch import Progress
 
     return Progress(total, after=PATIENCE).step
@@ -50,7 +50,10 @@ def progress(total: int) -> ProgressStep:
 def _run(
     function: Callable[[Options], StudyResult], kind: type[Options], arguments: argparse.Namespace
 ) -> int:
-    """Call the function, print what it returns; 1 where the verdict is no, 128 + the signal that ended it."""
+    """Call the function and print its result; return the exit code.
+
+    The code is 1 if the verdict is no, and 128 + the signal that ended the function.
+    """
     given = {name: getattr(arguments, name) for name in kind.declared()}
     if hasattr(kind, "say"):
         from sim.measure.stopwatch import say

@@ -1,4 +1,4 @@
-"""Check what this project claims: the paper's figures, counted intervals, the price of a law, proxies."""
+"""Check this project's claims: the paper's figures, intervals, costs of laws, proxies."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Study stability and designs: one sub-verb per study (haptic lab checks what this project claims)."""
+"""Study stability and designs: one sub-verb per study (haptic lab checks the claims)."""
 
 import argparse
 
@@ -6,7 +6,8 @@ from nodes.cli.dispatch import dispatch
 from sim.cli.functions import declare
 
 _LAB = (
-    "coverage curved fig2 fig3 fig4 optimise price proxies relatives tuned two_rate"  # no studies
+    # moved to haptic lab
+    "coverage curved fig2 fig3 fig4 optimise price proxies relatives tuned two_rate"
 )
 
 

@@ -1,4 +1,4 @@
-"""Tune a law for the device at hand: identify it, design, predict, try it from far below up to its edge, and report."""
+"""Tune a law for a device: identify, design, predict, verify up to its edge, report."""
 
 import argparse
 import shlex
@@ -17,5 +17,5 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def tune(options: TuneOptions) -> TuneResult:
-    """Tune, with what was typed in the report."""
+    """Run `haptic tune` with the command line in its report."""
     return function(replace(options, command=shlex.join(["haptic", *sys.argv[1:]])))

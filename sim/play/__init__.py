@@ -1,1 +1,1 @@
-"""The player: a scene in one process, with the rules of the nodes."""
+"""The player: runs a scene in one process, by the rules of the nodes."""

@@ -1,10 +1,10 @@
-"""A chain of any launch file in one process: its nodes themselves, each tick's messages handed from one to the next.
+"""Play a chain of any launch file in one process, with its own nodes.
 
-Driver, environment and coupling are made as their processes make them, without sockets: the tick is
-that of nodes/driver/tick.py in lockstep, whose port is `_Wire`. So it plays whatever its nodes can
-(shapes, things that move, pairs of devices, laws with code of their own, swaps, all of the driver's
-safety), and no rule in it is its own. It is interpreted; `sim.play.player` takes the compiled loop
-of one axis instead where that gives the same bits.
+Driver, environment and coupling are built as in their processes, without sockets: the tick is that
+of nodes/driver/tick.py in lockstep, with `_Wire` as its port. So every feature of the nodes is
+available (shapes, moving bodies, pairs of devices, laws with code of their own, swaps, the driver's
+safety), and no rule is repeated here. The nodes run interpreted; `sim.play.player` uses the
+compiled loop of one axis instead where it gives the same bits.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,23 +39,23 @@ from sim.play.trace import ChainTrace
 
 @dataclass(frozen=True)
 class Instead:
-    """What a chain plays in place of what its launch file says; None for the launch file's own."""
+    """Replacements for parts of a launch file; None leaves a part unchanged."""
 
     law: CompiledLaw | None = None  # the law of tick 0
-    swaps: Sequence[PlannedSwap] = ()  # swaps from `law` to others
-    solids: Sequence[Solid] | None = None  # what is touched
-    world: MovingScene | None = None  # the scene in which things move
-    # Parameters of the environment that change, each from a tick on.
+    swaps: Sequence[PlannedSwap] = ()  # swaps to further laws
+    solids: Sequence[Solid] | None = None  # touched solids
+    world: MovingScene | None = None  # scene of moving bodies
+    # Changes of the environment's parameters, each with its first tick.
     environment: Sequence[tuple[int, Mapping[str, Any]]] = ()
 
     @property
     def is_scenery(self) -> bool:
-        """Whether what is met is another."""
+        """Whether the environment is replaced or changed."""
         return self.solids is not None or self.world is not None or bool(self.environment)
 
 
 def _made(launch: Launch, name: str) -> Any:
-    """Make a node that says nothing on standard error."""
+    """Build a node without output on standard error."""
     setup = setup_of(launch, name)
     node = load(setup.factory)(setup)
     node.events.quiet = True
@@ -63,7 +63,7 @@ def _made(launch: Launch, name: str) -> Any:
 
 
 class _Wire:
-    """The driver's port: what goes through sockets otherwise is handed from node to node."""
+    """The driver's port: passes messages from node to node in place of sockets."""
 
     def __init__(self, launch: Launch, hops: Hops, ticks: int, instead: Instead, given: Given):
         self.driver = _made(launch, hops.driver)
@@ -91,7 +91,7 @@ class _Wire:
 
     # -- the port
     def read(self, s: DriverState, seq: int) -> bool:
-        """Read the encoders, or take what is given in their place."""
+        """Read the encoders, or the given path instead."""
         given = self._given
         for state in self.parts.get("", ()):
             self._disturb(state, seq)
@@ -105,7 +105,7 @@ class _Wire:
         return True
 
     def _disturb(self, d: AxisState, seq: int) -> None:
-        """Let what is given besides the law act on an axis of the device in the tick that begins."""
+        """Apply given forces, targets and nudges to an axis for the tick that begins."""
         given, i = self._given, d.axis
         if given.force is not None:
             d.push = float(given.force[seq, i])
@@ -117,7 +117,7 @@ class _Wire:
         d.v += float(given.nudged[seq, i, 1])
 
     def publish(self, s: DriverState, seq: int, stamp: float) -> None:
-        """Hand the state of a tick to the environment."""
+        """Pass the state of a tick to the environment."""
         self._state = state_message(s, seq, stamp)
         while self._changes and self._changes[0][0] <= seq:
             parameters = self._changes.pop(0)[1]
@@ -128,7 +128,7 @@ class _Wire:
             node.store.accept(wanted)
 
     def receive(self, s: DriverState, until: float) -> int:
-        """Let environment and coupling answer."""
+        """Get the answers of environment and coupling."""
         del until
         state = self._state
         proxy = self._proxies.decode(answer(self.environment, state))
@@ -139,14 +139,14 @@ class _Wire:
         return GOT
 
     def write(self, s: DriverState, seq: int, offset: float) -> bool:
-        """Hand over a force; the tick passes."""
+        """Pass a force to the device; the tick ends."""
         x, y, z = s.handed
         self.rows.forces[s.seq] = x, y, z
         self.device.write_force((x, y, z), seq, offset)
         return True
 
     def events(self) -> tuple[Event, ...]:
-        """Return what the nodes have published besides their ticks, in the order of ticks."""
+        """Return the events that the nodes published, in the order of ticks."""
         found = []
         for node in (self.driver, self.environment, self.coupling):
             prefix = topics.event(node.setup.name).encode()
@@ -158,7 +158,7 @@ class _Wire:
 
 
 def answer(node: Any, message: Any) -> bytes:
-    """Have a node answer a message, as nodes/base/follow.py does."""
+    """Return a node's answer to a message, as nodes/base/follow.py does."""
     counters = node.counters
     counters.seq = message.seq
     payload: bytes | None = node.respond(message)
@@ -170,7 +170,7 @@ def answer(node: Any, message: Any) -> bytes:
 
 
 def _begin_environment(node: Any, instead: Instead) -> None:
-    """Make what is met: as the node makes it, or what is given instead."""
+    """Build the environment, as the node does or from `instead`."""
     if isinstance(node, MujocoEnvironment):
         parameters, setup = node.store.current, node.setup
         node.begin_with(
@@ -195,20 +195,20 @@ def play_chain(
     instead: Instead | None = None,
     given: Given | None = None,
 ) -> ChainTrace:
-    """Play a chain of a launch file with its own nodes: the bits of a run in lockstep.
+    """Play a chain of a launch file with its own nodes; bit-identical to a lockstep run.
 
     Parameters
     ----------
     launch : Launch
         The launch file, read.
     namespace : str
-        Of the chain; empty for a launch of one.
+        Namespace of the chain; empty for a launch of one chain.
     ticks : int, optional
-        How long; by default as the launch file says, 10 s where it says nothing.
+        Length of the run; by default the launch file's, or 10 s without one.
     instead : Instead, optional
-        What is played in place of what the launch file says.
+        Replacements for parts of the launch file.
     given : Given, optional
-        What happens to the chain besides.
+        Additional inputs of the chain.
 
     Returns
     -------
@@ -218,7 +218,7 @@ def play_chain(
     Raises
     ------
     ParameterError
-        As a launch raises it, or where one process cannot play a node.
+        As a launch raises it, or if one process cannot play a node.
     """
     hops = hops_of(launch, namespace)
     ticks = ticks or launch.run.ticks or round(10.0 / launch.run.period)

@@ -1,4 +1,4 @@
-"""What is written down of a chain whose nodes play it: positions, what was met, forces, and what moves besides."""
+"""Records of a played chain: positions, contacts, forces, and other moving things."""
 
 from typing import Any, Protocol
 
@@ -15,7 +15,7 @@ from sim.play.trace import BodyTrace, ChainTrace
 
 
 class PlayedNodes(Protocol):
-    """The nodes of a chain that is played."""
+    """The nodes of a played chain."""
 
     driver: Any
     environment: Any
@@ -25,12 +25,12 @@ class PlayedNodes(Protocol):
     axes: tuple[int, ...]
 
     def events(self) -> tuple[Event, ...]:
-        """Return what the nodes have published besides their ticks."""
+        """Return the events that the nodes published."""
         ...
 
 
 def parts_of_device(device: Any) -> dict[str, list[AxisState]]:
-    """Return the virtual devices that a device consists of, by name: one without a name, or two."""
+    """Return the virtual devices of a device by name: one without a name, or two."""
     if isinstance(device, SimDevice):
         return {"": [part.state for part in device.parts]}
     if isinstance(device, PairedDevice):
@@ -44,7 +44,7 @@ def parts_of_device(device: Any) -> dict[str, list[AxisState]]:
 
 
 class Rows:
-    """What is written down, tick by tick."""
+    """Records of a run, row by row."""
 
     def __init__(self, wire: PlayedNodes, ticks: int) -> None:
         self._wire = wire
@@ -62,7 +62,7 @@ class Rows:
         self.bodies = {name: (np.zeros((ticks, 3)), np.zeros((ticks, 4))) for name in self._moving}
 
     def note(self, state: DeviceState, proxy: Proxy, force: Force) -> None:
-        """Write down a tick, from its messages."""
+        """Record a tick, from its messages."""
         wire, k = self._wire, state.seq
         self.measured[k], self.proxies[k], self.normals[k] = (
             state.position,
@@ -85,7 +85,7 @@ class Rows:
                 places[k], turns[k] = data.xpos[body], data.xquat[body]
 
     def _motion(self, measured: Vector) -> Array:
-        """Return the true position [m] and velocity [m/s] of the device; of a pair, of one less the other."""
+        """Return true position [m] and velocity [m/s]; of a pair, the difference."""
         found, signs = np.zeros((2, 3)), (1.0, -1.0)
         if len(self._wire.parts) != 1:
             found[0] = measured
@@ -97,7 +97,7 @@ class Rows:
         return found
 
     def trace(self) -> ChainTrace:
-        """Return all of it."""
+        """Return the records as a trace."""
         wire, s = self._wire, self._wire.driver.driving
         bodies = {name: BodyTrace(positions) for name, positions in self.pair.items()}
         bodies |= {name: BodyTrace(*poses) for name, poses in self.bodies.items()}
@@ -120,7 +120,7 @@ class Rows:
 
 
 def moving_bodies(world: MovingScene) -> dict[str, int]:
-    """Return the bodies of a scene that can move, by name; one without a name is called by its number."""
+    """Return the movable bodies of a scene by name; an unnamed body has its number as name."""
     model = world.model
     return {
         model.body(i).name or f"body_{i}": i

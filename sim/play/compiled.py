@@ -1,9 +1,9 @@
-"""Compiling the very functions that the nodes call.
+"""Compile the very functions that the nodes call.
 
 The kernels of `nodes.arithmetic` and `sim.device.model` are registered with numba as they are,
 without copies and without fastmath, so compiled and interpreted runs give the same bits. Compiled
-code is kept between processes in the cache of compiled code (nodes/compiled/cache.py), each version
-of a function with the digests of all sources that it was made of.
+code is stored in the cache of compiled code (nodes/compiled/cache.py), each version of a function
+with the digests of all its sources.
 """
 
 import contextlib
@@ -68,7 +68,7 @@ for _kernel in KERNELS:
 
 
 class Pushing(NamedTuple):
-    """The push of `nodes.laws.excitation` as numbers: its forces tick by tick [N], and how far it is."""
+    """The push of `nodes.laws.excitation` as arrays: its forces per tick [N] and its state."""
 
     signal: Any
     shares: Any
@@ -79,7 +79,7 @@ class Pushing(NamedTuple):
 
 
 def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
-    """Turn a law's code of its own into numbers that compiled code takes; None for code that only the interpreter runs."""
+    """Convert a law's own code to numbers for compiled code; None if it must be interpreted."""
     if isinstance(own, WindowedDamper):
         return own.gain, own.error, float(own.window)
     if isinstance(own, Push):
@@ -99,7 +99,7 @@ def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
 
 
 def own_force(own: Callable[[Sequence[float], int], float], history: Any, head: int) -> float:
-    """Force of a law's code of its own."""
+    """Return the force [N] of a law's own code."""
     return own(history, head)
 
 
@@ -124,8 +124,8 @@ _slope = nodes.laws.pd_windowed.windowed_slope
 kernel(held_back)
 kernel(went_on)
 kernel(faded)
-# Compiled, the code of its own is handed over as its numbers.
-# Not strict: numba takes annotations for part of an argument's name.
+# Compiled, a law's own code is passed as its numbers. Not strict: numba takes annotations for part
+# of an argument's name.
 overload(own_force, strict=False)(
     lambda own, history, head: (  # noqa: ARG005
         _pushed if getattr(own, "instance_class", None) is Pushing else _windowed
@@ -137,14 +137,14 @@ _dumps: Any = serialize.dumps
 
 
 class _Making(threading.local):
-    """What a thread compiles while other processes wait for it."""
+    """Compilations of a thread for which other processes wait."""
 
     def __init__(self) -> None:
         self.held = contextlib.ExitStack()
 
 
 class _Kept:
-    """What a function of numba's asks for its machine code; its pickles are read once the cache has vouched for them."""
+    """Numba's cache of one function; unpickles only what our cache has verified."""
 
     _warned = False
 
@@ -160,15 +160,15 @@ class _Kept:
         )
 
     def load_overload(self, types: Any, target: Any) -> Any:
-        """Find machine code; None where it must be compiled."""
+        """Load machine code; None if it must be compiled."""
         target.refresh()
         name = self._name(types, target.codegen())
-        # Of a function that could not be compiled.
+        # Left over from a function that could not be compiled.
         self._making.held.close()
         try:
             entry = cache.read(name)
             if entry is None:
-                # Of processes that begin together, one compiles.
+                # If several processes start together, only one compiles.
                 self._making.held.enter_context(cache.making(name))
                 entry = cache.read(name)
                 if entry is not None:
@@ -177,14 +177,14 @@ class _Kept:
             self._refused(error)
             return None
         if entry is None:
-            # Before compiling: what is changed meanwhile was not compiled.
+            # Before compiling, because later changes of the sources are not compiled in.
             self._sources = cache.sources_of(self._function.__module__)
             return None
         rebuild: Any = CompileResult._rebuild
         return rebuild(target, *pickle.loads(entry.content))  # noqa: S301  # of this user's own making
 
     def save_overload(self, types: Any, result: Any) -> None:
-        """Keep machine code."""
+        """Store machine code."""
         with self._making.held:
             if self._sources is None or result.lifted or result.library.has_dynamic_globals:
                 return
@@ -195,7 +195,7 @@ class _Kept:
                 self._refused(error)
 
     def flush(self) -> None:
-        """Nothing waits to be written."""
+        """Do nothing, because every entry is written at once."""
 
     def _refused(self, error: cache.CacheRefusedError) -> None:
         if not _Kept._warned:
@@ -206,13 +206,16 @@ class _Kept:
 
 
 def compiled() -> Callable[[Function], Function]:
-    """Decorate a function to be compiled on first use, for each combination of argument types (None is a type)."""
+    """Decorate a function to be compiled on first use, once per combination of types.
+
+    None is a type of its own.
+    """
 
     def decorate(function: Function) -> Function:
-        # Of numba's options a type checker knows only the common ones. C does not call it.
+        # A type checker knows only the common options of numba. C does not call the function.
         compile_: Any = numba.njit
         made = compile_(nogil=True, no_cfunc_wrapper=True)(function)
-        # With NUMBA_DISABLE_JIT functions stay what they are.
+        # With NUMBA_DISABLE_JIT the functions stay interpreted.
         if made is not function:
             made._cache = _Kept(function)
         return cast(Function, made)

@@ -1,4 +1,4 @@
-"""What happens to a played chain besides its law: forces, a led hand, arrivals in real time, nudges."""
+"""Inputs of a played chain besides its law: forces, targets, arrival times, nudges."""
 
 from dataclasses import dataclass
 
@@ -11,33 +11,32 @@ from sim.arrays import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """What happens to a run beside its scene and law; None for what does not.
+    """External inputs of a run; None where absent.
 
-    Of a scene of one axis an array has shape (ticks,) or (ticks, 3); of several axes (ticks, 3).
+    Arrays have shape (ticks,) or (ticks, 3) for one axis, (ticks, 3) for several.
     """
 
-    force: Array | None = None  # force on the device besides the law's, during each tick [N]
-    # Where the device's hand pulls to during each tick instead of along its path [m].
+    force: Array | None = None  # force on the device in addition to the law's, per tick [N]
+    # Target of the device's hand during each tick, in place of its path [m].
     target: Array | None = None
-    # When the driver gets forces in real time, shape (n,), rising [ticks]; the tick that each
-    # answers, −1 for the driver's own; and the latter's value [N]. None for lockstep: each tick's
-    # own, by the rule. Only the loop of one axis plays them.
+    # Arrivals in real time, shape (n,): time, rising [ticks]; the tick answered, −1 for the
+    # driver's own force; and that force [N]. None: lockstep. Only for the loop of one axis.
     arrivals: tuple[Array, NDArray[np.int64], Array] | None = None
     # Jumps of position [m], velocity [m/s] and reading [m] at each tick, last axis of length 3.
     nudged: Array | None = None
-    # What an encoder has read [m]: the least jumps that keep the device there are noted in
-    # `nudged`. Only the loop of one axis finds them.
+    # Encoder readings to reproduce [m]: the loop writes the least jumps that do so to `nudged`.
+    # Only for the loop of one axis.
     read: Array | None = None
-    # Where the encoders find the device whatever the force [m], shape (ticks, 3).
+    # Encoder positions, whatever the force [m], shape (ticks, 3).
     path: Array | None = None
 
     @property
     def any(self) -> bool:
-        """Whether something acts on the device itself."""
+        """Whether the device has an input of its own."""
         return any(values is not None for values in (self.force, self.target, self.nudged))
 
     def along(self, axes: tuple[int, ...], ticks: int, where: str) -> "Given":
-        """Return it along all three axes; what has one axis acts along the only one of `axes`.
+        """Return the inputs along three axes; one-axis inputs act along the only one of `axes`.
 
         Raises
         ------
@@ -60,7 +59,7 @@ class Given:
 def _spread(
     values: Array | None, axes: tuple[int, ...], ticks: int, dimensions: int, where: str
 ) -> Array | None:
-    """Return values a tick and axis, of so many dimensions."""
+    """Return values per tick and axis, with `dimensions` dimensions."""
     if values is None:
         return None
     if values.ndim == dimensions - 1 and len(axes) == 1:

@@ -1,4 +1,4 @@
-"""The three nodes of a chain that one process plays, how they are set up, and what it does not play, by name."""
+"""The three nodes of a chain, their setup, and why one process cannot play some."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ HOPS = (topics.DEVICE_STATE, topics.PROXY, topics.FORCE)
 _WHAT = ("drives a device", "says what it meets", "renders forces")
 
 
-# Parameters of a coupling that judges nothing: what is played in the place of a launch may be
-# another device, or swing.
+# Parameters of a coupling without a stability check: the played device may differ from the launched
+# one, or oscillate.
 UNJUDGED: Mapping[str, Any] = {"plant": None, "stability": "off"}
 
 
@@ -37,7 +37,7 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
     Raises
     ------
     ParameterError
-        Naming the node, why one process cannot play it, and what to do instead.
+        With the node, why one process cannot play it, and the remedy.
     """
     kinds = node_kinds()
     classes = {
@@ -78,7 +78,7 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
 
 
 def setup_of(launch: Launch, name: str) -> Setup:
-    """Return the setup of a node that is played: in lockstep, and connected to nothing."""
+    """Return the setup of a played node: in lockstep, without connections."""
     spec, namespace = launch.nodes[name], name.rpartition("/")[0]
     factory = node_kinds()[spec.kind]
     judges = has_plant(load(factory))
@@ -104,7 +104,7 @@ def setup_of(launch: Launch, name: str) -> Setup:
 
 
 def check_chain(launch: Launch, hops: Hops) -> None:
-    """Check the nodes of a chain, as a launch checks them before it starts anything."""
+    """Check the nodes of a chain, as a launch does before its start."""
     for name in (hops.driver, hops.environment, hops.coupling):
         setup = setup_of(launch, name)
         load(setup.factory).check(setup)

@@ -1,7 +1,7 @@
-"""What of a launch file one axis is: device, surface, conventions, laws and swaps, as the loop of one axis takes them.
+"""A chain of a launch file as inputs of the one-axis loop: device, surface, laws, swaps.
 
-Where the chain is more than that (several axes, shapes, things that move, two devices, a law with
-code of its own that is swapped), `NotOneAxisError` says so and `sim.play.player` plays its nodes.
+`NotOneAxisError` is raised if the chain is more than that (several axes, shapes, moving bodies, two
+devices, a swapped law with code of its own); `sim.play.player` then plays its nodes.
 """
 
 from dataclasses import dataclass, replace
@@ -29,40 +29,40 @@ from sim.play.trace import ChainTrace
 
 
 class LawsOfRun(NamedTuple):
-    """Laws that a coupling renders."""
+    """Laws of a coupling."""
 
-    names: tuple[str, ...]  # of all, in the order in which they render
+    names: tuple[str, ...]  # names of all laws, in the order in which they are rendered
     law: CompiledLaw  # law of tick 0
     swaps: tuple[PlannedSwap, ...]  # scheduled swaps
 
     @property
     def all(self) -> list[CompiledLaw]:
-        """All laws, in the order in which they render."""
+        """All laws, in the order in which they are rendered."""
         return [self.law, *(swap.law for swap in self.swaps)]
 
 
 class NotOneAxisError(ParameterError):
-    """A chain that the loop of one axis does not play."""
+    """The loop of one axis cannot play this chain."""
 
 
 @dataclass(frozen=True)
 class LaunchedScene:
-    """A chain of a launch file as the loop of one axis takes it."""
+    """A chain of a launch file as inputs of the loop of one axis."""
 
     scene: Scene  # device, surface, period and conventions
     law: CompiledLaw  # law of tick 0
     swaps: tuple[PlannedSwap, ...]  # scheduled swaps
-    ticks: int  # ticks of the run
-    memory: int  # deflections that the coupling remembers
-    axis: int  # the one axis that the scene computes: 0, 1 or 2
-    names: tuple[str, ...]  # names of all laws, in the order in which they render
-    surface: Surface  # what is touched, in space
-    # What the driver does besides lowering forces; where it does, its nodes play the chain.
+    ticks: int  # length of the run
+    memory: int  # length of the coupling's history [ticks]
+    axis: int  # the computed axis: 0, 1 or 2
+    names: tuple[str, ...]  # names of all laws, in the order in which they are rendered
+    surface: Surface  # touched surface, in space
+    # Driver's safety; if it intervenes beyond lowering forces, the nodes play the chain.
     safety: SafetyParameters
 
     @property
     def laws(self) -> list[CompiledLaw]:
-        """All laws, in the order in which they render."""
+        """All laws, in the order in which they are rendered."""
         return [self.law, *(swap.law for swap in self.swaps)]
 
     def rendering(self, law: CompiledLaw, swaps: tuple[PlannedSwap, ...]) -> "LaunchedScene":
@@ -77,7 +77,7 @@ class LaunchedScene:
 
     @property
     def plant(self) -> Plant:
-        """Device and hand as the linear loop sees them: what moves, its delay with that of the loop."""
+        """Device and hand as the linear loop has them: moving mass, and total delay."""
         body = self.scene.device
         return Plant(
             self.scene.period,
@@ -88,7 +88,7 @@ class LaunchedScene:
         )
 
     def in_space(self, trace: Trace) -> ChainTrace:
-        """Return what the loop of one axis played as the trace of a chain."""
+        """Convert the trace of the loop of one axis to that of a chain."""
         ticks = len(trace.position)
         measured = self._along(trace.measured)
         proxy, normal, contact = self._met(measured)
@@ -118,7 +118,7 @@ class LaunchedScene:
         return spread
 
     def _met(self, measured: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return proxy [m], normal and contact at each tick, as the environment's rules have them."""
+        """Return proxy [m], normal and contact at each tick, by the environment's rules."""
         proxy, normal = measured.copy(), np.zeros(measured.shape)
         kind = self.scene.surface.kind
         contact = np.full(len(measured), kind == "anchor")
@@ -134,19 +134,19 @@ class LaunchedScene:
 
 
 def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
-    """Return a chain as the loop of one axis takes it.
+    """Convert a chain of a launch file to inputs of the loop of one axis.
 
     Parameters
     ----------
     launch : Launch
         The launch file, read.
     namespace : str
-        Of the chain; empty for a launch of one.
+        Namespace of the chain; empty for a launch of one chain.
 
     Raises
     ------
     NotOneAxisError
-        Where the chain is more than one rigid device on one axis at a surface.
+        If the chain is more than one rigid device on one axis at a surface.
     ParameterError
         As a launch raises it.
     """
@@ -200,7 +200,7 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
 
 
 def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
-    """Return the compiled laws that the coupling of a chain renders."""
+    """Return the compiled laws of a chain's coupling."""
     coupling: CouplingParameters = convert(
         launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
     )
@@ -216,7 +216,7 @@ def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
 
 
 def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
-    """Refuse what has more than the loop of one axis knows."""
+    """Raise NotOneAxisError for a chain that the loop of one axis cannot play."""
     if len(axes) != 1:
         raise NotOneAxisError(f"{launch.scenario}.run.axes: {axes}, not one axis")
     for name, kind in ((hops.driver, "sim_driver"), (hops.environment, "environment")):
@@ -227,7 +227,7 @@ def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
 
 
 def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
-    """Return the one node of a kind in a launch: its name and its parameters."""
+    """Return name and parameters of the only node of a kind in a launch."""
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:
         raise ParameterError(

@@ -1,7 +1,7 @@
-"""A virtual device that is more than one rigid mass: joints, lags, backlash and the rest of what hardware has.
+"""A virtual device with the defects of hardware: joints, lags, backlash and others.
 
-It is integrated in small steps, 64 to a tick (midpoint rule, Coulomb friction exact within a step),
-because no closed form knows all of this. `sim.device.model` is the rigid one, exact.
+It is integrated in 64 small steps per tick (midpoint rule, Coulomb friction exact within a step),
+because no closed form covers all defects. `sim.device.model` is the exact rigid device.
 """
 
 import math
@@ -19,42 +19,42 @@ from sim.play.compiled import compiled
 
 @dataclass(frozen=True)
 class NonidealDevice:
-    """A device with what the model of a rigid one does not have; 0 for what it lacks."""
+    """A rigid device with defects; 0 for an absent defect."""
 
     rigid: DeviceModel  # mass of both sides of the joint, damping, Coulomb friction, delay, encoder
-    kind: str = "rigid"  # what it is called
-    quadratic: float = 0.0  # damping that grows with the speed: force per speed squared [N s²/m²]
+    kind: str = "rigid"  # name of the kind of device
+    quadratic: float = 0.0  # damping that grows with speed: force per speed squared [N s²/m²]
     lag: float = 0.0  # time constant of the actuator [s]
-    # Part of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against
+    # Share of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against
     # each other.
     share: float = 0.0
     frequency: float = 0.0
     loss: float = 0.0
     gap: float = 0.0  # backlash of the joint [m]
-    hardening: float = 0.0  # cubic spring to the middle [N/m³]
+    hardening: float = 0.0  # cubic centring spring [N/m³]
     presliding: float = 0.0  # deflection over which friction builds up (LuGre) [m]
-    stribeck: float = 0.0  # what friction is more at rest, as a part of it; it falls over 0.02 m/s
-    # what friction is more in one direction and less in the other, as a part of it
+    stribeck: float = 0.0  # relative increase of friction at rest; it vanishes over 0.02 m/s
+    # relative difference of friction between the two directions
     uneven: float = 0.0
     cogging: float = 0.0  # force of the motor's poles, 8 mm apart [N]
-    ripple: float = 0.0  # error of the encoder, repeated every 1.3 mm [m]
-    noise: float = 0.0  # of the position, before rounding, root mean square [m]
-    jitter: float = 0.0  # samples come late by up to so much [ticks]
-    late: float = 0.0  # forces come late by up to so much more than the delay [ticks]
-    warming: float = 0.0  # part by which damping falls during the run
-    deadband: float = 0.0  # forces below it do nothing, and larger ones so much less [N]
-    # part of the sample before in each reading: 0.5 for a sensor that averages two samples
+    ripple: float = 0.0  # error of the encoder with period `pitch` [m]
+    noise: float = 0.0  # noise of the position before rounding, root mean square [m]
+    jitter: float = 0.0  # largest delay of a sample [ticks]
+    late: float = 0.0  # largest additional delay of a force [ticks]
+    warming: float = 0.0  # relative decrease of damping during the run
+    deadband: float = 0.0  # forces below it have no effect, larger ones are reduced by it [N]
+    # weight of the previous sample in each reading: 0.5 for a sensor that averages two samples
     average: float = 0.0
     sensor_lag: float = 0.0  # time constant of a filter at the sensor [s]
-    gain_by_sign: float = 0.0  # part by which positive forces are larger, and negative ones smaller
-    force_step: float = 0.0  # of the force that the motor gives [N]
-    pitch: float = 0.0013  # over which the encoder's error repeats [m]
+    gain_by_sign: float = 0.0  # relative increase of positive forces and decrease of negative ones
+    force_step: float = 0.0  # resolution of the motor's force [N]
+    pitch: float = 0.0013  # period of the encoder's error [m]
 
     @property
     def plant(self) -> FlexiblePlant:
-        """The linear device that it is, for poles of its loop; a sensor that averages is no part of it.
+        """The equivalent linear device, for poles of its loop, without a sensor's averaging.
 
-        A filter at the sensor is a lag of the actuator to a linear loop.
+        The filter at the sensor counts as a lag of the actuator.
         """
         rigid = self.rigid
         joint = (
@@ -74,7 +74,7 @@ _ODD = (
 )  # fmt: skip
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long because it is one compiled function; calls would cost the gained speed.
 @compiled()
 def _push(  # noqa: C901, PLR0915
     wanted: Array,
@@ -91,7 +91,7 @@ def _push(  # noqa: C901, PLR0915
     positions: Array,
     forces: Array,
 ) -> None:
-    """Push in closed loop, as the nodes do in lockstep; everything that acts is taken in the middle of each step."""
+    """Push in closed loop, as the nodes do in lockstep; forces act at the middle of a step."""
     centre, reach, peak, start = law
     mass, damping, friction, share, joint, loss = body
     (
@@ -135,7 +135,7 @@ def _push(  # noqa: C901, PLR0915
             count = math.ceil((until - now) * period / step - 1e-9)
             for _ in range(count):
                 h = (until - now) * period / count
-                # The actuator's mean over the step, exact.
+                # The actuator's exact mean over the step.
                 mean = acting
                 if lag > 0.0:
                     decay = math.exp(-h / lag)
@@ -213,11 +213,11 @@ def pushed(
     seed: int,
     slew: float = math.inf,
 ) -> tuple[Array, Array]:
-    """Push a device by the forces that are wanted and a law [N]: what its encoder reads [m], and the forces given [N].
+    """Push a device by wanted forces and a law [N]; return readings [m] and forces [N].
 
     `law` is the point that the law pulls to and the reach within which forces are wanted [m], the
-    largest force [N] and where the device is [m]; `slew` the largest change of the force per tick
-    [N].
+    largest force [N] and the device's position [m]; `slew` is the largest change of the force per
+    tick [N].
     """
     ticks = len(wanted)
     rng = np.random.default_rng([seed, 7])

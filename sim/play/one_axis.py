@@ -1,8 +1,8 @@
-"""The scene in one process: device, environment, coupling and driver in one loop, tick by tick as the nodes do it.
+"""The scene in one process: device, environment, coupling and driver in one loop.
 
-It answers what the distributed loop will do, thousands of times faster. `play` is one function: it
-runs interpreted (slow, for the test that compares the two) or compiled, over the very kernels that
-the nodes call.
+It predicts the distributed loop, thousands of times faster. `play` is one function: it runs
+interpreted (slow, for the test that compares both) or compiled, over the very kernels that the
+nodes call.
 """
 
 import itertools
@@ -23,17 +23,17 @@ from sim.play.given import Given
 from sim.play.one_axis_loop import play, play_compiled
 from sim.play.one_axis_tables import Arrivals, Contact, Guard, LawTables, Motion, Records
 
-MAX_TICKS: Final = 10_000_000  # longest run of one process: it keeps some 100 bytes of each tick
+MAX_TICKS: Final = 10_000_000  # longest run of one process, which stores some 100 bytes per tick
 
 
 @dataclass(frozen=True)
 class SceneSurface:
-    """What the device may touch, on its axis."""
+    """The surface that the device may touch, on its axis."""
 
-    # Nothing; a one-sided plane; or a point that the coupling holds on to from both sides.
+    # Nothing; a one-sided plane; or an anchor, a two-sided spring to a point.
     kind: Literal["free", "plane", "anchor"]
     position: float = 0.0  # coordinate of the plane or the anchor [m]
-    # +1 or −1: the side of the plane that is free. Unused otherwise.
+    # +1 or −1: the free side of the plane. Unused otherwise.
     normal: float = 1.0
 
     def __post_init__(self) -> None:
@@ -47,27 +47,27 @@ class SceneSurface:
 
     @property
     def code(self) -> int:
-        """Number of the kind, as `play` takes it."""
+        """Number of the kind, for `play`."""
         return {"free": FREE, "plane": PLANE, "anchor": ANCHOR}[self.kind]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """All of a scene but its law."""
+    """A scene without its law."""
 
     device: DeviceModel  # the virtual device
-    surface: SceneSurface  # what it touches
+    surface: SceneSurface  # the touched surface
     period: float  # sampling period T [s]
     raw: bool  # whether the history holds the raw distance outside contact (True) or zero (False)
     clamp: bool  # whether forces into the surface are set to zero
     peak: float | None = None  # driver's limit of the force [N]
     slew: float | None = None  # driver's limit of the change of force per tick [N]
-    # Smallest and largest position, where the device stops [m], shape (2,), or None.
+    # Smallest and largest position, the end stops of the device [m], shape (2,), or None.
     workspace: tuple[float, float] | None = None
     next_tick: bool = False  # whether forces take effect one tick later (``apply: next_tick``)
     passivity: PassivityParameters | None = None  # the driver's passivity guard; None for none
-    # Ticks in which the force of a scene that begins in contact comes (the coupling's `ease`); 0
-    # for at once.
+    # Ticks over which the force of a scene that begins in contact rises (the coupling's `ease`); 0:
+    # at once.
     ease: int = 0
 
     def __post_init__(self) -> None:
@@ -89,9 +89,9 @@ class Scene:
 
 @dataclass(frozen=True)
 class PlannedSwap:
-    """Change of the law between two ticks."""
+    """A change of the law between two ticks."""
 
-    tick: int  # first tick at which the new law has a say
+    tick: int  # first tick at which the new law acts
     law: CompiledLaw  # the new law
     # Length of the cross-fade [ticks], 0 for none: force (1−w)·old + w·new, w = (j+1)/ramp at the
     # j-th tick after the swap. A swap during a cross-fade starts from the law being faded in.
@@ -100,14 +100,14 @@ class PlannedSwap:
 
 @dataclass(frozen=True)
 class Trace:
-    """What happened, one value per tick."""
+    """Record of a run, one value per tick."""
 
     period: float  # sampling period [s]
     position: Array  # true position when sampled [m], shape (ticks,)
     velocity: Array  # true velocity when sampled [m/s], shape (ticks,)
-    measured: Array  # what the encoder read [m], shape (ticks,)
+    measured: Array  # encoder reading [m], shape (ticks,)
     deflection: Array  # deflection of the coupling [m], shape (ticks,)
-    # Force handed to the device, after the driver's limits [N], shape (ticks,). Delay and
+    # Force passed to the device, after the driver's limits [N], shape (ticks,). Delay and
     # saturation of the device come after it.
     force: Array
     final: tuple[float, float]  # position [m] and velocity [m/s] after the last tick, shape (2,)
@@ -127,14 +127,35 @@ def run(
     interpreted: bool = False,
     given: Given | None = None,
 ) -> Trace:
-    """Play a scene from rest: no force before tick 0, and the deflection of tick 0 as if it had always been so.
+    """Play a scene from rest: no force and a constant deflection before tick 0.
 
-    `law` is that of tick 0, `swaps` are later ones, in the order of their ticks. The history
-    remembers at least `memory`
-    deflections: over it recursive laws that are swapped in are warmed up. `interpreted` is
-        thousands of times slower; a law
-    with code of its own runs so, and a scene whose driver does more than lower forces. ValueError
-    refuses ticks, swaps and laws that cannot be.
+    Parameters
+    ----------
+    scene : Scene
+        Device, surface, period and conventions.
+    law : CompiledLaw
+        Law of tick 0.
+    ticks : int
+        Length of the run.
+    swaps : sequence of PlannedSwap
+        Later laws, in the order of their ticks.
+    memory : int
+        Least length of the history [ticks], over which swapped-in recursive laws are warmed up.
+    interpreted : bool
+        Run without compiling, thousands of times slower. A law with code of its own always runs
+        interpreted, and so does a driver that does more than lower forces.
+    given : Given, optional
+        Additional inputs.
+
+    Returns
+    -------
+    Trace
+        Every tick.
+
+    Raises
+    ------
+    ValueError
+        For impossible ticks, swaps or laws.
     """
     return run_with_asked(scene, law, ticks, swaps, memory, interpreted, given)[0]
 
@@ -176,7 +197,10 @@ def run_with_asked(
     interpreted: bool = False,
     given: Given | None = None,
 ) -> tuple[Trace, Array]:
-    """Play as `run` does; the trace, and the forces before the driver's limits [N], 0 in real time."""
+    """Play as `run` does; return the trace and the forces before the driver's limits [N].
+
+    The forces are 0 in real time.
+    """
     _check(law, ticks, swaps)
     given = given or Given()
     own = law.own_code()
@@ -247,7 +271,7 @@ def run_with_asked(
 
 
 def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
-    """Prepare the device of a scene for the loop; its loads, where there are any, as a list."""
+    """Convert the device of a scene for the loop; its loads, if any, to a list."""
     device = scene.device
     if device.mass_by_position:
         raise ValueError(
@@ -295,10 +319,10 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
 def in_numbers(
     ticks: int, motion: Motion, contact: Contact, lockstep: bool = True
 ) -> tuple[Motion, Contact]:
-    """Write what a scene lacks as numbers that change no bit, so that one compiled version plays scenes of many kinds.
+    """Replace None by neutral numbers, so that one compiled version plays all scenes.
 
-    None is a type of its own: each combination would be compiled, one to three seconds of processor
-    time each.
+    The numbers change no bit. None is a type of its own: each combination would be compiled, which
+    takes one to three seconds of processor time.
     """
     peak, slew = (math.inf if limit is None else limit for limit in (contact.peak, contact.slew))
     return motion._replace(
@@ -312,12 +336,13 @@ def in_numbers(
             if motion.loads is None
             else np.array(motion.loads, dtype=np.float64)
         ),
-        # In real time what is left of a change of force would be none after an infinite force.
+        # Not in real time: after an infinite force the remainder of a change of force would be
+        # lost.
     ), contact._replace(peak=peak, slew=slew if lockstep else contact.slew)
 
 
 def contact_of(scene: Scene) -> Contact:
-    """Prepare surface, conventions and limits of a scene for the loop."""
+    """Convert surface, conventions and limits of a scene for the loop."""
     surface = scene.surface
     normal = surface.normal if surface.kind == "plane" else 0.0
     return Contact(
@@ -335,7 +360,7 @@ def contact_of(scene: Scene) -> Contact:
 def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None:
     if scene.passivity is None or scene.passivity.guard != "on":
         return None
-    # As the driver has it of the device's latency in seconds.
+    # Rounded like the driver's value, which comes from the device's latency in seconds.
     line, part = line_of(round(scene.device.delay, 9))
     late = 1.0 if scene.next_tick else 0.0
     damping, allowance = scene.passivity.damping / scene.period, scene.passivity.allowance

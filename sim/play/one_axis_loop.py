@@ -1,8 +1,8 @@
-"""The loop of a scene, tick after tick: the kernels of the nodes in the order in which the nodes call them.
+"""The loop of a scene: the kernels of the nodes, called in the same order as by the nodes.
 
-It is written as a plain function and compiled as it stands. What it needs comes as a few tuples of
-numbers and arrays. In lockstep each tick's force takes effect by the rule; in real time forces come
-when `Arrivals` says, late, or not at all.
+It is a plain function, compiled unchanged. Its inputs are a few tuples of numbers and arrays. In
+lockstep each tick's force takes effect by the rule; in real time forces arrive at the times of
+`Arrivals`, late or never.
 """
 
 import math
@@ -44,7 +44,7 @@ def respond(
     head: int,
     length: int,
 ) -> tuple[int, float, bool]:
-    """Environment and first half of the coupling: from the sample to the newest deflection in the history."""
+    """Environment and first half of the coupling: from the sample to the newest deflection."""
     proxy, distance, contact = measured, 0.0, kind == ANCHOR
     if kind == PLANE:
         proxy, distance, contact = meet_plane(measured, surface, normal)
@@ -57,24 +57,23 @@ def respond(
 kernel(evaluate)
 
 
-NUDGE = 0.1  # part of a nudge that the velocity takes as an error of its own, made within a tick
+NUDGE = 0.1  # correction of the velocity: this fraction of a nudge per tick
 
 
 @kernel
 def nudge(
     x: float, read: float, resolution: float | None, period: float
 ) -> tuple[float, float, float]:
-    """Move a position the shortest way to where the encoder reads what it read, and the velocity with it."""
+    """Return the least jumps of position and velocity that reproduce an encoder reading."""
     if quantise(x, resolution) == read:
         return 0.0, 0.0, 0.0
-    # A millionth short of the step's edges: on them rounding decides.
+    # A millionth short of the step's edges, where rounding decides.
     room = 0.0 if resolution is None else 0.499999 * resolution
     off = min(max(x, read - room), read + room) - x
     return off, NUDGE * off / period, read - quantise(x + off, resolution)
 
 
-# numba leaves a branch out when an *argument* is None, not when a field is: hence these small
-# functions.
+# Small functions, because numba prunes a branch only if an *argument* is None, not a field.
 @kernel
 def _note(row: Values | None, k: int, value: float) -> None:
     if row is not None:
@@ -138,7 +137,10 @@ def _move_early(
 def _guarded(
     guard: Guard, energy: float, force: float, step: float, pending: float, share: float
 ) -> tuple[float, float]:
-    """Let the guard choose a force, `share` of a tick with the pending one before it: its account, and the force."""
+    """Return the guard's energy account and the force that it allows.
+
+    The pending force acts for `share` of the tick.
+    """
     energy = forget(energy, force, guard.stiffness)
     expected = energy - guard.allowance + (share * pending + backlog(guard.line, guard.part)) * step
     return energy, control(expected, force, step, guard.damping)
@@ -155,7 +157,7 @@ def _move_part(x: float, v: float, u: float, ticks: float, motion: Motion) -> tu
     return _stopped(x, v, motion.ends)
 
 
-# Long: one compiled function: a call across it would cost what it saves.
+# Long because it is one compiled function; calls would cost the gained speed.
 def play(  # noqa: C901, PLR0915
     ticks: int,
     motion: Motion,
@@ -171,10 +173,10 @@ def play(  # noqa: C901, PLR0915
     nudged: Values = None,
     read: Values | None = None,
 ) -> tuple[float, float]:
-    """Play a scene from rest; `sim.play.one_axis.run` prepares it and reads what was written down.
+    """Play a scene from rest; `sim.play.one_axis.run` prepares it and reads the records.
 
-    `nudged` are jumps of position, velocity and reading at each tick; with `read`, the readings
-    that a recording holds, they are found here.
+    `nudged` are jumps of position, velocity and reading at each tick. With `read`, the readings of
+    a recording, they are computed here.
     """
     x, v = motion.position, motion.velocity
     length = len(history) // 2
@@ -202,8 +204,7 @@ def play(  # noqa: C901, PLR0915
     old_state = now_state
     now_recursive = _slice(laws.recursive, 2 * laws.states_from[0], 2 * laws.states_from[1])
     old_recursive = now_recursive
-    # One span per law: inside a span nothing about the law changes, which is worth a factor of 1.7
-    # in speed.
+    # One span per law: the law is constant within a span, which is 1.7 times faster.
     start = 0
     for law in range(len(laws.swap_at) + 1):
         if law > 0:
@@ -243,7 +244,7 @@ def play(  # noqa: C901, PLR0915
                 length,
             )
             if k == 0 and newest != 0.0:
-                # It begins in contact: at rest, as the coupling takes it, and the force comes by
+                # The scene begins in contact: at rest, as in the coupling, and the force rises by
                 # its easing.
                 for m in range(len(history)):
                     history[m] = newest
@@ -295,8 +296,8 @@ def play(  # noqa: C901, PLR0915
                     acting = through(
                         guard.line, applied if guard.late == 0.0 else pending, guard.part
                     )
-                # A ring of the last i + 2 commands; of those still under way, tick k−i−1's acts
-                # first, then tick k−i's.
+                # A ring of the last i + 2 commands; of the pending ones, tick k−i−1's acts first,
+                # then tick k−i's.
                 commands[slot] = applied
                 older = slot + 1 if slot + 1 < waiting else 0
                 newer = older + 1 if older + 1 < waiting else 0
@@ -382,5 +383,5 @@ def play(  # noqa: C901, PLR0915
     return x, v
 
 
-# the loop, compiled: for other compiled functions that play many scenes
+# the compiled loop, for other compiled functions that play many scenes
 play_compiled: Any = compiled()(play)

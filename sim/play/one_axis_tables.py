@@ -1,19 +1,19 @@
-"""What the loop of one axis is given as numbers: device, contact, laws, guard, arrivals, and where it writes."""
+"""Inputs and outputs of the loop of one axis: device, contact, laws, guard, records."""
 
 from typing import Any, NamedTuple, TypeAlias
 
 from sim.device.model import Coefficients
 
-# a list of numbers when the loop is interpreted, an array when it is compiled
+# a list of numbers in the interpreted loop, an array in the compiled one
 Values: TypeAlias = Any
 
 
 class Motion(NamedTuple):
-    """The device as the loop moves it: `DeviceModel`, ready for one period and delay.
+    """The device for the loop: `DeviceModel`, prepared for one period and delay.
 
-    A tick is split where a force arrives: `early` seconds with the one before, `late` seconds with
-    the newest. A field is None where the scene has no such term; another version is compiled
-    without it. Where `early` is 0, `early_map` is not read.
+    A tick is split where a force arrives: `early` seconds with the previous force, `late` seconds
+    with the newest. A field is None if the scene has no such term; the compiled version then omits
+    it. `early_map` is unused if `early` is 0.
     """
 
     position: float
@@ -36,7 +36,7 @@ class Motion(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """What is touched, by which conventions, and the driver's limits on the force."""
+    """The touched surface, its conventions, and the driver's limits on the force."""
 
     kind: int
     surface: float
@@ -49,7 +49,7 @@ class Contact(NamedTuple):
 
 
 class LawTables(NamedTuple):
-    """All laws of a run, one after the other, and the ticks at which they follow."""
+    """All laws of a run, one after the other, and the ticks of the swaps."""
 
     taps: Values
     taps_from: Values
@@ -60,7 +60,7 @@ class LawTables(NamedTuple):
 
 
 class Guard(NamedTuple):
-    """The passivity guard: nodes/driver/passivity.py."""
+    """The passivity guard of nodes/driver/passivity.py."""
 
     damping: float
     stiffness: float | None
@@ -71,12 +71,12 @@ class Guard(NamedTuple):
 
 
 class Arrivals(NamedTuple):
-    """When the driver gets its forces in real time, in the order in which it gets them.
+    """Arrival of forces at the driver in real time, in order.
 
-    The n-th comes at `when` [ticks] and is the force for tick `answers`; where that is −1 it is the
-    driver's own, `given` [N]. It acts `effect` ticks later, and ticks without an answer hold the
-    force before. `asked` and `acts` are notes of the loop: the law's force of each tick, and the
-    n-th force after guard and limits [N].
+    The n-th force arrives at `when` [ticks] and answers tick `answers`; −1 means the driver's own
+    force, `given` [N]. It acts `effect` ticks later; a tick without an answer repeats the previous
+    force. The loop writes `asked`, the law's force of each tick [N], and `acts`, the n-th force
+    after guard and limits [N].
     """
 
     when: Values
@@ -88,7 +88,7 @@ class Arrivals(NamedTuple):
 
 
 class Records(NamedTuple):
-    """What is written down each tick; None for what is not."""
+    """Arrays written each tick; None for those not recorded."""
 
     positions: Values
     velocities: Values | None

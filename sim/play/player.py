@@ -1,8 +1,8 @@
-"""The one call that plays a chain of a launch file in one process, however it is played.
+"""Play a chain of a launch file in one process: the one entry point for every method.
 
-Its nodes themselves play every chain (`sim.play.chain`); where a chain is one rigid device on one
-axis at a surface, and its driver only lowers forces, the compiled loop of one axis gives the same
-bits a thousand times faster, and is taken.
+The chain's own nodes can play every chain (`sim.play.chain`). For one rigid device on one axis at a
+surface, with a driver that only lowers forces, the compiled loop of one axis gives the same bits a
+thousand times faster and is used instead.
 """
 
 from collections.abc import Callable
@@ -25,15 +25,15 @@ from sim.play.launched import LaunchedScene, NotOneAxisError, from_launch
 from sim.play.one_axis import MAX_TICKS, Trace, run_with_asked
 from sim.play.trace import ChainTrace
 
-# ``fastest``: the loop of one axis, compiled, where it gives the same bits; ``interpreted``: the
-# same loop by the interpreter, for a run that is shorter than compiling it; ``nodes``: the nodes.
+# ``fastest``: the compiled loop of one axis, where it gives the same bits; ``interpreted``: the
+# same loop interpreted, for a run shorter than its compilation; ``nodes``: the nodes.
 How: TypeAlias = Literal["fastest", "interpreted", "nodes"]
 
 
 def play_launch(
     launch: Launch, ticks: int | None = None, how: How = "fastest"
 ) -> dict[str, ChainTrace]:
-    """Play all chains of a launch, each by itself: traces by namespace; see `play`."""
+    """Play all chains of a launch separately; return traces by namespace. See `play`."""
     return {chain: play(launch, chain, ticks, how=how) for chain in chains_of(launch)}
 
 
@@ -45,20 +45,20 @@ def play(
     given: Given | None = None,
     how: How = "fastest",
 ) -> ChainTrace:
-    """Play a chain of a launch: the bits of its run in lockstep, whatever its ``run.pace`` says.
+    """Play a chain of a launch, bit-identical to its lockstep run, whatever ``run.pace`` is.
 
     Parameters
     ----------
     launch : Launch
         The launch file, read.
     namespace : str, optional
-        Of the chain; may be left out where there is one.
+        Namespace of the chain; may be omitted if there is only one.
     ticks : int, optional
-        How long; by default as the launch file says, 10 s where it says nothing.
+        Length of the run; by default the launch file's, or 10 s without one.
     instead : Instead, optional
-        What is played in place of what the launch file says.
+        Replacements for parts of the launch file.
     given : Given, optional
-        What happens to the chain besides.
+        Additional inputs of the chain.
     how : str
         ``fastest``, ``interpreted`` or ``nodes``; the bits are the same.
 
@@ -70,7 +70,7 @@ def play(
     Raises
     ------
     ParameterError
-        As a launch raises it, or where one process cannot play a node, by name.
+        As a launch raises it, or with the node that one process cannot play.
     """
     return prepare(launch, namespace, ticks, instead, given, how)()
 
@@ -83,7 +83,7 @@ def prepare(
     given: Given | None = None,
     how: How = "fastest",
 ) -> Callable[[], ChainTrace]:
-    """Check a chain once, and return what plays it; all else as of `play`."""
+    """Check a chain once; return the function that plays it. Arguments as of `play`."""
     instead, given = instead or Instead(), given or Given()
     chain = _only_chain(launch) if namespace is None else namespace
     wanted = ticks or launch.run.ticks or round(10.0 / launch.run.period)
@@ -119,7 +119,7 @@ def _only_chain(launch: Launch) -> str:
 def _one_axis(
     launch: Launch, namespace: str, instead: Instead, given: Given
 ) -> LaunchedScene | None:
-    """Return a chain for the loop of one axis; None where only its nodes can play it."""
+    """Convert a chain for the loop of one axis; None if only its nodes can play it."""
     real_time = given.arrivals is not None or given.read is not None
     try:
         one = from_launch(launch, namespace)
@@ -139,7 +139,7 @@ def _one_axis(
 def _on_one_axis(
     one: LaunchedScene, ticks: int, given: Given, interpreted: bool
 ) -> ChainTrace | None:
-    """Play by the loop of one axis; None where the driver might have done more than lower forces."""
+    """Play by the loop of one axis; None if the driver might have intervened."""
     swaps = [swap for swap in one.swaps if swap.tick < ticks]
     trace, asked = run_with_asked(one.scene, one.law, ticks, swaps, one.memory, interpreted, given)
     if given.arrivals is None and driver_intervenes(one, trace, asked):
@@ -154,7 +154,7 @@ def driver_intervenes(one: LaunchedScene, trace: Trace, asked: Array) -> bool:
 
 
 def _stops(safety: SafetyParameters, peak: float | None, trace: Trace, asked: Array) -> bool:
-    """Return whether the force came to its largest magnitude too often, or the device went astray."""
+    """Return whether the force saturated too often, or the device left its reach."""
     if not np.all(np.abs(trace.measured) <= REACH):
         return True
     if safety.stop_after is None or peak is None:

@@ -1,8 +1,8 @@
-"""Another law under the same hand: what a running launch's hand and device would feel with it.
+"""Another law under the same hand: what it would feel like in a running launch.
 
-A view calls `play_beside` in a process of its own, off the loop's processors, with the targets that
-the driver told so far. It is a call of the player with that hand: the same bits as when the launch
-file is played with this law and this path.
+A view calls `play_beside` in a separate process, on other processors than the loop, with the hand
+targets that the driver published so far. The player then gives the same bits as the launch file
+with this law and this path.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ def shadow_launch(
     begin: tuple[float, float],
     late: float = 0.0,
 ) -> Launch:
-    """Return a running launch with another law, its device where it was.
+    """Return a running launch with another law and the device's current state.
 
     `begin` is the position [m] and velocity [m/s] of the device at the first tick, `late` the delay
     of the loop beyond that of the device and of ``next_tick`` [ticks].
@@ -37,7 +37,7 @@ def shadow_launch(
     for name, setup in setups.items():
         parameters = dict(setup.parameters)
         if setup.kind == "coupling":
-            # What was felt before is felt on: nothing begins here.
+            # The contact continues, so there is no initial easing.
             parameters |= {
                 "law": "beside",
                 "laws": {"beside": dict(law)},
@@ -55,7 +55,7 @@ def shadow_launch(
 
 
 def _begun(setup: Setup, begin: tuple[float, float], late: float) -> dict[str, Any]:
-    """Return the parameters of a driver whose device begins elsewhere, without a ramp: there is no gap."""
+    """Return a driver's parameters with another initial state, and without an initial ramp."""
     wanted: SimDriverParameters = convert(setup.parameters, SimDriverParameters, setup.name)
     device = along(wanted.device, setup.axes)[0]
     device = msgspec.structs.replace(
@@ -77,9 +77,9 @@ def play_beside(
     begin: tuple[float, float],
     late: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Play another law under the same hand: what the encoder reads [m], and what is handed over [N].
+    """Play another law under the same hand; return encoder readings [m] and forces [N].
 
-    `targets` are where the hand pulled to, tick by tick [m]; `begin` and `late` as of
+    `targets` are the targets of the hand, tick by tick [m]; `begin` and `late` as of
     `shadow_launch`.
     """
     launch = shadow_launch(setups, law, begin, late)

@@ -1,4 +1,4 @@
-"""A device led along a path over shapes, in one process: the very proxy of the environment node, compiled."""
+"""Guide a device along a path over shapes, with the compiled proxy of the environment."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -38,15 +38,15 @@ def _walk(scene: Array, memory: Array, path: Array, answers: Array) -> None:
 
 
 class Touched(NamedTuple):
-    """What came of a path, one row a tick."""
+    """Result of a guided path, one row per tick."""
 
     path: Array  # device positions [m], shape (ticks, 3)
-    proxy: Array  # where the proxy was [m], shape (ticks, 3)
+    proxy: Array  # proxy positions [m], shape (ticks, 3)
     normal: Array  # outward normal, shape (ticks, 3)
-    distance: Array  # signed distance along it [m], shape (ticks,)
-    contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
-    rounds: Array  # rounds that each call took, shape (ticks,)
-    memory: Array  # what the proxy remembers at the end
+    distance: Array  # signed distance along the normal [m], shape (ticks,)
+    contact: NDArray[np.bool_]  # whether a shape is touched, shape (ticks,)
+    rounds: Array  # iterations of each call, shape (ticks,)
+    memory: Array  # state of the proxy at the end
 
 
 def touch(
@@ -56,7 +56,7 @@ def touch(
     period: float = 1e-3,
     interpreted: bool = False,
 ) -> Touched:
-    """Lead a device along a path (ticks, 3) [m] over shapes."""
+    """Guide a device along a path (ticks, 3) [m] over shapes."""
     table = scene_table(solids, tool_radius, period)
     answers = np.zeros((len(path), _ANSWER))
     if interpreted:
@@ -86,7 +86,10 @@ def call_times(
     period: float = 1e-3,
     most: int = 20_000,
 ) -> Array:
-    """Time single calls of the compiled proxy along a path [s], with what the interpreter adds to each (under 1 µs)."""
+    """Time single calls of the compiled proxy along a path [s].
+
+    Each includes the interpreter's overhead of under 1 µs.
+    """
     table, memory = (
         np.array(scene_table(solids, tool_radius, period)),
         np.array(new_memory(len(solids))),

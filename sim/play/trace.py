@@ -1,4 +1,4 @@
-"""What a player writes down of a chain: one row a tick, all three axes."""
+"""Record of a played chain: one row per tick, all three axes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,33 +13,33 @@ from sim.play.one_axis import Trace
 
 @dataclass(frozen=True)
 class BodyTrace:
-    """Where one thing that moves was at each tick."""
+    """Trajectory of one moving thing."""
 
-    position: Array  # [m], shape (ticks, 3)
+    position: Array  # position [m], shape (ticks, 3)
     # Its orientation as a unit quaternion, w first, shape (ticks, 4); None for a point.
     turn: Array | None = None
 
 
 @dataclass(frozen=True)
 class ChainTrace:
-    """What happened in a chain, one row a tick; along axes that it does not compute everything is 0."""
+    """Record of a chain, one row per tick; axes that are not computed are 0."""
 
     period: float  # sampling period [s]
-    axes: tuple[int, ...]  # axes that the chain computes: 0, 1, 2
+    axes: tuple[int, ...]  # computed axes: 0, 1, 2
     position: Array  # true position when sampled [m], shape (ticks, 3)
     velocity: Array  # true velocity when sampled [m/s], shape (ticks, 3)
-    measured: Array  # what the encoders read [m], shape (ticks, 3)
+    measured: Array  # encoder readings [m], shape (ticks, 3)
     deflection: Array  # newest deflection of the coupling [m], shape (ticks, 3)
-    proxy: Array  # where the proxy was [m], shape (ticks, 3)
-    # Outward normal of what was touched; zero for a body that moves, shape (ticks, 3).
+    proxy: Array  # proxy position [m], shape (ticks, 3)
+    # Outward normal of the touched surface; zero for a moving body, shape (ticks, 3).
     normal: Array
-    contact: NDArray[np.bool_]  # whether something was touched, shape (ticks,)
-    force: Array  # force handed to the device, after all limits [N], shape (ticks, 3)
-    law: tuple[str, ...]  # name of the law that rendered each tick
+    contact: NDArray[np.bool_]  # whether a surface is touched, shape (ticks,)
+    force: Array  # force passed to the device, after all limits [N], shape (ticks, 3)
+    law: tuple[str, ...]  # name of the rendered law at each tick
     final: Array  # position [m] and velocity [m/s] after the last tick, shape (2, 3)
-    # What moves besides the device, by name: bodies of a MuJoCo scene, the two devices of a pair.
+    # Other moving things by name: bodies of a MuJoCo scene, the two devices of a pair.
     bodies: Mapping[str, BodyTrace] = field(default_factory=dict)
-    events: tuple[Event, ...] = ()  # what its nodes would have published besides their ticks
+    events: tuple[Event, ...] = ()  # events of its nodes
 
     @property
     def ticks(self) -> int:
@@ -47,7 +47,7 @@ class ChainTrace:
         return len(self.position)
 
     def along(self, axis: int | None = None) -> Trace:
-        """Return what happened along an axis, by default the only one that the chain computes."""
+        """Return the record of one axis, by default the only computed one."""
         if axis is None:
             (axis,) = self.axes
         rows = (self.position, self.velocity, self.measured, self.deflection, self.force)
@@ -62,6 +62,6 @@ class ChainTrace:
 
     @property
     def stopped_at(self) -> int | None:
-        """First tick at which the driver had stopped the loop; None where it did not."""
+        """First tick with the driver stopped; None if it never stopped."""
         stops = (event.seq for event in self.events if event.kind == "stopped")
         return next(stops, None)

@@ -1,1 +1,1 @@
-"""Studies: functions of typed options that return what they found; ``haptic study`` and ``haptic.study`` call them."""
+"""Studies: functions of typed options, called by ``haptic study`` and ``haptic.study``."""

@@ -1,4 +1,4 @@
-"""What a law really renders: f(ω), leak, passivity limit, pole radius, K_max, and how far the device may be off."""
+"""Analyse a law: f(ω), leak, passivity limit, pole radius, K_max, tolerance of the device."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -38,7 +38,10 @@ class AnalyseOptions(LawOptions, DeviceOptions, FileOptions):
     every_delay: tuple[float, float] | None = option(
         type=interval,
         metavar="LOW..HIGH",
-        help="certify the loop for every sequence of delays of this range, at most a tick wide [ticks]",
+        help=(
+            "certify the loop for every sequence of delays of this range, at most a tick wide"
+            " [ticks]"
+        ),
     )
     resolution: float | None = option(
         type=positive, help="of the device's encoder: tells the friction for rest [m]"
@@ -102,7 +105,7 @@ def _rest(
     needed = rest(law, device, options.resolution)
     found: dict[str, Any] = {**asdict(needed), "text": needed.text()}
     if options.friction is not None:
-        # Above K_max friction stops small motions only.
+        # Above K_max friction stops only small motions.
         stiffest = min(stiffest_at_rest(derivative, options.resolution, options.friction), limit)
         found["limit_cycle_free"] = needed.free(options.friction)
         found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
@@ -141,8 +144,9 @@ def _text(figures: dict[str, Any]) -> list[str]:
     if limits is not None:
         lines += [
             (
-                "mass           "
-                f" {shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')} .. "
+                "mass            "
+                f"{shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')}"
+                " .. "
                 f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}"
             ),
             f"damping from    {shown(limits['damping_min_n_s_per_m'], 'N s/m', '0 N s/m')}",
@@ -159,7 +163,7 @@ def _text(figures: dict[str, Any]) -> list[str]:
 
 
 def _beyond(figures: dict[str, Any]) -> list[str]:
-    """Lines on the frequency that occurs, on every sequence of delays, and on rest; those that were asked for."""
+    """Return the requested lines on ringing frequency, sequences of delays and rest."""
     lines = []
     edge, jitter, still = figures["edge"], figures["every_delay"], figures["rest"]
     if edge is not None:

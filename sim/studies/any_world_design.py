@@ -1,4 +1,4 @@
-"""`haptic study design --for any_hand | any_world`: the stiffest law of each family where hand or world is not known."""
+"""`haptic study design --for any_hand | any_world`: stiffest law of each family."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ FAMILIES = {
 
 
 def run(options: DesignOptions) -> Answer:
-    """Design at one delay, or compare the families over several."""
+    """Design at one delay, or compare the families over several delays."""
     if options.sections and options.world != "any_hand":
         raise UsageError("--sections: with --for any_hand, where a linear programme bounds them")
     if options.compare:
@@ -152,7 +152,7 @@ def _lines(options: DesignOptions, row: Mapping[str, Any]) -> list[str]:
 
 @styled
 def draw_delays(path: Path, rows: Sequence[Mapping[str, Any]], options: DesignOptions) -> Path:
-    """Draw H(1) of each family against the delay, beside the closed limit for any hand."""
+    """Plot H(1) of each family over the delay, with the closed-form limit for any hand."""
     figure = new_figure(6.4, 4.2)
     axes = figure.add_subplot(xlabel="delay of the loop  [ticks]", ylabel="H(1)  [N/m]")
     delays = [row["delay_ticks"][1] for row in rows]

@@ -1,4 +1,4 @@
-"""Design a law for the device and delay at hand: the stiffest at a pole radius over a range of mass, and the passive one."""
+"""Design a law for a device and delay: the stiffest over a mass range, and a passive one."""
 
 import itertools
 import math
@@ -42,12 +42,12 @@ from sim.studies.design_options import DesignOptions
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SPREAD, spread
 
-# ticks of a recording that are replayed; a decay of 0.99 per tick is down to rounding by then
+# replayed ticks of a recording, enough for a decay of 0.99 per tick to reach rounding
 _REPLAYED = 2000
 
 
 def design(options: DesignOptions) -> Answer:
-    """Design, or compare."""
+    """Design a law, or compare families of laws."""
     if not 1 <= options.taps <= 12:
         raise UsageError(
             f"--taps {options.taps}: between 1 and 12; the search is over each of them"
@@ -187,9 +187,9 @@ def _design(options: DesignOptions, demand: Demand, measured: Measured | None) -
 def _designed(
     options: DesignOptions, demand: Demand, law: Tuned, pd: Tuned
 ) -> tuple[dict[str, Any], list[str]]:
-    """Write the designed law down; its figures, and what is said of it."""
-    assert law.found is not None  # noqa: S101  # the caller looked
-    assert law.law is not None  # noqa: S101  # the caller looked
+    """Write the designed law to a file; return its figures and lines."""
+    assert law.found is not None  # noqa: S101  # checked by the caller
+    assert law.law is not None  # noqa: S101  # checked by the caller
     path = fresh(options.out / "designed.yaml")
     lands = all(drops(law.found.law, demand).values())
     every, landing = certificate(law.found.law, demand), prove_over(law.found.law, demand)
@@ -218,11 +218,14 @@ def _at_rest(
     demand: Demand,
     figures: dict[str, Any],
 ) -> list[str]:
-    """Friction that the law asks for at the heaviest, least damped device, and the map of its K about this one."""
+    """Write the friction that the law needs, and plot a map of its K.
+
+    The device is the heaviest and least damped of the range.
+    """
     device = Plant(
         demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0]
     )
-    # A proof takes a law that is passive at every delay of the range.
+    # The proof requires a law that is passive at every delay of the range.
     passive = certain_damping(found.taps, demand.period, *demand.delay) <= demand.damping
     needed = replace(rest(found.law, device, resolution), certain=passive)
     free = needed.free(friction)
@@ -233,7 +236,10 @@ def _at_rest(
 
 
 def _replayed(path: Path, demand: Demand, law: Tuned, measured: Measured) -> dict[str, Any]:
-    """Replay the recorded delays on the lightest and the heaviest device: jitter is not a constant delay."""
+    """Replay the recorded delays with the lightest and the heaviest device.
+
+    Jitter is not equivalent to a constant delay.
+    """
     worst = math.inf
     if law.found is not None:
         devices = [
@@ -286,7 +292,7 @@ def _row(tuned: Tuned, demand: Demand) -> dict[str, Any]:
 
 
 def _passive_row(passive: Passive, demand: Demand, out: Path) -> dict[str, Any]:
-    """Write the passive law down; its figures."""
+    """Write the passive law to a file; return its figures."""
     path = fresh(out / "passive.yaml")
     comment = f"passive for any mass and hand: {_describe(demand)}"
     path.write_text(
@@ -360,7 +366,7 @@ def _compare(options: DesignOptions, demand: Demand) -> Answer:
 def _tuned(
     case: Demand, taps: int, resolution: float
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
-    """Tune every law to one demand; and PD with a windowed velocity, by its drops."""
+    """Tune every law to one specification, and PD with a windowed velocity by its drops."""
     laws = [_row(one, case) for one in compare(case, taps)]
     return laws, best_pd_windowed(case, resolution)
 
@@ -376,7 +382,7 @@ def _verdict(demand: Demand, laws: list[dict[str, Any]], lines: list[str]) -> di
             + ("only the designed law keeps the demand" if mine else "no law does")
         )
     else:
-        # A search for laws that land ends somewhere on a ragged edge.
+        # A search for laws that survive landing ends on a ragged limit.
         verb = "stiffer than" if gain > 1.005 else "no stiffer than"
         lines.append(f"  designed is {verb} the best of the others ({rival}): x {gain:.3f}")
     return {"demand": _wanted(demand), "laws": laws, "best_other": rival, "gain": gain}

@@ -1,4 +1,4 @@
-"""Options of `sim.studies.design`: which devices, which delays, what a law must bear."""
+"""Options of `sim.studies.design`: devices, delays and requirements on the law."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ class DesignOptions(SpreadOptions, FileOptions):
 
     mass: tuple[float, float] = quantity("mass", Interval(0.05, 0.2))
     damping: tuple[float, float] = quantity("damping", Interval(1.0, 1.0))
-    # A recording may say both.
+    # A recording may define both.
     delay: tuple[float, float] | None = quantity("delay", Interval(1.0, 1.0), unset=True)
     rate: float | None = quantity("rate", 500.0, unset=True)
     taps: int = quantity("taps", 4)

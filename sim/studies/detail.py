@@ -1,4 +1,4 @@
-"""Find how coarse a scene may be before the device could tell: mesh to plane, bodies from dynamic to fixed."""
+"""Find the coarsest scene that the device cannot tell from the finest: meshes, bodies."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class DetailOptions(FileOptions):
 
 
 def detail(options: DetailOptions) -> Answer:
-    """Lead a lockstep run's path through every level."""
+    """Guide the device along a lockstep run's path through every level of detail."""
     import tempfile
 
     import numpy as np
@@ -70,7 +70,7 @@ def detail(options: DetailOptions) -> Answer:
         device = parts.get("sim_driver", ("", {}))[1].get("device", {})
         resolution = options.resolution or device.get("resolution") or RESOLUTION
         if "mujoco" in parts:
-            # In one process: it gives the bits of a launch.
+            # In one process, bit-identical to a launch.
             found = body_detail(
                 launch, stiffness, resolution, options.fraction, options.progress(5)
             )
@@ -117,7 +117,8 @@ def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> 
         f"{'':49}{'max':>10}{'rms':>10}{'':20}{'median':>9}{'p99':>9}",
     ]
     lines += [
-        f"{level.name:30}{level.solids:8}{level.triangles:11}{1e3 * level.force_n:10.3g}{1e3 * level.rms_n:10.3g}"
+        f"{level.name:30}{level.solids:8}{level.triangles:11}"
+        f"{1e3 * level.force_n:10.3g}{1e3 * level.rms_n:10.3g}"
         f"{level.proxy_um:12.3g}{level.places:8}{level.call_us:9.3g}{level.call_p99_us:9.3g}"
         f"{'  enough' if level.enough else ''}"
         for level in found.levels
@@ -135,15 +136,14 @@ def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> 
 
 @style.styled
 def draw(path: Path, scenario: str, found: Detail) -> Path:
-    """Draw by how much the force of each level differs, and what a call costs."""
+    """Plot each level's difference of force, and the time of a call."""
     import numpy as np
 
     levels = found.levels
     figure = style.new_figure(8.6, 1.4 + 0.32 * len(levels))
     differs, costs = figure.subplots(1, 2, sharey=True, width_ratios=(1.6, 1.0))
     style.name_rows(differs, [level.name for level in levels])
-    # What differs by nothing, or by rounding alone, has no place on a logarithmic axis: it stands
-    # at its end.
+    # Zero and rounding have no place on a logarithmic axis; they are drawn at its end.
     least = 1e-3 * (1e3 * found.limit_n)
     for axes, low, high, names, scale in (
         (differs, "rms_n", "force_n", ("rms", "largest"), 1e3),
@@ -162,7 +162,7 @@ def draw(path: Path, scenario: str, found: Detail) -> Path:
         xlabel="the force differs by, at the left end less than that  [mN]",
         xlim=(least, None),
     )
-    # One call that the machine has interrupted would push all others to the left.
+    # A single interrupted call would push all others to the left.
     apart = max(level.call_p99_us for level in levels) > 20.0 * min(
         level.call_us for level in levels
     )

@@ -1,4 +1,4 @@
-"""`haptic device identify`: push the device of a launch, and tell what it is at each place."""
+"""`haptic device identify`: push the device of a launch and identify it at each place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class IdentifiedPlaces(StudyResult):
-    """What a device is at each place where it was pushed, on each axis."""
+    """Identified device at each place and axis of a push."""
 
     places: tuple[tuple[Pushed, Identified], ...]
 
@@ -27,7 +27,7 @@ class IdentifiedPlaces(StudyResult):
 
     @property
     def answer(self) -> dict[str, Any]:
-        """Figures by name; of the first push at the top: one device, one place is the usual case."""
+        """Figures by name, those of the first push at the top level."""
         from sim.identify.identified_text import figures
 
         places = [
@@ -43,7 +43,7 @@ class IdentifiedPlaces(StudyResult):
 
     @property
     def text(self) -> str:
-        """What a person reads."""
+        """Text for the terminal."""
         from sim.identify.identified_text import text
 
         return "\n".join(
@@ -54,22 +54,22 @@ class IdentifiedPlaces(StudyResult):
 
 
 def device_identify(options: PushOptions) -> StudyResult:
-    """Push the device of a running launch, or of a scenario that is started for it, and identify it.
+    """Identify the device of a running launch, or of a scenario started for it, by pushes.
 
     Parameters
     ----------
     options : PushOptions
-        Which launch, and how the device is pushed.
+        The launch, and how the device is pushed.
 
     Returns
     -------
     IdentifiedPlaces or Answer
-        The device at each place; an empty answer where it was interrupted before the push began.
+        The device at each place; an empty answer if it was interrupted before the push began.
 
     Raises
     ------
     messages.errors.RefusedError
-        When nothing was recorded or the recording identifies nothing.
+        If nothing was recorded, or the recording identifies nothing.
     """
     from nodes.launcher.runs import runs
 

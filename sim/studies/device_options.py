@@ -1,4 +1,4 @@
-"""Arguments that the stability and design studies share: the device, the loop, the law."""
+"""Arguments shared by the stability and design studies: the device, the loop, the law."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def hand(text: str) -> tuple[float, float]:
-    """Read a range of stiffness, or the name of a published hand: from none to its stiffness."""
+    """Read a range of stiffness [N/m]; the name of a published hand means 0 to its stiffness."""
     if text in HANDS:
         return 0.0, HANDS[text].model["stiffness"].value
     try:
@@ -33,7 +33,10 @@ def hand(text: str) -> tuple[float, float]:
 
 
 def grasp(text: str) -> HandBox:
-    """Read a box of grasps: ``stylus``, or limits of mass [kg], stiffness [N/m] and damping [N s/m], separated by commas."""
+    """Read a box of grasps: ``stylus``, or MASS,STIFFNESS,DAMPING.
+
+    Each is a value or a range: mass [kg], stiffness [N/m] and damping [N s/m].
+    """
     from sim.design.hands import STYLUS, HandBox
 
     if text == "stylus":
@@ -50,7 +53,7 @@ def grasp(text: str) -> HandBox:
 
 
 def grasp_option(what: str) -> Any:
-    """Declare a box of grasps; `what` it is for."""
+    """Declare a box of grasps; `what` is its purpose."""
     text = (
         f"{what}: MASS,STIFFNESS,DAMPING of a fingertip, each a value or LOW..HIGH [kg, N/m, N"
         " s/m], or stylus"
@@ -71,7 +74,7 @@ class DeviceOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class LawOptions(Options):
-    """Parameters of a law that are most often varied."""
+    """The most often varied parameters of a law."""
 
     stiffness: float | None = quantity("stiffness")
     order: float | None = quantity("order")
@@ -81,7 +84,7 @@ class LawOptions(Options):
 
 
 def recorded(path: Path) -> Measured:
-    """Read what a recording tells of its loop."""
+    """Measure the loop of a recording."""
     from nodes.recording.writer import RecordError
     from sim.design.recorded_loop import measure
 
@@ -92,12 +95,12 @@ def recorded(path: Path) -> Measured:
 
 
 def device(options: DeviceOptions) -> Plant:
-    """Collect the device from parsed options."""
+    """Return the device of parsed options."""
     return Plant(1.0 / options.rate, options.mass, options.damping, options.delay, options.hand)
 
 
 def head(law: Law, plant: Plant, gain: str = "") -> str:
-    """Say what a study is about, in its first line: the law, the device and the loop."""
+    """Return the first line of a study: the law, the device and the loop."""
     described = law_to_dict(law)
     forms = {"stiffness": "K {:g} N/m", "damping": "B {:g}", "order": "order {:g}"}
     keys = ("order",) if gain else forms
@@ -111,7 +114,7 @@ def head(law: Law, plant: Plant, gain: str = "") -> str:
 
 
 def law(options: LawOptions, name: str, gain: float | None = None, nominal: bool = False) -> Law:
-    """Build the law that was asked for; what decides the answer is asked for, not assumed."""
+    """Build the law of the options; raises UsageError if a decisive parameter is missing."""
     written = name.lstrip().startswith("{")
     data: Any = parse_yaml(name, "law") if written else {"kind": name}
     asked = options.chosen("stiffness", "order", "taps", "gains", "derivative") | {"damping": gain}

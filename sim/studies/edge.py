@@ -1,4 +1,7 @@
-"""The frequency that occurs at the edge of stability: K_max by Colgate's condition there alone, and from a recorded swing."""
+"""Find the ringing frequency at the edge of stability, and K_max from a recorded swing.
+
+K_max follows from Colgate's condition at that frequency alone.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 if TYPE_CHECKING:
     from sim.identify.swing import Swing
 
-# The laws that are compared.
+# The compared laws.
 LAWS: dict[str, dict[str, Any]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
     "pd_filtered 100 Hz": {"kind": "pd_filtered", "stiffness": 1.0, "cutoff": 100.0},
@@ -130,7 +133,7 @@ def edge(options: EdgeOptions) -> StudyResult:
 
 
 def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
-    """Find where a law rings on a device; None where it has no limit."""
+    """Find the ringing frequency of a law on a device; None if stable at any stiffness."""
     derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
     limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
     return (
@@ -165,7 +168,7 @@ def _drops(options: EdgeOptions, drops: int) -> Answer:
 
 @dataclass(frozen=True, repr=False)
 class SwingFound(StudyResult):
-    """What the swing of a recorded contact says of K_max."""
+    """K_max from the swing of a recorded contact."""
 
     swing: Swing
     held: bool = True
@@ -177,7 +180,7 @@ class SwingFound(StudyResult):
 
     @property
     def text(self) -> str:
-        """What a person reads."""
+        """Text for the terminal."""
         swing = self.swing
         low, high = swing.k_max_n_per_m
         mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
@@ -194,10 +197,13 @@ class SwingFound(StudyResult):
             f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
         )
         return (
-            f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .. {mass[1]:.4g} kg,"
-            f" {known}, {held} (THEORY.md §9)\nmeasured at K = {k:.6g} N/m, {100.0 * k / high:.0f} to"
+            f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .."
+            f" {mass[1]:.4g} kg,"
+            f" {known}, {held} (THEORY.md §9)\nmeasured at K = {k:.6g} N/m,"
+            f" {100.0 * k / high:.0f} to"
             f" {100.0 * k / low if low else math.inf:.0f} % of it: swings at"
-            f" {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, x {swing.decay_per_tick:.5f} per tick;"
+            f" {swing.omega_rad_per_s / (2.0 * math.pi):.5g} Hz,"
+            f" x {swing.decay_per_tick:.5f} per tick;"
             f" rings at {swing.edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz at the edge"
         )
 
@@ -244,7 +250,7 @@ def _draw(options: EdgeOptions, rows: list[dict[str, Any]], damping: float, peri
         ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
         title=r"Colgate at $\omega_c$ alone, without R",
     )
-    # Room for the name of the threshold, below the title.
+    # Space for the label of the threshold, below the title.
     right.set_ylim(top=1.0 + 0.25 * (1.0 - right.get_ylim()[0]))
     threshold(right, 1.0, "1: as predicted")
     left.legend()

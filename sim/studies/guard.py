@@ -1,4 +1,4 @@
-"""What the passivity guard makes safe and what it costs in rendered stiffness: drops on ever stiffer walls."""
+"""Measure safety and cost in stiffness of the passivity guard: drops on stiffer walls."""
 
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -24,7 +24,7 @@ from sim.results import fresh
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SpreadOptions, spread
 
-LEAST = 1e-6  # where what is less is drawn, in mJ and mm: a nanojoule, a nanometre
+LEAST = 1e-6  # lower limit of the plots, in mJ and mm: a nanojoule, a nanometre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class GuardOptions(SpreadOptions, FileOptions):
 
 
 def guard(options: GuardOptions) -> Answer:
-    """Compare, draw and tell."""
+    """Compare drops with and without the guard, and plot them."""
     if options.points < 2 or not options.low < options.high:
         raise UsageError(
             f"--low {options.low:g} --high {options.high:g} --points {options.points}:"

@@ -1,4 +1,4 @@
-"""Two hands far apart: the stiffness that any two hands bear, and what is felt of each other, against the network's delay."""
+"""Two hands far apart: stable stiffness and mutual feel over the network's delay."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ class HandsOptions(FileOptions):
 
 
 def hands(options: HandsOptions) -> Answer:
-    """Compare, draw and print."""
+    """Compare the couplings of two hands, and plot them."""
     plant = Plant(1.0 / options.rate, options.mass, options.damping)
     steps = (0, 1, 2, 3, 5, 8, 12, 20, 35, 50, 100, 200, 350, 500, 1000)
     delays = sorted({*(step for step in steps if step <= options.longest), options.longest})

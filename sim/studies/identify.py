@@ -1,4 +1,4 @@
-"""Identify the device of a recording: mass, damping, friction, delay, encoder, each with a 95 % interval."""
+"""Identify a recording's device: mass, damping, friction, delay, encoder, 95 % intervals."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class IdentifyOptions(Options):
 
 @dataclass(frozen=True, repr=False)
 class IdentifiedRecording(StudyResult):
-    """The device of a recording: what is known of it, and whether the recording supports it."""
+    """Identified device of a recording, and whether the recording supports the model."""
 
     recording: Path
     found: Identified
 
     @property
     def held(self) -> bool:
-        """Whether its mass is known and nothing refutes the model."""
+        """Whether the mass is known and nothing refutes the model."""
         return self.found.mass.value is not None and not self.found.refuted
 
     @property
@@ -56,7 +56,7 @@ class IdentifiedRecording(StudyResult):
 
     @property
     def text(self) -> str:
-        """What a person reads."""
+        """Text for the terminal."""
         from sim.identify.identified_text import text
 
         return text(self.found)
@@ -79,9 +79,9 @@ def identify(options: IdentifyOptions) -> IdentifiedRecording:
     Raises
     ------
     messages.errors.UsageError
-        When it is no recording.
+        If the file is not a recording.
     messages.errors.RefusedError
-        When the recording identifies nothing.
+        If the recording identifies nothing.
     """
     from sim.identify.experiment import read
     from sim.identify.identify import identify as found_in

@@ -1,4 +1,4 @@
-"""Largest stable stiffness of a law on a known device: closed form, pole radius, simulation or real launches; or its chart."""
+"""Largest stable stiffness of a law on a known device, at one gain or over a range."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from sim.design.hands import HandBox
     from sim.play.one_axis import Scene
 
-_PRESSING = 100.0  # stiffness of the hand that presses where none is given [N/m]
+_PRESSING = 100.0  # default stiffness of the pressing hand [N/m]
 
 
 @dataclass(frozen=True)
 class _Found(KMax):
-    """What a simulation found."""
+    """Result of a simulation."""
 
-    # softest and stiffest K that were tried [N/m]
+    # softest and stiffest tried K [N/m]
     searched: tuple[float, float] = (math.nan, math.nan)
 
 
@@ -50,7 +50,10 @@ class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
     )
     method: str | None = option(
         choices=("closed_form", "pole_radius", "simulation", "lockstep"),
-        help="default: the closed form where there is one, else the pole radius; lockstep drops it through real processes",
+        help=(
+            "default: the closed form where there is one, else the pole radius; lockstep drops it"
+            " through real processes"
+        ),
     )
     scene: str = option(
         default="drop",
@@ -75,16 +78,17 @@ class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
 
 @dataclass(frozen=True, repr=False)
 class KMaxFound(StudyResult):
-    """K_max of one law at one gain; by launches too, where they were asked."""
+    """K_max of one law at one gain, optionally by launches too."""
 
-    loop: str  # what was looked at: law, device, loop
+    loop: str  # law, device and loop
     found: KMax
     grasp: HandBox | None = None
-    k_max_grasp_n_per_m: float | None = None  # in the worst grasp of the box; None: none is stable
+    # in the worst grasp of the box; None: no stable stiffness
+    k_max_grasp_n_per_m: float | None = None
 
     @property
     def k_max_n_per_m(self) -> float | None:
-        """Largest stable nominal stiffness [N/m]; None: none, or no limit was found."""
+        """Largest stable nominal stiffness [N/m]; None if none is stable or no limit was found."""
         return _bounded(self.found.k_max_n_per_m)
 
     @property
@@ -104,7 +108,7 @@ class KMaxFound(StudyResult):
 
     @property
     def text(self) -> str:
-        """What a person reads."""
+        """Text for the terminal."""
         lines, limit = [self.loop, _said(self.found)], self.k_max_grasp_n_per_m
         if self.grasp is not None:
             text = "no stiffness is stable" if limit is None else f"{limit:.6g} N/m (nominal)"
@@ -136,21 +140,21 @@ def kmax(options: KMaxOptions) -> StudyResult:
     Parameters
     ----------
     options : KMaxOptions
-        The law, its gain or a range of them [N s/m], the device and its loop, the method.
+        The law, its gain or a range of gains [N s/m], the device and its loop, the method.
 
     Returns
     -------
     KMaxFound or Answer
-        K_max of one gain; an answer with ``points`` of a range, or of both ways for lockstep.
+        K_max of one gain; an answer with ``points`` for a range, or with both results for lockstep.
 
     Raises
     ------
     messages.errors.UsageError
-        For options that do not go together or a law that the method cannot judge.
+        For incompatible options, or a law that the method cannot judge.
     """
     device = shared.device(options)
     if options.scene == "press" and device.stiffness == 0.0:
-        # Somebody has to press, and is in the loop.
+        # The pressing hand is part of the loop.
         device = replace(device, stiffness=_PRESSING)
     several = options.gain is not None and options.gain[0] < options.gain[1]
     if several and options.method == "lockstep":
@@ -170,7 +174,7 @@ def kmax(options: KMaxOptions) -> StudyResult:
 
 
 def _grasped(grasp: HandBox, law: Law, device: Plant, found: KMax) -> float | None:
-    """Find K_max in the worst grasp of a box, by poles, up to ten times the one without a hand."""
+    """Compute K_max in the worst grasp of a box, by poles; at most 10 times the bare K_max."""
     from nodes.stability.k_max import with_spring
     from sim.design.hands import k_max_over
     from sim.experiments.k_max_simulated import SEARCHED
@@ -181,7 +185,7 @@ def _grasped(grasp: HandBox, law: Law, device: Plant, found: KMax) -> float | No
 
 
 def _bounded(k: float | None) -> float | None:
-    """Return a limit; None where there is none, or none was found."""
+    """Return a finite limit, else None."""
     return k if k is not None and math.isfinite(k) else None
 
 
@@ -202,7 +206,7 @@ def _refuse_idle(options: KMaxOptions, several: bool) -> None:
 
 
 def _loop(options: KMaxOptions, gain: float | None, device: Plant, gains: str = "") -> str:
-    """Name what is looked at; K is what is looked for."""
+    """Return the description of law, device and loop, without K, the unknown."""
     law = shared.law(options, options.law, gain)
     return shared.head(law, device, gains or f"B {getattr(law, 'damping', 0.0):g}")
 
@@ -217,7 +221,7 @@ def _found(options: KMaxOptions, law: Law, device: Plant) -> KMax:
 
 
 def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> Answer:
-    """Bisect one grid twice, by launches and in one process; around what the simulation found."""
+    """Bisect one grid twice, by launches and in one process, around the simulation's K_max."""
     from sim.experiments.drop import Criterion
     from sim.experiments.k_max_launched import same_k_max
     from sim.measure.haptic_commands import MeasurementError
@@ -228,7 +232,7 @@ def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> Answer
         if guess is None or not math.isfinite(guess):
             raise UsageError("--method lockstep: the simulation found no K_max to look around")
         steps = np.geomspace(0.5, 2.0, options.grid)
-        # Not at the guess itself: what is found must be decided by the runs.
+        # The guess itself is not on the grid, so that the runs decide the result.
         grid = (guess * steps * (steps[1] / steps[0]) ** (1 / 3)).tolist()
         step = options.progress(2 + math.ceil(math.log2(options.grid - 1)))
         found = same_k_max(
@@ -266,7 +270,7 @@ def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> Answer
 
 
 def _scene(options: KMaxOptions, device: Plant) -> Scene:
-    """Set up the experiment; a grip is held where the floor is, and behind the wall to press."""
+    """Build the scene; a hand's target is at the floor, or behind the wall to press."""
     from sim.experiments.drop import drop_scene, free_scene, held, press_scene
 
     raw = options.history == "position"

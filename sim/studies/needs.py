@@ -1,4 +1,4 @@
-"""Switch every term of a scene's model off and on: what is superfluous, what is missing, what each costs per tick."""
+"""Toggle every model term of a scene: which are superfluous or missing, and their cost."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from nodes.launcher.launch_spec import Launch
     from sim.experiments.needs import Needs
 
-_ROUNDING = 1e-15  # positions are a few centimetres in double precision [m]
+_ROUNDING = 1e-15  # rounding of positions of a few centimetres in double precision [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +37,15 @@ class NeedsOptions(SpreadOptions, FileOptions):
     tolerance: str = option(
         default="model",
         choices=("model", "jnd"),
-        help="a change that counts: the launch file's tolerance, or what a hand notices (default: model)",
+        help=(
+            "a change that counts: the launch file's tolerance, or what a hand notices"
+            " (default: model)"
+        ),
     )
 
 
 def needs(options: NeedsOptions) -> Answer:
-    """Print whether each chain of a scene models enough and no more."""
+    """Report whether each chain of a scene models enough and no more."""
     from nodes.launcher import launch_file
     from nodes.launcher.wiring import chains_of
 
@@ -59,7 +62,7 @@ def needs(options: NeedsOptions) -> Answer:
 
 
 def _judge(options: NeedsOptions, launch: Launch, chain: str) -> tuple[dict[str, Any], str]:
-    """Judge one chain: its figures, and what is printed of them."""
+    """Judge one chain; return its figures and text."""
     from sim.experiments.needs import needs as found_needs
     from sim.experiments.perception import THRESHOLDS, tolerances
 
@@ -99,9 +102,9 @@ def _judge(options: NeedsOptions, launch: Launch, chain: str) -> tuple[dict[str,
 
 
 def _rest(launch: Launch, chain: str, path: Path) -> dict[str, Any] | None:
-    """Return what encoder and friction do to the last law at rest; None without contact.
+    """Return the effect of encoder and friction on the last law at rest; None without contact.
 
-    Also None where the device is not rigid or the law is not linear.
+    Also None if the device is not rigid or the law is not linear.
     """
     from nodes.stability.rest import rest
     from sim.experiments.rest_map import rest_map
@@ -126,7 +129,7 @@ def _rest(launch: Launch, chain: str, path: Path) -> dict[str, Any] | None:
 
 
 def _micrometres(length: float) -> str:
-    """Give a length; what the arithmetic of a device at rest leaves is nought."""
+    """Format a length in µm; rounding counts as zero."""
     return "0" if length < _ROUNDING else f"{1e6 * length:.3g}"
 
 

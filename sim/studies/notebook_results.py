@@ -1,4 +1,4 @@
-"""Results that a notebook shows: small objects with their figures, a picture and a table."""
+"""Results for notebooks: small objects with figures, a plot and a table."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ _LONGEST = 6
 
 
 class Result:
-    """Base of results, dataclasses of figures with units in their names; an array is a column of `to_pandas`."""
+    """Base of results: dataclasses of figures with units in their names.
+
+    Arrays are the columns of `to_pandas`.
+    """
 
     def figures(self) -> dict[str, Any]:
-        """List what is no column: figure by name, with the unit at its end."""
+        """Return the scalar figures by name, with the unit at its end."""
         return {
             name: value
             for name, value in self._fields().items()
@@ -31,13 +34,13 @@ class Result:
         }
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """List what has one value per tick or per point, by name; nothing where a result has only figures."""
+        """Return the arrays by name, with a value per tick or point; empty if all are scalar."""
         return {
             name: value for name, value in self._fields().items() if isinstance(value, np.ndarray)
         }
 
     def _fields(self) -> dict[str, Any]:
-        # A field that begins with an underscore is kept for plot().
+        # Fields that begin with an underscore are for plot().
         fields = dataclasses.fields(self)  # type: ignore[arg-type]
         return {
             field.name: getattr(self, field.name)
@@ -46,11 +49,11 @@ class Result:
         }
 
     def plot(self) -> Figure:
-        """Draw it: the figures beside each other, where a result has no picture of its own."""
+        """Plot the figures as bars; a subclass may plot its own picture."""
         return bars(self.figures(), "", type(self).__name__)
 
     def to_pandas(self) -> Any:
-        """Turn it into a table: one row per tick or point; for a result of figures alone, one row. Needs pandas."""
+        """Return a table, one row per tick or point, or one row of figures. Needs pandas."""
         flat: dict[str, NDArray[Any]] = {}
         for name, values in self.columns().items():
             flat |= (
@@ -66,7 +69,7 @@ class Result:
         lines += [f"  {count} rows of {', '.join(self.columns())}"] if count else []
         return "\n".join([type(self).__name__, *lines])
 
-    # A terminal has no tables: whoever types a result's name there sees its figures, too.
+    # A terminal has no tables, so a result's repr shows its figures.
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
@@ -79,7 +82,7 @@ class Result:
 
 
 def pandas() -> Any:
-    """Load pandas, which is no dependency."""
+    """Import pandas, which is optional."""
     try:
         return importlib.import_module("pandas")
     except ModuleNotFoundError as error:
@@ -100,7 +103,7 @@ def _short(value: Any) -> str:
 
 
 def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
-    """Draw figures beside each other, by name, labelled with what they are and their unit; what is no number is left out."""
+    """Plot figures as bars, each labelled with name and unit; non-numbers are left out."""
     known = {
         name: float(value)
         for name, value in values.items()
@@ -122,7 +125,7 @@ def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
 
 
 def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
-    """Make a figure of panels, one under the other, each of so many inches, that shows itself in a notebook."""
+    """Return a figure of stacked panels, with sizes in inches; a notebook shows it."""
     from matplotlib.figure import Figure
 
     class Picture(Figure):

@@ -1,4 +1,4 @@
-"""What laws render: stiffness and damping against frequency, with hold and delay, and the plane of both (Z-width)."""
+"""Rendered stiffness and damping of laws over frequency, with hold and delay, and Z-width."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
 from sim.studies.result import Answer, answered
 
-SHOWN = (1.0, 10.0, 50.0, 100.0)  # frequencies of the table [Hz]
+SHOWN = (1.0, 10.0, 50.0, 100.0)  # frequencies of the printed table [Hz]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class ResponseOptions(LawOptions, DeviceOptions, FileOptions):
 
 
 def response(options: ResponseOptions) -> Answer:
-    """Work out what each law renders at its own gains, and the plane over a range of gains."""
+    """Compute the response of each law at its own gains, and the K–B plane over gains."""
     import numpy as np
 
     from sim.experiments.rendered import frequencies, rendered, z_width
@@ -88,7 +88,7 @@ def response(options: ResponseOptions) -> Answer:
 
 
 def _numbers(record: dict[str, Any]) -> dict[str, Any]:
-    """Write arrays as lists, and what is no number as null."""
+    """Convert arrays to lists, and what is not finite to null."""
     import numpy as np
 
     return {
@@ -122,7 +122,7 @@ def _plane_lines(names: list[str], planes: list[Any]) -> list[str]:
 
 @styled
 def draw(path: Path, names: list[str], found: list[Any], planes: list[Any], device: Plant) -> Path:
-    """Draw stiffness and damping against frequency, and the plane beside them."""
+    """Plot stiffness and damping over frequency, with the K–B plane beside them."""
     figure = new_figure(11.0 if planes else 7.0, 5.2)
     grid = figure.add_gridspec(2, 2 if planes else 1)
     top = figure.add_subplot(grid[0, 0], xscale="log", ylabel="stiffness felt  [N/m]")

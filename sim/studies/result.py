@@ -1,4 +1,4 @@
-"""What a study returns: its figures by name, what it says of them, and its verdict."""
+"""The result of a study: figures by name, text and verdict."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from sim.studies.notebook_results import Result, bars, new_figure, pandas
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Names under which studies list their rows.
+# Names of the tables of studies.
 _TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "parameters")
 
 
 class StudyResult(Result):
-    """Base of what studies return; ``result["name"]`` reads a figure of the answer for machines."""
+    """Base of the results of studies; ``result["name"]`` reads a figure of the answer."""
 
-    interrupted: int = 0  # signal that ended it, and this is what it had until then; 0: none
+    interrupted: int = 0  # signal that ended the study early, leaving a partial result; 0: none
 
-    if TYPE_CHECKING:  # of each result: a field or a property
+    if TYPE_CHECKING:  # each result defines a field or a property
 
         @property
         def held(self) -> bool:
@@ -33,24 +33,24 @@ class StudyResult(Result):
 
         @property
         def text(self) -> str:
-            """What a person reads."""
+            """Text for the terminal."""
 
     def figures(self) -> dict[str, Any]:
-        """List the figures."""
+        """Return the figures."""
         return self.answer
 
     def columns(self) -> dict[str, Any]:
-        """List no columns: a table of rows is one figure of the answer."""
+        """Return no columns: a table of rows is one figure of the answer."""
         return {}
 
     def to_pandas(self) -> Any:
-        """Return a table: the rows of a study that has some, else its figures in one row."""
+        """Return a table: the rows of the study if it has any, else its figures in one row."""
         answer = self.answer
         rows = next((value for name, value in answer.items() if name in _TABLES and value), None)
         return pandas().DataFrame([answer] if rows is None else rows)
 
     def plot(self) -> Figure:
-        """Draw it: the picture that the study drew, or its figures beside each other."""
+        """Show the study's own picture; without one, plot its figures as bars."""
         picture = self.answer.get("plot")
         if not isinstance(picture, str) or not Path(picture).exists():
             return bars(_flat(self.answer), "as their names say", type(self).__name__)
@@ -63,7 +63,7 @@ class StudyResult(Result):
         return figure
 
     def __getitem__(self, name: str) -> Any:
-        """Read one figure."""
+        """Return one figure."""
         answer = self.answer
         if name not in answer:
             raise KeyError(f"{name!r} is no figure of this study; there are {', '.join(answer)}")
@@ -74,7 +74,7 @@ class StudyResult(Result):
 
 
 def _flat(said: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Name every number of an answer by its path."""
+    """Return every number of an answer by its path."""
     found: dict[str, Any] = {}
     for name, value in said.items():
         found |= (
@@ -103,7 +103,7 @@ def answered(
     plot: Path | None = None,
     held: bool = True,
 ) -> Answer:
-    """Return figures and lines, last the files that there are."""
+    """Return an answer of figures and lines; the paths of files come last."""
     files = {
         name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None
     }

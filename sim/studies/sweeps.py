@@ -1,4 +1,4 @@
-"""Where the jobs of a study run: here, in processes of this machine, or on the workers of a Dask scheduler (``--cluster``)."""
+"""Run the jobs of a study here, in local processes or on a Dask cluster (``--cluster``)."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ from nodes.parameters.quantities import whole
 from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.results import fresh
 
-# options that hold the certificates of a cluster off this machine
+# options with the certificates of a remote cluster
 TLS = ("tls_ca_file", "tls_cert", "tls_key")
 SPREAD = ("workers", "cluster", *TLS)  # options of where jobs run
 R = TypeVar("R")
@@ -41,7 +41,7 @@ class SpreadOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions(SpreadOptions, FileOptions):
-    """Where a sweep runs, and whether it goes on with its ledger."""
+    """Where a sweep runs, and whether it continues its ledger."""
 
     fresh: bool = option(
         action="store_true",
@@ -54,7 +54,7 @@ class SweepOptions(SpreadOptions, FileOptions):
 
 @contextlib.contextmanager
 def executor(options: SpreadOptions) -> Iterator[Executor]:
-    """Open what the jobs run on."""
+    """Open the executor of the jobs."""
     if options.cluster is None:
         from nodes.base.workers import Workers
 
@@ -97,8 +97,11 @@ def _flags(names: Sequence[str]) -> str:
 
 
 def check_cluster(options: SpreadOptions) -> dict[str, Any]:
-    """Refuse a cluster that is reached over a network without TLS: its workers run whatever they are sent."""
-    # Only a cluster takes network code.
+    """Check a cluster's address; raise UsageError for a remote one without TLS.
+
+    Its workers execute whatever they receive.
+    """
+    # Imported only for a cluster, because it loads network code.
     from messages.transport.endpoints import is_remote
 
     address = urlsplit(options.cluster)
@@ -129,7 +132,10 @@ def check_cluster(options: SpreadOptions) -> dict[str, Any]:
 def swept(
     options: SweepOptions, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1
 ) -> tuple[list[SweepRow], Path]:
-    """Do the jobs of a study, with progress on stderr: rows in their order, and the ledger that holds what was done before."""
+    """Run the jobs of a study with a ledger; return its rows in order, and its path.
+
+    Jobs already in the ledger are not repeated. Progress is shown on stderr.
+    """
     ledger = begun(options, name)
     try:
         with executor(options) as pool:
@@ -141,7 +147,7 @@ def swept(
 
 
 def begun(options: SweepOptions, name: str) -> Path:
-    """Name the ledger of a study; with --fresh there is none yet."""
+    """Return the path of a study's ledger; with --fresh the existing one is set aside."""
     ledger = options.out / f"{name}.jsonl"
     return fresh(ledger) if options.fresh else ledger
 
@@ -152,9 +158,10 @@ def spread(
     chunk: int = 1,
     step: ProgressStep | None = None,
 ) -> list[R]:
-    """Do all jobs where the options say, with progress on stderr: results in the order of the jobs, kept nowhere.
+    """Run all jobs where the options say; return their results in order, without a ledger.
 
-    Each is a `functools.partial` of a module's function, so that other processes find it by name.
+    Each job is a `functools.partial` of a module's function, so that other processes find it by
+    name. Progress is shown on stderr.
     """
     step = step or options.progress(len(jobs))
     results: dict[int, R] = {}

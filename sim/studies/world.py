@@ -1,4 +1,4 @@
-"""How stiff a law may be when the world behind it moves: a wall, springs, any world, any hand, a tool, two devices."""
+"""K_max of a law before a moving world: springs, any world, any hand, tools, devices."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ class WorldOptions(LawOptions, DeviceOptions):
 
 
 def world(options: WorldOptions) -> Answer:
-    """Find K_max for each kind of world."""
+    """Compute K_max for each kind of world."""
     device, law = shared.device(options), shared.law(options, options.law, options.gain)
     if options.delay2 is not None and options.device2_damping is None:
         raise UsageError("--delay2: belongs to a second device; give --device2-damping")

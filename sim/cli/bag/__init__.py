@@ -1,1 +1,1 @@
-"""What `haptic bag` can do with the simulation at hand."""
+"""Sub-verbs of `haptic bag` that need the simulation."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sim.identify.counterfactual import Felt
     from sim.identify.recorded_scene import RecordedScene
 
-EXPLAINED = 1e-5  # a residual below this is explained even where the encoder is finer [m]
+EXPLAINED = 1e-5  # a smaller residual counts as explained even if the encoder is finer [m]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         if given:
             refuse_law(arguments.file, given)
         recorded, external, model = _prepared(arguments)
-        # A device as it was declared lacks nothing.
+        # A declared device has no missing force.
         nudged = None if model == "declared" else nudges(recorded, external)
         same = replay(recorded, None, external, nudged)
         alone = same if nudged is None else replay(recorded, None, external)
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
-    """Rebuild the recording with its model, and estimate the force that the model lacks."""
+    """Rebuild the recording with its model; estimate the force missing in the model."""
     from sim.device.model import DeviceModel
     from sim.identify.counterfactual import missing_force
     from sim.identify.experiment import read
@@ -133,7 +133,8 @@ def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
             and not found.held
             and noise < max(found.encoder.value or 0.0, EXPLAINED)
         ):
-            # The model explains the recording to an encoder step: nothing else moved the device.
+            # The model explains the recording to an encoder step, so no other force moved the
+            # device.
             return rebuild(arguments.file, device), None, name
     recorded = rebuild(arguments.file, device)
     rounding = (device.resolution or noise) / math.sqrt(12.0)
@@ -141,7 +142,7 @@ def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
 
 
 def _modelled(found: Any, recording: Path) -> DeviceModel:
-    """Put the identified device where the recording begins, its weight with it."""
+    """Place the identified device, with its weight, where the recording begins."""
     from sim.device.model import DeviceModel
     from sim.identify.experiment import read
     from sim.identify.identified_text import device_parameters
@@ -155,14 +156,13 @@ def _modelled(found: Any, recording: Path) -> DeviceModel:
         "gravity": -load / found.mass.known()[0],
     }
     if found.held and found.stiffness.value:
-        # The hand holds on to where it is going; the way itself is in the force that the model
-        # lacks.
+        # The hand pulls to a fixed point; its motion is part of the missing force.
         start["hand"] = {"stiffness": found.stiffness.value, "path": [(0.0, 0.0)]}
     return msgspec.convert({**device_parameters(found), **start}, DeviceModel)
 
 
 def at_most(metres: float) -> str:
-    """Tell a largest difference; what is less than a picometre is rounding, whose digits say nothing."""
+    """Write a largest difference; below a picometre only rounding is left."""
     return "0 µm" if metres == 0.0 else f"{max(1e-6, metres * 1e6):.3g} µm"
 
 

@@ -1,4 +1,4 @@
-"""How many chains this machine carries: launches of more and more chains, until one loses ticks."""
+"""Largest number of chains per machine: launch more and more until one loses ticks."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 
-LIMIT = 0.01  # share of lost ticks up to which a machine carries a launch
+LIMIT = 0.01  # largest share of lost ticks of a launch that counts as carried
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def counts(most: int) -> list[int]:
-    """Return the numbers of chains to try, each about half as many again as the one before."""
+    """Return the numbers of chains to try, each about 1.5 times the previous one."""
     found = [1]
     while found[-1] < most:
         found.append(min(most, max(found[-1] + 1, found[-1] * 3 // 2)))
@@ -65,7 +65,7 @@ def several(scenario: str, chains: int, folder: Path) -> str:
 def measure(
     scenario: str, most: int, seconds: float, rate: float, tick: Tick, progress: Progress
 ) -> list[dict[str, Any]]:
-    """Launch more and more chains; return a row for each launch."""
+    """Launch more and more chains; return a row per launch."""
     rows = []
     with tempfile.TemporaryDirectory(prefix="haptic-") as name:
         for chains in counts(most):

@@ -1,8 +1,8 @@
-"""What encryption costs: response over tcp with CURVE against ipc, in one run.
+"""Measure the cost of encryption: response over tcp with CURVE against ipc, in one run.
 
-The loop's own environment and coupling, each in its process: one pair of them answers over ipc, as
-on one machine, one pair over tcp on loopback with CURVE, as on two. This process is the driver of
-both in turn, tick by tick, so that whatever else the machine does meets both.
+The loop's own environment and coupling run in a process each: one pair answers over ipc, as on one
+machine, one pair over tcp on loopback with CURVE, as on two machines. This process drives both in
+turn, tick by tick, so that disturbances of the machine affect both alike.
 """
 
 import argparse
@@ -35,7 +35,7 @@ from nodes.recording.summary import quantile
 from sim.cli.answers import add_answer, report
 from sim.measure.free_ports import free_ports
 
-PATIENCE_MS = 5000  # longest wait for an answer [ms]
+PATIENCE_MS = 5000  # longest wait for a force [ms]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 class _Loop:
-    """Two nodes over tcp, and this process as their driver."""
+    """Environment and coupling over tcp or ipc, driven by this process."""
 
     def __init__(
         self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack
@@ -124,7 +124,7 @@ class _Loop:
             pass
 
     def tick(self, patience_ms: int = PATIENCE_MS) -> float | None:
-        """Do one tick; the response time [s], or None without an answer."""
+        """Run one tick; return the response time [s], or None without an answer."""
         self._seq += 1
         position = (0.0, 0.0, -1e-3 if self._seq % 2 else 1e-3)
         begun = time.monotonic()
@@ -138,7 +138,7 @@ class _Loop:
                 return time.monotonic() - begun
 
     def answered(self) -> float:
-        """Do one tick that must be answered; the response time [s]."""
+        """Run one tick that must be answered; return the response time [s]."""
         response = self.tick()
         if response is None:
             raise RefusedError(f"{self._name}: no answer within {PATIENCE_MS / 1e3:g} s")
@@ -146,11 +146,12 @@ class _Loop:
 
 
 def _round(loops: dict[str, _Loop], ticks: int, period: float) -> dict[str, list[float]]:
-    """Do a round at the loop's rate, tick by tick in turn; responses [s]."""
+    """Run a round at the loop's rate, tick by tick in turn; return the responses [s]."""
     found: dict[str, list[float]] = {name: [] for name in loops}
     start = time.monotonic()
     for n in range(ticks):
-        # A tick of one, half a period later a tick of the other: what disturbs meets both.
+        # A tick of the one, half a period later a tick of the other: both meet the same
+        # disturbances.
         for half, (name, loop) in enumerate(loops.items()):
             realtime.sleep_until(start + (n + 0.5 * half) * period)
             found[name].append(loop.answered())
@@ -158,12 +159,12 @@ def _round(loops: dict[str, _Loop], ticks: int, period: float) -> dict[str, list
 
 
 def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
-    """Measure both kinds in turn."""
+    """Measure both transports in turn."""
     period = 1.0 / rate
     responses: dict[str, list[list[float]]] = {"ipc": [], "curve": []}
     with tempfile.TemporaryDirectory(prefix="haptic-bench-") as text, ExitStack() as stack:
         folder = Path(text)
-        # The user's own keys are not touched.
+        # The user's own keys are not changed.
         stack.enter_context(mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder / "keys")))
         me = keys.new_identity()
         denied: list[str] = []

@@ -1,4 +1,4 @@
-"""What listeners cost the loop: four extra loggers, one of them stopped and one killed, against none, in one run."""
+"""Measure the cost of listeners: four more loggers, one stopped, one killed, against none."""
 
 import argparse
 import signal
@@ -32,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[bytes]]:
-    """Attach loggers and wait until each one's file grows."""
+    """Attach loggers; wait until the file of each grows."""
     paths = [launch.folder / f"{label}-{i}.mcap" for i in range(count)]
     listeners = [
         subprocess.Popen(

@@ -1,7 +1,8 @@
-"""The running loop, plain and compiled, against bare ones: lockstep throughput, response, start-up, memory, CPU.
+"""Measure the loop, plain and compiled, against bare loops: rate, response, memory, CPU.
 
-Beside the ordinary launch the cases of sim/lab/bench/bare.py, in turns with it: what a guard and a
-cross-fade cost, and whether a device behind its own servo loop misses more than the virtual one.
+Besides the ordinary launch, the cases of sim/lab/bench/bare.py run in turn with it: the cost of a
+guard and of a cross-fade, and whether a device behind its own servo loop misses more ticks than the
+virtual one.
 """
 
 import argparse
@@ -24,14 +25,14 @@ from sim.measure.stopwatch import Progress
 
 RATES = (500, 4000, 8000)
 
-# The compiled ticks of the loop.
+# The loop with compiled ticks.
 KERNELS = (
     "nodes.environment.kernel",
     "nodes.coupling.kernel",
     "nodes.driver.kernel",
     "sim.device.kernel",
 )
-# The loops compared; a bare one carries a logger when ours does.
+# The compared loops; a bare loop has a logger if ours has one.
 NAMES = {
     "compiled": "compiled",
     "plain": "plain",
@@ -43,7 +44,7 @@ NAMES = {
         for tick in ("compiled", "plain")
     },
 }
-# arguments of each case, and of the ordinary launch, see sim/lab/bench/bare.py
+# Arguments of each case and of the ordinary launch; see sim/lab/bench/bare.py.
 Launches = Mapping[str, tuple[str, ...]]
 
 
@@ -97,7 +98,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool], float]]:
-    """Name the loops that are compared in lockstep; each answers with ticks per second."""
+    """Return the loops compared in lockstep, each a function that returns ticks per second."""
 
     def ours(tick: str, case: str = "") -> Callable[[int, str, bool], float]:
         def measure(ticks: int, _: str, logger: bool) -> float:
@@ -124,18 +125,18 @@ def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool
 
 
 def _names(loops: Mapping[str, Any]) -> list[str]:
-    """Name the rows of lockstep: each loop without a logger and with one, cases without."""
+    """Return the rows of lockstep: each loop with and without a logger, cases without."""
     return [*loops, *(f"{name}_with_logger" for name in loops if " " not in name)]
 
 
 def _programs() -> dict[str, Sequence[str]]:
-    """Give the bare loops."""
+    """Return the commands of the bare loops."""
     in_c = c_loop()
     return {"bare": BARE} if in_c is None else {"bare": BARE, "c": in_c}
 
 
 def _rows(rates: Sequence[int], tick: Tick, launches: Launches) -> list[tuple[str, int]]:
-    """Name what runs in real time, and at which rate; a case at one rate only."""
+    """Return the realtime rows with their rates [Hz]; a case has only one rate."""
     ours = tuple(dict.fromkeys(("plain", tick)))
     found = [(name, rate) for rate in rates for name in (*ours, *_programs())]
     for case in bare.CASES.keys() & launches.keys():
@@ -157,7 +158,7 @@ def lockstep(
     names = _names(loops)
     found: dict[str, list[float]] = {name: [] for name in names}
     for k in range(rounds):
-        # The order rotates: the machine drifts.
+        # The order rotates, because the machine drifts.
         for name in names[k % len(names) :] + names[: k % len(names)]:
             loop, _, logger = name.partition("_")
             found[name].append(loops[loop](ticks, core, bool(logger)))
@@ -191,7 +192,7 @@ def realtime(
     for k in range(rounds):
         for name, rate in pairs[k % len(pairs) :] + pairs[: k % len(pairs)]:
             if name in programs:
-                # Whatever the launch asks the machine for, the yardstick gets as well.
+                # The bare loop gets the same machine settings as the launch.
                 with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
                     run = bare_loop(
                         round(seconds * rate), core, fifo, float(rate), True, programs[name]
@@ -228,7 +229,7 @@ def realtime(
 
 
 def text(figures: dict[str, Any]) -> str:
-    """Write the figures for people."""
+    """Format the figures as text."""
     low, high = figures["ratio_range"]
     lines = [
         figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")
@@ -291,7 +292,7 @@ def run(arguments: argparse.Namespace) -> int:
     idle(arguments, "it is of --scenes", "finest")
     rounds = arguments.rounds
     tick = choose("compiled", KERNELS, lambda text: print(text, file=sys.stderr))
-    # Like the bare loop in C, the stand-in needs a compiler.
+    # Like the bare loop in C, the emulator needs a compiler.
     stands_in = bare.SERVO_RATE in arguments.rates and c_loop() is not None
     with bare.launches(
         [case for case in arguments.cases if case != "stand_in" or stands_in]

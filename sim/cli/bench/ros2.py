@@ -1,4 +1,4 @@
-"""What a ROS 2 graph costs the loop: launches with the node ros2 and without it, in turn, in one run."""
+"""Measure the cost of a ROS 2 graph: launches with and without the node ros2, in one run."""
 
 import argparse
 import statistics
@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def measure(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
-    """Launch in turn; the order changes from round to round, because the machine drifts."""
+    """Launch with and without in turn; the order alternates, because the machine drifts."""
     found: dict[str, list[dict[str, Any]]] = {WITH: [], WITHOUT: []}
     for i in range(rounds):
         for half in (WITH, WITHOUT) if i % 2 else (WITHOUT, WITH):

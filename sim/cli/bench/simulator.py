@@ -1,4 +1,4 @@
-"""Simulated ticks per second and core, against a plain C loop that gives the same bits, and over all cores."""
+"""Measure simulated ticks per second: per core, on all cores, against a plain C loop."""
 
 import argparse
 
@@ -21,7 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, and print the ratios of the same run."""
+    """Measure, and print the ratios within the run."""
     from sim.lab.bench.simulator_speed import FLAGS, measure
     from sim.measure.stopwatch import Progress, machine
 

@@ -1,8 +1,7 @@
-"""Swap laws and set parameters of a running loop, thousands of times: receipts, missed ticks, force steps at rest.
+"""Swap laws and set parameters of a running loop thousands of times; count missed ticks.
 
-A machine misses ticks by itself. Whether the swaps do is told by comparison within one run: blocks
-of requests alternate with idle blocks of the same length, and each missed tick is counted to the
-block it fell into.
+A machine misses ticks without any swap. So blocks of requests alternate with idle blocks of the
+same length within one run, and each missed tick is counted in its block.
 """
 
 import argparse
@@ -24,15 +23,15 @@ from sim.cli.answers import add_answer, report
 from sim.measure.measured_launch import Running, machine
 
 LAWS = ("pd", "pd_alpha", "multi_term")
-SETTLED = 2500  # ticks until the drop has come to rest to the last bit that matters
-MEMORY = 12  # ticks that the longest of the laws looks back, and some more
-# positions that differ by no more are at rest [m]: some fifty units of the last place of 1 mm
+SETTLED = 2500  # ticks until the drop is at rest, to the last bit that matters
+MEMORY = 12  # ticks, a few more than the longest memory of the laws
+# Largest difference of positions at rest [m]: about fifty units in the last place of 1 mm.
 STILL = 1e-17
 
 
 @dataclass
 class Block:
-    """One stretch of requests, or of none."""
+    """A stretch of time with requests or without."""
 
     busy: bool  # whether requests were made
     # On the host's monotonic clock [s].
@@ -42,11 +41,11 @@ class Block:
 
 @dataclass
 class Asked:
-    """What was asked of the coupling, and what it answered."""
+    """Requests to the coupling and their results."""
 
-    answers: list[dict[str, Any]] = field(default_factory=list)  # one per request that was answered
-    times: list[float] = field(default_factory=list)  # how long each answer took [s]
-    refused: list[str] = field(default_factory=list)  # errors
+    answers: list[dict[str, Any]] = field(default_factory=list)  # one per answered request
+    times: list[float] = field(default_factory=list)  # time until each answer [s]
+    refused: list[str] = field(default_factory=list)  # texts of refusals
     blocks: list[Block] = field(default_factory=list)  # busy and idle stretches, alternating
 
 
@@ -75,11 +74,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, duration: float) -> Asked:
-    """Make the requests: within a block evenly spaced, as far as the answers come in time."""
+    """Send the requests, evenly spaced within a block as far as the answers arrive in time."""
     asked = Asked()
     total = swaps + sets
-    # Evenly mixed, whatever the proportion: request k is a swap when the share of swaps passes a
-    # whole number.
+    # Evenly mixed for any ratio: request k is a swap when the cumulative share of swaps crosses an
+    # integer.
     plan = [
         "swap" if (k + 1) * swaps // total > k * swaps // total else "set" for k in range(total)
     ]
@@ -96,7 +95,7 @@ def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, durati
                     swapped += 1
                     found = ask("law.switch", law=LAWS[swapped % len(LAWS)])
                 else:
-                    # Damping is not felt at rest: a set of it must not make the force step either.
+                    # At rest damping has no effect, so setting it must not change the force either.
                     law, damping = LAWS[k % len(LAWS)], 2.5 + 0.5 * (len(asked.answers) % 3)
                     found = ask(
                         "param.set",
@@ -114,7 +113,7 @@ def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, durati
 
 
 def _equal_at_rest(ask: Callable[..., Any]) -> None:
-    """Make up for each law's leak, so that all have the same H(1) and a swap at rest must not be felt."""
+    """Correct each law's leak, so that all have the same H(1) and a swap at rest has no step."""
     wanted = ask("law.show", law="pd")["h1_n_per_m"]
     for law in LAWS[1:]:
         # Twice, because the sum of taps is rounded.
@@ -122,14 +121,14 @@ def _equal_at_rest(ask: Callable[..., Any]) -> None:
             h1 = ask("law.show", law=law)["h1_n_per_m"]
             stiffness = ask("param.get", name=f"laws.{law}.stiffness")
             ask("param.set", values={f"laws.{law}.stiffness": stiffness + (wanted - h1)})
-    # Figures of both laws are not needed with every swap.
+    # Swaps are faster without the figures of both laws.
     ask("param.set", values={"figures": False})
 
 
 def measure(
     swaps: int, sets: int, blocks: int, duration: float, rate: float = 500.0
 ) -> dict[str, Any]:
-    """Run one launch and change it all the time."""
+    """Run one launch and change it throughout."""
     with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
 
         def ask(op: str, **args: Any) -> Any:
@@ -152,10 +151,13 @@ def _quantiles(values: list[float], unit: float) -> dict[str, float]:
 
 
 def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[float]:
-    """Force steps of those changes that came while the mass rested; a machine that stalls lets it fall in between."""
+    """Return the force steps [N] of changes made at rest.
+
+    If the machine stalls, the mass may be falling during a change; such changes are left out.
+    """
     position = {state.seq: state.position[2] for state in states}
-    # A tick that was left out is not known to have been at rest (and infinity less itself is not
-    # small either).
+    # A tick that was not recorded is not known to be at rest (infinity minus itself is not small
+    # either).
     recent = [
         [position.get(one.seq - age, math.inf) for age in range(1, MEMORY + 1)] for one in receipts
     ]
@@ -178,8 +180,8 @@ def _figures(
     for block in asked.blocks:
         part = [state for state in states if block.began <= state.stamp < block.ended]
         first, last = part[0], part[-1]
-        # A driver that was itself held up has left ticks out; they are the machine's or ours as
-        # well.
+        # Ticks that a delayed driver skipped count as well, whether the machine or our code delayed
+        # it.
         missed = last.missed - first.missed + last.overruns - first.overruns
         responses = [state.response for state in part if state.response > 0.0]
         blocks[block.busy].append(
@@ -217,7 +219,7 @@ def _figures(
 
 
 def text(figures: dict[str, Any]) -> str:
-    """Tell the figures to people."""
+    """Format the figures as text."""
     lines = [
         f"{figures['machine']}, {figures['rate_hz']:.1f} Hz, {figures['ticks']} ticks",
         (

@@ -1,4 +1,4 @@
-"""Time per tick against the number of taps: plain loop, written out, numpy, numba, and where each becomes the fastest."""
+"""Time a tick over the number of taps: plain loop, unrolled, numpy and numba."""
 
 import argparse
 from pathlib import Path
@@ -39,7 +39,7 @@ def _lengths(text: str) -> tuple[int, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, and say which way is fastest from where on."""
+    """Measure, and report the fastest way for each range of taps."""
     from sim.lab.bench.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps, time_turning
     from sim.measure.stopwatch import Progress, machine
 

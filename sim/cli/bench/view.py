@@ -1,4 +1,7 @@
-"""What the page costs the loop: open in a real browser with somebody dragging, against no page, in one run; and its delays."""
+"""Measure the cost of the page to the loop, open in a browser while the hand is dragged.
+
+Half of each round runs without a page; the page's own delays are measured as well.
+"""
 
 import argparse
 import contextlib
@@ -37,14 +40,15 @@ BROWSER = [
     "--disable-sync",
 ]
 
-COMPILED = 180.0  # how long another law may take until it is played beside the launch [s]
-# In the page: when, since the browser set out for it, its scene, plots and laws are there [ms].
+COMPILED = 180.0  # longest wait until another law plays beside the launch [s]
+# In the page: time from navigation until scene, plots and laws are shown [ms].
 FIRST = """function look() {
-  if (document.body?.dataset.bins > 0 && document.querySelector("#laws input")) window.shown = performance.now();
+  if (document.body?.dataset.bins > 0 && document.querySelector("#laws input"))\
+ window.shown = performance.now();
   else requestAnimationFrame(look);
 }
 look();"""
-# In the page: choose a law, and wait until its receipt stands in the log [ms].
+# In the page: choose a law and wait until its receipt is in the log [ms].
 SWITCH = """name => new Promise((done) => {
   const begun = performance.now(), before = document.querySelectorAll("#log li.receipt").length;
   new MutationObserver((_, observer) => {
@@ -84,7 +88,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
-    """Drag the hand into the wall and out of it, 60 times a second; hold still for a picture."""
+    """Drag the hand into the wall and out of it at 60 Hz; stop for a screenshot."""
     box = page.locator("#scene").bounding_box()
     middle, y, until = (
         box["x"] + box["width"] / 2,
@@ -110,7 +114,7 @@ def _with_page(
     delays: dict[str, list[float]],
     picture: Path | None,
 ) -> tuple[float, float]:
-    """Open a page, drag for a while, switch a law twice; when the dragging began and ended."""
+    """Open a page, drag, switch the law twice; return start and end of the dragging [s]."""
     view = subprocess.Popen(
         [*HAPTIC, "view", "--json"],
         cwd=launch.folder,
@@ -125,11 +129,10 @@ def _with_page(
         page.add_init_script(FIRST)
         page.goto(url)
         delays["first_picture_s"].append(page.wait_for_function("window.shown").json_value() / 1e3)
-        # All that a page may cost at once: it is dragged, heard, and another law is played beside
-        # the launch.
+        # The full load of a page: dragging, sound, and another law played beside the launch.
         page.locator("#sound").click()
         page.evaluate("haptic.beside.choose('multi_term')")
-        # The first time on a machine the loop in one process is compiled.
+        # The first run on a machine compiles the one-process loop.
         page.wait_for_function("haptic.beside.times.length > 100", timeout=1e3 * COMPILED)
         began = time.monotonic()
         _drag(page, seconds)
@@ -149,7 +152,7 @@ def _with_page(
 def loop_cost(
     rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None
 ) -> dict[str, Any]:
-    """Run one launch and open a page in every second half of a round."""
+    """Run one launch, with a page open in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     delays: dict[str, list[float]] = {
         "first_picture_s": [],
@@ -157,7 +160,7 @@ def loop_cost(
         "hand_to_picture_s": [],
         "hand_to_force_s": [],
     }
-    # As ``haptic view`` opens one: a browser, too, keeps off the processor of the loop.
+    # As ``haptic view`` opens it: the browser too avoids the processor of the loop.
     with (
         Running("touch_wall", f"rate:={rate}") as launch,
         off(launch.run.processors),
@@ -187,7 +190,7 @@ def loop_cost(
 
 
 def memory(minutes: float, rate: float) -> dict[str, float]:
-    """Feed what a view keeps with minutes of ticks, as fast as it takes them."""
+    """Feed a view with minutes of ticks as fast as possible; return its memory [MB]."""
     live = LiveRun(
         Facts("run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver")
     )
@@ -218,7 +221,7 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
 
 @contextlib.contextmanager
 def browsing() -> Iterator[Any]:
-    """Start a browser for the length of a with block."""
+    """Run a browser for the length of a with block."""
     path = (
         shutil.which("chromium")
         or shutil.which("chromium-browser")

@@ -1,15 +1,15 @@
-"""Haptic virtual coupling, from Python: ``import haptic``, then tab.
+"""Haptic virtual coupling from Python: ``import haptic``, then tab.
 
-``haptic.launch("floor_drop", stiffness=1500)`` starts the loop in processes of its own,
-``haptic.play`` plays it in this one, ``haptic.k_max`` and ``haptic.poles`` tell what is stable.
-Everything is loaded when it is first used.
+``haptic.launch("floor_drop", stiffness=1500)`` starts the loop in its own processes,
+``haptic.play`` plays it in this one, ``haptic.k_max`` and ``haptic.poles`` analyse its stability.
+Everything is loaded on first use.
 """
 
 from __future__ import annotations
 
 import importlib
 
-TYPE_CHECKING = False  # As typing has it, which takes longer to load than all of this.
+TYPE_CHECKING = False  # typing's own takes longer to import than this module
 if TYPE_CHECKING:
     from typing import Any
 
