@@ -1,8 +1,8 @@
 """Compare levels of detail of a shape by the force rendered along one path.
 
 Each level is played along the device path of a real run, and its force is compared with the finest
-level's. The coarsest level is enough whose force error is below the device's own force step, or
-below a stated fraction of the largest force.
+level's. A level is good enough if its force error is below the device's own force step, or below a
+stated fraction of the largest force; the coarsest such level is the result.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ def icosphere(halvings: int, radius: float) -> Array:
 
 
 def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array, Array]:
-    """Return points on a circle around a sphere, off the axes [m], and their normals."""
+    """Return points on a great circle tilted to the axes [m], and their normals."""
     angle = 0.1 + np.arange(ticks) * speed * period / radius
     normal = np.stack(
         [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1

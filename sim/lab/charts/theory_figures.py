@@ -1,8 +1,9 @@
 """The figure of THEORY.md §3: boundary curve of a law, regions of hands and worlds.
 
-`python -c "from sim.lab.charts.theory_figures import draw;
-draw('sim/figures/theory_boundary.png')"` creates it. Lines differ by their dashes, so that it is
-readable in grey.
+Lines differ by their dashes, so that the figure is readable in grey. Create it with::
+
+    python -c "from sim.lab.charts.theory_figures import draw;
+draw('sim/figures/theory_boundary.png')"
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def true_radius(law: CompiledLaw, device: NonidealDevice, period: float) -> floa
 
 
 def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
-    """Return a law of taps as it acts through a device's sensor, which averages two samples."""
+    """Return a law of taps as seen through the device's sensor, which may average samples."""
     if device.average == 0.0:
         return law
     if law.sections:
@@ -97,7 +97,7 @@ def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
 
 
 def true_edge(law: CompiledLaw, device: NonidealDevice, period: float) -> float | None:
-    """Return the true stiffness limit of a law [N/m]; None above 20 times the law."""
+    """Return the true stiffness limit of a law [N/m]; None outside 0.02 to 20 times the law."""
     low = high = 1.0
     if true_radius(law, device, period) < 1.0:
         while true_radius(scaled(law, high), device, period) < 1.0:
