@@ -1,9 +1,10 @@
 """The figure of THEORY.md §3: boundary curve of a law, regions of hands and worlds.
 
-Lines differ by their dashes, so that the figure is readable in grey. Create it with::
+Lines differ by their dashes, so that the figure is readable in grey. Create it in Python with::
 
-    python -c "from sim.lab.charts.theory_figures import draw;
-draw('sim/figures/theory_boundary.png')"
+    from sim.lab.charts.theory_figures import draw
+
+    draw("sim/figures/theory_boundary.png")
 """
 
 from __future__ import annotations
