@@ -1,1 +1,1 @@
-"""What replaces reality, and what studies it: virtual device, sim driver, one-process loop, stability studies."""
+"""Virtual device, sim driver, one-process loop and stability studies."""

@@ -1,4 +1,4 @@
-"""What arrays hold here: floats in SI units, or whole numbers."""
+"""Array types of the package: floats in SI units, or integers."""
 
 from typing import TypeAlias
 

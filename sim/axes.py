@@ -1,4 +1,4 @@
-"""Axes of the studies' figures: what is written beside them can be read, and does not lie over anything."""
+"""Axes of the studies' figures: labels that are readable and do not overlap."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import BboxBase
 
-# Where a name is tried beside its point [points], and how it is aligned there.
+# Positions tried for a label relative to its point [points], and its alignment there.
 _NEAR = (
     (6, 4, "left"),
     (6, -10, "left"),
@@ -22,7 +22,7 @@ _NEAR = (
     (0, 8, "center"),
     (0, -14, "center"),
 )
-# The same further off, with a line to the point.
+# The same positions farther off, with a line to the point.
 _FAR = tuple(
     (distance * x, distance * y, side)
     for distance in (18, 30, 44, 60)
@@ -40,7 +40,7 @@ def name_points(
     size: float,
     color: str,
 ) -> None:
-    """Write names beside points so that none lies over another."""
+    """Label points so that no label overlaps another."""
     from matplotlib.patheffects import withStroke
     from matplotlib.text import Text
 
@@ -62,9 +62,9 @@ def name_points(
                 ),
             )
             note.set_in_layout(False)
-            # A line that passes behind a name does not strike it through.
+            # A line that passes behind a label must not cross it out.
             note.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-            # Puts the text in its place; the line to the point is no part of it.
+            # Places the text; the line to the point is not part of its box.
             note.get_window_extent()
             box = Text.get_window_extent(note)
             within = (
@@ -80,7 +80,10 @@ def name_points(
 
 
 def plain_log(axis: Axis, low: float, high: float) -> None:
-    """Label a logarithmic axis with plain numbers, 1, 2, 5 of each decade: matplotlib's powers of ten run into each other."""
+    """Label a logarithmic axis with plain numbers 1, 2, 5 of each decade.
+
+    Matplotlib's powers of ten overlap.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(
@@ -91,7 +94,7 @@ def plain_log(axis: Axis, low: float, high: float) -> None:
 
 
 def legend_below(figure: Figure, panels: Iterable[Axes], columns: int = 5) -> None:
-    """Put one legend for all panels below them, where no curve is; what several panels show stands in it once."""
+    """Place one legend for all panels below them, each entry once."""
     named: dict[str, Artist] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):

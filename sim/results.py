@@ -1,15 +1,18 @@
-"""Where a study's files go: what an earlier run left under the same name is set aside, never overwritten."""
+"""Result files of studies: earlier files of the same name are moved, never overwritten."""
 
 import sys
 import time
 from pathlib import Path
 
-EARLIER = "earlier"  # folder beside the results, with one folder per run that set something aside
-_moved: dict[Path, Path] = {}  # by folder of results, where this run sets files aside
+EARLIER = "earlier"  # folder beside the results, with a subfolder for each run that moved files
+_moved: dict[Path, Path] = {}  # by results folder: where this run moves earlier files
 
 
 def fresh(path: Path) -> Path:
-    """Make room for a file of a study: an earlier one goes to ``earlier/DATE-TIME/``, said on standard error once per run."""
+    """Move an earlier file of this name to ``earlier/DATE-TIME/``.
+
+    The move is reported on standard error, once per run.
+    """
     folder = path.parent
     folder.mkdir(parents=True, exist_ok=True)
     if path.exists():

@@ -1,8 +1,8 @@
-"""Level of detail that proves itself: the same path through finer and coarser descriptions of a shape, forces compared.
+"""Compare levels of detail of a shape by the force rendered along one path.
 
-Each level meets the device on the path of a real run; what it renders is compared with the finest.
-The coarsest whose force differs by no more than the device can tell, or than a stated part of the
-largest force, is enough.
+Each level is played along the device path of a real run, and its force is compared with the finest
+level's. A level is good enough if its force error is below the device's own force step, or below a
+stated fraction of the largest force; the coarsest such level is the result.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from sim.play.player import play
 from sim.play.touch import call_times, touch
 from sim.play.trace import ChainTrace
 
-# cells along the longest side to which a mesh's corners are drawn together
+# grid cells along the longest side, for merging mesh vertices
 _GRIDS = (24, 16, 12, 8)
 _PIECES = (8, 4, 2, 1)
-_FEWEST = 8  # points that a primitive is fitted to, at least
-_PLACE = 10  # ticks in a row without a difference that end a place
+_FEWEST = 8  # minimum number of points to fit a primitive to
+_PLACE = 10  # consecutive ticks without a difference that end a stretch
 _TIMED = 2000
 
 
 @dataclass(frozen=True)
 class Level:
-    """One description of a scene, and what it does."""
+    """One description of a scene, its cost and its error."""
 
-    name: str  # what it is
-    solids: int  # of how many shapes
-    triangles: int  # of how many triangles, all of its meshes together
-    force_n: float  # largest difference of the force from the finest's [N]
-    rms_n: float  # its root mean square over ticks in contact with either [N]
-    proxy_um: float  # largest distance of its proxy from the finest's [µm]
-    places: int  # how many separate stretches of the path have a difference above the limit
-    # Time of a call: median and 99th percentile [µs].
+    name: str  # description
+    solids: int  # number of shapes
+    triangles: int  # number of triangles, summed over all meshes
+    force_n: float  # largest force difference from the finest level [N]
+    rms_n: float  # its root mean square over ticks where either is in contact [N]
+    proxy_um: float  # largest distance of the proxy from the finest level's [µm]
+    places: int  # separate stretches of the path with a difference above the limit
+    # Duration of a call: median and 99th percentile [µs].
     call_us: float
     call_p99_us: float
-    enough: bool  # whether its force stays within the limit
+    enough: bool  # whether the force error stays within the limit
 
     @classmethod
     def measured(
@@ -68,7 +68,7 @@ class Level:
         times: Array,
         limit: float,
     ) -> Level:
-        """Sum a path up: forces that differ [N], over all ticks and those that count, proxies [m], times of calls [µs]."""
+        """Summarise a path: force differences [N], proxy distances [m] and call times [µs]."""
         largest, rms, proxy = (
             float(difference.max()),
             float(np.sqrt(np.mean(counted**2))),
@@ -90,17 +90,17 @@ class Level:
 
 @dataclass(frozen=True)
 class Detail:
-    """What a scene needs."""
+    """Result of comparing all levels of detail."""
 
-    levels: tuple[Level, ...]  # from the finest, which is the first, to the coarsest
-    limit_n: float  # difference of the force that counts as none [N]
-    force_step_n: float  # the device's own force step: stiffness times encoder step [N]
+    levels: tuple[Level, ...]  # from the finest (first) to the coarsest
+    limit_n: float  # force difference that counts as none [N]
+    force_step_n: float  # force step of the device: stiffness times encoder step [N]
     largest_n: float  # largest force of the finest level [N]
-    left_out: tuple[str, ...]  # levels that could not be made, and why
+    left_out: tuple[str, ...]  # levels that could not be built, with the reason
 
     @property
     def coarsest(self) -> Level:
-        """The last level that is enough."""
+        """The coarsest level whose error stays within the limit."""
         return [level for level in self.levels if level.enough][-1]
 
 
@@ -114,13 +114,16 @@ def detail(
     fraction: float,
     step: Callable[[str], None] = lambda _: None,
 ) -> Detail:
-    """Play a path (ticks, 3) [m] through all levels of detail; `fraction` of the largest force counts as no difference."""
+    """Play a path, shape (ticks, 3) [m], through all levels of detail.
+
+    A force difference below `fraction` of the largest force counts as none.
+    """
     finest = touch(solids, path, tool_radius, period)
     if not finest.contact.any():
         raise ValueError("the path touches nothing: let it run longer, or lead the hand further")
     largest = float(stiffness * np.linalg.norm(finest.proxy - path, axis=1)[finest.contact].max())
     limit = max(stiffness * resolution, fraction * largest)
-    # Points of the surface, not of the tool's centre.
+    # Points on the surface, not the tool's centre.
     touched = (finest.proxy - tool_radius * finest.normal)[finest.contact]
     levels, left_out = [], []
     for name, made in _levels(solids, touched, finest.normal[finest.contact]):
@@ -147,7 +150,7 @@ def detail(
 
 
 def places(over: NDArray[np.bool_]) -> int:
-    """Count the separate stretches of a path."""
+    """Count the separate stretches of a path where `over` is true."""
     at = np.flatnonzero(over)
     return 0 if not len(at) else 1 + int((np.diff(at) > _PLACE).sum())
 
@@ -155,7 +158,7 @@ def places(over: NDArray[np.bool_]) -> int:
 def _levels(
     solids: Sequence[Solid], touched: Array, normals: Array
 ) -> Iterator[tuple[str, list[Solid] | str]]:
-    """Give the levels from the finest on: each its name, and its shapes or why there is none."""
+    """Yield the levels from the finest: name, and shapes or the reason why there are none."""
     rough = any(solid.friction != SLIPPERY for solid in solids)
     yield "as it is", list(solids)
     if rough:
@@ -176,7 +179,7 @@ def _levels(
         or [touched]
     )
     friction = solids[0].friction
-    # Each once: how many triangles meet in a corner says nothing about where the shape is.
+    # Unique vertices: the number of triangles at a vertex does not change the shape.
     points = np.unique(points, axis=0)
     if len(points) >= _FEWEST:
         if meshes:
@@ -193,7 +196,10 @@ def _levels(
 
 
 def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str]]:
-    """Draw corners in one cell of a grid together, and leave out triangles that this flattens; nothing when none is spared."""
+    """Merge the vertices in each grid cell and drop degenerate triangles.
+
+    Yield nothing if no triangle is saved.
+    """
     found = whole.mesh
     if found is None:
         return
@@ -211,7 +217,7 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
     faces = faces[
         (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     ]
-    # What is folded flat has each triangle twice, back to back: both go.
+    # A flattened part has each triangle twice, back to back: both are dropped.
     key = np.sort(faces, axis=1)
     _, at, times = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     faces = faces[times[at.ravel()] == 1]
@@ -225,7 +231,7 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
 
 
 def hull(points: Array) -> Array:
-    """Triangles of a convex hull, looking outwards; shape (n, 3, 3)."""
+    """Return the outward-facing triangles of a convex hull, shape (n, 3, 3)."""
     from scipy.spatial import ConvexHull
 
     found = ConvexHull(points)
@@ -237,7 +243,7 @@ def hull(points: Array) -> Array:
 
 
 def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
-    """Halve the triangles along their longest side until there are so many parts, and take each one's convex hull."""
+    """Split a mesh along its longest side into `count` parts; return their convex hulls."""
     parts = [found.corners]
     while len(parts) < count:
         halves = []
@@ -262,7 +268,7 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
 
 
 def _sphere(points: Array) -> Solid:
-    """Fit by linear least squares to |x|² = 2 x·c + (r² − c²)."""
+    """Fit a sphere by linear least squares to |x|² = 2 x·c + (r² − c²)."""
     solution = np.linalg.lstsq(
         np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None
     )[0]
@@ -271,7 +277,7 @@ def _sphere(points: Array) -> Solid:
 
 
 def _main_axes(points: Array) -> tuple[Array, Array, Array]:
-    """Middle, directions of the principal axes as rows, and half the extent along each [m]."""
+    """Return centre, principal directions (rows) and half extents [m]."""
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
@@ -290,11 +296,11 @@ def _capsule(points: Array) -> Solid:
     return capsule(tuple((middle - end).tolist()), tuple((middle + end).tolist()), radius)
 
 
-_HEAVY = 1e6  # mass of a body that is led, over what it has: nothing that touches it moves it
+_HEAVY = 1e6  # mass factor of a prescribed body: contacts do not move it
 
 
 class _Watched(MovingScene):
-    """A scene whose ticks are timed, and whose bodies are noted at every step."""
+    """A scene that times its ticks and records its bodies at every step."""
 
     def __init__(self, launch: Launch, held: bool = False) -> None:
         name, given = parameters_of(launch, "mujoco", MujocoParameters)
@@ -312,20 +318,20 @@ class _Watched(MovingScene):
         first: bool,
         jumped: bool = False,
     ) -> str:
-        """Take the scene to a tick."""
+        """Advance the scene to a tick."""
         begin = time.perf_counter_ns()
         told = super().follow(tick, position, force, since, delay, first, jumped)
         self.times.append(time.perf_counter_ns() - begin)
         return told
 
     def step(self) -> None:
-        """Go one step further."""
+        """Advance by one step."""
         self.went.append((self.data.qpos.copy(), self.data.qvel.copy()))
         super().step()
 
 
 class _Led(_Watched):
-    """A scene whose bodies go where they went in another, whatever pushes them."""
+    """A scene whose bodies follow a recorded motion, whatever pushes them."""
 
     def __init__(self, launch: Launch, went: list[tuple[Array, Array]]) -> None:
         super().__init__(launch)
@@ -333,7 +339,7 @@ class _Led(_Watched):
         others = self.model.body_rootid != self.tool
         self.model.body_mass[others] *= _HEAVY
         self.model.body_inertia[others] *= _HEAVY
-        # What contacts are regularised by follows from the masses.
+        # Contact regularisation depends on the masses.
         self._mujoco.mj_setConst(self.model, self.data)
         places: Any = np.ones(self.model.nq, dtype=bool)
         speeds: Any = np.ones(self.model.nv, dtype=bool)
@@ -348,7 +354,7 @@ class _Led(_Watched):
         self._places, self._speeds = places, speeds
 
     def step(self) -> None:
-        """Go one step further."""
+        """Advance by one step."""
         places, speeds = next(self._led)
         self.data.qpos[self._places], self.data.qvel[self._speeds] = (
             places[self._places],
@@ -364,10 +370,10 @@ def body_detail(
     fraction: float,
     step: Callable[[str], None] = lambda _: None,
 ) -> Detail:
-    """Play the path of a run through all levels of detail of a scene in which things move, from dynamic bodies to none."""
+    """Play the path of a run through all levels of a moving scene, dynamic to static."""
     finest = _Watched(launch)
     path = play(launch, instead=Instead(world=finest)).measured
-    # Once more, with the path given as to all others.
+    # Played again, with the path prescribed as for all other levels.
     finest = _Watched(launch)
     ideal = play(launch, instead=Instead(world=finest), given=Given(path=path))
     largest = float(np.linalg.norm(ideal.force, axis=1).max())

@@ -1,11 +1,11 @@
-"""The drop test, the paper's experiment, and two others: what is played, and when it counts as settled.
+"""The drop test of the paper and two further experiments, with their settling criterion.
 
-*Drop*: a mass falls on a virtual floor, the paper's; *press*: a hand pushes the device into a wall;
-*free*: it swings about a two-sided anchor, the linear loop itself. A run settles when, over the
-last quarter of a stated horizon, it moves less than a tolerance about the point where the forces
-balance, without leaving the wall or touching a limit of the force, and has never risen above where
-it started. Near the limit the decay is slow: one horizon for every law, or the figures do not
-compare (drop and press read 70–99 % of the linear limit).
+*Drop* (the paper's): a mass falls on a virtual floor; *press*: a hand pushes the device into a
+wall; *free*: the device swings about a two-sided anchor, i.e. the linear loop. A run settles if,
+over the last quarter of a stated horizon, it moves less than a tolerance about the point of force
+balance, stays in the wall, reaches no force limit, and has never risen above its start. Near the
+limit the decay is slow, so every law must be judged over the same horizon (drop and press read
+70–99 % of the linear limit).
 """
 
 import functools
@@ -34,22 +34,23 @@ from sim.play.one_axis import Scene, SceneSurface, Trace, contact_of, in_numbers
 from sim.play.one_axis_loop import play_compiled, respond
 from sim.play.one_axis_tables import Contact, LawTables, Motion, Records
 
-SHORTEST = 8  # horizon of which a quarter is two ticks [ticks]
-GRAVITY = 9.81  # of a device without gravity of its own [m/s²]
-HEIGHT = 0.01  # of a drop where none is given [m]
-# how far the mean force of a law with its own code may be from the load at rest, as a part of it
+SHORTEST = 8  # horizon whose last quarter is two ticks [ticks]
+GRAVITY = 9.81  # default for a device without gravity [m/s²]
+HEIGHT = 0.01  # default drop height [m]
+# allowed distance of the mean force from the load at rest, relative, for a law with own code
 BALANCE = 0.01
 
 
 class Convention(NamedTuple):
-    """Contact convention of the coupling: what feeds the law outside contact, and whether a wall may pull."""
+    """Contact convention: the law's input outside contact, and whether a wall may pull."""
 
-    raw: bool  # whether the raw position is fed (``history: position``), not the penetration
-    clamp: bool  # whether a force into the wall is set to zero
+    # whether the law gets the raw position (``history: position``) instead of the penetration
+    raw: bool
+    clamp: bool  # whether a force into the wall is clamped to zero
 
 
 def coupling_convention() -> Convention:
-    """Return the convention of a coupling whose launch file states none: every drop's default."""
+    """Return the default convention of the coupling; every drop uses it by default."""
     usual = {field.name: field.default for field in msgspec.structs.fields(CouplingParameters)}
     return Convention(usual["history"] == "position", bool(usual["clamp"]))
 
@@ -59,7 +60,7 @@ CONVENTION = coupling_convention()
 
 @dataclass(frozen=True)
 class Criterion:
-    """When a run counts as settled."""
+    """Settling criterion of a run."""
 
     ticks: int = 2500  # horizon [ticks]
     # largest motion, peak to peak, over the last quarter of the horizon [m]
@@ -76,7 +77,7 @@ class Criterion:
 
 
 def held(plant: Plant) -> DeviceModel:
-    """Make a virtual device of a linear one, a hand held at 0."""
+    """Return the virtual device of a linear plant, with the hand's spring fixed at 0."""
     hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness > 0.0 else None
     return DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay, hand=hand)
 
@@ -88,7 +89,10 @@ def drop_scene(
     clamp: bool = CONVENTION.clamp,
     height: float = HEIGHT,
 ) -> Scene:
-    """Return the drop of a device on a floor at 0 from a height [m]; `GRAVITY` acts where it has none of its own."""
+    """Return the drop of a device from a height [m] on a floor at 0.
+
+    A device without gravity gets `GRAVITY`.
+    """
     gravity = GRAVITY if device.gravity is None else device.gravity
     dropped = msgspec.structs.replace(device, position=height, velocity=0.0, gravity=gravity)
     return Scene(device=dropped, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
@@ -102,14 +106,17 @@ def press_scene(
     hand: Hand | None = None,
     depth: float = 0.01,
 ) -> Scene:
-    """Let a hand, by default of 100 N/m, press the device from so far before a wall at 0 to as far behind it [m]."""
+    """Return a hand pressing the device from before a wall at 0 to as far behind it [m].
+
+    The default hand has 100 N/m.
+    """
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
     pressed = msgspec.structs.replace(device, position=depth, velocity=0.0, hand=hand)
     return Scene(device=pressed, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
 
 
 def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:
-    """Let the device swing about an anchor at 0, from rest at an amplitude: no contact, no conventions."""
+    """Return a swing about an anchor at 0, released at rest at `amplitude` [m]: no contact."""
     swung = msgspec.structs.replace(device, position=amplitude, velocity=0.0)
     return Scene(device=swung, surface=SceneSurface("anchor"), period=period, raw=True, clamp=False)
 
@@ -126,10 +133,10 @@ def floor_force(
     raw: bool,
     clamp: bool,
 ) -> tuple[int, float, bool]:
-    """Return the new head of the history, the force [N] of a law on a floor at 0, and whether it is touched.
+    """Return the history's new head, the force [N] on a floor at 0, and whether in contact.
 
-    Every drop that is not played by `sim.play.one_axis_loop` calls this: that loop's own kernels, in
-    its order.
+    Every drop that `sim.play.one_axis_loop` does not play calls this; it runs the same kernels
+    in the same order.
     """
     head, _, touches = respond(x, PLANE, 0.0, 1.0, raw, history, head, length)
     force = evaluate(taps, recursive, memory, history, head)
@@ -143,10 +150,10 @@ def fall(
     ticks: int,
     convention: Convention = CONVENTION,
 ) -> tuple[Array, Array]:
-    """Drop a device that only its caller can move; return position [m] and force [N] at each tick.
+    """Drop a device known only by its step; return position [m] and force [N] at each tick.
 
-    `move` holds a force [N] for one tick and returns the position after it [m]. The rigid device is
-    the player's (`dropped`); this is for other integrators and devices.
+    `move` applies a force [N] for one tick and returns the next position [m]. `dropped` plays
+    the rigid device; this function is for other integrators and devices.
     """
     length = max(len(law.taps), 2)
     recursive = [number for section in law.sections for number in section]
@@ -163,13 +170,16 @@ def fall(
 
 @kernel
 def rises(distance: float, start: float, tolerance: float) -> bool:
-    """Whether a device is farther from the wall than it started, after the first touch; true for NaN."""
+    """Whether a device rises above its start after first contact; true for NaN."""
     return not distance <= start + tolerance
 
 
 @kernel
 def rests(motion: float, mean: float, rest: float, tolerance: float, band: float) -> bool:
-    """Whether the last quarter of a run rests, within `band` of where the forces balance; false for NaN."""
+    """Whether the last quarter of a run rests within `band` of the force balance.
+
+    False for NaN.
+    """
     return motion <= tolerance and abs(mean - rest) <= band
 
 
@@ -182,7 +192,10 @@ def _row(table: Any, p: int) -> Any:
 
 @kernel
 def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
-    """Return the farthest after the first touch; of the last quarter: motion, mean, farthest, largest and mean force."""
+    """Return the farthest point after contact and the statistics of the last quarter.
+
+    These are motion, mean, farthest point, largest force and mean force.
+    """
     ticks = len(positions)
     quarter = ticks - ticks // 4
     highest = -math.inf
@@ -248,12 +261,15 @@ _trials_compiled = compiled()(_trials)
 
 
 def linear_at_rest(law: CompiledLaw) -> bool:
-    """Whether a law renders H(1) to a held deflection: it has no code of its own, or only a damper."""
+    """Whether a law renders H(1) at a constant deflection: no own code, or only a damper."""
     return law.evaluate is None or isinstance(law.evaluate, WindowedDamper)
 
 
 def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
-    """Return where the forces of a linear law balance at the end of a run [m]; None when H(1) ≤ 0 or nothing holds it."""
+    """Return where the forces of a linear law balance at the end of a run [m].
+
+    None if H(1) ≤ 0 or nothing opposes the load.
+    """
     load, grip = scene.device.load(ticks - 1, scene.period), scene.device.grip
     if law.h1 <= 0.0:
         return None
@@ -269,13 +285,19 @@ def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
 
 @functools.cache
 def _threads(process: int) -> ThreadPoolExecutor:
-    """Make threads that stay: a search plays tens of thousands of batches; a forked process has none of its parent's."""
+    """Return a persistent thread pool for this process.
+
+    A search plays tens of thousands of batches, and a forked process does not inherit threads.
+    """
     del process
     return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "drops")
 
 
 def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
-    """Play one experiment with each of several laws, spread over the cores; refused with a guard, which `run` plays."""
+    """Play one experiment with each of several laws, in parallel; return the verdicts.
+
+    A scene with a passivity guard is refused; `run` plays it.
+    """
     if scene.passivity is not None and scene.passivity.guard == "on":
         raise ValueError(
             "scene.passivity.guard is on: K_max is searched for the law alone; leave the guard out"
@@ -285,8 +307,8 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     own = [law.evaluate for law in laws]
     dampers = [one for one in own if isinstance(one, WindowedDamper)]
     if any(one is not None for one in own) and len(dampers) < len(laws):
-        # Other code of its own is not compiled: such a law is played by the interpreter, one run
-        # after the other.
+        # Other own code is not compiled: the interpreter plays such laws one after
+        # another.
         return [
             (
                 _played(scene, law, criterion)
@@ -306,9 +328,9 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     results = np.empty((len(laws), 6))
     found, contact = motion_of(scene, ticks), contact_of(scene)
     motion, contact = in_numbers(ticks, found, contact)
-    # Few scenes have ends, and looking for them takes a twelfth of a tick.
+    # Few scenes have end stops, and checking them costs a twelfth of a tick.
     motion = motion._replace(ends=found.ends)
-    # To hand over a few runs takes as long as to play them.
+    # Handing over a few runs costs as much as playing them.
     cores = min(len(os.sched_getaffinity(0)), 1 + len(laws) // 8)
     bounds = [len(laws) * i // cores for i in range(cores + 1)]
 
@@ -321,7 +343,7 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     if cores == 1:
         play(0)
     else:
-        # Compiled code holds no interpreter lock: threads are cores.
+        # Compiled code releases the GIL, so that threads run in parallel.
         list(_threads(os.getpid()).map(play, range(cores)))
     return [
         _verdict(scene, law, end, criterion)
@@ -338,7 +360,7 @@ def _played(scene: Scene, law: CompiledLaw, criterion: Criterion) -> bool:
 def settled(
     scene: Scene, law: CompiledLaw, position: Array, force: Array, criterion: Criterion
 ) -> bool:
-    """Judge a run that was played elsewhere, positions [m] and forces [N] of each tick, by the very rules of `settles`."""
+    """Judge positions [m] and forces [N] of a run played elsewhere, by the rules of `settles`."""
     if not len(position) == len(force) == criterion.ticks:
         raise ValueError(
             f"{len(position)} positions and {len(force)} forces, the horizon is {criterion.ticks}"
@@ -351,7 +373,7 @@ def settled(
 def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Criterion) -> bool:
     device, surface = scene.device, scene.surface
     highest, motion, mean, last, strongest, push = end
-    # Friction holds it anywhere within f_c of balance; the encoder sees no less than a count.
+    # Friction can stop it anywhere within f_c of balance; the encoder resolves one count.
     friction = device.friction or 0.0
     if linear_at_rest(law):
         rest = rest_position(scene, law, criterion.ticks)
@@ -360,16 +382,16 @@ def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Cr
         band = criterion.tolerance + friction / (law.h1 + device.grip) + (device.resolution or 0.0)
         still = rests(motion, mean, rest, criterion.tolerance, band)
     else:
-        # Such a law has no H(1) that tells where it rests: there the forces that were played
-        # balance.
+        # Such a law has no H(1) that predicts its rest position: check the balance of the
+        # played forces.
         load = device.load(criterion.ticks - 1, scene.period) - device.grip * mean
         still = rests(motion, push, -load, criterion.tolerance, friction + BALANCE * abs(load))
     start = device.position - surface.position
     if surface.kind == "plane":
         high = rises(highest, start * surface.normal, criterion.tolerance)
     else:
-        # About an anchor the damper sees the start as a jump, and may kick the device a few times
-        # as far: that is linear.
+        # At an anchor the damper sees the start as a jump and may kick the device a few
+        # times as far; this is linear behaviour.
         high = rises(highest, 10.0 * abs(start), 0.0)
     limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
     bounces = surface.kind == "plane" and last > (device.resolution or 0.0)
@@ -377,10 +399,10 @@ def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Cr
 
 
 class Dropped(NamedTuple):
-    """A drop that was played."""
+    """Result of a drop."""
 
     trace: Trace  # its ticks
-    settled: bool  # the verdict of `settles`
+    settled: bool  # verdict of `settles`
 
 
 def dropped(
@@ -391,7 +413,7 @@ def dropped(
     convention: Convention = CONVENTION,
     height: float = HEIGHT,
 ) -> Dropped:
-    """Drop a device with a law and return every tick of it, by default as a launch without other settings drops it."""
+    """Drop a device with a law and return every tick, with a launch's default settings."""
     scene = drop_scene(device, period, *convention, height)
     trace = run(scene, law, ticks)
     return Dropped(trace, settled(scene, law, trace.position, trace.force, Criterion(ticks)))

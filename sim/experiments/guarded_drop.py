@@ -1,8 +1,8 @@
-"""What the passivity guard makes safe, and what that costs in rendered stiffness: the drop, with and without it.
+"""Effect of the passivity guard: the drop with and without it, and its cost in stiffness.
 
-Without the guard, a wall beyond K_max gives out energy at every bounce; with it, the mass comes to
-lie. The price is stiffness: forces are lowered on the way out, so the wall felt at rest (mean force
-over mean penetration) is softer than nominal.
+Without the guard, a wall beyond K_max generates energy at every bounce; with it, the mass comes to
+rest. The guard lowers forces on the way out, so the wall at rest (mean force over mean penetration)
+is softer than nominal.
 """
 
 from dataclasses import dataclass, replace
@@ -15,20 +15,20 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
 from sim.play.one_axis import Trace, run
 
-SHARE = 0.25  # part of a run, its last, that is looked at as rest
+SHARE = 0.25  # last fraction of a run, evaluated as rest
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drop:
-    """How one drop went."""
+    """Result of one drop."""
 
     stiffness: float  # nominal stiffness K [N/m]
     guarded: bool  # whether the guard was on
-    # most that the wall had given out at any time, beyond what it was given [J]
+    # largest energy that the wall had generated at any time, net of the energy put in [J]
     energy_max_j: float
-    unrest_m: float  # peak to peak of the position at the end [m]
-    # Mean force over mean penetration at the end; None when the mass does not lie in the wall all
-    # that time.
+    unrest_m: float  # peak-to-peak position at the end [m]
+    # Mean force over mean penetration at the end; None if the mass leaves the wall in that
+    # time.
     felt_n_per_m: float | None
     impact_n_per_m: float  # largest force over largest penetration
 
@@ -36,7 +36,7 @@ class Drop:
 def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop:
     """Measure a drop on a floor at height 0."""
     whole, part = int(delay), delay - int(delay)
-    # What acts during tick k: the force of tick k−i−1 for its fraction, then that of k−i.
+    # During tick k first the force of tick k−i−1 acts for its fraction, then that of k−i.
     late = np.concatenate((np.zeros(whole + 1), trace.force))
     acting = (part * late[: len(trace.force)] + (1.0 - part) * late[1 : len(trace.force) + 1])[:-1]
     energy = np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
@@ -63,7 +63,7 @@ def compare(
     next_tick: bool,
     ticks: int,
 ) -> list[Drop]:
-    """Drop a mass on a wall of PD, without the guard and with it."""
+    """Drop a mass on a PD wall, without and with the guard."""
     found = []
     for guard in (None, PassivityParameters(stiffness=wall, damping=guard_damping)):
         floor = drop_scene(device, period, height=device.position)

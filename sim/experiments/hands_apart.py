@@ -1,10 +1,10 @@
-"""Two hands and a network in one process: what is stable for any hands, what is felt, and what a guard at both ends buys.
+"""Two devices coupled over a network: stability for any hands, rendering, and guards.
 
-Each side has a device, a law on its own position and on the other's as late as the network makes
-it, and, if asked for, a passivity guard (nodes/driver/passivity.py) whose credit travels: what one
-side took in beyond what its law can store is sent to the other, which may give it out (energy
-tanks: Franken et al. 2011; observers at both ends: Ryu, Artigas & Preusche 2010). Sums travel, so
-delay and loss only delay energy and never make any.
+Each side has a device, a law on its own position and on the delayed position of the other side, and
+optionally a passivity guard (nodes/driver/passivity.py) whose credit travels: energy that one side
+absorbed beyond what its law can store is sent to the other side, which may release it (energy
+tanks: Franken et al. 2011; observers at both ends: Ryu, Artigas & Preusche 2010). Cumulative sums
+are sent, so delay and loss only delay energy and never generate any.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ FELT_AT = 1.0  # frequency at which stiffness and drag are measured [Hz]
 
 @dataclass(frozen=True)
 class EndGuard:
-    """A guard at either end.
+    """Passivity guard at one end.
 
     Attributes
     ----------
     stiffness : float
-        Stiffness of the spring that the law stands for [N/m]: no more is kept than it holds.
+        Stiffness of the law's spring [N/m]: limits the energy that is stored.
     damping : float
-        Largest damper that takes back what was given out too much [N s/m].
+        Largest damper that recovers excess energy [N s/m].
     """
 
     stiffness: float
@@ -41,18 +41,18 @@ class EndGuard:
 
 @dataclass(frozen=True)
 class Network:
-    """How positions, and energy with them, travel.
+    """Delay, jitter and loss of the network.
 
     Attributes
     ----------
     there, back : int
         Delay from the first side to the second, and back [ticks].
     jitter : int
-        Largest further delay of a message, evenly distributed [ticks].
+        Largest additional delay of a message, uniformly distributed [ticks].
     loss : float
-        Share of the messages that never arrive [1].
+        Fraction of messages lost [1].
     seed : int
-        Of jitter and loss.
+        Seed of jitter and loss.
     """
 
     there: int
@@ -64,15 +64,15 @@ class Network:
 
 @dataclass(frozen=True)
 class HandsRun:
-    """What both sides did, a row a tick.
+    """Recorded motion of both sides, one row per tick.
 
     Attributes
     ----------
     position, force : ndarray, shape (ticks, 2)
-        Of both devices [m]; on them, by the laws [N].
+        Positions of both devices [m]; forces of the laws on them [N].
     given_out_j : ndarray, shape (ticks,)
-        Energy that laws and network together have given out to both hands [J]: positive is energy
-        made.
+        Energy released by laws and network to both hands [J]; positive: energy was
+        generated.
     """
 
     position: NDArray[np.float64]
@@ -81,7 +81,7 @@ class HandsRun:
 
 
 class _Side:
-    """A device, its law and its account."""
+    """A device, its law and its energy account."""
 
     def __init__(self, plant: Plant, law: CompiledLaw, guard: EndGuard | None) -> None:
         whole, self._motion, self._push, late = held_step(plant)
@@ -98,7 +98,11 @@ class _Side:
         self._step = self.energy = self.sent = self._received = 0.0
 
     def choose(self, other: float, credit: float) -> float:
-        """Return the force of this tick, from the partner's position [m] and the energy it has sent so far [J]."""
+        """Return the force of this tick [N].
+
+        `other` is the partner's position [m], `credit` the energy that it has sent so far
+        [J].
+        """
         self._own = [self.x, *self._own[:-1]]
         self._other = [other, *self._other[:-1]]
         force = sum(h * (b - a) for h, a, b in zip(self._taps, self._own, self._other, strict=True))
@@ -117,7 +121,7 @@ class _Side:
         return control(self.energy, force, self._step, self._rate)
 
     def move(self, outside: float) -> None:
-        """Move for a tick under the law's force and a hand's [N]."""
+        """Advance one tick under the law's force and the hand's [N]."""
         (a11, a12, a21, a22), (g1, g2) = self._motion, self._push
         push, before = self.force + outside, self.x
         self.x, self.v = (
@@ -128,7 +132,7 @@ class _Side:
         self.energy = observe(self.energy, self.force, self._step)
 
 
-Pull = Callable[[int], float]  # force of a hand beyond its spring at rest, by tick [N]
+Pull = Callable[[int], float]  # force of a hand beyond its resting spring, by tick [N]
 
 
 def play(
@@ -139,31 +143,31 @@ def play(
     ticks: int,
     guard: EndGuard | None = None,
 ) -> HandsRun:
-    """Play both sides.
+    """Play both sides of a coupled pair.
 
     Parameters
     ----------
     plants : tuple of Plant
         Both devices, each with its hand's mass, damping and spring.
     laws : tuple of CompiledLaw
-        Of either side.
+        Law of each side.
     network : Network
-        How late positions come.
+        Delays between the sides.
     pull : tuple of callable
-        What either hand does.
+        Force of each hand by tick [N].
     ticks : int
-        Length.
+        Length [ticks].
     guard : EndGuard, optional
-        One at either end.
+        Guard at both ends.
 
     Returns
     -------
     HandsRun
-        Positions, forces, and energy.
+        Positions, forces and energy.
     """
     random = np.random.default_rng(network.seed)
     sides = [_Side(plant, law, guard) for plant, law in zip(plants, laws, strict=True)]
-    # By the side that hears: what was sent, newest last, with the tick at which it arrives.
+    # By receiving side: messages in flight, newest last, with their arrival tick.
     under_way: list[list[tuple[int, int, float, float]]] = [[], []]
     heard: list[tuple[int, float, float]] = [(-1, 0.0, 0.0)] * 2
     delays = (network.back, network.there)
@@ -201,12 +205,12 @@ class FeltPartner:
     Attributes
     ----------
     stiffness_n_per_m : float
-        Of a partner that is held fast: in phase with the first hand's motion [N/m].
+        Stiffness with a fixed partner: force in phase with the first hand's motion [N/m].
     drag_n_s_per_m : float
-        Of a partner whose device nobody holds: in phase with its speed, what that device needs
-        itself left out [N s/m].
+        Drag with a released partner: force in phase with the speed, minus what the device
+        itself needs [N s/m].
     made_j : float
-        Most energy that laws and network gave out beyond what they were given [J].
+        Largest energy that laws and network released beyond the energy put in [J].
     """
 
     stiffness_n_per_m: float
@@ -221,20 +225,20 @@ def felt(
     guard: EndGuard | None = None,
     seconds: float = 4.0,
 ) -> FeltPartner:
-    """Measure what is felt: the first hand moves its device to and fro by 10 mm, the partner is held fast, or let go.
+    """Measure felt stiffness and drag: hand 1 moves by 10 mm, partner fixed or released.
 
     Parameters
     ----------
     plant : Plant
         Either device, without a hand.
     law : CompiledLaw
-        Of either side.
+        Law of each side.
     network : Network
-        Between them.
+        Network between them.
     guard : EndGuard, optional
-        One at either end.
+        Guard at both ends.
     seconds : float
-        Length, of which the second half is measured [s].
+        Length; the second half is measured [s].
 
     Returns
     -------
@@ -243,8 +247,7 @@ def felt(
     """
     period, omega = plant.period, 2.0 * math.pi * FELT_AT
     ticks = round(seconds / period)
-    # A hand of 2 kN/m and 40 N s/m leads the device nearly as a motion source would; a fist of the
-    # same holds it fast.
+    # A hand of 2 kN/m and 40 N s/m is nearly a motion source; an equal fist fixes the device.
     firm = Plant(period, plant.mass + 0.3, plant.damping + 40.0, 0.0, 2000.0)
 
     def lead(k: int) -> float:
@@ -261,8 +264,8 @@ def felt(
         made = max(made, float(run.given_out_j.max()))
         half = slice(ticks // 2, None)
         turn = np.exp(-1j * omega * period * np.arange(ticks))[half]
-        # Of a fist what is felt over what it leaves of the way, so that its own give is no part of
-        # the answer.
+        # Divide by the motion that remains, so that the fist's own compliance is not
+        # counted.
         moved = run.position[half, 0] - (run.position[half, 1] if partner is firm else 0.0)
         found.append(-np.dot(run.force[half, 0], turn) / np.dot(moved, turn))
     held, free = found
@@ -272,21 +275,23 @@ def felt(
 
 @dataclass(frozen=True)
 class HandsAtDelay:
-    """What two hands at one distance bear, and feel, a way of coupling each.
+    """Stable and felt stiffness of two coupled hands at one delay, per coupling method.
 
     Attributes
     ----------
     delay_ticks : int
         One-way delay of the network [ticks].
     one_law_n_per_m, law_each_n_per_m : float or None
-        Stiffest spring that is passive for any two hands: one law, beside the first device; a law
-        at each [N/m].
+        Largest spring stiffness that is passive for any two hands: one law at the first
+        device; a law at each device [N/m].
     damped_n_per_m, damper_n_s_per_m : float or None
-        The same of PD at each device, with the damper with which it bears most [N/m, N s/m].
+        The same for PD at each device, with the damper that allows the largest stiffness
+        [N/m, N s/m].
     linear : FeltPartner or None
-        What is felt of that PD.
+        Felt partner with that PD.
     guarded : FeltPartner
-        What is felt of the asked stiffness with a guard at either end, which is safe at any delay.
+        Felt partner at the requested stiffness with a guard at both ends, which is safe at
+        any delay.
     """
 
     delay_ticks: int
@@ -301,7 +306,7 @@ class HandsAtDelay:
 def over_delay(
     plant: Plant, asked: float, gain: float, delays: list[int], dampers: int = 17
 ) -> list[HandsAtDelay]:
-    """Compare ways to couple two equal devices over a network, delay by delay.
+    """Compare methods of coupling two equal devices over a network, delay by delay.
 
     Parameters
     ----------
@@ -314,12 +319,12 @@ def over_delay(
     delays : list of int
         One-way delays [ticks].
     dampers : int
-        Dampers that are tried between none and the device's own damping.
+        Number of dampers tried between 0 and the device's own damping.
 
     Returns
     -------
     list of HandsAtDelay
-        One a delay.
+        One per delay.
     """
     from nodes.laws.pd import PD
     from nodes.stability.two_hands import TwoHands, k_max_two_hands

@@ -1,8 +1,8 @@
-"""K_max found by the distributed loop itself: every drop is a ``haptic launch`` in lockstep, judged from its recording.
+"""K_max measured on the distributed loop: each drop is a ``haptic launch`` in lockstep.
 
-The study in one process is only worth something if the loop renders the same. So each stiffness is
-dropped through all processes too, and judged by the very criterion of the study. Both must end at
-the same stiffness of a common grid.
+The one-process study is only valid if the real loop renders the same. So each stiffness is also
+dropped through all processes and judged by the study's criterion. Both must end at the same
+stiffness of a common grid.
 """
 
 import json
@@ -29,7 +29,7 @@ from sim.play.launched import LaunchedScene, from_launch
 from sim.play.one_axis import Scene
 
 SCENARIO = "floor_drop"  # launch file whose nodes get the experiment's parameters
-# Nor a ramp for a swing that begins with a force: nobody feels it.
+# No force ramp either for a swing that begins with a force: nobody holds the device.
 NO_LIMITS: dict[str, Any] = {
     "peak_force": None,
     "slew": None,
@@ -41,18 +41,18 @@ NO_LIMITS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class SameKMax:
-    """Where each of the two stops settling, on one grid of stiffnesses."""
+    """Stiffness at which launched and one-process drops stop settling, on one grid."""
 
-    # Largest K of the grid below the first that the processes do not settle with [N/m]; None when
-    # the first does not, infinite when the last still does.
+    # Largest K of the grid below the first that the processes do not settle with [N/m]; None
+    # if the first does not settle, infinite if the last does.
     launched_n_per_m: float | None
     one_process_n_per_m: float | None  # the same, played in one process [N/m]
     h1_n_per_m: float | None  # H(1) of the law at `launched_n_per_m` [N/m]
-    launches: int  # launches that it took
+    launches: int  # number of launches
 
 
 def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
-    """Describe a law at another nominal stiffness, as a launch file has it; one without any is refused."""
+    """Return a law's parameters with another nominal stiffness [N/m]; refuse one without."""
     described = law_to_dict(law)
     if "stiffness" not in described:
         raise ValueError(f"law kind {law.kind} has no nominal stiffness that could be raised")
@@ -60,7 +60,7 @@ def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
 
 
 def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
-    """Write an experiment as parameters of the nodes of `SCENARIO`: the inverse of `sim.play.launched.from_launch`."""
+    """Return node parameters of an experiment: inverse of `sim.play.launched.from_launch`."""
     limited = (scene.peak, scene.slew, scene.workspace) != (None, None, None)
     if limited or scene.passivity is not None or scene.surface.kind == "free":
         raise ValueError("a drop has a plane or an anchor, no limits by the driver and no guard")
@@ -74,7 +74,8 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
             "normal": int(scene.surface.normal),
         }
     return {
-        # What is looked for lies beyond what a device would bear: none of the launch file's limits.
+        # The search goes beyond what a device tolerates: drop the limits of the launch
+        # file.
         "driver": {"device": msgspec.to_builtins(scene.device), "safety": NO_LIMITS},
         "environment": {"surface": surface},
         "coupling": {
@@ -83,7 +84,7 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
             "history": "position" if scene.raw else "penetration",
             "clamp": scene.clamp,
             "ease": scene.ease * scene.period,
-            # The launch file's own device is not the one that is dropped.
+            # Replace the launch file's own device by the dropped one.
             "stability": "off",
         },
     }
@@ -103,13 +104,16 @@ def _written(
     scene: Scene, law: dict[str, Any], ticks: int, folder: Path
 ) -> tuple[Path, LaunchedScene]:
     path = folder / "drop.yaml"
-    # JSON is YAML, and its floats come back with the same bits.
+    # JSON is valid YAML and preserves floats bit by bit.
     path.write_text(json.dumps(parameters(scene, law)), encoding="utf-8")
     return path, from_launch(launch_file.read(SCENARIO, _assignments(scene, ticks), [path]))
 
 
 def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Array]:
-    """Play an experiment through the processes, in lockstep: position read [m] and force handed over [N] at each tick."""
+    """Play an experiment through the processes, in lockstep.
+
+    Return the position read [m] and the force sent [N] at each tick.
+    """
     with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
         path, read_back = _written(scene, law, ticks, Path(folder))
         if read_back.scene != scene or read_back.ticks != ticks:
@@ -128,7 +132,7 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
         )
     axis = read_back.axis
     position = np.array([state.position[axis] for state in states[:ticks]])
-    # A state tells the force that ended the tick before it.
+    # A state reports the force that ended the tick before it.
     return position, np.array([state.force[axis] for state in states[1:]])
 
 
@@ -139,16 +143,16 @@ def settles_launched(scene: Scene, law: dict[str, Any], criterion: Criterion) ->
 
 
 def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
-    """Compile a law as the coupling of a launch does."""
+    """Compile a law as a launch's coupling does."""
     with tempfile.TemporaryDirectory(prefix="haptic-drop-") as folder:
         return _written(scene, law, 1, Path(folder))[1].law
 
 
 def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
-    """Bisect a rising grid of K [N/m]: one that settles and whose neighbour above does not.
+    """Return the last K [N/m] of a rising grid that settles, by bisection.
 
-    None when the first does not settle, infinite when the last does: a grid says nothing of what
-    lies beyond its ends.
+    Its upper neighbour does not settle. None if the first does not settle, infinite if the last
+    does: K_max lies outside the grid.
     """
     if not verdict(grid[0]):
         return None
@@ -168,7 +172,7 @@ def same_k_max(
     grid: Sequence[float],
     step: Callable[[str, int], None] = lambda *_: None,
 ) -> SameKMax:
-    """Find K_max of a law by the processes and in one process, independently."""
+    """Find K_max of a law by launches and in one process, independently."""
     launches = 0
 
     def by_launch(stiffness: float) -> bool:

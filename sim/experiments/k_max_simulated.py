@@ -1,8 +1,7 @@
-"""The largest stiffness that still settles: K raised until a run no longer does, then bisected.
+"""Largest stiffness that settles: raise K until a run no longer settles, then bisect.
 
-That is how the paper finds its K_max. The lowest interval of K that settles counts, so that an
-island of stability beyond the limit does not; and the swing of the last run that settled tells the
-frequency that really occurs there.
+This is the paper's method. The lowest settling interval of K counts, so that an island of stability
+above the limit does not. The swing of the last run that settled gives the actual frequency there.
 """
 
 import math
@@ -19,31 +18,31 @@ from sim.experiments.drop import Criterion, linear_at_rest, rest_position, settl
 from sim.play.one_axis import Scene, run
 
 LawOfStiffness = Callable[[float], CompiledLaw]
-SEARCHED = (1e-3, 4.0)  # softest and stiffest K that are tried, in units of m/T²
+SEARCHED = (1e-3, 4.0)  # lowest and highest K of the search, in units of m/T²
 
 
 @dataclass(frozen=True)
 class SimulatedKMax:
-    """Where raising the nominal stiffness stops a run from settling."""
+    """Largest nominal stiffness with which a run settles."""
 
-    # Largest K that settled, of the lowest interval that does [N/m]; None when none did, infinite
-    # when the stiffest that was tried did.
+    # Upper end of the lowest settling interval of K [N/m]; None if none settled, infinite if
+    # the largest tried did.
     k_max_n_per_m: float | None
-    # H(1) there [N/m]; None for a law with code of its own, which need not have one
+    # H(1) there [N/m]; None for a law with own code, which may have none
     h1_max_n_per_m: float | None
-    unsettled_n_per_m: float | None  # smallest K above it that did not [N/m]
-    # frequency of the last swings seen at K_max [Hz]; None when it did not swing
+    unsettled_n_per_m: float | None  # smallest K above it that did not settle [N/m]
+    # frequency of the last swings at K_max [Hz]; None if it did not swing
     frequency_hz: float | None
     ticks: int  # simulated ticks
-    # softest and stiffest K that were tried [N/m]
+    # lowest and highest K tried [N/m]
     searched_n_per_m: tuple[float, float] = (math.nan, math.nan)
 
 
 def at_stiffness(law: Law, period: float) -> LawOfStiffness:
-    """Return the law as a function of its nominal stiffness K [N/m], compiled anew for each.
+    """Return the law as a function of its nominal stiffness K [N/m], compiled for each.
 
-    A law without a parameter ``stiffness`` gets its spring in tap 0. That is refused for one with
-    code of its own, whose code would keep its stiffness: ValueError.
+    A law without a parameter ``stiffness`` gets its spring in tap 0. A law with own code is
+    then refused with ValueError, because its code would not use K.
     """
     if "stiffness" in law.__struct_fields__:
         return lambda stiffness: msgspec.structs.replace(law, stiffness=stiffness).compile(period)
@@ -59,7 +58,10 @@ def at_stiffness(law: Law, period: float) -> LawOfStiffness:
 def swing_frequency(
     position: Array, period: float, rest: float, smallest: float = 1e-7
 ) -> float | None:
-    """Frequency of the last 20 swings about a point [Hz], by interpolated upward crossings; None with less than three."""
+    """Return the frequency of the last 20 swings about a point [Hz]; None for fewer than 3.
+
+    Upward crossings are interpolated.
+    """
     y = position - rest
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     instants = [k + y[k] / (y[k] - y[k + 1]) for k in up.tolist()]
@@ -78,7 +80,10 @@ def simulated_k_max(
     high: float | None = None,
     precision: float = 1e-3,
 ) -> SimulatedKMax:
-    """Raise K in steps of 10 % until the run no longer settles, then bisect; by default over `SEARCHED`."""
+    """Raise K in steps of 10 % until the run no longer settles, then bisect.
+
+    The default range is `SEARCHED`.
+    """
     criterion = criterion or Criterion()
     softest, stiffest = (part * scene.device.moving_mass / scene.period**2 for part in SEARCHED)
     low = softest if low is None else low
@@ -88,7 +93,7 @@ def simulated_k_max(
     ticks = 0
     rungs = np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(1.1))).tolist()
     last = low
-    # Eight rungs at a time: few enough to stop early, enough to keep the cores busy.
+    # Eight steps at a time: few enough to stop early, enough to use all cores.
     for tried in (rungs[first : first + 8] for first in range(0, len(rungs), 8)):
         laws = _compiled(law_of_stiffness, tried, first=tried[0] == rungs[0])
         ticks += criterion.ticks * len(laws)
@@ -127,7 +132,10 @@ def simulated_k_max(
 def _compiled(
     law_of_stiffness: LawOfStiffness, stiffnesses: list[float], first: bool
 ) -> list[CompiledLaw]:
-    """Compile a law at rising stiffnesses, up to the first that it refuses; its refusal of the softest of all is raised."""
+    """Compile a law at rising stiffnesses, up to the first that it refuses.
+
+    Raises its error if it refuses the softest.
+    """
     laws: list[CompiledLaw] = []
     for stiffness in stiffnesses:
         try:

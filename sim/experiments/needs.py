@@ -1,8 +1,7 @@
-"""No more model than a scene needs, and no less: switch every term and look whether the outcome moves.
+"""Check that a scene models enough and no more: switch each term, compare the outcome.
 
-The outcome is what a scene is for (``model.outcome`` of its launch file): when it settles, how hard
-it pushes, how stiff it may get, whether it buzzes at rest; in several axes what is felt along a
-way, force and proxy at every tick, too.
+The outcome is the purpose of a scene (``model.outcome`` of its launch file): settling time, contact
+force, largest stiffness, buzz at rest; in several axes also the force and proxy at every tick.
 """
 
 import math
@@ -27,81 +26,78 @@ from sim.measure.stopwatch import Timing, interleaved
 from sim.play.player import How
 from sim.play.trace import ChainTrace
 
-# motion at rest that does not count [m]: about what a fingertip feels at its most sensitive, near
-# 250 Hz
+# motion at rest that is ignored [m]: about the fingertip's threshold near 250 Hz, where it is
+# most sensitive
 BUZZ = 1e-6
 _FORCE = 0.01
 _TAIL = 5
 
-# How variants are played: one after another here, or side by side (`sim.studies.sweeps.spread`).
+# Plays variants: one after another here, or in parallel (`sim.studies.sweeps.spread`).
 Players = Callable[[Sequence[Callable[[], ChainTrace]]], list[ChainTrace]]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a scene; None where a figure makes no sense."""
+    """Outcome of a run; None where a value is undefined."""
 
-    # Last time at which the device was further than 1 % of its travel from where it ended; the
-    # length of the run when it did not come to rest [s].
+    # Last time farther than 1 % of the travel from the end position; run length if it did not
+    # settle [s].
     settling_s: float
     peak_force_n: float  # largest force [N]
     rest_force_n: float  # mean force over the last fifth [N]
-    travel_m: float  # range of the motion [m]
-    limit_cycle_m: float  # swing over the last fifth, peak to peak [m]
-    # Stiffness at which the loop becomes unstable (K_max in terms of H(1)); None without contact or
-    # poles [N/m].
+    travel_m: float  # range of motion [m]
+    limit_cycle_m: float  # peak-to-peak motion over the last fifth [m]
+    # H(1) at which the loop becomes unstable [N/m]; None without contact or poles.
     h1_max_n_per_m: float | None
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What switching one term did."""
+    """Effect of switching one term."""
 
-    term: str  # the term, or two that were switched together, or a convention
-    # ``off``, with what there is in its place, or ``on``, with the value; ``other`` for a
-    # convention
+    term: str  # the term, two terms switched together, or a convention
+    # ``off`` with its replacement, or ``on`` with the value; ``other`` for a convention
     switched: str
     # ``needed``, ``superfluous``, ``sought``, ``protects``, ``missing``, ``left out``, ``not
     # needed``, ``brought by the loop``, ``convention``.
     verdict: str
-    moved: float  # largest relative movement of any outcome that counts [1]
-    most: str  # which outcome that was
-    changes: dict[str, float]  # relative movement of each outcome that counts [1]
-    # What the term costs per tick in plain Python [µs]; None where the spread is larger, and for a
-    # convention.
+    moved: float  # largest relative change of any relevant outcome [1]
+    most: str  # name of that outcome
+    changes: dict[str, float]  # relative change of each relevant outcome [1]
+    # Cost of the term per tick in plain Python [µs]; None if below the timing spread, and for
+    # a convention.
     cost_us: float | None
-    # How far that cost may be off by the spread of the rounds that were timed [µs]; None with one
-    # round.
+    # Uncertainty of that cost from the spread of the timing rounds [µs]; None with one round.
     cost_spread_us: float | None = None
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Whether a scene models enough and no more."""
+    """Which model terms change the outcome, and which are missing."""
 
-    outcome: Outcome  # of the scene as it is
-    findings: tuple[Finding, ...]  # one for each term, pair and convention that was switched
-    # time per tick of the scene as it is, in plain Python [µs]; None where nothing was timed
+    outcome: Outcome  # of the unchanged scene
+    findings: tuple[Finding, ...]  # one per term, pair and convention switched
+    # time per tick of the unchanged scene in plain Python [µs]; None if not timed
     tick_us: float | None
 
     @property
     def superfluous(self) -> tuple[str, ...]:
-        """Declared terms without which nothing moves."""
+        """Declared terms that change no outcome when removed."""
         return tuple(f.term for f in self.findings if f.verdict == "superfluous")
 
     @property
     def left_out(self) -> tuple[Finding, ...]:
-        """Terms that are left out on purpose although they move something."""
+        """Terms left out on purpose although they change an outcome."""
         return tuple(f for f in self.findings if f.verdict == "left out")
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Terms that are not there, not left out on purpose, and move something."""
+        """Undeclared terms that change an outcome and were not left out on purpose."""
         return tuple(f.term for f in self.findings if f.verdict == "missing")
 
 
 def plant_of(scene: TermScene) -> Plant | None:
-    """Return device and hand as the linear loop sees them, of a pair both; None where nobody knows a mass."""
+    """Return device and hand as a linear plant, both of a pair; None if no mass is known."""
     run = scene.launch.run
     known = known_plant(scene.launch, scene.namespace)
     if "mass" not in known:
@@ -111,7 +107,10 @@ def plant_of(scene: TermScene) -> Plant | None:
 
 
 def stiffest(scene: TermScene) -> float | None:
-    """Return the stiffness H(1) at which the loop becomes unstable at the chain's wall or anchor [N/m]; None without one."""
+    """Return the H(1) at which the loop at the wall or anchor becomes unstable [N/m].
+
+    None if the chain has neither.
+    """
     laws, plant = scene.instead.law, plant_of(scene)
     law = scene.laws.all[-1]
     if scene.shortened and laws is not None:
@@ -123,7 +122,7 @@ def stiffest(scene: TermScene) -> float | None:
 
 
 def outcome(scene: TermScene, trace: ChainTrace) -> Outcome:
-    """Work out what came of a run."""
+    """Compute the outcome of a run."""
     axes = list(trace.axes)
     return measured_outcome(
         trace.position[:, axes], trace.force[:, axes], trace.period, stiffest(scene)
@@ -133,7 +132,10 @@ def outcome(scene: TermScene, trace: ChainTrace) -> Outcome:
 def measured_outcome(
     position: Array, force: Array, period: float, h1_max: float | None = None
 ) -> Outcome:
-    """Work out what came of a run: positions and forces, (ticks, axes); lengths and forces are those in space."""
+    """Compute the outcome of a run from positions and forces, shape (ticks, axes).
+
+    Distances and forces are Euclidean norms.
+    """
     tail = max(2, len(position) // _TAIL)
     end, rest = position[-tail:], force[-tail:].mean(axis=0)
     travel = float(np.ptp(position, axis=0).max())
@@ -149,7 +151,7 @@ def measured_outcome(
 
 
 def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]:
-    """Compare two outcomes, each figure in its own measure."""
+    """Return the relative change of each value of two outcomes."""
 
     def relative(a: float, b: float, least: float) -> float:
         if not (math.isfinite(a) and math.isfinite(b)):
@@ -175,7 +177,7 @@ def movement(before: Outcome, after: Outcome, period: float) -> dict[str, float]
 
 
 class Variant(NamedTuple):
-    """A scene with something switched: what, the scene, and how (`Finding.switched`)."""
+    """A scene with something switched: name, scene and how (`Finding.switched`)."""
 
     terms: tuple[str, ...]
     scene: TermScene
@@ -197,24 +199,24 @@ def needs(
     players: Players = here,
     tolerance: Callable[[str], float] | None = None,
 ) -> Needs:
-    """Switch every term of a chain: what each moves, and what it costs.
+    """Switch every term of a chain; return the effect and cost of each.
 
     Parameters
     ----------
     launch : Launch
-        The launch file, read.
+        The parsed launch file.
     namespace : str
-        Of the chain; empty for a launch of one.
+        Namespace of the chain; empty for a launch of one.
     model : Model, optional
-        What the scene is for; by default as the launch file says of the chain.
+        Purpose of the scene; by default that of the launch file.
     rounds : int
-        Interleaved rounds of timing; 0 times nothing.
+        Interleaved timing rounds; 0: no timing.
     step : callable
-        Called with what was timed.
+        Called with the name of each timed item.
     players : callable
-        Plays the variants, here one after another.
+        Plays the variants, by default one after another.
     tolerance : callable, optional
-        Change of an outcome that does not count; by default the model's.
+        Ignored change per outcome; by default the model's.
 
     Returns
     -------
@@ -224,7 +226,7 @@ def needs(
     Raises
     ------
     ParameterError
-        As of `sim.play.player.play`; where a shape is to be replaced and nothing is touched.
+        As `sim.play.player.play`, or if a shape is to be replaced and there is no contact.
     """
     scene = term_scene(launch, namespace)
     model = (launch.models.get(namespace) or launch.model) if model is None else model
@@ -259,7 +261,7 @@ def needs(
     return Needs(before, tuple(costs), 1e6 * timings["0"].median)
 
 
-HOW: How = "interpreted"  # what a term costs is told of plain Python
+HOW: How = "interpreted"  # term costs are measured in plain Python
 
 
 def _play(scene: TermScene) -> ChainTrace:
@@ -270,7 +272,7 @@ def _play(scene: TermScene) -> ChainTrace:
 def _with_cost(
     finding: Finding, variant: Variant, whole: Timing, mine: Timing, rounds: int
 ) -> Finding:
-    """Add what a term costs a tick [µs], where that is more than the spread of its rounds."""
+    """Add the cost of a term per tick [µs] if it exceeds the spread of its timing rounds."""
     cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
     spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
     known = finding.switched != "other" and spread is not None and abs(cost) > spread
@@ -283,7 +285,7 @@ def variants_of(
     conventions: Mapping[str, Edit],
     together: Sequence[tuple[str, str]],
 ) -> list[Variant]:
-    """Switch each term off where the scene has it and on where it has not, some together, and the conventions."""
+    """Return all variants: each term and some pairs switched, and the conventions."""
     found: list[Variant] = []
     by_name = {term.name: term for term in terms}
     for term in terms:
@@ -336,7 +338,7 @@ def _finding(
 
 
 def apart(before: Array, after: Array, scale: Array) -> float:
-    """Root mean square of a difference over that of what it is measured by."""
+    """Return the root mean square of a difference over that of `scale`."""
     size = float(np.sqrt(np.mean(np.sum(scale**2, axis=1))))
     difference = float(np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1))))
     if not np.isfinite(difference):

@@ -1,4 +1,4 @@
-"""Difference thresholds of force and stiffness, beside which a model's tolerance is small."""
+"""Difference thresholds of force and stiffness, far above a model's tolerance."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Threshold:
-    """A just noticeable difference, as a part of what is felt."""
+    """A just noticeable difference, relative to the stimulus."""
 
-    quantity: str  # what is felt
-    low: float  # smallest that was measured [1]
+    quantity: str  # quantity felt
+    low: float  # smallest measured value [1]
     high: float  # largest [1]
-    source: str  # who measured it
-    outcomes: tuple[str, ...]  # outcomes of a scene that it is about
+    source: str  # source of the measurement
+    outcomes: tuple[str, ...]  # outcomes of a scene to which it applies
 
 
-# Read in abstracts: 7 % (Pang et al.); 22 % (Tan et al. 1995, where neither work nor final force
-# is a cue); 8 %, with these cues, of Tan, Pang & Durlach 1992, as their paper "Manual resolution of
+# From abstracts: 7 % (Pang et al.); 22 % (Tan et al. 1995, without work and final-force cues); 8
+# % with these cues (Tan, Pang & Durlach 1992, as quoted in their paper "Manual resolution of
+# compliance when work and force cues are minimized"). The upper ends are from memory.
 # compliance when work and force cues are minimized" quotes it. The upper ends are from memory.
 THRESHOLDS = (
     Threshold(
@@ -42,9 +43,9 @@ THRESHOLDS = (
 
 
 def tolerances(usual: float, felt: bool) -> Callable[[str], float]:
-    """Return the tolerance of each outcome: `usual`, or where `felt`, a hand's threshold.
+    """Return the tolerance per outcome: `usual`, or a hand's threshold if `felt`.
 
-    Outcomes without a threshold (settling, travel, a limit cycle, the proxy) keep `usual`.
+    Outcomes without a threshold (settling, travel, limit cycle, proxy) use `usual`.
     """
     known = (
         {outcome: threshold.low for threshold in THRESHOLDS for outcome in threshold.outcomes}

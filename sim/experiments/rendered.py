@@ -1,10 +1,9 @@
-"""What a law renders: stiffness and damping against frequency, and the plane of both in which it may be set (Z-width).
+"""Rendered stiffness and damping against frequency, and the K–B plane (Z-width).
 
-Between its samples the force is held, and it acts late: at the port the law H is G(jω) = H(e^{jωT})
-e^{−jω(d + ½)T} sinc(ωT/2), for motions below half the rate. A spring and a damper in its place have
-G = K + jωB, so Re G is the stiffness that is felt at a frequency, and Im G/ω the damping: a delay
-takes K (d + ½) T of it (Colgate & Brown, "Factors affecting the Z-width of a haptic display",
-1994).
+The force is held between samples and delayed: at the port the law H is G(jω) = H(e^{jωT}) e^{−jω(d
++ ½)T} sinc(ωT/2) for motions below half the sampling rate. A spring and a damper have G = K + jωB,
+so Re G is the felt stiffness at a frequency, and Im G/ω the damping. A delay reduces it by K (d +
+½) T (Colgate & Brown, "Factors affecting the Z-width of a haptic display", 1994).
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.experiments.k_max_simulated import at_stiffness
 
-LOWEST = 0.1  # frequency from which a response is given by default [Hz]
-POINTS = 400  # of it
-PRECISION = 1e-5  # of a passive stiffness, as a part of it
+LOWEST = 0.1  # lowest frequency of a response by default [Hz]
+POINTS = 400  # number of its points
+PRECISION = 1e-5  # relative precision of a passive stiffness
 
 
 @dataclass(frozen=True)
 class FeltResponse:
-    """What a law renders against frequency, each shape (n,)."""
+    """Rendered impedance against frequency, each shape (n,)."""
 
     frequency_hz: Array
-    stiffness_n_per_m: Array  # felt at the port, with the hold and the delay
+    stiffness_n_per_m: Array  # at the port, including hold and delay
     damping_n_s_per_m: Array
-    law_stiffness_n_per_m: Array  # of the law alone, as if its force acted at once
+    law_stiffness_n_per_m: Array  # of the law alone, applied without hold or delay
     law_damping_n_s_per_m: Array
-    magnitude_n_per_m: Array  # of what is felt at the port
+    magnitude_n_per_m: Array  # magnitude at the port
     phase_deg: Array
 
 
 def frequencies(period: float, lowest: float = LOWEST, points: int = POINTS) -> Array:
-    """Return frequencies up to half the rate, evenly spread over the decades [Hz]."""
+    """Return logarithmically spaced frequencies up to half the sampling rate [Hz]."""
     highest = 0.5 / period
     if not 0.0 < lowest < highest:
         raise ValueError(
@@ -54,7 +53,10 @@ def frequencies(period: float, lowest: float = LOWEST, points: int = POINTS) -> 
 def port(
     law: CompiledLaw, period: float, delay: float, frequency_hz: Array
 ) -> NDArray[np.complex128]:
-    """Return G(jω) at the port [N/m]: the law, held, `delay` ticks late. ValueError for a law with code of its own."""
+    """Return G(jω) at the port [N/m]: the held law, `delay` ticks late.
+
+    Raises ValueError for a law with own code.
+    """
     _linear(law)
     angle = 2.0 * np.pi * frequency_hz * period
     late = np.exp(-1j * angle * (delay + 0.5)) * np.sinc(angle / (2.0 * np.pi))
@@ -69,7 +71,10 @@ def _linear(law: CompiledLaw) -> None:
 def rendered(
     law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None
 ) -> FeltResponse:
-    """Return what a law renders at a period [s] and a delay [ticks], by default at `frequencies`."""
+    """Return the response of a law at a period [s] and a delay [ticks].
+
+    The default frequencies are `frequencies`.
+    """
     at = frequencies(period) if frequency_hz is None else np.asarray(frequency_hz, dtype=np.float64)
     if not (at.size and np.all(at > 0.0) and np.all(at <= 0.5 / period * (1.0 + 1e-12))):
         raise ValueError(
@@ -86,17 +91,18 @@ def rendered(
 
 @dataclass(frozen=True)
 class ZWidth:
-    """How stiff a law may be over its damper's gain, each shape (n,); NaN where no stiffness will do."""
+    """Largest stiffness over the damping gain, each shape (n,); NaN where there is none."""
 
     kind: str  # of the law
     gain: Array  # B, in the law's own unit
-    k_max_n_per_m: Array  # stable on the known device: nominal K
-    h1_max_n_per_m: Array  # and the stiffness felt there
-    passive_n_per_m: Array  # passive on the device's damping, for any hand: nominal K
+    k_max_n_per_m: Array  # nominal K up to which the loop with the known device is stable
+    h1_max_n_per_m: Array  # H(1) at `k_max_n_per_m`
+    # nominal K up to which the law is passive with the device's damping, for any hand
+    passive_n_per_m: Array
 
 
 def z_width(law: Law, plant: Plant, gains: Sequence[float]) -> ZWidth:
-    """Return the K–B plane of a law on a device: how stiff it may be at each gain, stable in known hands and passive in any."""
+    """Return the K–B plane of a law on a device: largest stable and passive K per gain."""
     for field in ("stiffness", "damping"):
         if field not in law.__struct_fields__:
             raise ValueError(
@@ -116,17 +122,18 @@ def _widest(law: Law, plant: Plant) -> tuple[float, float, float]:
 
 
 def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: Plant) -> float:
-    """Return the largest K with which a law is passive on the damping of a device [N/m]; NaN where none is.
+    """Return the largest K at which the device's damping makes a law passive [N/m].
 
-    The damping that a law needs is a maximum of functions linear in K: convex, so the K that are
-    passive are one interval.
+    NaN if there is none. The required damping is a maximum of functions linear in K, so it is
+    convex, and the passive K form one interval.
     """
 
     def needed(stiffness: float) -> float:
         law = law_of_stiffness(stiffness)
         return damping_needed(law, plant.period, plant.delay) if law.h1 > 0.0 else np.inf
 
-    # Without delay a spring takes K T/2 of the damping: far beyond this bound no law is passive.
+    # Even without delay a spring needs K T/2 of damping: no law is passive far above this
+    # bound.
     grid = np.geomspace(1e-3, 1.0, 17) * 4.0 * plant.damping / plant.period
     values = [needed(k) for k in grid.tolist()] if plant.damping > 0.0 else [np.inf]
     if not min(values) <= plant.damping:
@@ -146,7 +153,10 @@ def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: P
 def _least_between(
     needed: Callable[[float], float], grid: Array, at: int, enough: float
 ) -> tuple[float, float, float | None]:
-    """Look between the neighbours of the least of a grid for a K that needs no more than `enough`; None where there is none."""
+    """Bracket a grid's minimum; return both ends and a K that needs at most `enough`.
+
+    The K is None if there is none.
+    """
     low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
     for _ in range(24 if np.isfinite(needed(float(grid[at]))) else 0):
         left, right = low + (high - low) / 3.0, high - (high - low) / 3.0
@@ -164,6 +174,6 @@ def error_of(
     wanted: NDArray[np.complex128],
     frequency_hz: Array,
 ) -> float:
-    """Return how far what is felt is from an impedance [N/m], root mean square over the frequencies, as a part of it."""
+    """Return the relative RMS distance of the rendered impedance from another one."""
     felt = port(law, period, delay, frequency_hz)
     return float(np.sqrt(np.mean(np.abs(felt / wanted - 1.0) ** 2)))

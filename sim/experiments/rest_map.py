@@ -1,4 +1,4 @@
-"""The map of stiffness that comes to rest: over dry friction and encoder step, for one law on one device (THEORY.md §5)."""
+"""Map of the limit-cycle-free stiffness over friction and encoder step (THEORY.md §5)."""
 
 import math
 from pathlib import Path
@@ -14,7 +14,7 @@ from nodes.stability.rest import rest, stiffest_at_rest
 from sim.axes import plain_log
 from sim.results import fresh
 
-DECADES = 1.5  # how far the map reaches to either side of the device, in powers of ten
+DECADES = 1.5  # range of the map on either side of the device [decades]
 _SHOWN, _TOLD = 121, 13
 
 
@@ -26,10 +26,10 @@ def rest_map(
     friction: float,
     path: Path,
 ) -> dict[str, Any]:
-    """Draw the largest K without a limit cycle, the lesser of K_rest and K_max, over friction and encoder step; its figures."""
+    """Plot the lesser of K_rest and K_max over friction and encoder step; return the data."""
     derivative = with_spring(law, -stiffness)
     limit = k_max(derivative, device).k_max_n_per_m
-    # Where no stiffness is stable none comes to rest.
+    # Where no stiffness is stable, none is free of limit cycles.
     top = 0.0 if limit is None else limit
 
     def over(count: int) -> tuple[Any, Any, Any]:
@@ -84,7 +84,7 @@ def _draw(
         norm = LogNorm(
             max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9)
         )
-        # As pixels: thousands of cells would show their seams in SVG.
+        # Rasterised: thousands of cells would show seams in SVG.
         image = axes.pcolormesh(
             frictions,
             1e6 * steps,

@@ -1,4 +1,4 @@
-"""A chain of a launch file whose model terms are switched: every switch is an edit of the launch, or of what is played."""
+"""A chain of a launch file whose model terms can be switched by edits."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -24,22 +24,22 @@ from sim.play.player import How, play, prepare
 from sim.play.trace import ChainTrace
 
 _GRIDS = (48, 24, 16, 12, 8, 6, 4)
-SHORTEST = 3  # taps that a shortened law keeps at least
+SHORTEST = 3  # minimum number of taps of a shortened law
 
 
 class TermScene(NamedTuple):
-    """A chain, with shapes in place of its own, and whether its laws keep the newer half of their taps only."""
+    """A chain with optional replacement shapes and optionally halved laws."""
 
     launch: Launch
     namespace: str
     hops: Hops
     own: tuple[Solid, ...]  # shapes of the launch file
-    solids: tuple[Solid, ...] | None = None  # shapes that are touched in their place
+    solids: tuple[Solid, ...] | None = None  # shapes that replace them
     shortened: bool = False
 
     @property
     def shapes(self) -> tuple[Solid, ...]:
-        """What is touched; empty for a scene of bodies or of a flat surface."""
+        """Shapes in the scene; empty for bodies or a flat surface."""
         return self.own if self.solids is None else self.solids
 
     @property
@@ -49,7 +49,7 @@ class TermScene(NamedTuple):
 
     @property
     def instead(self) -> Instead:
-        """What is played in place of the launch file's own."""
+        """Replacements for parts of the launch file."""
         if not self.shortened:
             return Instead(solids=self.solids)
         laws = self.laws
@@ -58,15 +58,15 @@ class TermScene(NamedTuple):
 
     @property
     def laws(self) -> LawsOfRun:
-        """What renders, as the launch file says."""
+        """Laws that render, as in the launch file."""
         return laws_of(self.launch, self.hops)
 
     def ready(self, how: How) -> Callable[[], ChainTrace]:
-        """Return what plays it, all checks done."""
+        """Return a function that plays the scene, with all checks done."""
         return prepare(self.launch, self.namespace, instead=self.instead, how=how)
 
     def play(self, how: How = "interpreted") -> ChainTrace:
-        """Play it."""
+        """Play the scene."""
         return play(self.launch, self.namespace, instead=self.instead, how=how)
 
     def parameters(self, name: str) -> dict[str, Any]:
@@ -79,7 +79,7 @@ Ask = Callable[[TermScene], bool]
 
 
 def term_scene(launch: Launch, namespace: str = "") -> TermScene:
-    """Return a chain of a launch, as it is."""
+    """Return the unchanged chain of a launch."""
     hops = hops_of(launch, namespace)
     spec = launch.nodes[hops.environment]
     own: tuple[Solid, ...] = ()
@@ -87,12 +87,12 @@ def term_scene(launch: Launch, namespace: str = "") -> TermScene:
         where = f"{hops.environment}.surface"
         surface = parse_surface(spec.parameters.get("surface", {"kind": "free"}), where)
         own = tuple(surface.solids(where)) if isinstance(surface, Touchable) else ()
-    # A switch may lead to any device and beyond the edge: what it does is played, not judged.
+    # A switch may change the device or make the loop unstable: play it without judging.
     return with_parameters(TermScene(launch, namespace, hops, own), hops.coupling, UNJUDGED)
 
 
 def half(law: CompiledLaw) -> CompiledLaw:
-    """Return a law with the newer half of its taps, `SHORTEST` at least."""
+    """Return a law with the newer half of its taps, at least `SHORTEST`."""
     return replace(law, taps=law.taps[: max(SHORTEST, (len(law.taps) + 1) // 2)])
 
 
@@ -104,7 +104,7 @@ def longest(scene: TermScene) -> int:
 
 
 def with_node(scene: TermScene, name: str, spec: NodeSpec) -> TermScene:
-    """Put another node in the place of one."""
+    """Replace a node."""
     nodes = {**scene.launch.nodes, name: spec}
     return scene._replace(launch=msgspec.structs.replace(scene.launch, nodes=nodes))
 
@@ -121,7 +121,7 @@ _MEMBERS = ("first", "second")
 
 
 def drivers(scene: TermScene) -> list[SimDriverParameters]:
-    """Return the parameters of each virtual device: of the driver, or of both members of a pair."""
+    """Return the parameters of each virtual device: the driver's, or both pair members'."""
     name = scene.hops.driver
     given = scene.parameters(name)
     if scene.launch.nodes[name].kind != "paired_driver":
@@ -138,7 +138,7 @@ def devices(scene: TermScene) -> list[DeviceModel]:
 
 
 def with_drivers(scene: TermScene, changes: list[dict[str, Any]]) -> TermScene:
-    """Change parameters of each virtual device's driver."""
+    """Change driver parameters of each virtual device."""
     name = scene.hops.driver
     if scene.launch.nodes[name].kind != "paired_driver":
         return with_parameters(scene, name, changes[0])
@@ -151,7 +151,7 @@ def with_drivers(scene: TermScene, changes: list[dict[str, Any]]) -> TermScene:
 
 
 def with_device(scene: TermScene, **changes: Any) -> TermScene:
-    """Change fields of the virtual device, of a pair of both."""
+    """Change fields of the virtual device, or of both of a pair."""
     models = [msgspec.structs.replace(device, **changes) for device in devices(scene)]
     return with_drivers(
         scene, [{"device": msgspec.to_builtins(model), "preset": ""} for model in models]
@@ -164,13 +164,13 @@ def set_to(**changes: Any) -> Edit:
 
 
 def let_go(scene: TermScene) -> TermScene:
-    """Leave the hand out, and the page that could drag it."""
+    """Remove the hand, and the page that could drag it."""
     scene = with_device(scene, hand=None)
     return with_drivers(scene, [{"pointer": None} for _ in drivers(scene)])
 
 
 def has(name: str) -> Ask:
-    """Return the question whether a device has a field that is not 0 or empty."""
+    """Return a predicate: whether a device has a field that is not 0 or empty."""
     return lambda scene: any(bool(getattr(device, name)) for device in devices(scene))
 
 
@@ -181,12 +181,12 @@ def guard_on(scene: TermScene) -> bool:
 
 
 def unguarded(scene: TermScene) -> TermScene:
-    """Leave the guard out."""
+    """Remove the guard."""
     return with_parameters(scene, scene.hops.driver, {"passivity": None})
 
 
 def _own_safety(scene: TermScene) -> SafetyParameters:
-    """Return the safety of the driver itself: of a pair that of the pair."""
+    """Return the driver's own safety parameters, or the pair's."""
     name = scene.hops.driver
     if scene.launch.nodes[name].kind != "paired_driver":
         return drivers(scene)[0].safety
@@ -196,12 +196,12 @@ def _own_safety(scene: TermScene) -> SafetyParameters:
 
 
 def limited(name: str) -> Ask:
-    """Return the question whether the driver has a limit of this name."""
+    """Return a predicate: whether the driver has a limit of this name."""
     return lambda scene: getattr(_own_safety(scene), name) is not None
 
 
 def unlimited(name: str) -> Edit:
-    """Return the edit that leaves out a limit, the usual one of a virtual device too."""
+    """Return the edit that removes a limit, including a virtual device's default."""
 
     def free(safety: SafetyParameters) -> dict[str, Any]:
         without = sorted({*safety.without, name})
@@ -216,21 +216,21 @@ def unlimited(name: str) -> Edit:
 
 
 def delayed(scene: TermScene) -> bool:
-    """Return whether forces act later than they are handed over."""
+    """Return whether forces act with a delay."""
     next_tick = scene.launch.run.apply == "next_tick"
     return next_tick or any(device.delay > 0.0 for device in devices(scene))
 
 
 def without_delay(scene: TermScene) -> TermScene:
-    """Let forces act at once."""
+    """Remove the delay of forces."""
     scene = with_device(scene, delay=0.0)
     run = msgspec.structs.replace(scene.launch.run, apply="on_arrival")
     return scene._replace(launch=msgspec.structs.replace(scene.launch, run=run))
 
 
-# -- what is met
+# -- the environment
 def meets(scene: TermScene) -> dict[str, Any]:
-    """Return the surface as written; one of kind ``free`` where the chain meets no surface."""
+    """Return the surface as written; kind ``free`` if the chain has none."""
     free = {"kind": "free"}
     if scene.launch.nodes[scene.hops.environment].kind != "environment":
         return free
@@ -239,27 +239,27 @@ def meets(scene: TermScene) -> dict[str, Any]:
 
 
 def has_normal(scene: TermScene) -> bool:
-    """Return whether what is met has an outside: conventions of contact hold there alone."""
+    """Return whether the surface has an outside: only then do contact conventions apply."""
     return meets(scene).get("kind") not in ("free", "anchor")
 
 
 def with_surface(scene: TermScene, surface: dict[str, Any]) -> TermScene:
-    """Put another surface in the place of the chain's."""
+    """Replace the chain's surface."""
     return with_parameters(scene, scene.hops.environment, {"surface": surface})
 
 
 def untouched(scene: TermScene) -> TermScene:
-    """Leave out what is met."""
+    """Remove the surface."""
     return with_surface(scene, {"kind": "free"})._replace(solids=None)
 
 
 def tool_radius(scene: TermScene) -> float:
-    """Return the radius of the ball that touches [m]; 0 where no shape is touched."""
+    """Return the tool radius [m]; 0 without shapes."""
     return float(meets(scene).get("tool_radius", TOOL_RADIUS)) if scene.shapes else 0.0
 
 
 def one_face(scene: TermScene) -> TermScene:
-    """Put the plane that touches the shape where the device comes deepest in its place."""
+    """Replace the shape by its tangent plane at the deepest point of the path."""
     found = scene.play()
     depth = np.where(found.contact, np.linalg.norm(found.proxy - found.measured, axis=1), -1.0)
     deepest = int(np.argmax(depth))
@@ -276,7 +276,7 @@ def one_face(scene: TermScene) -> TermScene:
 
 
 def coarser(scene: TermScene) -> TermScene:
-    """Draw the corners of meshes together until at most half of their triangles are left."""
+    """Merge vertices of meshes until at most half of the triangles remain."""
     return scene._replace(solids=tuple(_halved(solid) for solid in scene.shapes))
 
 
@@ -295,14 +295,14 @@ def _halved(solid: Solid) -> Solid:
 
 
 def rubbed(friction: Friction) -> Edit:
-    """Return the edit that gives all shapes a friction."""
+    """Return the edit that sets the friction of all shapes."""
     return lambda scene: scene._replace(
         solids=tuple(solid._replace(friction=friction) for solid in scene.shapes)
     )
 
 
 def bodies_move(scene: TermScene) -> bool:
-    """Return whether what is met gives way: bodies of a MuJoCo scene, or one body to feel."""
+    """Return whether the environment moves: bodies of a MuJoCo scene, or one felt body."""
     spec = scene.launch.nodes[scene.hops.environment]
     return spec.kind == "world" or (
         spec.kind == "mujoco" and spec.parameters.get("bodies", "dynamic") == "dynamic"
@@ -310,7 +310,7 @@ def bodies_move(scene: TermScene) -> bool:
 
 
 def held(scene: TermScene) -> TermScene:
-    """Hold all bodies where they begin."""
+    """Fix all bodies at their start positions."""
     name = scene.hops.environment
     spec = scene.launch.nodes[name]
     if spec.kind == "mujoco":
@@ -322,7 +322,7 @@ def held(scene: TermScene) -> TermScene:
 
 
 def flipped(name: str, usual: Any, other: Any) -> Edit:
-    """Return the edit that takes the other one of two values of a parameter of the coupling."""
+    """Return the edit that flips a two-valued parameter of the coupling."""
 
     def edit(scene: TermScene) -> TermScene:
         now = scene.parameters(scene.hops.coupling).get(name, usual)

@@ -1,8 +1,8 @@
-"""The terms a scene's model is made of, and how to switch each one off or on: one list for every scene.
+"""The model terms of a scene and how to switch each off or on: one list for all scenes.
 
-Off means that the term does not exist (None, not a small number), on means what a Touch X or a
-usual loop would bring. A term is declared, left out on purpose (``model.leaves_out`` of the launch
-file), or simply not there.
+Off means that the term does not exist (None, not a small number); on means the value of a Touch X
+or a typical loop. A term is declared, left out on purpose (``model.leaves_out`` of the launch
+file), or absent.
 """
 
 from collections.abc import Mapping
@@ -16,24 +16,23 @@ from sim.experiments.term_scene import Ask, Edit, TermScene
 # Touch X: resolution and peak force from the data sheet, friction from memory (THEORY.md §4); the
 # response time is the median of four processes on one ordinary machine.
 RESOLUTION, FRICTION, PEAK_FORCE, GRAVITY, RESPONSE = 2.3e-5, 0.06, 7.9, 9.81, 250e-6
-ROUGH = Friction(0.3, 0.3)  # of a smooth hard surface under a hard tip, about
-# Mass along the other axes over that along the first: about what an arm with its motors on the base
-# has.
+ROUGH = Friction(0.3, 0.3)  # roughly a smooth hard surface under a hard tip
+# Mass along the other axes relative to the first: roughly an arm with its motors on the base.
 UNEVEN = {"y": 1.5, "z": 2.0}
 
 
 @dataclass(frozen=True)
 class NeedTerm:
-    """One term of a model."""
+    """One model term."""
 
     name: str  # as in ``model.leaves_out``
-    declared: Ask  # from a scene to whether it has the term
-    without: Edit  # from a scene to the same scene without the term
-    # From a scene to the same scene with a typical value; None where adding it would make another
-    # scene.
+    declared: Ask  # returns whether a scene has the term
+    without: Edit  # returns the scene without the term
+    # Returns the scene with a typical value; None where adding it would change the scene
+    # itself.
     typical: Edit | None = None
-    value: str = ""  # that value, for people
-    simpler: str = ""  # what the scene has in its place without it, for people; empty for nothing
+    value: str = ""  # that value, as text
+    simpler: str = ""  # replacement when the term is off, as text; empty for none
 
 
 def _weighed(scene: TermScene) -> TermScene:
@@ -52,7 +51,7 @@ def _is_shaped(scene: TermScene) -> bool:
     return any(solid.kind != PLANE for solid in scene.shapes) or len(scene.shapes) > 1
 
 
-# All terms; ``memory`` stands for the older half of the longest law's taps.
+# All terms; ``memory`` is the older half of the longest law's taps.
 TERMS: tuple[NeedTerm, ...] = (
     NeedTerm(
         "gravity",
@@ -132,15 +131,15 @@ TERMS: tuple[NeedTerm, ...] = (
         simpler="the newer half of the taps",
     ),
 )
-# What must be one way or the other where contact has an outside: never superfluous and never
-# missing, but worth knowing.
+# A choice of one of two where contact has an outside: never superfluous or missing, but
+# informative.
 CONVENTIONS: Mapping[str, Edit] = {
     "clamp": of.flipped("clamp", True, False),
     "history rule": of.flipped("history", "penetration", "position"),
 }
 # Terms that may only matter together (buzz at rest, THEORY.md §5).
 TOGETHER: tuple[tuple[str, str], ...] = (("friction", "resolution"),)
-# Limits that a device would have: never superfluous because a stable loop does not meet them.
+# Limits of a device: never superfluous merely because a stable loop does not reach them.
 PROTECTS = frozenset({"limit", "slew", "workspace"})
-# what the running processes bring by themselves, whether or not the scene has it
+# terms that the running processes add, whether or not the scene declares them
 BROUGHT = frozenset({"delay"})

@@ -1,1 +1,1 @@
-"""The laboratory: what proves the claims of the pages, reached by ``haptic lab`` and ``haptic bench``."""
+"""Studies that check the claims of the pages: ``haptic lab`` and ``haptic bench``."""

@@ -1,8 +1,8 @@
-"""A law on a curved surface: what it renders along a way that turns, in the world's axes and in axes that turn with it.
+"""A law on a curved surface: rendering along a curved path, in world and turning axes.
 
-Led below a surface, a spring alone gives back on a closed way what it took. What a law does beyond
-that is its history's: in the world's axes a deflection that only turns looks as if it changed
-(THEORY.md §15).
+Along a closed path below a surface a spring alone returns the energy it absorbed. Any excess comes
+from the law's history: in world axes a deflection that only turns looks like a change (THEORY.md
+§15).
 """
 
 import math
@@ -35,37 +35,37 @@ from sim.play.player import play
 from sim.play.touch import touch
 
 FRAMES = ("world", "surface")
-SEARCHED = (0.5, 1.5)  # where K_max of a sliding contact is searched, as parts of that of one axis
+SEARCHED = (0.5, 1.5)  # search range of K_max of a sliding contact, relative to that of one axis
 
 _RADIUS, _THIN = 0.035, 0.006
-# Device and hand together [kg], [N s/m], [N/m], and the damper of the law [N s/m].
+# Mass, damping and stiffness of device and hand together [kg], [N s/m], [N/m]; damper of the law
+# [N s/m].
 _MASS, _DAMPING, _GRIP, _GAIN = 0.15, 3.0, 150.0, 2.0
-# how deep below the top the hand pulls [m], and how long a slide takes [s]
+# depth of the hand's pull below the top [m], and duration of a slide [s]
 _PRESS, _SLIDES = 0.01, 0.5
-_ENTER = 40  # ticks in which the depth is reached
+_ENTER = 40  # ticks to reach the depth
 
 
 @dataclass(frozen=True)
 class AlongTheWay:
-    """What a law rendered along a closed way at a steady depth."""
+    """Rendering of a law along a closed path at constant depth."""
 
-    # Which ones.
+    # Identification.
     surface: str
     law: str
     frame: str
-    # Energy that the device got on the way there and back, over force times way: negative for
-    # friction.
+    # Energy that the device gained on the path there and back, over force times path length;
+    # negative for friction.
     given_out: float
-    # Root mean square of the force's change from tick to tick, of what a spring alone renders taken
-    # off [N].
+    # Root mean square of the force's change per tick, minus that of a spring alone [N].
     kicks_n: float
-    largest_n: float  # largest distance of the force from that of a spring alone [N]
+    largest_n: float  # largest difference of the force from that of a spring alone [N]
 
 
 def ways(
     ticks: int, speed: float, period: float, depth: float
 ) -> list[tuple[str, list[Solid], Array]]:
-    """List surfaces, each with a way below it that begins outside, and comes back on itself [m]."""
+    """Return surfaces, each with a path below it that starts outside and returns [m]."""
     s = np.arange(ticks) * speed * period
     there = np.concatenate([np.full(_ENTER, s[0]), s])
     down = np.concatenate([np.linspace(-1e-4, depth, _ENTER), np.full(ticks, depth)])
@@ -106,7 +106,7 @@ def forces(
     normals: Array,
     contact: NDArray[np.bool_],
 ) -> Array:
-    """Render a law over a way that is given [N]."""
+    """Return the force of a law over a given path [N]."""
     renderer = Renderer([0, 1, 2], max(2, len(law.taps)))
     begin_turning(renderer.state, frame)
     renderer.law = ActiveLaw("law", "", law, renderer.histories)
@@ -137,14 +137,14 @@ def along_ways(
     depth: float = 2e-3,
     ticks: int = 400,
 ) -> list[AlongTheWay]:
-    """Lead a device along each surface and back, with each law in both frames."""
+    """Move a device along each surface and back, with each law in both frames."""
     found = []
     for surface, solids, path in ways(ticks, speed, period, depth):
         met = touch(solids, path, 0.0, period)
         moved = np.diff(path, axis=0)
         for name, law in laws:
             spring = law.h1 * np.where(met.contact[:, None], met.proxy - path, 0.0)
-            # From when the longest law has forgotten how it came in.
+            # Start of the evaluation: the longest law has forgotten the entry.
             steady = slice(_ENTER + len(law.taps) + 2, None)
             for frame in FRAMES:
                 force = forces(law, frame, path, met.proxy, met.normal, met.contact)
@@ -163,7 +163,10 @@ def along_ways(
 def sliding(
     launch: Launch, stiffness: float, speed: float, frame: str, radius: float = _RADIUS
 ) -> Launch:
-    """Make a launch in which a hand draws the device over a sphere, with the chain's law at H(1) = `stiffness` [N/m]."""
+    """Return a launch with a hand that slides the device over a sphere.
+
+    The chain's law has H(1) = `stiffness` [N/m].
+    """
     deep = _GRIP * _PRESS / (_GRIP + stiffness)
     hand = {"mass": _MASS / 3.0, "damping": 2.0 * _DAMPING / 3.0, "stiffness": _GRIP}
     begin = -1.2 * deep
@@ -187,7 +190,7 @@ def sliding(
         },
     }
     driver = next(spec for spec in launch.nodes.values() if spec.kind == "sim_driver")
-    # It begins in the contact that is looked at, which a ramp would make another one.
+    # The run starts in contact; a force ramp would change that contact.
     given["sim_driver"]["safety"] = {**driver.parameters.get("safety", {}), "ramp": 0.0}
     nodes = {
         name: msgspec.structs.replace(
@@ -200,7 +203,11 @@ def sliding(
 
 
 def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
-    """Tell how the ripple of the depth, its second difference, changes over a slide: late over early, root mean squares."""
+    """Return the growth of the depth's ripple over a slide.
+
+    The ripple is the second difference of the depth; the growth is its late over its early root
+    mean square.
+    """
     ripple = np.diff(np.where(contact, np.linalg.norm(proxy - position, axis=1), 0.0), n=2)
     tenth = len(ripple) // 10
     early, late = ripple[tenth : 4 * tenth], ripple[6 * tenth : 9 * tenth]
@@ -210,14 +217,15 @@ def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
 def sliding_k_max(
     launch: Launch, speed: float, frame: str, radius: float = _RADIUS, precision: float = 2e-3
 ) -> float:
-    """Search the stiffness from which the ripple of a sliding contact grows [N/m], from `SEARCHED[0]` to [1] of one axis's.
+    """Return the stiffness from which the ripple of a sliding contact grows [N/m].
 
-    0 where it grows from the softest on, infinite where it does not grow at the stiffest.
+    It is searched between `SEARCHED[0]` and `SEARCHED[1]` of the one-axis limit. 0 if it grows
+    at the softest, infinite if it does not grow at the stiffest.
     """
 
     def calms(stiffness: float) -> bool:
         found = play(sliding(launch, stiffness, speed, frame, radius))
-        # A run that overflowed has no growth that is a number: it grew.
+        # A run that overflowed has a NaN growth: its ripple grew.
         return growth(found.measured, found.proxy, found.contact) <= 1.0
 
     low, high = (part * theory(launch.run.period) for part in SEARCHED)
@@ -232,7 +240,7 @@ def sliding_k_max(
 
 
 def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) -> float:
-    """Tell the growth of the ripple in a launch in lockstep, through all processes."""
+    """Return the growth of the ripple in a lockstep launch through all processes."""
     made = sliding(launch, stiffness, speed, frame)
     nodes = {
         name: {"kind": spec.kind, "parameters": spec.parameters}
@@ -259,7 +267,7 @@ def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) 
 
 
 def theory(period: float) -> float:
-    """K_max of the same law and device in one axis [N/m]."""
+    """Return K_max of the same law and device in one axis [N/m]."""
     rest = without_spring(PD(stiffness=1.0, damping=_GAIN), period)
     found = k_max(rest, Plant(period, _MASS, _DAMPING, 0.0, _GRIP)).h1_max_n_per_m
     assert found is not None  # noqa: S101  # every law of this kind has one

@@ -1,12 +1,12 @@
-"""Renderers of proxies compared on paths whose ideal force is a closed form, after Ruffaldi, Morris, Edmunds, Barbagli and Pai.
+"""Proxy algorithms compared on paths whose ideal force is a closed form.
 
-A tool is led along a surface that a formula describes, a known depth below it, so that the ideal
-force is known at every tick: stiffness times depth, along the normal (Standardized Evaluation of
-Haptic Rendering Systems, 2006; theirs were scanned paths, these are generated). Then the same
-closed way there and back: whatever the force costs there it must give back, or it is friction that
-nobody asked for. A plate thinner than a step says whether a proxy changes sides. A mesh is compared
-with its polyhedron too, by brute force over all its triangles: nothing of the geometry under test
-is used.
+The method follows Ruffaldi, Morris, Edmunds, Barbagli and Pai (Standardized Evaluation of Haptic
+Rendering Systems, 2006), with generated instead of scanned paths. A tool is moved along an analytic
+surface at a known depth, so the ideal force is known at every tick: stiffness times depth, along
+the normal. Then the same closed path is played there and back: energy lost is friction that the
+scene does not have. A plate thinner than a step shows whether a proxy changes sides. A mesh is also
+compared with its polyhedron, by brute force over all its triangles, independently of the geometry
+under test.
 """
 
 from __future__ import annotations
@@ -30,37 +30,37 @@ from sim.arrays import Array
 from sim.experiments.detail import hull
 from sim.play.touch import Touched, call_times, touch
 
-RADIUS = 0.05  # of the sphere that is felt [m]
+RADIUS = 0.05  # of the sphere [m]
 PLATE = (0.2, 0.2, 2e-4)  # size of the plate [m]
-_TIMED = 4000  # single calls that are timed
+_TIMED = 4000  # number of single calls timed
 
 
 @dataclass(frozen=True)
 class ProxyError:
-    """How a proxy did on one shape."""
+    """Errors of a proxy on one shape."""
 
-    name: str  # shape and how it is described
-    triangles: int  # 0 for a shape of a few floats
-    rms_n: float  # root mean square of the force's error against the closed form [N]
-    max_n: float  # the largest [N]
-    # what of it changes from tick to tick: root mean square of its differences over √2 [N]
+    name: str  # shape and its description
+    triangles: int  # 0 for an analytic shape
+    rms_n: float  # root mean square of the force error against the closed form [N]
+    max_n: float  # its maximum [N]
+    # its part that changes from tick to tick: root mean square of the differences over √2 [N]
     noise_n: float
     proxy_um: float  # largest distance of the proxy from the closed form [µm]
-    # Largest distance of the proxy on a mesh from where it is on the flat triangles, exactly [µm];
+    # Largest distance of the proxy on a mesh from the exact one on the flat triangles [µm];
     # None for other shapes.
     polyhedron_um: float | None
-    # work lost on a closed way there and back, over force times way: the apparent coefficient of
-    # friction
+    # work lost on a closed path there and back, over force times path length: apparent
+    # friction coefficient
     drag: float
-    # Time of a call: median and 99th percentile, each with what the interpreter adds to it, under 1
-    # µs [µs].
+    # Duration of a call: median and 99th percentile, each with the interpreter's overhead,
+    # under 1 µs [µs].
     call_us: float
     call_p99_us: float
-    rounds: int  # most rounds that a call took
+    rounds: int  # largest number of iterations of a call
 
     @classmethod
     def of(cls, error: Array, stiffness: float, **others: Any) -> ProxyError:
-        """Sum up how far the force is off along a way [N]."""
+        """Summarise the force error along a path [N]."""
         size = np.linalg.norm(error, axis=1)
         return cls(
             rms_n=float(np.sqrt(np.mean(size**2))),
@@ -72,7 +72,7 @@ class ProxyError:
 
 
 def icosphere(halvings: int, radius: float) -> Array:
-    """Make triangles of a sphere, 20·4ⁿ of them; shape (n, 3, 3)."""
+    """Return the 20·4ⁿ triangles of a sphere, shape (n, 3, 3)."""
     golden = (1.0 + 5.0**0.5) / 2.0
     corners = np.array([(a, b * golden, 0.0) for b in (-1.0, 1.0) for a in (-1.0, 1.0)])
     corners = np.concatenate([np.roll(corners, n, axis=1) for n in range(3)])
@@ -88,7 +88,7 @@ def icosphere(halvings: int, radius: float) -> Array:
 
 
 def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array, Array]:
-    """Go round a sphere, in a plane that is none of the axes: points on it [m] and their normals."""
+    """Return points on a great circle tilted to the axes [m], and their normals."""
     angle = 0.1 + np.arange(ticks) * speed * period / radius
     normal = np.stack(
         [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1
@@ -102,7 +102,7 @@ CLOSED_FORMS = 3  # cases before the first mesh
 
 
 def case(number: int, ticks: int, speed: float, period: float) -> Case:
-    """Make what is compared: plane, sphere and capsule, then ever finer meshes of the sphere."""
+    """Return a case: plane, sphere and capsule, then ever finer meshes of the sphere."""
     on_ball, outward = ring(ticks, speed, period, RADIUS)
     if number >= CLOSED_FORMS:
         triangles = icosphere(number - CLOSED_FORMS + 2, RADIUS)
@@ -125,7 +125,10 @@ def case(number: int, ticks: int, speed: float, period: float) -> Case:
 
 
 def compare_proxies(finest: int, ticks: int) -> list[ProxyError]:
-    """Lead a point 4 mm deep at 0.2 m/s and 1 kHz along each surface, the finest of 20·4ⁿ triangles, felt with 500 N/m."""
+    """Move a point along each surface at 4 mm depth, 0.2 m/s, 1 kHz and 500 N/m.
+
+    The finest mesh has 20·4ⁿ triangles, n = `finest`, over `ticks` ticks.
+    """
     ways = [Way(number, ticks, 4e-3, 0.2, 1e-3, 0.0) for number in range(count(finest))]
     return [timed(compared(way, 500.0), way) for way in ways]
 
@@ -136,7 +139,7 @@ def count(finest: int) -> int:
 
 
 class Way(NamedTuple):
-    """How a tool is led along the surface of a case; as for `compare_proxies`."""
+    """Motion of a tool along the surface of a case; as for `compare_proxies`."""
 
     number: int
     ticks: int
@@ -146,18 +149,21 @@ class Way(NamedTuple):
     tool_radius: float
 
     def below(self) -> Array:
-        """Give how deep below the surface each point is [m]."""
+        """Return the depth of each point below the surface [m]."""
         return self.depth * np.minimum(np.arange(self.ticks) / (0.05 * self.ticks), 1.0) - 1e-4
 
     def led(self) -> tuple[Case, Array]:
-        """Make the case, and the path of the tool's middle [m]."""
+        """Return the case, and the path of the tool's centre [m]."""
         made = case(self.number, self.ticks, self.speed, self.period)
         *_, surface, normal = made
         return made, surface + (self.tool_radius - self.below()[:, None]) * normal
 
 
 def compared(way: Way, stiffness: float) -> ProxyError:
-    """Lead the tool along one surface: all but the times of the calls, which are of one machine (`timed`)."""
+    """Move the tool along one surface; return all errors.
+
+    Call times, which depend on the machine, are left to `timed`.
+    """
     (name, triangles, solids, surface, normal), path = way.led()
     ticks, depth, period, tool_radius, below = (
         way.ticks,
@@ -206,7 +212,10 @@ def drag(
     period: float,
     before: Touched | None = None,
 ) -> float:
-    """Find the apparent friction of a way there and back that stays in contact: work lost over force times way."""
+    """Return the apparent friction of a path there and back in contact.
+
+    It is the work lost over force times path length.
+    """
     there = (
         path
         if before is None
@@ -218,13 +227,16 @@ def drag(
 
 
 def lost(force: Array, way: Array) -> float:
-    """Give the work that is lost on a closed way, over force times way."""
+    """Return the work lost on a closed path, over force times path length."""
     work = np.einsum("ij,ij->", 0.5 * (force[1:] + force[:-1]), way)
     return float(abs(work) / (np.linalg.norm(force[1:], axis=1) @ np.linalg.norm(way, axis=1)))
 
 
 def wrong_sides(steps: int, step: float, seed: int, tool_radius: float = 0.0) -> tuple[int, float]:
-    """Walk at random through a plate: how often the proxy was below its top, and how far at most beside the device [m]."""
+    """Walk at random through a plate; count proxies below its top.
+
+    Also return the largest sideways distance of a proxy from the device [m].
+    """
     rng = np.random.default_rng(seed)
     way = rng.normal(size=(steps, 3))
     way *= rng.uniform(0.0, step, (steps, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
@@ -237,11 +249,14 @@ def wrong_sides(steps: int, step: float, seed: int, tool_radius: float = 0.0) ->
     return int((found.proxy[:, 2] < top).sum()), float(aside.max())
 
 
-_MOST = 4_000_000  # triangles that are looked at, over all places
+_MOST = 4_000_000  # maximum number of triangles checked, over all places
 
 
 def nearest_on(corners: Array, point: Array) -> Array:
-    """Nearest point of each triangle, by the corners, the edges and the face, whichever is nearest; shape (n, 3)."""
+    """Return the nearest point of each triangle, shape (n, 3).
+
+    Corners, edges and face are checked.
+    """
     best = corners[:, 0].copy()
     least = np.linalg.norm(best - point, axis=1)
 
@@ -267,7 +282,7 @@ def nearest_on(corners: Array, point: Array) -> Array:
 
 
 def ideal_proxy(corners: Array, device: Array, tool: float, inside: bool) -> Array:
-    """Give the place nearest to a device on the polyhedron, or on what a ball keeps its centre on, with the skin [m]."""
+    """Return the ideal proxy on the polyhedron, or on its offset by a ball, with skin [m]."""
     nearest = nearest_on(corners, device)
     at: Array = nearest[np.linalg.norm(nearest - device, axis=1).argmin()]
     outward = at - device if inside else device - at
@@ -275,7 +290,10 @@ def ideal_proxy(corners: Array, device: Array, tool: float, inside: bool) -> Arr
 
 
 def off_polyhedron(corners: Array, path: Array, proxy: Array, tool: float) -> float:
-    """Give the largest distance of proxies on a convex polyhedron about the origin from where they should be [m], sampled."""
+    """Return the largest proxy error on a convex polyhedron about the origin [m].
+
+    The path is sampled.
+    """
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     places = np.unique(
         np.linspace(0, len(path) - 1, max(2, min(200, _MOST // len(corners)))).astype(int)
@@ -289,12 +307,14 @@ def off_polyhedron(corners: Array, path: Array, proxy: Array, tool: float) -> fl
     return worst
 
 
-STEPS = (1e-3, 5e-4, 1e-4)  # steps of the scene that are compared [s]
+STEPS = (1e-3, 5e-4, 1e-4)  # steps of the compared scenes [s]
 _TIP, _MASS = 0.005, 0.05
-_SCENE = """<mujoco><option timestep="{step!r}" integrator="implicitfast" cone="elliptic" gravity="0 0 0"/><worldbody>
+_SCENE = """<mujoco><option timestep="{step!r}" integrator="implicitfast" cone="elliptic" \
+gravity="0 0 0"/><worldbody>
 <geom type="sphere" size="{radius!r}" friction="0 0 0" {contact}/>
 <body name="tool" pos="{begin}"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
-<joint type="slide" axis="0 0 1"/><geom type="sphere" size="{tip!r}" mass="{mass!r}" friction="0 0 0" {contact}/></body>
+<joint type="slide" axis="0 0 1"/><geom type="sphere" size="{tip!r}" mass="{mass!r}" \
+friction="0 0 0" {contact}/></body>
 </worldbody></mujoco>"""
 
 
@@ -307,7 +327,10 @@ def body_error(
     period: float,
     stiff: bool = False,
 ) -> ProxyError:
-    """Lead a tool that is a body along the sphere, so deep below it [m]; `stiff` contacts are as stiff as the step allows."""
+    """Move a dynamic tool along the sphere at a depth [m].
+
+    `stiff` contacts are as stiff as the step allows.
+    """
     surface, normal = ring(ticks, speed, period, RADIUS)
     ideal = surface + _TIP * normal
     below = depth * np.minimum(np.arange(ticks) / (0.05 * ticks), 1.0)
@@ -331,14 +354,14 @@ def body_error(
         times[k] = time.perf_counter_ns() - start
         tools[k] = world.tool_position
         stretch = tools[k] - path[k]
-        # In axes that turn with the surface: in the world's a damper would push the tool on along
-        # the way (THEORY.md §15).
+        # In turning axes: in world axes a damper would push the tool along the path
+        # (THEORY.md §15).
         turn(turned, upright, normal[k].tolist(), True)
         axes = np.reshape(turned, (3, 3))
         stretch = axes @ stretch
         force = axes.T @ (stiffness * stretch + damping * (stretch - before) / period)
         before = stretch
-    # From when the depth is steady and the tool has come to rest on it.
+    # Start of the evaluation: the depth is constant and the tool rests on it.
     steady = slice(ticks // 5, None)
     return ProxyError.of(
         stiffness * (tools - ideal)[steady],

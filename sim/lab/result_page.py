@@ -1,7 +1,7 @@
-"""The page of results: each section is one command, what it printed, and where and when it ran.
+"""The results page: each section is one command, its output, date and machine.
 
-A measured section is a record, ``sim/figures/measured/NAME.json``; one that was measured before
-there were records is Markdown, ``NAME.md``, and its page says so. `page` renders all sections;
+A measured section is a record, ``sim/figures/measured/NAME.json``; an older section from before
+records existed is Markdown, ``NAME.md``, and the page marks it. `page` renders all sections;
 `measure` runs a command and replaces its section's file. Nothing on the page is written by hand.
 """
 
@@ -29,16 +29,16 @@ COLUMNS: Final = 100
 
 
 class ResultsError(HapticError):
-    """A section cannot be measured or written; the text says why."""
+    """A section cannot be measured or written; the text gives the reason."""
 
 
 class ResultSection(NamedTuple):
     """One section of the page."""
 
     title: str
-    asks: str  # what the reader wants to know
+    asks: str  # question of the reader
     command: str
-    minutes: float  # how long it takes on two idle cores, roughly
+    minutes: float  # rough duration on two idle cores [min]
 
 
 SECTIONS: Final[dict[str, ResultSection]] = {
@@ -145,22 +145,22 @@ SECTIONS: Final[dict[str, ResultSection]] = {
 
 
 class MeasuredOutput(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What one command printed, and where.
+    """Output of one command, with date and machine.
 
     Attributes
     ----------
     command : str
-        As it was typed.
+        Command as typed.
     date : str
         UTC, ISO 8601.
     commit : str
-        Of the sources; ``+`` at its end where they had changed since.
+        Commit of the sources; ``+`` appended if they had changed.
     machine : str
         Processor, cores, system, Python.
     load : tuple of float
-        Mean number of running processes in the minute before it began, and when it had ended.
+        Mean number of running processes in the minute before the start, and at the end.
     seconds : float
-        How long it took [s].
+        Duration [s].
     printed : str
         Standard output.
     """
@@ -175,7 +175,7 @@ class MeasuredOutput(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 def commit() -> str:
-    """Return the commit of this checkout; a ``+`` says that tracked files have changed."""
+    """Return the commit of this checkout, with ``+`` appended if tracked files have changed."""
 
     def git(*words: str) -> str:
         return subprocess.run(
@@ -183,7 +183,7 @@ def commit() -> str:
         ).stdout.strip()
 
     try:
-        # What is measured goes into the tree while more is measured.
+        # Measured records are added to the tree while others are measured.
         changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml")
         return git("rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
     except (OSError, subprocess.CalledProcessError) as error:
@@ -191,24 +191,24 @@ def commit() -> str:
 
 
 def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
-    """Run the command of a section, and store what it printed.
+    """Run the command of a section and store its output.
 
     Parameters
     ----------
     name : str
-        A section.
+        Name of the section.
     folder : Path
-        Where the record goes.
+        Folder of the record.
 
     Returns
     -------
     MeasuredOutput
-        As it was stored.
+        The stored record.
 
     Raises
     ------
     ResultsError
-        The command failed, or this is no checkout. The section stays as it was.
+        If the command fails, or this is no checkout. The section is unchanged.
     """
     line = SECTIONS[name].command
     of, host = commit(), machine()
@@ -242,7 +242,7 @@ def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
 
 
 def recorded(name: str, folder: Path = MEASURED) -> MeasuredOutput | str | None:
-    """Return a section's record, its Markdown of before there were records, or None."""
+    """Return a section's record, its older Markdown, or None."""
     path = folder / f"{name}.json"
     if path.exists():
         return msgspec.json.decode(path.read_bytes(), type=MeasuredOutput)
@@ -253,7 +253,7 @@ def recorded(name: str, folder: Path = MEASURED) -> MeasuredOutput | str | None:
 def _wrapped(printed: str) -> list[str]:
     lines = []
     for line in printed.rstrip().splitlines():
-        # Files of the study lie in a folder that is gone.
+        # The study's files are in a deleted folder.
         if line.startswith("studies/"):
             continue
         within = textwrap.wrap(
@@ -302,5 +302,5 @@ emulators of real ones.
 
 
 def page(folder: Path = MEASURED) -> str:
-    """Render the page from what has been measured."""
+    """Render the page from all measured sections."""
     return "\n".join([HEAD, *(section(name, folder) for name in SECTIONS)])

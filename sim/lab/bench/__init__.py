@@ -1,1 +1,1 @@
-"""Speeds measured: the bare loop as a yardstick, taps, pictures of the page, scenes, the simulator."""
+"""Benchmarks: bare loop, tap sums, page pictures, scenes and simulator."""

@@ -1,8 +1,7 @@
-"""What launches are compared with: the bare loop in Python, and in C where there is a compiler; and what a tick may do besides.
+"""Reference loops for launches, bare Python and C, and launches with optional tick work.
 
-A guard, a cross-fade, a device behind its servo loop: each is the same launch as the ordinary one,
-with a file of parameters laid over it, or a stand-in of a real device in the place of the virtual
-one. So what differs is that one thing.
+Each case (guard, cross-fade, device behind its servo loop) is the ordinary launch with one extra
+parameter file, or with an emulated device instead of the virtual one, so that only this differs.
 """
 
 import atexit
@@ -25,12 +24,12 @@ from nodes.parameters.yaml_io import read_yaml
 from sim.emulators.world import library
 from sim.measure.haptic_commands import MeasurementError
 
-BARE = (*PYTHON, "-m", "sim.lab.bench.bare_loop")  # the yardstick: bare pyzmq and msgpack
+BARE = (*PYTHON, "-m", "sim.lab.bench.bare_loop")  # reference loop: bare pyzmq and msgpack
 
 
 @cache
 def c_loop() -> tuple[str, ...] | None:
-    """Compile the yardstick in C."""
+    """Compile the reference loop in C; None without a compiler."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     try:
         libzmq = library_of_pyzmq()
@@ -55,7 +54,7 @@ def bare_loop(
     logger: bool = False,
     program: Sequence[str] = BARE,
 ) -> dict[str, Any]:
-    """Run a yardstick."""
+    """Run a reference loop."""
     from sim.lab.bench.bare_loop import ROLES
 
     with tempfile.TemporaryDirectory(prefix="haptic-bare-") as folder:
@@ -94,14 +93,14 @@ def bare_loop(
 
 SCENARIO: Final = "floor_drop"
 
-# a ramp has no more ticks; a longer round goes on with the law that came
+# maximum number of ticks of a ramp; a longer round continues with the new law
 LONGEST_FADE: Final = 100_000
-# Of the stand-in, and of the loop that is compared with the virtual device [Hz]: a servo loop that
-# keeps step with it.
+# Servo rate of the emulator and of the loop compared with the virtual device [Hz]; the servo is
+# synchronised with the loop.
 SERVO_RATE: Final = 4000
-# The stand-in of a Force Dimension device, as its driver is told of it.
+# Driver parameters of the emulated Force Dimension device.
 ARM: Final[Mapping[str, Any]] = {"serial": 1234, "ready_time": 5.0, "servo_rate": SERVO_RATE}
-# Each with what it is called.
+# Cases and their labels.
 CASES: Final = {
     "guard": "guard on",
     "fade": "during a cross-fade",
@@ -110,9 +109,9 @@ CASES: Final = {
 
 
 def given(case: str) -> dict[str, Any]:
-    """Give what is laid over the parameters of the nodes."""
+    """Return the parameters that a case adds to the nodes."""
     if case == "guard":
-        # An account without end: nothing is lowered, and the work is done.
+        # An unlimited allowance: no force is reduced, but the work is done.
         return {"driver": {"passivity": {"guard": "on", "allowance": 1e3}}}
     if case == "fade":
         return {"coupling": {"schedule": [{"at": 0.0, "law": "pd_alpha", "ramp": LONGEST_FADE}]}}
@@ -120,7 +119,7 @@ def given(case: str) -> dict[str, Any]:
 
 
 def _with_arm(folder: Path) -> str:
-    """Write the launch with the stand-in in place of the virtual device: an arm that somebody holds in the wall."""
+    """Write the launch with an emulated arm, pressed into the wall, as its device."""
     path, world = library("dhd", folder)
     world.state.position[2] = -0.001
     content = read_yaml(launch_file.find(SCENARIO))
@@ -130,7 +129,7 @@ def _with_arm(folder: Path) -> str:
         "force_dimension": {**ARM, "library": str(path)},
     }
     driver |= {"kind": "force_dimension_driver", "parameters": parameters}
-    # What the launch file says of the virtual device only.
+    # Applies to the virtual device only.
     del content["model"]
     for name in ("mass", "height"):
         del content["arguments"][name]
@@ -142,7 +141,7 @@ def _with_arm(folder: Path) -> str:
 
 @contextlib.contextmanager
 def launches(cases: Sequence[str]) -> Iterator[dict[str, tuple[str, ...]]]:
-    """Make the arguments of ``haptic launch`` for each case; ``""`` is the ordinary launch."""
+    """Yield the arguments of ``haptic launch`` per case; ``""`` is the ordinary launch."""
     with tempfile.TemporaryDirectory(prefix="haptic-cases-") as place:
         found: dict[str, tuple[str, ...]] = {"": (SCENARIO,)}
         for case in cases:

@@ -1,12 +1,12 @@
-"""The yardstick: the same three hops with nothing but pyzmq and msgpack.
+"""Reference loop: the same three hops with pyzmq and msgpack only.
 
-Three processes pass the same maps (same fields, same sizes) around the same sockets, unchecked,
-uncounted and unrecorded, with a spring in place of a law. What haptic-nodes adds to this, it has to
-be worth. One process per role::
+Three processes pass the same maps (same fields, same sizes) around the same sockets, without
+checks, counters or recording, and with a spring as law. The difference to a launch is the cost of
+haptic-nodes. One process per role::
 
     python -m sim.lab.bench.bare_loop ROLE FOLDER TICKS CORE FIFO RATE LISTENERS
 
-A logger, which only receives, may be a fourth. The same loop in C is bare_loop.c.
+A logger, which only receives, may be the fourth. The same loop in C is bare_loop.c.
 """
 
 import contextlib
@@ -36,7 +36,7 @@ def _sockets(folder: str, own: str, other: str, listeners: int) -> tuple[Any, An
     inbox.setsockopt(zmq.RECONNECT_IVL, 10)
     inbox.connect(f"ipc://{folder}/{other}")
     inbox.subscribe(b"")
-    # The subscriptions of those who listen: from here on nothing is lost.
+    # Wait for the subscriptions of all listeners: no message is lost from here on.
     for _ in range(1 + listeners):
         publisher.recv()
     return publisher, inbox
@@ -59,7 +59,7 @@ def _relay(
         publisher.send(topic, zmq.SNDMORE)
         publisher.send(pack(answer(message)))
         if message["seq"] < 0:
-            # The last message must leave before the socket closes.
+            # Flush the last message before the socket closes.
             publisher.close(linger=1000)
             return
 
@@ -110,7 +110,10 @@ def _state(seq: int, position: float, force: list[float]) -> dict[str, Any]:
 
 
 def _log(folder: str) -> None:
-    """Receive all that the three publish, until each has said its last, or a second of silence: a last word may be dropped."""
+    """Receive all messages of the three until each has ended, or for 1 s of silence.
+
+    The timeout is needed because an end message may be dropped.
+    """
     context = zmq.Context()
     inbox = context.socket(zmq.SUB)
     inbox.setsockopt(zmq.RECONNECT_IVL, 10)
@@ -131,8 +134,8 @@ def _drive(folder: str, ticks: int, rate: float, listeners: int) -> dict[str, An
     publisher, inbox = _sockets(folder, "driver", "coupling", listeners)
     pack = msgpack.Packer().pack
     unpack = msgpack.unpackb
-    # The inbox's own subscription has to reach the coupling too: the first tick is asked until it
-    # is answered.
+    # The inbox's subscription must reach the coupling too: repeat the first tick until it is
+    # answered.
     inbox.rcvtimeo = 50
     seq = 0
     answered = False

@@ -1,4 +1,4 @@
-"""The pictures of the page that the project's pages show, taken of the real one: haptic bench view --pictures FOLDER."""
+"""Pictures of the real page for the documentation: haptic bench view --pictures FOLDER."""
 
 import json
 import time
@@ -11,7 +11,7 @@ from sim.measure.haptic_commands import wait_for
 from sim.measure.measured_launch import Running
 from sim.results import fresh
 
-# In the page: turn the dial to a part of its way.
+# In the page: turn the dial to a fraction of its range.
 TURN = """part => { const dial = document.getElementById("dial");
   dial.value = 1000 * part;
   for (const kind of ["input", "change"]) dial.dispatchEvent(new Event(kind)); }"""
@@ -22,7 +22,7 @@ READY = (
 
 
 def _url(launch: Running) -> str:
-    """Read the first line that a launch with --view --json prints."""
+    """Return the URL from the first line of a launch with --view --json."""
 
     def first() -> str:
         lines = (launch.folder / "stdout.txt").read_text(encoding="utf-8").splitlines()
@@ -46,7 +46,7 @@ def _page(
 
 
 def _hold(page: Any, far: float) -> None:
-    """Pull the handle into the wall and hold it there."""
+    """Drag the handle into the wall and leave the mouse button pressed."""
     box = page.locator("#scene").bounding_box()
     page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.5 * box["height"])
     page.mouse.down()
@@ -88,7 +88,7 @@ def _lab(page: Any) -> None:
     page.locator("#lab").scroll_into_view_if_needed()
 
 
-# By name of the file: what is done first, and the window.
+# By file name: actions before the picture, and window size.
 PICTURES: dict[str, tuple[Callable[[Any], None], dict[str, Any]]] = {
     "page": (_touch, {}),
     "page_beside": (_beside, {}),
@@ -100,7 +100,7 @@ PICTURES: dict[str, tuple[Callable[[Any], None], dict[str, Any]]] = {
 
 
 def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:
-    """Take all pictures of the page over real launches."""
+    """Capture all pictures of the page from real launches."""
     folder.mkdir(parents=True, exist_ok=True)
     taken = []
 
@@ -119,7 +119,8 @@ def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:
     with Running("sphere_feel", "--view", "--without", "logger", "duration:=0") as launch:
         opened = browser.new_page(viewport={"width": 1366, "height": 768})
         opened.goto(_url(launch))
-        # Held as it is then: on a busy machine the hand is gone before the picture is taken.
+        # The page is frozen first: on a busy machine the hand would leave before the
+        # picture is taken.
         touched = "haptic.space?.now?.contact === 1 && Math.hypot(...haptic.space.now.force) > 0.3"
         hold = f"{touched} && (haptic.space.show = () => {{}}, true)"
         wait_for(lambda: opened.evaluate(hold), "a touch of the ball")

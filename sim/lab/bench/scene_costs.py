@@ -1,8 +1,8 @@
-"""Scenes in three axes against the floor, in turns at 500 Hz: ticks missed, response, and what the environment itself takes.
+"""Scenes in three axes against the floor at 500 Hz: misses, response and environment time.
 
-Each scene is launched as a user launches it. A ball of many triangles takes the place of the one of
-``sphere_feel``; the environment's own time goes from the message in hand to the answer's stamp, as
-the node counts it.
+The launches alternate, and each is started as by a user. A ball of many triangles replaces the one
+of ``sphere_feel``. The environment's own time runs from the received message to the stamp of the
+answer, as the node measures it.
 """
 
 import statistics
@@ -17,16 +17,17 @@ from sim.lab.proxies import icosphere
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 
-FLOOR = "floor_drop"  # what all others are compared with
-# scenes in which things move; their environment is MuJoCo's, called from Python
+FLOOR = "floor_drop"  # reference for all others
+# scenes with moving bodies; their environment is MuJoCo, called from Python
 BODIES = ("puck_push", "stack_boxes")
 _BALL = {"radius": 0.035, "position": [0.05, 0.01, -0.03]}  # the sphere of ``sphere_feel`` [m]
-_SURFACE = """environment: {{surface: {{kind: mesh, file: {file}, position: {position}, tool_radius: 0.001}}}}
+_SURFACE = """environment: {{surface: {{kind: mesh, file: {file}, position: {position}, \
+tool_radius: 0.001}}}}
 """
 
 
 def ball_file(folder: Path, halvings: int) -> Path:
-    """Write a ball of 20·4ⁿ triangles as a binary STL; where it is."""
+    """Write a ball of 20·4ⁿ triangles as a binary STL; return its path."""
     triangles = icosphere(halvings, float(_BALL["radius"]))  # type: ignore[arg-type]
     path = folder / "ball.stl"
     records = (
@@ -38,7 +39,7 @@ def ball_file(folder: Path, halvings: int) -> Path:
 
 
 def scenes(folder: Path, halvings: int) -> dict[str, list[str]]:
-    """List the scenes: what each is called, and the words of its launch."""
+    """Return the scenes: name and arguments of the launch."""
     given = folder / "ball.yaml"
     given.write_text(
         _SURFACE.format(file=ball_file(folder, halvings), position=_BALL["position"]),
@@ -50,7 +51,10 @@ def scenes(folder: Path, halvings: int) -> dict[str, list[str]]:
 
 
 def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> dict[str, Any]:
-    """Launch floor and scenes in turns, in an order that rotates: rows of medians over the launches, and the machine."""
+    """Launch floor and scenes alternately, in rotating order.
+
+    Return rows of medians over the launches, and the machine.
+    """
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         found = scenes(Path(folder), halvings)
         runs: dict[str, list[dict[str, Any]]] = {name: [] for name in found}
@@ -83,7 +87,7 @@ def _row(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def text(rows: list[dict[str, Any]]) -> list[str]:
-    """Write the table for people."""
+    """Return the table as text lines."""
     lines = [
         f"{'500 Hz':26}{'environment':>14}{'its time [µs]':>20}{'response [µs]':>20}{'missed':>18}"
     ]
@@ -91,7 +95,8 @@ def text(rows: list[dict[str, Any]]) -> list[str]:
     for row in rows:
         spent, response = row["spent_us"], row["response_us"]
         lines.append(
-            f"{row['scene']:26}{row['tick']:>14}{spent['p50']:10.3g}{spent['p99']:10.3g}{response['p50']:10.0f}{response['p99']:10.0f}{row['missed']:9d}"
+            f"{row['scene']:26}{row['tick']:>14}{spent['p50']:10.3g}{spent['p99']:10.3g}"
+            f"{response['p50']:10.0f}{response['p99']:10.0f}{row['missed']:9d}"
             f" ({row['missed_share']:.2%})"
         )
     return lines

@@ -1,7 +1,8 @@
-"""How fast the one-process simulator is: against a plain C loop of the same recurrence, and over the cores.
+"""Speed of the one-process simulator: against a plain C loop, and over the cores.
 
-The C loop is compiled here, from the source below: no contraction of multiply and add, no fast
-math. So it must give the same bits as ours, and that is checked before it is timed.
+The C loop of the same recurrence is compiled here from the source below, without contraction of
+multiply and add and without fast math, so it must give the same bits; this is checked before
+timing.
 """
 
 import ctypes
@@ -31,8 +32,9 @@ from sim.play.one_axis import Scene, contact_of, motion_of
 from sim.play.one_axis_loop import play_compiled
 from sim.play.one_axis_tables import LawTables, Records
 
-SOURCE = r"""
-void play(long ticks, double x, double v, const double *c, double load, double surface, double normal,
+SOURCE = """
+void play(long ticks, double x, double v, const double *c, double load, double surface, \
+double normal,
           const double *taps, long count, double *history, long length, double *positions)
 {
     long head = 0;
@@ -61,37 +63,37 @@ PERIOD = 0.002
 
 
 class NoCompilerError(MeasurementError):
-    """There is no C compiler here, so there is nothing to compare with; the text says what was looked for."""
+    """There is no C compiler to compare with; the text names the compilers tried."""
 
 
 @dataclass(frozen=True)
 class Speed:
-    """What was measured."""
+    """Results of the benchmark."""
 
     # Seconds per tick on one core, by number of taps; C is empty without a compiler.
     simulator: dict[int, Timing]
     plain_c: dict[int, Timing]
-    # Seconds per tick of many runs at once.
+    # Seconds per tick of many runs in parallel.
     one_core: Timing
     all_cores: Timing
-    cores: int  # how many those were
-    reason: str  # why there is no C; empty when there is
+    cores: int  # number of cores used
+    reason: str  # reason why there is no C result; empty if there is one
 
 
 def scene() -> Scene:
-    """Give the scene that is timed."""
+    """Return the scene that is timed."""
     return drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
 
 
 def laws() -> dict[int, CompiledLaw]:
-    """Give the laws that are timed."""
+    """Return the laws that are timed."""
     paper = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
     long = PDAlpha(stiffness=1000.0, damping=2.0, order=0.9, taps=64, gains="paper").compile(PERIOD)
     return {2: PD(stiffness=1000.0, damping=2.0).compile(PERIOD), 4: paper, 64: long}
 
 
 def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
-    """Prepare one run of our simulator."""
+    """Prepare one run of the simulator."""
     here = scene()
     motion, contact = motion_of(here, ticks), contact_of(here)
     none, positions = np.empty(0, dtype=np.int64), np.empty(ticks)
@@ -162,7 +164,7 @@ def in_c(play: Any, law: CompiledLaw, ticks: int) -> Callable[[], Array]:
 
 
 def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: None) -> Speed:
-    """Time ours against C, and one core against all, interleaved."""
+    """Time the simulator against C, and one core against all, interleaved."""
     jobs: dict[str, tuple[Callable[[], object], int]] = {}
     reason = ""
     with tempfile.TemporaryDirectory() as folder:
@@ -181,7 +183,7 @@ def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: Non
                     )
         cores = len(os.sched_getaffinity(0))
         found = interleaved(jobs, rounds, step)
-        # As a search for K_max uses it: drops of the usual horizon, many at once.
+        # As in a search for K_max: many drops of the usual horizon in parallel.
         horizon = min(ticks, Criterion().ticks)
         many = [with_spring(laws()[4], 10.0 * k) for k in range(16 * cores)]
         work = horizon * len(many)

@@ -1,9 +1,9 @@
-"""Which way to add n taps is fastest per tick: a plain loop, a sum written out, numpy's running sum, or a compiled loop.
+"""Time per tick of n taps: plain loop, unrolled sum, numpy's running sum, compiled loop.
 
-All four add from the newest to the oldest and so give the same bits; numpy's own dot product does
-not, and is timed only to show what that costs. The choice of the coupling,
-`nodes.coupling.law_on_axis.UNROLLED_TAPS`, is made from this. Timed beside them: what a history
-that turns with the surface costs in three axes, by the kernel's own function.
+All four add from the newest to the oldest and so give the same bits; numpy's dot product does not,
+and is timed only to show the cost of that. `nodes.coupling.law_on_axis.UNROLLED_TAPS` is chosen
+from this. Also timed: the cost of a history that turns with the surface in three axes, by the
+kernel's own function.
 """
 
 import math
@@ -40,13 +40,13 @@ _CALLS = 200
 
 @dataclass(frozen=True)
 class TapTimings:
-    """Time per tick of each way at each length."""
+    """Time per tick of each method at each length."""
 
-    timings: dict[int, dict[str, Timing]]  # number of taps, then way (see `WAYS`)
+    timings: dict[int, dict[str, Timing]]  # number of taps, then method (see `WAYS`)
     same_bits: bool  # whether all but ``numpy_dot`` gave the same bits at all lengths
 
     def crossover(self, before: str, after: str) -> float | None:
-        """Find the number of taps from which one way is faster than another, for good."""
+        """Return the number of taps from which one method stays faster than another."""
         lengths = sorted(self.timings)
         ratio = [
             math.log(self.timings[n][after].median / self.timings[n][before].median)
@@ -61,7 +61,7 @@ class TapTimings:
         return float(lengths[0])
 
     def fastest(self, taps: int) -> str:
-        """Name the fastest way that gives the kernel's bits."""
+        """Return the fastest method that gives the kernel's bits."""
         return min(WAYS[:-1], key=lambda way: self.timings[taps][way].median)
 
 
@@ -71,7 +71,7 @@ _fir_compiled = compiled()(fir)
 def evaluators(
     law: CompiledLaw, history: Sequence[float], ring: Any
 ) -> dict[str, Callable[[int], float]]:
-    """Make the ways to add the taps of one law over one history."""
+    """Return the methods of summing the taps of one law over one history."""
     taps, n = law.taps, len(law.taps)
     weights: Any = np.array(taps)
     products = np.empty(n)
@@ -91,7 +91,7 @@ def evaluators(
 
 
 def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) -> TapTimings:
-    """Time all ways at all lengths, interleaved."""
+    """Time all methods at all lengths, interleaved."""
     jobs: dict[str, tuple[Callable[[], object], int]] = {}
     same = True
     for n in lengths:
@@ -107,14 +107,14 @@ def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) 
 
 
 def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
-    """Time the coupling's own rendering of PD, plain and with its velocity behind a filter or in windows."""
+    """Time the coupling's rendering of PD: plain, and with filtered or windowed velocity."""
     period, step_m, ticks = 0.002, 2.3e-5, 500
     laws: dict[str, Law] = {
         "pd": PD(stiffness=1000.0, damping=3.0),
         "pd_filtered": PDFiltered(stiffness=1000.0, damping=3.0, cutoff=100.0),
         "pd_windowed": PDWindowed(stiffness=1000.0, damping=3.0, resolution=step_m),
     }
-    # A slow swing through an encoder: windows open and close.
+    # A slow swing through an encoder, so that windows open and close.
     samples = (np.rint(1e-3 * np.sin(0.02 * np.arange(ticks)) / step_m) * step_m).tolist()
 
     return interleaved(
@@ -125,7 +125,7 @@ def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
 
 
 def in_node(law: CompiledLaw, samples: Sequence[float]) -> Callable[[], object]:
-    """Make a run of the coupling's own rendering over some deflections."""
+    """Return a function that runs the coupling's own rendering over given deflections."""
     history = History(max(2, len(law.taps)))
     axis = LawOnAxis(law, history)
 
@@ -148,7 +148,7 @@ def _repeat(evaluate: Callable[[int], float], length: int, calls: int) -> Callab
 
 
 def import_seconds(module: str) -> float:
-    """Time the import of a module in a process of its own: what a node pays at its start."""
+    """Time the import of a module in its own process: a start-up cost of a node [s]."""
     code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
     return min(
         float(
@@ -159,7 +159,7 @@ def import_seconds(module: str) -> float:
 
 
 def as_json(found: TapTimings, machine: dict[str, Any]) -> dict[str, Any]:
-    """Put the timings into one JSON object."""
+    """Return the timings as one JSON object."""
     points = []
     for n, ways in sorted(found.timings.items()):
         point: dict[str, Any] = {"taps": n}
@@ -193,7 +193,7 @@ _look = record_at(record_of(CouplingState))
 
 
 def _play(address: int, normals: Any, position: Any, proxy: Any, force: Any) -> float:
-    """Render along a way: from the normals alone, so that little beside the tick is timed."""
+    """Render along a path from the normals alone, so that little besides the tick is timed."""
     s = _look(address)
     felt = 0.0
     for k in range(len(normals)):
@@ -210,7 +210,7 @@ _played: Any = compiled()(_play)
 
 
 def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
-    """Time a tick of the coupling's compiled rendering on three axes, with the history in each frame."""
+    """Time a tick of the compiled rendering on three axes, with the history in each frame."""
     angle = _STEP / _RADIUS * np.arange(_TICKS)
     normals = np.stack([np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle)], axis=1)
     law = PD(stiffness=800.0, damping=2.0).compile(0.002)

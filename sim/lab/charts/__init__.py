@@ -1,1 +1,1 @@
-"""Speed charted against accuracy."""
+"""Charts of speed against accuracy."""

@@ -1,7 +1,6 @@
-"""The chart for people: figures as PNG, PDF and SVG, and one page that reads them.
+"""The readable chart: figures as PNG, PDF and SVG, and one page that interprets them.
 
-Everything the page says is worked out from the points, so that it stays true on another machine and
-another day.
+Every statement of the page is computed from the points, so it is valid on any machine.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.transforms import BboxBase
 
-FEWEST = 8  # laws whose ranks are correlated: of fewer any order comes by chance too often
-CHANCE = 0.05  # p above which a rank correlation is no verdict
+FEWEST = 8  # minimum number of laws for a rank correlation: with fewer, chance dominates
+CHANCE = 0.05  # p above which a rank correlation is not significant
 _FLOOR = 1e-16
 _FRONT, _REST, _SEED = COLOURS[0], "#B9BEC5", COLOURS[1]
 
 
 @styled
 def draw(group: Group, folder: Path) -> Path:
-    """Draw one group: every choice as a dot, the front joined and named, the paper's Grünwald–Letnikov marked."""
+    """Draw one group: all points, the labelled front, and the paper's Grünwald–Letnikov."""
     figure = new_figure(7.2, 4.6)
     axes = figure.add_subplot()
     shown = [p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)]
@@ -104,7 +103,7 @@ def draw(group: Group, folder: Path) -> Path:
 
 
 def _by_family(axes: Axes, points: Sequence[Point], floor: float) -> None:
-    """Draw each family as a line with a colour, a style and a mark of its own."""
+    """Draw each family as a line with its own colour, style and marker."""
     for i, family in enumerate(dict.fromkeys(p.family for p in points)):
         mine = [p for p in points if p.family == family]
         look: dict[str, Any] = {
@@ -123,7 +122,7 @@ def _ticks(axes: Axes, span: float) -> None:
 
     axes.xaxis.set_major_formatter("{x:g}")
     if span < 100.0:
-        # Less than two decades have too few powers of ten to be read.
+        # Less than two decades have too few powers of ten as labels.
         axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 3.0, 5.0)))
         axes.xaxis.set_minor_formatter("{x:g}")
     else:
@@ -131,7 +130,7 @@ def _ticks(axes: Axes, span: float) -> None:
 
 
 def _dots(axes: Axes, points: Sequence[Point], floor: float) -> list[BboxBase]:
-    """Boxes of the dots [pixel], which no name should cover."""
+    """Return the boxes of the dots [pixel], which labels avoid."""
     from matplotlib.transforms import Bbox
 
     found: list[BboxBase] = []
@@ -143,7 +142,7 @@ def _dots(axes: Axes, points: Sequence[Point], floor: float) -> list[BboxBase]:
 
 
 def _beaten(points: Sequence[Point]) -> list[Point]:
-    """Best member of every family that has none on the front."""
+    """Return the best member of every family that has none on the front."""
     ahead = {p.family for p in points if p.on_front}
     return [point for family, point in _best_members(points).items() if family not in ahead]
 
@@ -157,7 +156,7 @@ def _best_members(points: Sequence[Point]) -> dict[str, Point]:
 
 
 def conclusions(groups: Sequence[Group]) -> list[str]:
-    """Say in a few lines what the points show."""
+    """Return a few lines that summarise the points."""
     named = {group.name: group for group in groups}
     lines = [
         _derivatives(group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2])
@@ -181,7 +180,7 @@ def conclusions(groups: Sequence[Group]) -> list[str]:
 
 
 def _loop(group: Group) -> str:
-    """Say what buys an impedance: the best point and the cheapest that is as good to a tenth, against the first one."""
+    """Return a sentence on the loop: best point, cheapest within 10 % of it, first point."""
     best, first = _best(group.points), group.points[0]
     near = min((p for p in group.points if p.error <= 1.1 * best.error), key=lambda p: p.cost)
     return (
@@ -232,7 +231,10 @@ def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
 
 
 def _correlation(errors: Sequence[float], stiffnesses: Sequence[float]) -> str:
-    """Return the rank correlation of error and stiffness with n and p, and a verdict only where neither is chance."""
+    """Return the rank correlation of error and stiffness with n and p.
+
+    A verdict is added only if neither is due to chance.
+    """
     from scipy.stats import spearmanr
 
     if len(errors) < FEWEST:
@@ -249,7 +251,7 @@ def _correlation(errors: Sequence[float], stiffnesses: Sequence[float]) -> str:
 
 
 def _equal_demand(groups: Sequence[Group]) -> str:
-    """Return what accuracy is worth in stiffness when all keep one demand."""
+    """Return how much stiffness accuracy gains if all laws meet one demand."""
     parts = []
     for group in groups:
         kept = [p for p in group.points if _number(p, "h1_tuned_n_per_m") > 0.0]
@@ -338,7 +340,7 @@ def _proxies(group: Group) -> str:
 
 
 def _realisations(groups: Sequence[Group]) -> list[str]:
-    """Table of the best member of every family of realisations: what it costs, gets wrong, and where it breaks."""
+    """Return a table of the best member of every family: cost, error and limits."""
     text: list[str] = []
     for group in groups:
         if not group.name.startswith("derivative_time_"):
@@ -380,7 +382,7 @@ def _realisations(groups: Sequence[Group]) -> list[str]:
 
 
 def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> str:
-    """Write the page that reads the chart."""
+    """Return the page that interprets the chart."""
     text = [
         "# Speed against accuracy",
         "",

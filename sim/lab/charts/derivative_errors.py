@@ -1,8 +1,8 @@
-"""What a realisation of D^α costs and what it gets wrong, measured on its taps and sections alone.
+"""Cost and error of a realisation of D^α, computed from its taps and sections.
 
-The reference is (jω)^α itself. Part of every causal realisation's error is a pure delay, that of (1
-− z⁻¹)^α exactly αT/2. So errors are given raw and with the best pure delay removed, in the bands of
-a hand (a few hertz), a contact (tens of hertz) and an encoder's noise (Nyquist).
+The reference is (jω)^α. Part of the error of every causal realisation is a pure delay, exactly αT/2
+for (1 − z⁻¹)^α. So errors are given raw and with the best pure delay removed, in the bands of a
+hand (a few hertz), a contact (tens of hertz) and encoder noise (Nyquist).
 """
 
 import math
@@ -26,13 +26,13 @@ _PER_BAND = 60
 
 
 def response(law: CompiledLaw, angles: Array) -> ComplexArray:
-    """Frequency response of taps and sections."""
+    """Return the frequency response of taps and sections."""
     found: ComplexArray = law.response(np.exp(1j * np.asarray(angles, dtype=np.float64)))
     return found
 
 
 def largest_pole(law: CompiledLaw) -> float:
-    """Largest magnitude of the poles of the sections."""
+    """Return the largest pole magnitude of the sections."""
     return max(
         (float(np.max(np.abs(np.roots([1.0, a1, a2])))) for _, _, a1, a2 in law.sections),
         default=0.0,
@@ -40,7 +40,10 @@ def largest_pole(law: CompiledLaw) -> float:
 
 
 def best_delay(relative: ComplexArray, angles: Array) -> float:
-    """Pure delay that brings a relative response closest to 1: Gauss-Newton on |G e^{jθτ} − g|, its gain g free."""
+    """Return the pure delay that best fits a relative response to 1 [ticks].
+
+    Gauss-Newton on |G e^{jθτ} − g| with a free gain g.
+    """
     delay = -float(np.sum(np.unwrap(np.angle(relative)) * angles) / np.sum(angles * angles))
     for _ in range(20):
         turned = relative * np.exp(1j * angles * delay)
@@ -56,7 +59,7 @@ def best_delay(relative: ComplexArray, angles: Array) -> float:
 def lengths_taken(
     kind: str, order: float, period: float, upto: int = 2000
 ) -> tuple[int, int] | None:
-    """Find the lengths at which a realisation can be had, by asking it."""
+    """Return the range of lengths that a realisation accepts, found by trial."""
 
     def taken(taps: int) -> bool:
         try:
@@ -80,11 +83,11 @@ def lengths_taken(
 def analyse(
     kind: str, order: float, taps: int, period: float, law: CompiledLaw | None = None
 ) -> dict[str, float]:
-    """Measure one realisation, or a law that stands for one: what it costs per tick, and what it gets wrong.
+    """Return cost per tick and errors of a realisation, or of a law that represents one.
 
     `error_raw` and `error_aligned`: root mean square of H/(jω)^α − 1 over the slow, hand and
-    contact bands, and after the pure delay that fits them best, `delay_ticks`. `leak`: D(1)·T^α;
-    `nyquist_gain`: D(−1)·(T/2)^α, both 1 for GL's first tap.
+    contact bands, without and with removal of the best-fitting pure delay, `delay_ticks`.
+    `leak`: D(1)·T^α; `nyquist_gain`: D(−1)·(T/2)^α, both 1 for GL's first tap.
     """
     law = realise(kind, order, taps, period) if law is None else law
     angles = {
@@ -108,7 +111,8 @@ def analyse(
     return {
         "order": order,
         "taps": taps,
-        # One per tap, four per section; older deflections, and outputs of sections too.
+        # One per tap, four per section; older deflections and section outputs are stored
+        # too.
         "multiplies": len(law.taps) + 4 * len(law.sections),
         "states": max(0, len(law.taps) - 1) + 2 * len(law.sections),
         "error_raw": whole(0.0),

@@ -1,8 +1,9 @@
-"""Realisations of D^α on the chart: time and multiplies per tick against error, and against the stiffness they leave.
+"""Realisations of D^α on the chart: cost per tick against error and against stiffness.
 
-Time is that of the coupling's own rendering, tick by tick, and of the compiled kernels; error is
-against (jω)^α with the best pure delay removed; stiffness is the H(1) at which the loop with a
-known device, at one tick of delay, becomes unstable, with the same normalised gain for all.
+Cost is the time of the coupling's own rendering, tick by tick, and the multiplies of the compiled
+kernels. Error is against (jω)^α with the best pure delay removed. Stiffness is the H(1) at which
+the loop with a known device, at one tick of delay, becomes unstable, with the same normalised gain
+for all.
 """
 
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
@@ -63,7 +64,7 @@ _render_compiled = compiled()(_render)
 
 
 def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, CompiledLaw]]:
-    """Go through all installed realisations at the lengths they take."""
+    """Yield all installed realisations at the lengths they accept."""
     for kind in derivative_kinds():
         lengths = _LENGTHS.get(kind, _FINITE)
         for taps in lengths:
@@ -78,7 +79,7 @@ def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, Co
 def with_stiffness(
     unit: CompiledLaw, stiffness: float, gain: float, order: float, period: float
 ) -> CompiledLaw:
-    """Make a law that renders a stiffness and a derivative, whatever the derivative leaks."""
+    """Return a law with a given H(1) and derivative, whatever the derivative leaks."""
     physical = gain * (0.5 * period) ** (order - 1.0)
     return combine(stiffness - physical * unit.h1, [(physical, unit)])
 
@@ -86,7 +87,7 @@ def with_stiffness(
 def largest_stable(
     radius: Callable[[float], float], low: float, high: float, precision: float = 0.005
 ) -> float:
-    """Find where a loop becomes unstable as one of its parameters grows."""
+    """Return the parameter value at which a loop becomes unstable."""
     before = 0.0
     for value in np.geomspace(low, high, 20).tolist():
         stable = radius(value) < 1.0
@@ -104,7 +105,7 @@ def largest_stable(
 
 
 def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> list[Group]:
-    """Measure all realisations: times on this machine, all else where the study runs."""
+    """Measure all realisations: times on this machine, the rest wherever the study runs."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for order in ORDERS:
@@ -133,7 +134,7 @@ def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) 
 
 
 def _figures(kind: str, taps: int, order: float) -> dict[str, Extra]:
-    """Tell everything about one realisation but its times."""
+    """Return all values of one realisation except its times."""
     stiffness, gain = _limits(realise(kind, order, taps, PERIOD), order)
     return {
         **analyse(kind, order, taps, PERIOD),
@@ -145,7 +146,7 @@ def _figures(kind: str, taps: int, order: float) -> dict[str, Extra]:
 def _groups(
     order: float, details: dict[str, tuple[str, dict[str, Extra]]], rounds: int
 ) -> list[Group]:
-    """Put the realisations of one order side by side: time, multiplies, stiffness."""
+    """Compare the realisations of one order: time, multiplies, stiffness."""
 
     def points(cost: str, error: Callable[[dict[str, Any]], float]) -> tuple[Point, ...]:
         return tuple(
@@ -200,13 +201,13 @@ def _groups(
 
 
 def derivative_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `derivative_groups`."""
+    """Return the number of steps of `derivative_groups`."""
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     return sum(rounds + sum(1 for _ in candidates(order, quick)) for order in ORDERS)
 
 
 def _limits(law: CompiledLaw, order: float) -> tuple[float, float]:
-    """Stiffness at the common gain, and gain at the common stiffness, at which the pole radius reaches 1."""
+    """Return the limits at pole radius 1: stiffness at the common gain, and vice versa."""
 
     def radius(stiffness: float, gain: float) -> float:
         whole = with_stiffness(law, stiffness, gain, order, PERIOD)

@@ -1,10 +1,9 @@
-"""Accuracy against stiffness at equal demand: whether the better derivative makes the stiffer wall.
+"""Accuracy against stiffness at equal demand: the value of a better derivative.
 
-Each realisation has its own best gain: so the gain of every law is tuned, and all keep the same
-demand: pole radius over a range of mass at one tick of delay, and a bound on |H(−1)|. At a radius
-of 0.99 a derivative that remembers for longer is out by its own memory, so mere stability is asked
-for too. D^1 has the baselines PD and PD with a filtered velocity; a windowed one has no poles
-(`sim.lab.paper.fig4`).
+Each realisation has its own best gain, so the gain of every law is tuned to one demand: pole radius
+over a range of mass at one tick of delay, and a bound on |H(−1)|. At a radius of 0.99 a derivative
+with a longer memory fails by its own memory, so plain stability is a demand too. The baselines of
+D^1 are PD and PD with a filtered velocity; a windowed velocity has no poles (`sim.lab.paper.fig4`).
 """
 
 import functools
@@ -30,26 +29,26 @@ RADII = {"calm": 0.99, "stable": 1.0 - 1e-9}
 CUTOFFS = (50.0, 100.0, 200.0)  # of the filtered velocity [Hz]
 _LONGEST, _QUICK_LONGEST = 64, 8
 _GAINS, _STIFFNESSES = np.geomspace(0.5, 40.0, 14), np.geomspace(6000.0, 200.0, 26)
-# Factors about the best gain so far that are searched next, nine gains each; and how well the
-# stiffness is told.
+# Factors about the best gain so far, searched next with nine gains each; and the relative
+# precision of the stiffness.
 _NEARER, _PRECISION = (1.4, 1.1, 1.03, 1.008), 1e-4
-# realisations of D^1 that differ; all others are PD's difference
+# distinct realisations of D^1; all others equal PD's difference
 _FIRST = {("gl", 4), ("bdf2", 4), ("bdf3", 4)}
 MakeLaw = Callable[[float, float], CompiledLaw]
 
 
 def keeps(law: CompiledLaw, radius: float) -> bool:
-    """Tell whether a law keeps the demand, the lightest device first."""
+    """Return whether a law meets the demand, checking the lightest device first."""
     return abs(law.h_nyquist) <= NYQUIST and all(
         pole_radius(law, Plant(PERIOD, mass, DAMPING, DELAY)) <= radius for mass in MASSES
     )
 
 
 def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
-    """Find the largest stiffness that keeps the demand at any gain, and that gain; both 0 when none does."""
+    """Return the largest stiffness that meets the demand, and its gain; both 0 if none."""
     best, at, gains = 0.0, 0.0, _GAINS
-    # The edge of the demand has kinks: the best gain is where two masses bind, so a coarse grid of
-    # gains loses stiffness.
+    # The limit has kinks: at the best gain two masses bind, so a coarse gain grid loses
+    # stiffness.
     for spread in (*_NEARER, 1.0):
         for gain in gains.tolist():
             kept = next(
@@ -69,7 +68,11 @@ def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
 
 
 def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, float]]:
-    """Go through what is compared: name, family, the law at a stiffness and a gain, and the error of its derivative."""
+    """Yield the laws to compare.
+
+    Each has a name, a family, the law as a function of stiffness and gain, and the error of its
+    derivative.
+    """
     for kind, taps, unit in candidates(order, quick):
         if len(unit.taps) <= (_QUICK_LONGEST if quick else _LONGEST) and (
             order != 1.0 or (kind, taps) in _FIRST
@@ -99,7 +102,7 @@ def _listed(order: float, quick: bool) -> list[tuple[str, str, MakeLaw, float]]:
 def _row(
     order: float, quick: bool, number: int, radius: float
 ) -> tuple[str, str, float, float, float]:
-    """Tune one realisation: name, family, error of its derivative, stiffness and gain."""
+    """Tune one realisation; return name, family, derivative error, stiffness and gain."""
     name, family, way, error = _listed(order, quick)[number]
     return name, family, error, *tuned(way, radius)
 
@@ -146,5 +149,5 @@ def _group(
 
 
 def demand_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `demand_groups`."""
+    """Return the number of steps of `demand_groups`."""
     return len(RADII) * sum(1 for order in ORDERS for _ in laws(order, quick))

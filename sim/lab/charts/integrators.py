@@ -1,8 +1,8 @@
-"""Integrators on the chart: time per tick against the error of a drop's trajectory, and against that of K_max.
+"""Integrators on the chart: time per tick against the error of a drop and of K_max.
 
-The force is held between ticks, so the device has an exact map, and its price is that of one Euler
-step. Every other integrator approximates it; what it gets wrong it passes off as stability of the
-coupling. The reference is scipy's matrix exponential, which shares nothing with the closed forms of
+The force is held between ticks, so the device has an exact map, which costs no more than an Euler
+step. Every other integrator approximates it, and its error appears as stability of the coupling.
+The reference is scipy's matrix exponential, which is independent of the closed forms of
 `sim.device.model`.
 """
 
@@ -30,7 +30,7 @@ Step = Callable[[float, float, float], tuple[float, float]]
 
 
 def integrators() -> dict[str, Step]:
-    """Collect the integrators of one tick."""
+    """Return the integrators of one tick."""
     exact = coefficients(MASS, DAMPING, 0.0, PERIOD)
     found: dict[str, Step] = {"exact map": lambda x, v, u: advance(x, v, u, exact)}
     found |= {
@@ -49,7 +49,7 @@ def integrators() -> dict[str, Step]:
 
 
 def reference() -> Step:
-    """Give the exact map from scipy's matrix exponential."""
+    """Return the exact map from scipy's matrix exponential."""
     from scipy.linalg import expm
 
     generator = np.array([[0.0, 1.0, 0.0], [0.0, -DAMPING / MASS, 1.0 / MASS], [0.0, 0.0, 0.0]])
@@ -64,7 +64,7 @@ def reference() -> Step:
 
 
 def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
-    """Drop the device on a floor rendered by a spring and a damper, forces held between ticks."""
+    """Drop the device on a floor of spring and damper, with forces held between ticks."""
     x, v = _HEIGHT, 0.0
 
     def move(force: float) -> float:
@@ -76,7 +76,7 @@ def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
 
 
 def spring_limit(step: Step) -> float:
-    """Find the stiffest spring that a linear integrator lets be stable."""
+    """Return the largest spring stiffness that is stable with a linear integrator."""
     columns = [
         np.array(step(*unit)) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     ]
@@ -87,8 +87,8 @@ def spring_limit(step: Step) -> float:
         closed[:, 0] -= stiffness * force
         return float(np.abs(np.linalg.eigvals(closed)).max())
 
-    # Relative precision 1e-9, with room above for integrators that never become unstable where they
-    # should.
+    # Relative precision 1e-9; the upper limit is high because some integrators wrongly stay
+    # stable.
     return largest_stable(radius, 1.0, 2e5, precision=1e-9)
 
 
@@ -146,12 +146,12 @@ def integrator_groups(step: Callable[[str], None], quick: bool = False) -> list[
 
 
 def integrator_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `integrator_groups`."""
+    """Return the number of steps of `integrator_groups`."""
     return (_QUICK_ROUNDS if quick else _ROUNDS) + len(integrators())
 
 
 def euler(count: int, implicit: bool, mass: float = MASS, damping: float = DAMPING) -> Step:
-    """Give a tick of Euler's steps, semi-implicit or explicit."""
+    """Return a tick of Euler steps, semi-implicit or explicit."""
     h = PERIOD / count
 
     def step(x: float, v: float, u: float) -> tuple[float, float]:
@@ -206,7 +206,8 @@ def _mujoco(integrator: str, count: int) -> Step:
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        f"""<mujoco><option timestep="{PERIOD / count!r}" integrator="{integrator}" gravity="0 0 0"/>
+        f"""<mujoco>\
+<option timestep="{PERIOD / count!r}" integrator="{integrator}" gravity="0 0 0"/>
         <worldbody><body><joint type="slide" axis="0 0 1" damping="{DAMPING!r}"/>
         <inertial pos="0 0 0" mass="{MASS!r}" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
     )

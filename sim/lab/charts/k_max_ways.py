@@ -1,8 +1,8 @@
-"""Ways to find K_max on the chart: formulas, the pole radius, and simulations of various horizons.
+"""Methods for K_max on the chart: formulas, pole radius, and simulations of any horizon.
 
 The reference solves for the pole on the unit circle to twelve digits. A formula is instant and
-right where it applies; a simulation must run for as long as a loop near its limit takes to show
-what it does, and so reads low or high by its horizon.
+exact where it applies. A simulation near the limit needs a long run to show whether the loop is
+stable, so its result depends on its horizon.
 """
 
 import math
@@ -31,7 +31,7 @@ FindKMax = Callable[[], float]
 
 
 def poles(delay: float, precision: float) -> float:
-    """Find K_max from the pole radius."""
+    """Return K_max from the pole radius."""
     return largest_stable(
         lambda k: pole_radius(
             PD(stiffness=k, damping=GAIN).compile(PERIOD), Plant(PERIOD, MASS, DAMPING, delay)
@@ -43,24 +43,33 @@ def poles(delay: float, precision: float) -> float:
 
 
 def solved(delay: float, method: str) -> float:
-    """Find K_max without a search: Jury's conditions, linear in K, or the crossings of the boundary curve (THEORY.md §3)."""
+    """Return K_max without a search (THEORY.md §3).
+
+    By Jury's conditions, linear in K, or the crossings of the boundary curve.
+    """
     derivative = without_spring(PD(stiffness=1.0, damping=GAIN), PERIOD)
     return k_max(derivative, Plant(PERIOD, MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
 
 
 def light(_delay: float) -> float:
-    """Find K_max from the closed form for an undamped device without delay, κ = 2β(2−β)/(2+β) (THEORY.md §3)."""
+    """Return the closed form for an undamped device without delay (THEORY.md §3).
+
+    κ = 2β(2−β)/(2+β).
+    """
     beta = GAIN * PERIOD / MASS
     return MASS / PERIOD**2 * 2.0 * beta * (2.0 - beta) / (2.0 + beta)
 
 
 def heavy(delay: float) -> float:
-    """Find K_max from the closed form for a heavy device, (b + B)/(T(½ + d)) (THEORY.md §3)."""
+    """Return the closed form for a heavy device, (b + B)/(T(½ + d)) (THEORY.md §3)."""
     return (DAMPING + GAIN) / (PERIOD * (0.5 + delay))
 
 
 def passive(delay: float) -> float:
-    """Find the largest K with which the law is passive on this device (Colgate): safe for any hand, so lower."""
+    """Return the largest K at which the law is passive on this device (Colgate).
+
+    It is safe for any hand, hence lower.
+    """
     low, high = 0.0, 1e4
 
     def needed(k: float) -> float:
@@ -75,7 +84,10 @@ def passive(delay: float) -> float:
 
 
 def simulated(delay: float, horizon: float, dropped: bool) -> float:
-    """Search K_max by simulation: at each K, whether the last fifth swings by less than a tenth of the start."""
+    """Search K_max by simulation.
+
+    A run is stable if the swing in its last fifth is below a tenth of the start.
+    """
     ticks = math.ceil(horizon / PERIOD)
     device = DeviceModel(
         mass=MASS,
@@ -99,7 +111,7 @@ def simulated(delay: float, horizon: float, dropped: bool) -> float:
 
 
 def ways(delay: float) -> dict[str, FindKMax]:
-    """Collect the ways that make sense at a delay."""
+    """Return the methods that apply at a delay."""
     found: dict[str, FindKMax] = {
         "closed form, heavy device": lambda: heavy(delay),
         "passivity": lambda: passive(delay),
@@ -120,7 +132,7 @@ def ways(delay: float) -> dict[str, FindKMax]:
 
 
 def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure all ways to find K_max, without delay and with one tick."""
+    """Measure all methods for K_max, without delay and with one tick."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for delay in (0.0, 1.0):
@@ -157,6 +169,6 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
 
 
 def kmax_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `kmax_groups`."""
+    """Return the number of steps of `kmax_groups`."""
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     return sum(rounds + len(ways(delay)) for delay in (0.0, 1.0))

@@ -1,9 +1,9 @@
-"""The loop on the chart: microseconds of a tick against the error of the impedance that is rendered.
+"""The loop on the chart: time of a tick against the error of the rendered impedance.
 
-A loop renders K + B s^α late and in steps, and the law approximates s^α: both are errors of the
-impedance at the port. More rate makes the first smaller and leaves each tick less time; a longer
-law makes the second smaller and takes more of it. Time is that of a tick through surface, coupling
-and device, played by the interpreter; error is over the band in which hands move.
+A loop renders K + B s^α late and sampled, and the law approximates s^α; both are errors of the
+impedance at the port. A higher rate reduces the first and leaves less time per tick; a longer law
+reduces the second and takes more time. Time is that of an interpreted tick through surface,
+coupling and device; error is over the band of hand motion.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from sim.measure.stopwatch import interleaved
 from sim.play.one_axis import run
 
 RATES = (500.0, 1000.0, 2000.0, 4000.0)  # of the loop [Hz]
-BAND = (1.0, 50.0)  # in which the impedance is compared [Hz]
-DELAY = 1.0  # of each loop [ticks]
-STIFFNESS, DAMPING = 500.0, 2.0  # of what is to be rendered [N/m], [N s^α/m]
+BAND = (1.0, 50.0)  # in which impedances are compared [Hz]
+DELAY = 1.0  # of every loop [ticks]
+STIFFNESS, DAMPING = 500.0, 2.0  # of the ideal impedance [N/m], [N s^α/m]
 _TICKS = 400
 _ROUNDS, _QUICK_ROUNDS = 7, 2
 
@@ -67,12 +67,12 @@ def realisations(order: float) -> dict[str, LawAt]:
 
 
 def wanted(order: float, frequency_hz: Array) -> NDArray[np.complex128]:
-    """Return the impedance that is to be rendered, K + B (jω)^α [N/m]."""
+    """Return the ideal impedance, K + B (jω)^α [N/m]."""
     return np.asarray(STIFFNESS + DAMPING * (2j * np.pi * frequency_hz) ** order)
 
 
 def loop_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Measure every law at every rate, for a damper and for a fractional one."""
+    """Measure every law at every rate, for a viscous and a fractional damper."""
     band = np.geomspace(*BAND, 60)
     return [_group(order, band, step, quick) for order in (1.0, 0.5)]
 
@@ -88,7 +88,7 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
     def tick(law: CompiledLaw, rate: float) -> Callable[[], object]:
         return lambda: run(scenes[rate], law, _TICKS, interpreted=True)
 
-    # What a tick costs is the law's, whatever the rate.
+    # The time of a tick depends on the law, not on the rate.
     jobs: dict[str, tuple[Callable[[], object], int]] = {
         name: (tick(law(1.0 / rates[0]), rates[0]), _TICKS) for name, law in laws.items()
     }
@@ -104,7 +104,7 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
                 "impedance_error": off,
                 "h1_n_per_m": compiled.h1,
             }
-            # A loop of twice the rate takes its ticks twice as often.
+            # Twice the rate needs twice as many ticks per second.
             detail["load"] = 1e-6 * cost * rate
             points.append(Point(f"{name}, {rate:g} Hz", cost * rate / rates[0], off, name, detail))
     what = "K + B s" if order == 1.0 else f"K + B s^{order:g}"
@@ -120,6 +120,6 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
 
 
 def loop_steps(quick: bool) -> int:
-    """Count the steps of progress."""
+    """Return the number of progress steps."""
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     return 2 * rounds

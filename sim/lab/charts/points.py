@@ -1,7 +1,7 @@
-"""Speed against accuracy: points, their Pareto front, and the files they are kept in.
+"""Points of cost and error, their Pareto front, and their files.
 
-Every choice of the project is a point: what it costs and how wrong it is. A point is on the front
-when nothing in its group is both cheaper and better; all others are choices one need not make.
+Every design choice is a point of cost and error. A point is on the front if no other point of its
+group is both cheaper and more accurate.
 """
 
 import csv
@@ -20,49 +20,49 @@ Extra = float | int | str | None
 
 @dataclass(frozen=True)
 class Point:
-    """One choice."""
+    """One design choice with its cost and error."""
 
-    # What was chosen, e.g. ``gl 64``.
+    # Name of the choice, e.g. ``gl 64``.
     name: str
-    cost: float  # its cost, in the unit of its group
-    error: float  # its error, in the unit of its group
-    # What it is a member of, e.g. ``gl``: members are drawn as one line.
+    cost: float  # in the unit of its group
+    error: float  # in the unit of its group
+    # Its family, e.g. ``gl``; members are drawn as one line.
     family: str = ""
-    detail: dict[str, Extra] = field(default_factory=dict)  # other figures, units in the keys
-    # whether nothing in its group is both cheaper and better; set by `with_front`
+    detail: dict[str, Extra] = field(default_factory=dict)  # other values, with units in the keys
+    # whether no other point of the group is both cheaper and more accurate; set by
+    # `with_front`
     on_front: bool = False
 
 
 @dataclass(frozen=True)
 class Group:
-    """Points that compete with each other."""
+    """Points that are compared with each other."""
 
     name: str  # key of the group
-    title: str  # what is compared
-    # Axes, with units.
+    title: str  # quantity compared
+    # Axis labels with units.
     cost_label: str
     error_label: str
-    points: tuple[Point, ...]  # the choices
-    note: str = ""  # how the figures were obtained, for the page
+    points: tuple[Point, ...]  # the points
+    note: str = ""  # how the values were obtained, for the page
     linear: bool = False  # whether the errors are drawn on a linear scale
-    # Whether each family is drawn as a line of its own: they are no choices between which one is
-    # free.
+    # Whether each family is drawn as its own line, because families are not free choices.
     families: bool = False
 
 
 def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
-    """Mark the Pareto front."""
+    """Return for each point whether it is on the Pareto front."""
     points = list(zip(costs, errors, strict=True))
 
     def beaten(cost: float, error: float) -> bool:
-        # An exact double of a point is not beaten by it.
+        # A point does not dominate an equal one.
         return any((c, e) != (cost, error) and c <= cost and e <= error for c, e in points)
 
     return [error < math.inf and not beaten(cost, error) for cost, error in points]
 
 
 def with_front(group: Group) -> Group:
-    """Mark the front of a group."""
+    """Return the group with its front marked, sorted by cost."""
     marks = on_front([p.cost for p in group.points], [p.error for p in group.points])
     marked = [
         replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)
@@ -71,7 +71,7 @@ def with_front(group: Group) -> Group:
 
 
 def kept(path: Path, part: str) -> list[Group] | None:
-    """Read what an interrupted run of this very program has found of a part; None when there is nothing."""
+    """Return the groups of a part stored by an interrupted run of the same code, or None."""
     stored = _stored(path).get(part)
     if stored is None:
         return None
@@ -82,7 +82,7 @@ def kept(path: Path, part: str) -> list[Group] | None:
 
 
 def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
-    """Add a part to what an interrupted run has found."""
+    """Add a part to the file of an interrupted run."""
     stored = _stored(path) | {"program": program(), part: [asdict(group) for group in groups]}
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
@@ -91,7 +91,10 @@ def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
 
 
 def _stored(path: Path) -> dict[str, Any]:
-    """Read a diary; that of another version is set aside: figures of two programs do not belong on one chart."""
+    """Read the file of an interrupted run; set it aside if its code version differs.
+
+    A chart must not mix results of two versions.
+    """
     stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     if stored and stored.get("program") != program():
         fresh(path)
@@ -100,7 +103,7 @@ def _stored(path: Path) -> dict[str, Any]:
 
 
 def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Put all groups into one JSON object."""
+    """Return all groups as one JSON object."""
     return {
         "points": [
             {"group": group.name, **asdict(point)} for group in groups for point in group.points
@@ -122,7 +125,7 @@ def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) ->
 def save(
     groups: Sequence[Group], machine: dict[str, Any], seconds: float, folder: Path
 ) -> list[Path]:
-    """Write the data of a chart: one JSON file, and one CSV file with a column for every figure of any point."""
+    """Write the data of a chart: one JSON file, and one CSV file with all values as columns."""
     data = as_json(groups, machine, seconds)
     whole, table = fresh(folder / "chart.json"), fresh(folder / "chart.csv")
     whole.write_text(json.dumps(data, indent=1, allow_nan=True) + "\n")

@@ -1,4 +1,4 @@
-"""Where the proxy is, against what a call costs: closed forms, meshes by level of detail, and a tool that is a body."""
+"""Proxy error against call time: closed forms, meshes by level of detail, a dynamic tool."""
 
 from collections.abc import Callable
 
@@ -11,17 +11,17 @@ _STIFFNESS, _DEPTH, _SPEED, _PERIOD = 500.0, 4e-3, 0.2, 1e-3
 
 
 def proxy_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `proxy_groups`."""
+    """Return the number of steps of `proxy_groups`."""
     return 1 + len(_ways(quick))
 
 
 def _ways(quick: bool) -> list[tuple[float, bool]]:
-    """List steps of the scene [s], each with contacts as MuJoCo makes them and as stiff as they can be."""
+    """Return scene steps [s], each with MuJoCo's default and the stiffest contacts."""
     return [(step, stiff) for step in (STEPS[1:2] if quick else STEPS) for stiff in (False, True)]
 
 
 def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
-    """Lead a tool along surfaces whose proxy is a closed form."""
+    """Move a tool along surfaces whose proxy is a closed form; return the groups."""
     found = compare_proxies(_QUICK_FINEST if quick else _FINEST, _QUICK_TICKS if quick else _TICKS)
     step("proxies on closed forms and meshes")
     points = [_point(row) for row in found]

@@ -1,9 +1,9 @@
-"""Loop rate and delay on the chart, through the real processes: error of the force, and the stiffest floor that is calm.
+"""Loop rate and delay on the chart: force error and stiffest settling floor of launches.
 
-Each point is a launch of its own: four processes, real time, the force measured from the recording.
+Each point is a launch of its own: four processes, real time, the force taken from the recording.
 The reference is the same drop on a continuous spring and damper (200 kHz, one process, no delay).
-The stiffest that calms down is looked for downwards from what the pole radius at the *measured*
-delay says.
+The stiffest settling floor is searched downwards from the pole-radius limit at the *measured*
+delay.
 """
 
 import math
@@ -31,13 +31,13 @@ from sim.play.one_axis import Scene, SceneSurface, run
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 _QUICK_RATES = (500.0, 1000.0)
-# How ticks are taken, and when a force takes effect; the first look leaves the plain tick out.
+# Tick modes and force timing; the quick run omits the plain tick.
 CHOICES = (("compiled", "on_arrival"), ("plain", "on_arrival"), ("compiled", "next_tick"))
 MASS, DAMPING, HEIGHT, GRAVITY = 0.1, 1.0, 0.01, 9.81
 STIFFNESS, GAIN = 400.0, 3.0
 _SECONDS = 1.0
 _ROUNDS = 3
-# A busy machine gets fewer rounds rather than a chart that takes for ever.
+# On a busy machine the number of rounds is limited so that the chart ends in time.
 _PATIENCE = 100.0
 _TRIES = (0.95, 0.8, 0.65, 0.5)
 _FINE = 200_000.0
@@ -45,21 +45,21 @@ _FINE = 200_000.0
 
 @dataclass(frozen=True)
 class Launched:
-    """What a launch rendered."""
+    """Rendered force of a launch."""
 
-    figures: dict[str, Any]  # answer of ``haptic launch --json``
-    onset: NDArray[np.float64]  # when each force took effect, from tick 0 on [s], shape (n,)
+    figures: dict[str, Any]  # output of ``haptic launch --json``
+    onset: NDArray[np.float64]  # when each force took effect, from tick 0 [s], shape (n,)
     force: NDArray[np.float64]  # the forces [N], shape (n,)
     height: NDArray[np.float64]  # measured height at the ticks [m], shape (n,)
-    # Median delay between a sample and the effect of its force [ticks]; infinite when no force came
-    # in time.
+    # Median delay from a sample to the effect of its force [ticks]; infinite if no force was
+    # on time.
     delay: float
 
 
 def launch(
     rate: float, apply: str, stiffness: float, pace: str = "realtime", tick: str = "auto"
 ) -> Launched:
-    """Drop the device through the real processes."""
+    """Drop the device in a launch."""
     values = {"rate": rate, "apply": apply, "pace": pace, "duration": _SECONDS, "tick": tick}
     values |= {"stiffness": stiffness, "damping": GAIN, "mass": MASS, "height": HEIGHT}
     with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
@@ -87,7 +87,10 @@ def launch(
 
 
 def _with_one_law() -> dict[str, Any]:
-    """Read the shipped drop and leave PD only: others would be refused at some of these rates and stiffnesses."""
+    """Return the shipped drop with PD as its only law.
+
+    Other laws would be refused at some of these rates and stiffnesses.
+    """
     scenario: dict[str, Any] = yaml.safe_load(find("floor_drop").read_text())
     coupling = scenario["nodes"]["coupling"]["parameters"]
     coupling["laws"] = {"pd": coupling["laws"]["pd"]}
@@ -96,7 +99,7 @@ def _with_one_law() -> dict[str, Any]:
 
 
 def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Drop the device on a floor without sampling, near enough."""
+    """Drop the device on a nearly continuous floor (200 kHz)."""
     device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
     scene = Scene(
         device=device, surface=SceneSurface("plane"), period=1.0 / _FINE, raw=False, clamp=True
@@ -113,7 +116,7 @@ def force_error(
     time: NDArray[np.float64],
     wanted: NDArray[np.float64],
 ) -> float:
-    """Compare a force held between its onsets with a continuous one."""
+    """Return the difference of a force held between its onsets from a continuous one."""
     if len(onset) == 0:
         return 1.0
     order = np.argsort(onset, kind="stable")
@@ -123,7 +126,10 @@ def force_error(
 
 
 def calms_down(height: NDArray[np.float64]) -> bool:
-    """Tell whether the swing in the last fifth of a drop is below a tenth of its height: milder than the drop's verdict."""
+    """Return whether the swing in a drop's last fifth is below a tenth of its height.
+
+    This is weaker than the verdict of the drop test.
+    """
     end = height[-max(2, len(height) // 5) :]
     return bool(np.isfinite(end).all() and np.ptp(end) < 0.1 * HEIGHT)
 
@@ -188,7 +194,7 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
 def _at_rate(
     tick: str, apply: str, rate: float, runs: list[Launched], errors: list[float]
 ) -> tuple[float, dict[str, Extra]]:
-    """Find the stiffest floor that calms down in launches at one rate, and tell everything about them."""
+    """Return the stiffest floor that settles in launches at one rate, and its details."""
     errors = sorted(errors)
     delay = statistics.median(one.delay for one in runs)
     period = 1.0 / rate
@@ -232,5 +238,5 @@ def _choices(quick: bool) -> list[tuple[str, str, float]]:
 
 
 def rate_steps(quick: bool = False) -> int:
-    """Count the pieces of work of `rate_groups`."""
+    """Return the number of steps of `rate_groups`."""
     return len(_choices(quick)) * ((1 if quick else _ROUNDS) + 1)

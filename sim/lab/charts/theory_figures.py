@@ -1,7 +1,10 @@
-"""The figure of THEORY.md §3: the boundary curve of a law, and the regions of hands and worlds.
+"""The figure of THEORY.md §3: boundary curve of a law, regions of hands and worlds.
 
-`python -c "from sim.lab.charts.theory_figures import draw; draw('sim/figures/theory_boundary.png')"`
-makes it again. Lines differ by their dashes, so that it can be read in grey.
+Lines differ by their dashes, so that the figure is readable in grey. Create it in Python with::
+
+    from sim.lab.charts.theory_figures import draw
+
+    draw("sim/figures/theory_boundary.png")
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from nodes.stability.worlds import AnyWorld, world_k_max
 
 PERIOD = 0.002
 MASS, DAMPING = 0.1, 1.0
-WIDTH_IN = 7.0  # a page's column
+WIDTH_IN = 7.0  # column width of a page [inch]
 
 
 def draw(path: str | Path) -> None:
@@ -28,9 +31,9 @@ def draw(path: str | Path) -> None:
     Raises
     ------
     ImportError
-        When matplotlib is not installed.
+        If matplotlib is not installed.
     ValueError
-        When the law of the right-hand panel has no certified stiffness.
+        If the law of the right panel has no certified stiffness.
     """
     from matplotlib.figure import Figure
 
@@ -42,7 +45,7 @@ def draw(path: str | Path) -> None:
 
 
 def _curve(axes: Any) -> None:
-    """Draw K(θ) of (3.4) for PD with B = 3 N s/m, without delay and at one tick."""
+    """Plot K(θ) of (3.4) for PD with B = 3 N s/m, without delay and at one tick."""
     law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 3.0}), PERIOD)
     theta = np.linspace(0.02, np.pi - 1e-3, 4000)
     z = np.exp(1j * theta)
@@ -70,7 +73,7 @@ def _curve(axes: Any) -> None:
 
 
 def _regions(axes: Any) -> None:
-    """Draw the disc of hands and the half plane of worlds where (18.4) is tightest."""
+    """Plot the disc of hands and the half plane of worlds where (18.4) is tightest."""
     law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 0.2}), PERIOD)
     edge = world_k_max(law, Plant(PERIOD, MASS, DAMPING, 1.0), AnyWorld(), True).k_max_n_per_m
     if edge is None:

@@ -1,1 +1,1 @@
-"""Devices drawn at random, inside the class that identification assumes and outside it, and what identifying them comes to."""
+"""Random devices inside and outside the identified model class, and their identification."""

@@ -1,4 +1,4 @@
-"""Many random devices, identified and tuned without knowing them, compared with what they are; and what is told of others."""
+"""Monte Carlo: identify and tune random devices and compare with the truth."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,17 +21,17 @@ from sim.lab.monte_carlo.virtual import KINDS, draw, draw_outside, excite, excit
 from sim.play.nonideal import NonidealDevice
 from sim.tune.design import Wanted, demand
 
-# what is compared; the stiffness is a hand's
+# compared quantities; the stiffness is the hand's
 PARAMETERS = ("mass", "damping", "friction", "delay", "encoder", "stiffness")
 TAPS = 4
 RADIUS = 0.99
 NYQUIST = 1e4  # largest |H(−1)| of a design [N/m]
-# factor by which the mass may be off in either direction: the margin of every design here
+# mass uncertainty factor in either direction: the margin of every design here
 SPREAD = 1.25
 
 
 def study_device(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw, push and identify one device; tune a law for it and one for the truth."""
+    """Draw, excite and identify one device; tune a law for the estimate and the true device."""
     period = 1.0 / job["rate"]
     model = draw(job["number"], job["seed"], job["held"])
     found = identify(excite(model, period, job["seconds"], job["number"]))
@@ -62,8 +62,8 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
         asked = demand(found, Wanted(TAPS, SPREAD, RADIUS, NYQUIST))
     except ValueError as error:
         return {"why": str(error)}
-    # In lockstep the delay is one number, known to a thousandth of a tick: its upper end stands for
-    # the interval.
+    # In lockstep the delay is a single number, known to a thousandth of a tick: use the
+    # interval's upper end.
     latest = (found.delay_range[1] if found.delay.high is None else found.delay.high,) * 2
     grip = (found.stiffness.value or 0.0,) * 2
     asked = Demand(asked.mass, asked.damping, latest, period, RADIUS, NYQUIST, grip)
@@ -94,7 +94,7 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Count over a population."""
+    """Count the results of a population."""
     refused = sum(row["refuted"] for row in rows)
     result: dict[str, Any] = {"devices": len(rows), "refused": refused, "parameters": {}}
     for name in PARAMETERS:
@@ -137,14 +137,14 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return result
 
 
-# half widths of a 95 % interval beyond which an estimate is false certainty: by chance one in ten
-# thousand is
+# half-widths of a 95 % interval beyond which an estimate is false certainty; by chance this
+# happens once in ten thousand
 FAR = 2.0
-ALLOWED = 0.05  # largest part of devices of which anything may be told that is false
-NEEDLESS = 0.10  # largest part of the devices with a good fit that may be refused
-GOOD = 0.01  # a fit whose K_max is so close to the truth serves a design, as a part of K_max
-WRONG = 0.05  # a believed fit whose K_max is farther off is false certainty, as a part of K_max
-# Terms that a kind should come out with.
+ALLOWED = 0.05  # largest allowed fraction of devices with any false result
+NEEDLESS = 0.10  # largest allowed fraction of refusals among devices with a good fit
+GOOD = 0.01  # relative K_max error up to which a fit is good enough for a design
+WRONG = 0.05  # relative K_max error above which an accepted fit is false certainty
+# Terms that identification should find for a kind.
 ASKED = {
     "flexible mode": {"flexible mode"},
     "actuator lag": {"actuator lag"},
@@ -152,10 +152,10 @@ ASKED = {
     "sampling jitter": {"sampling jitter"},
     "lag and mode": {"actuator lag", "flexible mode"},
     "sensor average": {"sensor filter"},
-    # At the sensor or at the actuator: the linear loop is the same.
+    # At the sensor or the actuator: the linear loop is the same.
     "sensor lag": {"actuator lag"},
 }
-# Words by which a kind that no model has should be refused.
+# Phrases expected in the refusal of a kind that no model covers.
 NAMED = {
     "presliding": "presliding",
     "backlash": "backlash",
@@ -172,10 +172,9 @@ NAMED = {
 
 
 def truths(device: NonidealDevice, found: Identified, period: float) -> dict[str, float]:
-    """Say what each parameter is that a run could tell."""
+    """Return the true value of each parameter that a run can identify."""
     rigid = device.rigid
-    # A lag that is not told apart belongs to the delay, and so does what forces come late by on
-    # average.
+    # An unidentified lag is part of the delay, and so is the mean lateness of forces.
     late = device.lag + device.sensor_lag
     unseen = device.average + (0.0 if "actuator lag" in found.terms else late / period)
     return {
@@ -185,7 +184,8 @@ def truths(device: NonidealDevice, found: Identified, period: float) -> dict[str
         "delay": rigid.delay + unseen + 0.5 * device.late,
         "quadratic": device.quadratic,
         "lag": late,
-        # A slower filter blurs as an average of two samples does: that is no truth of its own.
+        # A slower filter looks like an average of two samples; that average has no true
+        # value.
         **({} if device.sensor_lag else {"average": device.average}),
         "frequency": device.frequency,
         "share": device.share,
@@ -194,7 +194,7 @@ def truths(device: NonidealDevice, found: Identified, period: float) -> dict[str
 
 
 def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw, push and identify one device."""
+    """Draw, excite and identify one non-rigid device."""
     period = 1.0 / job["rate"]
     device = draw_outside(job["kind"], job["number"], job["seed"])
     found = identify(excite_outside(device, period, job["seconds"], job["number"]))
@@ -212,7 +212,7 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
     }
     for name, truth in truths(device, found, period).items():
         estimate = getattr(found, name)
-        # What is 0 because the data do not ask for it has a bound, no interval.
+        # A parameter that is 0 because the data do not need it has a bound, no interval.
         if estimate.value is not None and not (
             name in ("quadratic", "lag", "average") and estimate.value == 0.0
         ):
@@ -222,7 +222,10 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def k_max_off(device: NonidealDevice, found: Identified, period: float) -> float | None:
-    """Return how far K_max of the best fit is from that of the linear device, as a part of it; None where a fit tells none."""
+    """Return the relative K_max error of the best fit against the linear device.
+
+    None if a fit gives no K_max.
+    """
     believed = found.anyway() if found.refuted else found
     try:
         fitted = believed.plant()
@@ -240,7 +243,7 @@ def k_max_off(device: NonidealDevice, found: Identified, period: float) -> float
 
 
 def named(row: Mapping[str, Any]) -> bool:
-    """Tell whether a device came out as what it is."""
+    """Return whether a device was identified as its true kind."""
     if row["kind"] in ASKED:
         return not row["refuted"] and set(row["terms"]) == ASKED[row["kind"]]
     said = row["why"] if row["refuted"] else row["remainder"]
@@ -248,7 +251,7 @@ def named(row: Mapping[str, Any]) -> bool:
 
 
 def outcome(row: Mapping[str, Any]) -> str:
-    """Say in a word what became of a device."""
+    """Return the outcome of a device in one word."""
     if row["refuted"]:
         return "refused"
     if any(off > FAR for off in row["off"].values()) or (row["k_max_off"] or 0.0) > WRONG:
@@ -259,7 +262,7 @@ def outcome(row: Mapping[str, Any]) -> str:
 
 
 def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Count over a population, kind by kind."""
+    """Count the results of a population, kind by kind."""
     labels = {name: label.strip() for _, name, label, _ in ROWS}
     result: dict[str, Any] = {"devices": len(rows), "kinds": {}}
     for kind in [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]:

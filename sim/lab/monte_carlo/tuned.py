@@ -1,8 +1,8 @@
-"""Random devices, inside the model and outside, tuned from end to end without knowing them, and judged by their true poles.
+"""Random devices tuned end to end without knowing them, and judged by their true poles.
 
-The chain is `haptic tune`'s own: push, identify, refuse a refuted model, design, predict, climb by
-knocks, judge. Only the loop between law and device is played in one process. The judge knows the
-device: the poles of its loop, joint and lag included.
+The chain is that of `haptic tune`: excite, identify, refuse a refuted model, design, predict, raise
+the stiffness by step tests, judge. Only the loop between law and device is played in one process.
+The judge knows the device, including joint and lag, and computes the poles of its loop.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,12 +21,12 @@ from sim.tune.design import Wanted, design, predict, remainder_refusal
 from sim.tune.knocking import KnockVerdict, climb, knocked, scaled
 from sim.tune.outcome import verified
 
-PEAK = 3.3  # largest force of every driver [N]
+PEAK = 3.3  # peak force of every driver [N]
 INSIDE = "inside the model"
 
 
 def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw, push, identify and tune one device; say what was delivered, and what it is on the true device."""
+    """Draw, excite, identify and tune one device; return the law and its true performance."""
     period, kind = 1.0 / job["rate"], job["kind"]
     row: dict[str, Any] = {"kind": kind, "number": job["number"], "delivered": False, "holds": None}
     if kind == INSIDE:
@@ -69,21 +69,24 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
 def knocks(
     device: NonidealDevice, law: CompiledLaw, knock: float, period: float
 ) -> Callable[[int], KnockVerdict]:
-    """Make knocks on the true device."""
+    """Return a function that runs step tests on the true device."""
     if device.kind == "rigid":
         return knocked(law, device.rigid, period, knock, PEAK, None)
-    # Two knocks, as on a real device, begin wherever in a step of the encoder it is.
+    # Two step tests, as on a real device, start at a random position within an encoder step.
     return knocked(law, device, period, knock, PEAK, None, (0.1, 0.6))
 
 
 def true_radius(law: CompiledLaw, device: NonidealDevice, period: float) -> float:
-    """Return the largest pole of the loop with the true device, at its shortest and longest delay; dry friction left out."""
+    """Return the largest pole radius of the loop with the true device.
+
+    It is taken at the shortest and longest delay, without dry friction.
+    """
     plants = (replace(device.plant, delay=device.plant.delay + late) for late in {0.0, device.late})
     return max(flexible_radius(_as_read(law, device), period, plant) for plant in plants)
 
 
 def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
-    """Return a law of taps behind the sensor of a device: on readings that average two samples."""
+    """Return a law of taps as seen through the device's sensor, which may average samples."""
     if device.average == 0.0:
         return law
     if law.sections:
@@ -94,7 +97,7 @@ def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
 
 
 def true_edge(law: CompiledLaw, device: NonidealDevice, period: float) -> float | None:
-    """Find the stiffness at which a pole of the true loop reaches the unit circle [N/m]; None above 20 times the law."""
+    """Return the true stiffness limit of a law [N/m]; None outside 0.02 to 20 times the law."""
     low = high = 1.0
     if true_radius(law, device, period) < 1.0:
         while true_radius(scaled(law, high), device, period) < 1.0:
@@ -117,7 +120,7 @@ def true_edge(law: CompiledLaw, device: NonidealDevice, period: float) -> float 
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Count what was delivered, and what of it was wrong."""
+    """Count the delivered laws and the wrong ones."""
     tried = [row for row in rows if row["holds"] is not None]
     judged = [row for row in tried if row["edge_between_n_per_m"] and row["true_edge_n_per_m"]]
     edges = [

@@ -1,7 +1,7 @@
-"""Virtual devices to identify, drawn at random and pushed as `nodes.laws.excitation` pushes, in one process.
+"""Random virtual devices, excited as by `nodes.laws.excitation`, in one process.
 
-Those that the identified model does not fit (joints, lags, backlash and the rest) are drawn kind by
-kind about the same rigid ones, so that what is told can be compared with what it is.
+Devices outside the identified model (joints, lags, backlash etc.) are drawn kind by kind about the
+same rigid ones, so that results can be compared with the truth.
 """
 
 import math
@@ -18,13 +18,13 @@ from sim.identify.experiment import Experiment, lockstep
 from sim.play.nonideal import NonidealDevice, pushed
 from sim.play.one_axis import Scene, SceneSurface, run
 
-PUSH = Excitation()  # how they are pushed: as a launch pushes by default
+PUSH = Excitation()  # excitation: a launch's default
 
 
 def excite(
     model: DeviceModel, period: float, seconds: float, seed: int, peak: float = 3.3
 ) -> Experiment:
-    """Push a virtual device and note what its encoder reads."""
+    """Excite a virtual device and return its encoder readings."""
     anchor = SceneSurface("anchor", quantise(model.position, model.resolution))
     scene = Scene(device=model, surface=anchor, period=period, raw=False, clamp=False, peak=peak)
     law = msgspec.structs.replace(PUSH, seed=seed, duration=min(seconds, 600.0)).compile(period)
@@ -36,7 +36,7 @@ Drawn = Callable[[np.random.Generator], float]
 
 
 def _between(low: float, high: float) -> Drawn:
-    """Draw evenly in the logarithm."""
+    """Return a log-uniform distribution."""
     return lambda rng: math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
@@ -44,7 +44,7 @@ def _evenly(low: float, high: float) -> Drawn:
     return lambda rng: float(rng.uniform(low, high))
 
 
-# What a device and a hand have, drawn at random: fields of `DeviceModel` and `Hand`.
+# Random parameters of a device and a hand: fields of `DeviceModel` and `Hand`.
 RIGID: dict[str, Drawn] = {
     "mass": _between(0.03, 0.5),
     "damping": _between(0.05, 5.0),
@@ -60,7 +60,7 @@ HAND: dict[str, Drawn] = {
 
 
 def drawn(fields: dict[str, Drawn], rng: np.random.Generator) -> dict[str, Any]:
-    """Draw fields, in their order."""
+    """Draw fields in their order."""
     return {name: value(rng) for name, value in fields.items()}
 
 
@@ -74,7 +74,10 @@ def draw(number: int, seed: int, held: bool) -> DeviceModel:
 def excite_outside(
     device: NonidealDevice, period: float, seconds: float, seed: int, peak: float = 3.3
 ) -> Experiment:
-    """Push such a device from rest at 0 and note what its encoder reads, as if sampled at the tick, whenever it was."""
+    """Excite such a device from rest at 0 and return its encoder readings.
+
+    Readings are stamped with the tick, whatever their actual sampling time.
+    """
     ticks = round(seconds / period)
     signal = Telegraph(PUSH.amplitude, PUSH.clocks, seed)
     wanted: Array = np.array([signal.next() for _ in range(ticks)])
@@ -85,7 +88,7 @@ def excite_outside(
     )
 
 
-# What each kind has beside that, drawn at random.
+# Additional random parameters per kind.
 KINDS: dict[str, dict[str, Drawn]] = {
     "flexible mode": {
         "share": _evenly(0.15, 0.6),
@@ -126,7 +129,7 @@ KINDS: dict[str, dict[str, Drawn]] = {
 
 
 def draw_outside(kind: str, number: int, seed: int) -> NonidealDevice:
-    """Draw a device of a kind about a free one of the ranges inside the model, with some friction."""
+    """Draw a device of a kind about a free device inside the model, with some friction."""
     rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     rigid = draw(number, seed + 1000, held=False)
     rigid = msgspec.structs.replace(rigid, friction=max(rigid.friction or 0.0, 0.01))

@@ -1,1 +1,1 @@
-"""The paper's figures and claims, judged one by one."""
+"""The paper's figures and claims, each judged."""

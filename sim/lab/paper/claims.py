@@ -1,4 +1,4 @@
-"""What is said about the loop, claim by claim, beside what our code finds: holds, holds only if, does not hold."""
+"""Claims about the loop with our verdict: holds, holds only if, does not hold."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ HOLDS, ONLY_IF, FAILS = "holds", "holds only if", "does not hold"
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what became of it."""
+    """One claim and its verdict."""
 
-    source: str  # where it stands: a section of the theory, an equation or figure of the paper
-    claim: str  # what is claimed
+    source: str  # source: a section of the theory, an equation or figure of the paper
+    claim: str  # the statement
     verdict: str  # ``holds``, ``holds only if`` or ``does not hold``
-    number: str  # the figure found, and for ``holds only if`` the condition
+    number: str  # the computed value, and the condition of ``holds only if``
 
 
 def verdict(true: bool, condition: bool | None = None) -> str:
-    """Choose a verdict."""
+    """Return the verdict."""
     return HOLDS if true else ONLY_IF if condition else FAILS
 
 
 def table(claims: Sequence[Claim]) -> str:
-    """Lay claims out for people."""
+    """Return the claims as text."""
     width = max(len(HOLDS), len(ONLY_IF), len(FAILS))
     return "\n".join(
         f"{claim.verdict:{width}}  {claim.claim}  [{claim.source}]\n{'':{width}}  {claim.number}"
@@ -44,7 +44,7 @@ def table(claims: Sequence[Claim]) -> str:
 def save(
     name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
 ) -> dict[str, Any]:
-    """Write a study's figures and picture."""
+    """Write a study's data and picture."""
     plot, data = folder / f"{name}.png", fresh(folder / f"{name}.json")
     save_figure(picture, plot, fresh)
     whole = {**figures, "claims": [asdict(claim) for claim in claims]}

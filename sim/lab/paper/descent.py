@@ -1,16 +1,15 @@
-"""The paper's way to its optimum, reproduced: steepest descent on the cost (13) with the steps (14) and (15).
+"""The paper's optimisation: steepest descent on the cost (13) with steps (14) and (15).
 
 The cost asks for f = −1 at a few low and middle frequencies and f = +1 at ω_N. With two terms and
-two such frequencies it has three targets and four unknowns: a whole curve of optima with J ≈ 0, so
-where the descent ends depends on where it starts; and the slopes along gains and orders differ too
-much for one step size. Both are shown rather than repaired. The cost can even be
-cheated: f = −1 at all frequencies is a negative spring, which costs H(1) and damps nothing, and a
-    truncated derivative leaks
-exactly that. Terms are normalised by their own f(ω_N), as in the paper.
+two such frequencies there are three targets and four unknowns, hence a whole curve of optima with J
+≈ 0, and the end of the descent depends on its start. The slopes along gains and orders also differ
+too much for one step size. Both are shown rather than repaired. The cost can even be cheated: f =
+−1 at all frequencies is a negative spring, which reduces H(1) and damps nothing, and a truncated
+derivative leaks exactly that. Terms are normalised by their own f(ω_N), as in the paper.
 
-The better way: for fixed orders f is linear in the gains, so the best are a least-squares or a
-linear-programming problem with one answer, and only the orders are left to search. There f is that
-of D − D(1), whose mean is zero: no negative spring helps.
+A better method: for fixed orders f is linear in the gains, so the best gains solve a least-squares
+problem or a linear programme with one solution, and only the orders are searched. There f is that
+of D − D(1), whose mean is zero, so that a negative spring does not help.
 """
 
 from dataclasses import dataclass
@@ -20,37 +19,37 @@ import numpy as np
 
 from sim.arrays import Array
 
-CONVERGED = 1e-6  # cost below which all targets count as met: each to about 1e-3
+CONVERGED = 1e-6  # cost below which all targets are met, each to about 1e-3
 
 
 @dataclass(frozen=True)
 class Targets:
-    """What the cost (13) asks for."""
+    """Targets of the cost (13)."""
 
     theta: Array  # frequencies as ωT, 0 < ωT ≤ π, shape (k,)
-    value: Array  # wanted f there, normalised, shape (k,)
+    value: Array  # target of f there, normalised, shape (k,)
 
 
 @dataclass(frozen=True)
 class Descent:
     """One run of steepest descent."""
 
-    # A_i and α_i at the end, shape (t,).
+    # Final A_i and α_i, shape (t,).
     gains: Array
     orders: Array
-    cost: Array  # J before the first step and after each one, shape (steps + 1,)
-    # ``converged`` (J < 1e-6), ``slow`` (steps used up), ``diverged`` (J grew a millionfold or is
-    # not finite) or ``out_of_range`` (an order left 0 < α < 4).
+    cost: Array  # J before the first step and after each step, shape (steps + 1,)
+    # ``converged`` (J < 1e-6), ``slow`` (step limit), ``diverged`` (J grew a millionfold or
+    # is not finite) or ``out_of_range`` (an order left 0 < α < 4).
     outcome: str
 
 
 def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
-    """Targets of the paper: −1 at low and middle frequencies, +1 at ω_N."""
+    """Return the paper's targets: −1 at low and middle frequencies, +1 at ω_N."""
     return Targets(np.pi * np.array([*fractions, 1.0]), np.array([-1.0] * len(fractions) + [1.0]))
 
 
 def term_damping(theta: Array, order: float, taps: int, leak: bool = True) -> tuple[Array, Array]:
-    """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope along the order."""
+    """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope in the order."""
     c, dc = np.ones(taps), np.zeros(taps)
     for m in range(1, taps):
         c[m] = c[m - 1] * (m - 1.0 - order) / m
@@ -58,20 +57,20 @@ def term_damping(theta: Array, order: float, taps: int, leak: bool = True) -> tu
     # Re{z^−m/(1−z)} = ½ + Σ_{j=1..m} cos jθ, free of the singularity at θ = 0.
     sums = np.cumsum(np.cos(np.outer(np.arange(1, taps), theta)), axis=0)
     kernel = (0.5 if leak else 0.0) + np.concatenate([np.zeros((1, theta.size)), sums])
-    # f(ω_N) is half the alternating sum, which moves with the order too.
+    # f(ω_N) is half the alternating sum, which depends on the order too.
     signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
     total = float(signs @ c)
     return 2.0 / total * (c @ kernel), 2.0 / total * ((dc - float(signs @ dc) / total * c) @ kernel)
 
 
 def damping_curve(theta: Array, gains: Array, orders: Array, taps: int, leak: bool = True) -> Array:
-    """Compute f of a multi-term law, normalised."""
+    """Compute the normalised f of a multi-term law."""
     parts = np.array([term_damping(theta, order, taps, leak)[0] for order in orders.tolist()])
     return np.asarray(gains @ parts, dtype=np.float64)
 
 
 def cost(gains: Array, orders: Array, targets: Targets, taps: int) -> float:
-    """J of eq. (13): the sum of the squared misses."""
+    """Compute J of eq. (13): the sum of squared errors."""
     miss = damping_curve(targets.theta, gains, orders, taps) - targets.value
     return float(miss @ miss)
 
@@ -84,7 +83,7 @@ def steepest_descent(
     rate: float = 0.01,
     steps: int = 5000,
 ) -> Descent:
-    """Follow −∇J with a fixed rate, gains (14) and orders (15) in the same step."""
+    """Descend −∇J at a fixed rate, gains (14) and orders (15) in the same step."""
     gains, orders = np.array(gains, dtype=np.float64), np.array(orders, dtype=np.float64)
     history: list[float] = []
     outcome = "slow"
@@ -111,14 +110,14 @@ def steepest_descent(
 
 
 def starting(starts: int, terms: int) -> list[Array]:
-    """List the orders that a survey starts from: all combinations of a grid."""
+    """Return the starting orders of a survey: all combinations of a grid."""
     axis = 4.0 * (np.arange(starts) + 0.5) / starts
     return [np.array(orders) for orders in combinations(axis.tolist(), terms)]
 
 
 @dataclass(frozen=True)
 class Shaping:
-    """Gains and orders of a multi-term law and the f they give, all normalised (T = 2), the spring taken as H(1)."""
+    """Gains and orders of a multi-term law and its f, normalised (T = 2), spring as H(1)."""
 
     # A_i and α_i, shape (t,).
     gains: Array
@@ -130,7 +129,10 @@ class Shaping:
 def minimax(
     orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61
 ) -> Shaping | None:
-    """Gains with the least ripple about f = −1 over a band, f(ω_N) bounded: a linear programme."""
+    """Compute the gains of least ripple about f = −1 over a band, by linear programming.
+
+    f(ω_N) is bounded.
+    """
     theta = np.pi * np.linspace(band[0], band[1], points)
     basis = np.array([term_damping(theta, order, taps, False)[0] for order in orders.tolist()]).T
     top = np.array(
@@ -141,7 +143,10 @@ def minimax(
 
 
 def _least_ripple(basis: Array, top: Array, nyquist: float) -> Array | None:
-    """Solve for the factors of a basis and, at the end, the ripple r: −r ≤ f + 1 ≤ r and |f(ω_N)| ≤ bound."""
+    """Solve for the coefficients of a basis and the ripple r.
+
+    Subject to −r ≤ f + 1 ≤ r and |f(ω_N)| ≤ bound.
+    """
     from scipy.optimize import linprog
 
     points, factors = basis.shape
@@ -160,7 +165,7 @@ def _least_ripple(basis: Array, top: Array, nyquist: float) -> Array | None:
 
 
 def measured(gains: Array, orders: Array, band: tuple[float, float], taps: int) -> Shaping:
-    """Measure the f of a multi-term law."""
+    """Measure f of a multi-term law."""
     fine = np.pi * np.linspace(band[0], band[1], 601)
     ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
     return Shaping(
@@ -174,8 +179,11 @@ def measured(gains: Array, orders: Array, band: tuple[float, float], taps: int) 
 def free_taps(
     taps: int, band: tuple[float, float], nyquist: float, points: int = 61
 ) -> tuple[Array, float]:
-    """Find the least ripple that any derivative part of this length can have: the same programme over the taps themselves."""
-    # f = 2 Σ t_j cos (j+1)θ with the tail sums t_j free: leak-free by construction.
+    """Return the least ripple of any derivative part of this length.
+
+    The same programme over the taps themselves.
+    """
+    # f = 2 Σ t_j cos (j+1)θ with free tail sums t_j: leak-free by construction.
     theta = np.pi * np.linspace(band[0], band[1], points)
     j = np.arange(1, taps)
     basis, top = 2.0 * np.cos(np.outer(theta, j)), 2.0 * np.cos(np.pi * j)
@@ -190,7 +198,10 @@ def free_taps(
 def best_orders(
     terms: int, band: tuple[float, float], nyquist: float, taps: int, grid: int = 14
 ) -> tuple[Shaping, int]:
-    """Search the orders globally, the gains by linear programme: every combination on a grid, then the best polished."""
+    """Search the orders globally on a grid, with linear programmes for the gains.
+
+    The best are polished.
+    """
     from scipy.optimize import minimize
 
     solved = 0

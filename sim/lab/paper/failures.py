@@ -1,7 +1,8 @@
-"""Where methods fail: each boundary from just inside and just outside, by pole radius and by simulation, and known traps.
+"""Limits of methods: each boundary checked inside and outside, and known traps.
 
-A boundary is only believed when two independent methods change their mind at the same place. The
-traps are those that THEORY.md names: methods that look right and are not, each made to fail here.
+A boundary is accepted only if two independent methods, pole radius and simulation, change their
+verdict at the same place. The traps are those that THEORY.md names: methods that look right and
+fail; each failure is reproduced here.
 """
 
 import math
@@ -27,14 +28,15 @@ from sim.lab.paper.claims import Claim, verdict
 from sim.lab.paper.descent import paper_targets, starting, steepest_descent
 from sim.play.one_axis import run
 
-MARGIN = 0.002  # how far inside and outside a boundary is looked at, as a share of K
-# ticks of those swings: enough to tell e^{−x} from e^{+x} at that margin on every boundary below
+MARGIN = 0.002  # relative distance of the checks from a boundary, in K
+# ticks of those swings: enough to separate e^{−x} from e^{+x} at that margin on every boundary
+# below
 HORIZON = 400_000
 
 
 @dataclass(frozen=True)
 class FailureEdge:
-    """A stability boundary, seen from both sides."""
+    """A stability boundary, checked on both sides."""
 
     name: str  # law, device and delay
     stiffness: float  # K at the boundary [N/m]
@@ -47,7 +49,7 @@ class FailureEdge:
 
     @property
     def agreed(self) -> bool:
-        """Whether both methods put the boundary between the two points."""
+        """Whether both methods place the boundary between the two points."""
         return self.inside < 1.0 < self.outside and self.settled_inside and not self.settled_outside
 
 
@@ -55,7 +57,7 @@ Boundary = tuple[str, CompiledLaw, Plant]  # name of a law, its derivative part,
 
 
 def boundaries() -> list[Boundary]:
-    """List the boundaries that are looked at."""
+    """Return the boundaries to check."""
     spring = CompiledLaw((0.0,))
     recursive = without_spring(
         PDAlpha(
@@ -94,7 +96,7 @@ def boundaries() -> list[Boundary]:
 
 
 def both_sides(boundary: Boundary) -> FailureEdge | None:
-    """Look at a boundary from both sides; None where there is no limit."""
+    """Check a boundary on both sides; None if there is no limit."""
     name, derivative, device = boundary
     limit = k_max(derivative, device).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
@@ -113,7 +115,7 @@ def both_sides(boundary: Boundary) -> FailureEdge | None:
 
 
 def traps() -> list[Claim]:
-    """Make every named trap spring."""
+    """Reproduce every named trap; return the verdicts."""
     first = next(m for m in range(1, 400) if gamma_coefficient(0.5, m) == 0.0)
     whole, split = tustin_whole(500.0, 0.05), tustin_split(500.0, 0.05)
     bad, good = (pole_radius(law, Plant(PERIOD, 0.1, 1.0)) for law in (whole, split))
@@ -186,7 +188,7 @@ def _euler_claim() -> Claim:
 def _leak_claim() -> Claim:
     limit = leak_boundary()
     inside, outside = leak_law(0.999 * limit), leak_law(1.001 * limit)
-    # A hand heavy enough that only the leak, not the damping, can make it unstable.
+    # A hand so heavy that only the leak, not the damping, can destabilise it.
     radii = [pole_radius(law, Plant(PERIOD, 5.0, 1.0)) for law in (inside, outside)]
     return Claim(
         "THEORY.md §1",
@@ -218,12 +220,15 @@ PERIOD = 0.002  # T of everything below [s]: the paper's
 
 
 def optimum(damping: float) -> CompiledLaw:
-    """Give the derivative part of the paper's optimum."""
+    """Return the derivative part of the paper's optimum."""
     return without_spring(parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD)
 
 
 def euler_bias(substeps: int) -> tuple[float, float]:
-    """Overstatement of K_max by semi-implicit Euler on a heavy device, found and predicted."""
+    """Return the overestimate of K_max by semi-implicit Euler, found and predicted.
+
+    The device is heavy.
+    """
     mass, damping = 10.0, 1.0
     exact = k_max(CompiledLaw((0.0,)), Plant(PERIOD, mass, damping)).k_max_n_per_m
     assert exact is not None  # noqa: S101 - a spring on a damped mass always has a limit
@@ -231,7 +236,7 @@ def euler_bias(substeps: int) -> tuple[float, float]:
 
 
 def gamma_coefficient(order: float, m: int) -> float:
-    """Grünwald–Letnikov coefficient by the Gamma ratio that the paper prints, in floating point."""
+    """Compute a Grünwald–Letnikov coefficient by the paper's Gamma ratio, in floating point."""
     from scipy.special import gamma
 
     with np.errstate(over="ignore", invalid="ignore"):
@@ -239,19 +244,19 @@ def gamma_coefficient(order: float, m: int) -> float:
 
 
 def leak_law(damping: float, stiffness: float = 1000.0) -> CompiledLaw:
-    """Give a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain."""
+    """Return a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain."""
     return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(
         PERIOD
     )
 
 
 def leak_boundary(stiffness: float = 1000.0) -> float:
-    """Find the B at which the leak of `leak_law` eats all of the nominal stiffness: H(1) = 0."""
+    """Return the B at which the leak of `leak_law` cancels the nominal stiffness: H(1) = 0."""
     return stiffness / (stiffness - leak_law(1.0, stiffness).h1)
 
 
 def tustin_whole(stiffness: float, gain: float, order: float = 1.5) -> CompiledLaw:
-    """Build a PDα whose Tustin-CFE of degree 2 is expanded for the whole α: what must not be done beyond α = 1."""
+    """Return a PDα with a Tustin CFE of degree 2 for the whole α, which fails above α = 1."""
     zeros, poles = whole_order(order, 2, 1.0)
     n1, n0 = -(zeros[0] + zeros[1]).real, (zeros[0] * zeros[1]).real
     a1, a2 = -(poles[0] + poles[1]).real, (poles[0] * poles[1]).real
@@ -264,14 +269,17 @@ def tustin_whole(stiffness: float, gain: float, order: float = 1.5) -> CompiledL
 
 
 def tustin_split(stiffness: float, gain: float, order: float = 1.5) -> CompiledLaw:
-    """Build the same PDα with the integer part split off."""
+    """Return the same PDα with the integer part of α split off."""
     return combine(stiffness, [(gain, realise("tustin_cfe", order, 3, PERIOD))])
 
 
 def fragility(
     damping: float = 30.0, share: float = 0.9
 ) -> dict[str, dict[str, tuple[float, bool]]]:
-    """Tune PD and the paper's optimum to a share of their K_max at 0.1 kg and no delay, then change the loop."""
+    """Tune PD and the paper's optimum to a fraction of K_max, then change the loop.
+
+    K_max is that at 0.1 kg without delay.
+    """
     loops = {
         "as tuned": Plant(PERIOD, 0.1, 1.0),
         "one tick of delay": Plant(PERIOD, 0.1, 1.0, 1.0),
@@ -301,14 +309,14 @@ def fragility(
 def chatter(
     law: CompiledLaw, friction: float, resolution: float = 2.3e-5, ticks: int = 5000
 ) -> bool:
-    """See whether a device at rest on a floor keeps chattering across an encoder edge."""
+    """Return whether a device at rest on a floor chatters across an encoder edge."""
     model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=resolution)
     trace = run(drop_scene(model, PERIOD, False, True, height=1e-4), law, ticks)
     return bool(np.ptp(trace.position[-(ticks // 4) :]) > 0.0)
 
 
 def descent_outcomes(rate: float) -> dict[str, int]:
-    """Count how the paper's steepest descent ends, from a grid of starts."""
+    """Count the outcomes of the paper's steepest descent from a grid of starts."""
     found = [
         steepest_descent(np.ones(2), orders, paper_targets(), 4, rate, 1000).outcome
         for orders in starting(5, 2)

@@ -1,8 +1,9 @@
-"""Where methods fail beyond a rigid device at one rate: joint, two rates, encoder and friction, jitter, bounce, slide, world.
+"""Limits of methods beyond a rigid device at one rate, each checked by a second method.
 
-Each boundary comes from one method and is looked at from both sides by another that shares nothing
-with it: poles of a joint by an integration in small steps, a certificate for jitter by a sequence
-of delays, an unknown world by the worst one, built.
+The cases are joint, two rates, encoder and friction, jitter, bounce, slide and unknown world. Each
+boundary comes from one method and is checked on both sides by an independent one: poles of a joint
+by integration in small steps, a certificate for jitter by a sequence of delays, an unknown world by
+constructing the worst one.
 """
 
 from __future__ import annotations
@@ -29,26 +30,26 @@ from sim.device.model import DeviceModel, advance, coefficients, quantise
 PERIOD = 0.002  # T of everything below [s]: the paper's
 MASS, DAMPING = 0.1, 1.0  # of the device [kg], [N s/m]
 RESOLUTION = 2.3e-5  # of its encoder [m]
-# second difference of a position, root mean square, beyond which a contact chatters [m]
+# root-mean-square second difference of a position above which a contact chatters [m]
 TURNS = 2e-5
 
 
 @dataclass(frozen=True)
 class BeyondEdge:
-    """A boundary by one method, looked at from both sides by another."""
+    """A boundary found by one method and checked on both sides by another."""
 
-    name: str  # what is beyond a rigid device at one rate
-    quantity: str  # what is raised, with its unit
-    value: float  # where the first method has the boundary, in that unit
-    margin: float  # how far inside and outside it is looked at, as a part of it
+    name: str  # the extension beyond a rigid device at one rate
+    quantity: str  # the quantity that is raised, with its unit
+    value: float  # boundary by the first method, in that unit
+    margin: float  # relative distance of the checks from it
     methods: str  # the first method, and the second
-    # Whether the second method finds it stable on the inner side, and on the outer.
+    # Whether the second method is stable on the inner side, and on the outer.
     inside: bool
     outside: bool
 
     @property
     def agreed(self) -> bool:
-        """Whether the second method puts the boundary between the two sides."""
+        """Whether the second method places the boundary between the two sides."""
         return self.inside and not self.outside
 
 
@@ -57,7 +58,10 @@ def _pd(stiffness: float, gain: float) -> CompiledLaw:
 
 
 def joint() -> BeyondEdge:
-    """Return the edge of a device with a joint of 40 Hz: by its poles, and by an integration of 64 steps a tick."""
+    """Return the stability limit with a joint of 40 Hz, by poles and by integration.
+
+    The integration takes 64 steps a tick.
+    """
     from sim.identify.remainder import stiffest
     from sim.play.nonideal import NonidealDevice, pushed
 
@@ -69,7 +73,7 @@ def joint() -> BeyondEdge:
 
     def rests(stiffness: float) -> bool:
         taps = np.array(_pd(stiffness, gain).taps)
-        # Released 10 mm from an anchor, without a push.
+        # Released 10 mm from an anchor, at rest.
         position, _ = pushed(model, PERIOD, np.zeros(ticks), taps, (0.0, 1.0, math.inf, 0.01), 1)
         return _shrinks(position)
 
@@ -85,14 +89,17 @@ def joint() -> BeyondEdge:
 
 
 def _shrinks(position: Array) -> bool:
-    """Whether a swing about 0 gets smaller from its second quarter to its last."""
+    """Whether a swing about 0 decreases from its second quarter to its last."""
     quarter = len(position) // 4
     early, late = np.abs(position[quarter : 2 * quarter]).max(), np.abs(position[-quarter:]).max()
     return bool(late < early)
 
 
 def two_rates() -> BeyondEdge:
-    """Return the edge of a spring under a servo at four times the rate: by the lifted map, and tick by tick of the servo."""
+    """Return the limit of a spring under a servo at four times the rate.
+
+    By the lifted map, and by playing the servo's ticks.
+    """
     device, margin = TwoRate(MASS, DAMPING, 3.0, 4, 4), 0.002
     edge = two_rate_k_max(CompiledLaw((0.0,)), PERIOD, device)
     assert edge is not None  # noqa: S101
@@ -119,7 +126,10 @@ def two_rates() -> BeyondEdge:
 
 
 def encoder_and_friction() -> BeyondEdge:
-    """Return the friction that stops chatter across one encoder edge: by H(−1), and by the work of that motion."""
+    """Return the friction that stops chatter across one encoder edge.
+
+    By H(−1), and by the work of that motion.
+    """
     law, margin, path = _pd(1000.0, 3.0), 0.002, 1e-9
     edge = rest(law, PERIOD, RESOLUTION).friction_alternating_n
     x = np.where(
@@ -127,8 +137,7 @@ def encoder_and_friction() -> BeyondEdge:
     )
     read = np.array([quantise(float(value), RESOLUTION) for value in x])
     force = -np.convolve(read, law.taps)[: len(x)]
-    # An even number of ticks: the mean force does no work. Whoever moves the device chooses the way
-    # round.
+    # An even number of ticks: the mean force does no work. The direction is the worst case.
     work = abs(float((force[100:-2] * np.diff(x)[100:-1]).mean()))
 
     def moves(friction: float) -> bool:
@@ -146,7 +155,10 @@ def encoder_and_friction() -> BeyondEdge:
 
 
 def jitter() -> BeyondEdge:
-    """Return the edge of a delay that jitters by half a tick: by certificate, and by the sequence of delays that grows."""
+    """Return the limit with a delay that jitters by half a tick.
+
+    By a certificate, and by the delay sequence that grows.
+    """
     gain, delays, margin = 3.0, (0.5, 1.0), 0.05
     plant = Plant(PERIOD, MASS, DAMPING)
     low, high = (
@@ -176,7 +188,10 @@ def jitter() -> BeyondEdge:
 
 
 def _grows(law: CompiledLaw, plant: Plant, delays: tuple[float, ...]) -> bool:
-    """Play a swing with a sequence of delays, over and over, each force acting from where in the tick it arrives."""
+    """Play a swing with a repeated sequence of delays and return whether it grows.
+
+    Each force acts from its arrival within the tick.
+    """
     x, v = 0.01, 0.0
     history = [0.0] * len(law.taps)
     arrivals: list[tuple[float, float]] = []
@@ -202,7 +217,10 @@ def _moved(x: float, v: float, force: float, duration: float, plant: Plant) -> t
 
 
 def bounce() -> BeyondEdge:
-    """Return the stiffness at which a drop bounces below the linear edge: by the simulator, and by the map of the designer."""
+    """Return the stiffness at which a drop bounces below the linear limit.
+
+    By the simulator, and by the designer's map.
+    """
     from sim.design.demand import Demand
     from sim.design.fall import falls, settled
     from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
@@ -234,7 +252,10 @@ def bounce() -> BeyondEdge:
 
 
 def slide() -> BeyondEdge:
-    """Return the edge of a device that a hand draws along a rough plane: by poles, and by playing the launch in space."""
+    """Return the limit of a device that a hand slides along a rough plane.
+
+    By poles, and by playing the launch in space.
+    """
     from nodes.launcher import launch_file
     from sim.play.player import play
 
@@ -249,7 +270,8 @@ def slide() -> BeyondEdge:
             "rough_plane", {"stiffness": stiffness, "damping": gain, "duration": 2.0}
         )
         position = play(launch).measured
-        # What a hand and a slide do bends slowly; an unstable contact turns every few ticks.
+        # The motions of hand and slide are slow; an unstable contact reverses every few
+        # ticks.
         turns = np.diff(position[len(position) // 2 :], 2, axis=0)
         return bool(np.sqrt(np.mean(np.sum(turns**2, axis=1))) < TURNS)
 
@@ -260,10 +282,10 @@ def slide() -> BeyondEdge:
 
 
 def unknown_world() -> BeyondEdge:
-    """Return the edge before any passive world that answers in the same tick: by certificate, and by the worst one, built.
+    """Return the limit for any passive world that answers in the same tick.
 
-    The certificate is (18.2) of THEORY.md: Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle,
-    and stable at the wall.
+    By a certificate, and by constructing the worst world. The certificate is (18.2) of
+    THEORY.md: Re{D/H + D P} > 0, D = (1 − w)/T, on the whole circle, and stability at the wall.
     """
     gain, margin = 3.0, 0.002
     plant = Plant(PERIOD, MASS, DAMPING)
@@ -281,7 +303,10 @@ def unknown_world() -> BeyondEdge:
         return np.asarray(slope / _pd(stiffness, gain).response(z) + device)
 
     def stands(stiffness: float) -> bool:
-        """Whether the poles stay inside before the lossless world of first order that cancels what is left at its frequency."""
+        """Whether the poles stay inside with the worst lossless first-order world.
+
+        That world cancels the remaining imaginary part at its frequency.
+        """
         left = share(stiffness)
         at = int(np.argmin(left.real))
         # (18.1): Y = −jσ there, a mass T/(2σ tan(θ/2)) where σ > 0, a spring −2 tan(θ/2)/(σ T)
@@ -304,7 +329,7 @@ def unknown_world() -> BeyondEdge:
     )
 
 
-# What is looked at; another edge is another function here.
+# Cases; add a function here for another one.
 BEYOND: tuple[Callable[[], BeyondEdge], ...] = (
     joint,
     two_rates,

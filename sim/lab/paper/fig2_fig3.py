@@ -1,7 +1,7 @@
-"""The paper's figures 2 and 3: f(ω) of Grünwald–Letnikov terms and of their optimised sum, in the paper's normalisation.
+"""The paper's figures 2 and 3: normalised f(ω) of Grünwald–Letnikov terms and their sum.
 
-Frequencies are in units of ω_N, f in units of a term's f(ω_N): the sum to n that renders, as in eq.
-(9) (THEORY.md §1).
+Frequencies are in units of ω_N, f in units of a term's f(ω_N). The sum to n is the one that
+renders, as in eq. (9) (THEORY.md §1).
 """
 
 import itertools
@@ -20,25 +20,25 @@ from sim.lab.paper.descent import damping_curve
 
 # orders of figure 2 (a) and (b)
 LOW_ORDERS, HIGH_ORDERS = (0.3, 0.5, 0.7, 1.0), (1.0, 1.3, 1.5, 1.7)
-# FIR orders n over which a claim is judged: the paper prints none
+# FIR orders n over which a claim is judged: the paper states none
 MEMORIES = (1, 2, 3, 4, 5, 8, 10, 20, 50, 100, 1000)
-MIDDLE = 0.5  # where the low and middle frequencies end, in units of ω_N
+MIDDLE = 0.5  # upper end of the low and middle frequencies, in units of ω_N
 
 
 def term_curve(theta: Array, order: float) -> Array:
-    """Give f of one term with unlimited memory, normalised: (sin(θ/2))^{α−1} cos((α+1)(π−θ)/2)."""
+    """Return f of one term with unlimited memory, (sin(θ/2))^{α−1} cos((α+1)(π−θ)/2)."""
     shape = np.sin(theta / 2.0) ** (order - 1.0) * np.cos(0.5 * (order + 1.0) * (math.pi - theta))
     return np.asarray(shape, dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class TermCurve:
-    """Figure 2, one curve."""
+    """One curve of figure 2."""
 
     order: float  # α
     curve: Array  # f with the taps of the figure, 1 at ω_N
-    unlimited: Array  # f of unlimited memory
-    zero: float  # where f last becomes positive, ω/ω_N; nan when it never is negative
+    unlimited: Array  # f with unlimited memory
+    zero: float  # last zero before f stays positive, ω/ω_N; NaN if f is never negative
 
 
 def figure_2(taps: int, points: int = 400) -> tuple[Array, list[TermCurve], list[TermCurve]]:
@@ -53,12 +53,12 @@ def figure_2(taps: int, points: int = 400) -> tuple[Array, list[TermCurve], list
 
 
 def one_term(theta: Array, order: float, taps: int) -> Array:
-    """Give f of one term of n + 1 taps, normalised by its own f(ω_N)."""
+    """Return f of one term of n + 1 taps, normalised by its own f(ω_N)."""
     return damping_curve(theta, np.ones(1), np.array([order]), taps)
 
 
 def curve_of(theta: Array, order: float, memory: float) -> Array:
-    """Give f of one term with a memory of n, or infinite."""
+    """Return f of one term with memory n, or infinite memory."""
     return (
         term_curve(theta, order) if memory == math.inf else one_term(theta, order, int(memory) + 1)
     )
@@ -75,7 +75,10 @@ def _last_zero(theta: Array, curve: Array) -> float:
 
 
 def _order_of_signs(difference: Array) -> str:
-    """Signs of a curve from low to high frequency, each run of the same sign once: '-+' is first below, then above."""
+    """Return the signs of a curve from low to high frequency, without repeats.
+
+    '-+' is first below, then above.
+    """
     signs = np.sign(difference)[np.abs(difference) > 1e-9]
     return "".join(
         "+" if s > 0 else "-" for i, s in enumerate(signs) if i == 0 or s != signs[i - 1]
@@ -101,7 +104,7 @@ def _by_memory(source: str, claim: str, judge: Callable[[float], bool], number: 
 
 
 def claims_2(taps: int) -> list[Claim]:
-    """Judge what the paper's section 3.2 says about figure 2, and what THEORY.md adds."""
+    """Judge the claims of the paper's section 3.2 on figure 2 and those of THEORY.md."""
     theta, low, high = figure_2(taps)
     pd = -np.cos(theta)
     orders = {*LOW_ORDERS, *HIGH_ORDERS}
@@ -140,7 +143,7 @@ Curves = Mapping[tuple[float, float], Array]
 
 
 def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
-    """Judge what is said of orders below 1, and of the zero of all orders."""
+    """Judge the claims on orders below 1, and on the zero of all orders."""
     pd, below = -np.cos(theta), LOW_ORDERS[:-1]
 
     def rises(n: float, orders: Sequence[float] = below) -> bool:
@@ -176,7 +179,7 @@ def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
 
 
 def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
-    """Judge what is said of orders above 1."""
+    """Judge the claims on orders above 1."""
     pd, above = -np.cos(theta), HIGH_ORDERS[1:]
 
     def dips(n: float) -> bool:
@@ -229,14 +232,14 @@ def _worse_somewhere(theta: Array, curve: Array, pd: Array) -> bool:
 
 
 def _at_zero(order: float, taps: int) -> float:
-    """f(0) of a normalised term: T Σ c_m (½ + m) in units of f(ω_N)."""
+    """Return f(0) of a normalised term: T Σ c_m (½ + m) in units of f(ω_N)."""
     total = sum(coefficient * (0.5 + m) for m, coefficient in enumerate(coefficients(order, taps)))
     return 2.0 * total / alternating_sum(order, taps)
 
 
 def _ours_2(theta: Array, taps: int) -> list[Claim]:
-    """Judge what THEORY.md adds to figure 2: the closed form and the leak."""
-    # 4096 taps against the closed form, away from ω = 0 where no finite memory reaches.
+    """Judge the additions of THEORY.md to figure 2: the closed form and the leak."""
+    # 4096 taps against the closed form, away from ω = 0, where no finite memory converges.
     inside = theta >= 0.05 * math.pi
     long = max(
         float(np.abs(one_term(theta, a, 4096) - term_curve(theta, a))[inside].max())
@@ -262,7 +265,7 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
 
 
 def _leak(order: float, taps: int) -> float:
-    """D(1) of a normalised term, in units of 2/T."""
+    """Return D(1) of a normalised term, in units of 2/T."""
     return sum(coefficients(order, taps)) / alternating_sum(order, taps)
 
 
@@ -273,7 +276,7 @@ def _leak_sign(order: float, leak: float) -> bool:
 
 
 def optimum_terms() -> tuple[Array, Array]:
-    """Gains and orders of the paper's optimum, normalised."""
+    """Return the normalised gains and orders of the paper's optimum."""
     terms = PRESETS["paper_optimum"]["terms"]
     return np.array([t["gain"] for t in terms]), np.array([t["order"] for t in terms])
 
@@ -292,14 +295,14 @@ def figure_3(taps: int, points: int = 400) -> dict[str, Array]:
 
 
 def ripple(taps: int, upper: float) -> float:
-    """Largest |f + 1| of the paper's optimum over the low and middle range."""
+    """Return the largest |f + 1| of the paper's optimum over the low and middle range."""
     gains, orders = optimum_terms()
     theta = np.pi * np.linspace(0.02, upper, 400)
     return float(np.abs(damping_curve(theta, gains, orders, taps) + 1.0).max())
 
 
 def claims_3(taps: int, period: float) -> list[Claim]:
-    """Judge what the paper says about figure 3, and what THEORY.md adds."""
+    """Judge the claims of the paper and of THEORY.md on figure 3."""
     figure = figure_3(taps)
     theta, gains, orders = figure["theta"], *optimum_terms()
 
@@ -316,8 +319,8 @@ def claims_3(taps: int, period: float) -> list[Claim]:
     nyquist = float(figure["optimum"][-1])
     ripples = {n: ripple(n + 1, 0.5) for n in range(1, 33)}
     flattest = min(ripples, key=lambda n: ripples[n])
-    # Physical gains share one number A; in seconds a term's weight against the other is (2/T)^(α2 −
-    # α1) of the normalised.
+    # Physical gains share one number A; in seconds the relative weight of a term is (2/T)^(α2
+    # − α1) times the normalised.
     seconds = (2.0 / period) ** float(orders[1] - orders[0])
     ratio = gains[1] / gains[0] * seconds
     band = np.flatnonzero(np.abs(figure["optimum"] + 1.0) < 0.15)

@@ -1,10 +1,10 @@
-"""The paper's figure 4: the largest stiffness that survives the drop, over the damping gain B, law by law.
+"""The paper's figure 4: largest stiffness that survives the drop, over B, for each law.
 
 The same drop for PD (plain, with a filtered and with a windowed velocity), the paper's optimum, a
-law designed for the same delay and half to twice the mass, and one designed for this very drop:
-without delay and a tick late, with a perfect sensor and the Touch X's (resolution and friction,
-which only matter together). Stiffness is told twice, nominal K and H(1), what is felt; and the
-frequency at which the device really swings at the limit is measured.
+law designed for the same delay and half to twice the mass, and one designed for this drop. Each is
+played without delay and a tick late, with a perfect sensor and that of a Touch X (resolution and
+friction, which only matter together). Stiffness is given as nominal K and as H(1), which is felt.
+The frequency of the actual swing at the limit is measured.
 """
 
 import itertools
@@ -39,22 +39,22 @@ CUTOFF = 100.0  # of the filtered velocity [Hz], a fifth of the paper's rate
 
 @dataclass(frozen=True)
 class Setting:
-    """What is dropped, and how."""
+    """Device, period and criterion of the drop."""
 
     # Device [kg], [N s/m].
     mass: float
     damping: float
     period: float  # sampling period T [s]
-    gains: tuple[float, ...]  # damping gains B of the horizontal axis [N s/m]
-    # Of the Touch X [m], [N]; the friction is a data-sheet figure quoted from memory (THEORY.md
-    # §4).
+    gains: tuple[float, ...]  # damping gains B on the horizontal axis [N s/m]
+    # Of the Touch X [m], [N]; the friction is a data-sheet value quoted from memory
+    # (THEORY.md §4).
     resolution: float = 2.3e-5
     friction: float = 0.06
     # horizon and tolerance, the same for every law
     criterion: Criterion = field(default_factory=Criterion)
 
     def device(self, delay: float, touch: bool) -> DeviceModel:
-        """Describe the device."""
+        """Return the virtual device."""
         resolution, friction = (self.resolution, self.friction) if touch else (None, None)
         return DeviceModel(
             mass=self.mass,
@@ -65,7 +65,7 @@ class Setting:
         )
 
     def held(self, delay: float) -> Plant:
-        """Describe the same as the linear loop sees it."""
+        """Return the same device as a linear plant."""
         return Plant(self.period, self.mass, self.damping, delay)
 
 
@@ -75,15 +75,15 @@ class Curve:
 
     law: str  # one of `LAWS`
     delay: float  # of the loop [ticks]
-    touch: bool  # whether with the Touch X's resolution and friction
-    found: list[SimulatedKMax]  # one for each gain of the setting; shorter after an interruption
+    touch: bool  # whether with resolution and friction of a Touch X
+    found: list[SimulatedKMax]  # one per gain of the setting; fewer after an interruption
     linear: list[float | None]  # K_max of the linear loop by pole radius [N/m]
-    # of contact, one of `sim.design.demand.CONVENTIONS`; the figure is drawn with the first
+    # contact convention, one of `sim.design.demand.CONVENTIONS`; the figure shows the first
     convention: int = 0
 
 
 def published(setting: Setting) -> dict[str, Family]:
-    """Give the derivative part of every PD and of the paper's optimum as functions of B."""
+    """Return the derivative parts of every PD and the paper's optimum, as functions of B."""
     period, step = setting.period, setting.resolution
     return {
         "pd": lambda gain: without_spring(PD(stiffness=1.0, damping=gain), period),
@@ -100,7 +100,10 @@ def published(setting: Setting) -> dict[str, Family]:
 
 
 def _family(setting: Setting, law: str, taps: Sequence[float] | None) -> Family:
-    """Give the derivative part of a law as a function of B; a designed one is scaled to the damping of the axis."""
+    """Return the derivative part of a law as a function of B.
+
+    A designed one is scaled to the damping of the axis.
+    """
     if taps is None:
         return published(setting)[law]
     damping = -setting.period * sum(m * tap for m, tap in enumerate(taps))
@@ -110,15 +113,15 @@ def _family(setting: Setting, law: str, taps: Sequence[float] | None) -> Family:
 
 
 def demands(setting: Setting, delay: float) -> dict[str, Demand]:
-    """Say what the two designed laws are designed for."""
+    """Return the demands of the two designed laws."""
     mass, damping, period = setting.mass, setting.damping, setting.period
     delays = (delay, delay)
     return {
-        # Half to twice the mass, an allowance for the hand that holds it, and what `study design`
-        # takes by default.
+        # Half to twice the mass, a margin for the hand, and the defaults of `study
+        # design`.
         "designed": Demand((0.5 * mass, 2.0 * mass), damping, delays, period, 0.99, 1e4),
-        # This mass and this convention alone; 0.995 per tick still settles within the horizon,
-        # |H(−1)| is PD's at its best.
+        # This mass and this convention only; 0.995 per tick still settles within the
+        # horizon, and |H(−1)| is that of PD at its best.
         "designed_drop": Demand(
             (mass, mass),
             damping,
@@ -132,9 +135,9 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
 
 
 def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
-    """Search the taps of a designed law; None where none keeps the demand, or none has a damping to scale."""
-    # The stiffest laws of a drop differ by a percent, and which one a search ends at depends on its
-    # seed and on rounding.
+    """Search the taps of a designed law; None if none meets the demand or has damping."""
+    # The stiffest laws of a drop differ by 1 %; which is found depends on the seed and on
+    # rounding.
     for seed in range(1, 6):
         found = stiffest(demands(setting, delay)[name], np.eye(4), seed=seed)
         if found is None:
@@ -146,7 +149,7 @@ def _designed(setting: Setting, delay: float, name: str) -> list[float] | None:
 
 
 def designs(setting: Setting) -> list[SweepRow]:
-    """List the searches for the laws that are designed for a delay: jobs of `point`."""
+    """Return the searches for the laws designed for a delay: jobs of `point`."""
     wanted = ((delay, name) for delay in DELAYS for name in demands(setting, delay))
     return [
         {"setting": asdict(setting), "what": "design", "delay": delay, "law": name}
@@ -155,7 +158,7 @@ def designs(setting: Setting) -> list[SweepRow]:
 
 
 def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
-    """List the boundaries of the figure and of the conventions, point by point: jobs of `point`."""
+    """Return all points of the figure and of the conventions: jobs of `point`."""
     taps = {(row["delay"], row["law"]): row["taps"] for row in designed}
     plain = [(delay, law, touch, 0) for delay in DELAYS for law in LAWS for touch in (False, True)]
     others = [
@@ -171,7 +174,7 @@ def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
 
 
 def point(job: Mapping[str, Any]) -> SweepRow:
-    """Do one job: design a law, or find one K_max."""
+    """Run one job: design a law, or find one K_max."""
     setting = msgspec.convert(job["setting"], Setting)
     record: SweepRow = {key: job[key] for key in ("law", "delay")}
     if job["what"] == "design":
@@ -183,7 +186,7 @@ def point(job: Mapping[str, Any]) -> SweepRow:
     found = simulated_k_max(
         lambda stiffness: with_spring(derivative, stiffness), scene, setting.criterion
     )
-    # A law with code of its own has no poles.
+    # A law with own code has no poles.
     linear = (
         None if derivative.evaluate else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
     )
@@ -196,7 +199,7 @@ def point(job: Mapping[str, Any]) -> SweepRow:
 
 
 def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Curve]:
-    """Put the points together, each curve as far as it is known, from the rows of a ledger."""
+    """Assemble the curves from the rows of a ledger, as far as they are known."""
     named: dict[tuple[str, float, bool, int], list[SweepRow | None]] = {}
     for job in jobs:
         row = rows.get(key_of(job))
@@ -218,7 +221,7 @@ def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Cu
 
 
 def spread_of_conventions(setting: Setting, curves: list[Curve]) -> list[tuple[float, str, float]]:
-    """How much the conventions of contact move K_max, d = 0, perfect sensor."""
+    """Return how much the contact conventions change K_max, d = 0, perfect sensor."""
     spreads = []
     for name in ("pd", "paper_optimum"):
         columns = [c.found for c in curves if c.law == name and c.delay == 0.0 and not c.touch]
@@ -230,7 +233,7 @@ def spread_of_conventions(setting: Setting, curves: list[Curve]) -> list[tuple[f
 
 
 def best(curve: Curve, felt: bool) -> tuple[float, int]:
-    """Stiffest point of a boundary."""
+    """Return the stiffest point of a boundary."""
     top = (0.0, -1)
     for i, found in enumerate(curve.found):
         value = found.h1_max_n_per_m if felt else found.k_max_n_per_m
@@ -240,7 +243,7 @@ def best(curve: Curve, felt: bool) -> tuple[float, int]:
 
 
 def as_json(setting: Setting, curves: list[Curve]) -> dict[str, Any]:
-    """Prepare the boundaries for JSON."""
+    """Return the boundaries as JSON."""
 
     def finite(value: float | None) -> float | None:
         return value if value is not None and math.isfinite(value) else None

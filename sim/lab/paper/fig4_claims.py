@@ -1,4 +1,4 @@
-"""What the paper and THEORY.md state about the drop test, against the boundaries that `sim.lab.paper.fig4` finds."""
+"""Claims of the paper and THEORY.md on the drop test, judged by `sim.lab.paper.fig4`."""
 
 import itertools
 import math
@@ -17,12 +17,12 @@ from sim.lab.paper.fig4 import CUTOFF, DELAYS, LAWS, Curve, Setting, best, publi
 def claims_4(
     setting: Setting, curves: list[Curve], spreads: list[tuple[float, str, float]]
 ) -> list[Claim]:
-    """Judge what the paper and THEORY.md state about the drop test."""
+    """Judge the claims of the paper and THEORY.md on the drop test."""
     by = {(c.law, c.delay, c.touch): c for c in curves}
     pd, optimum = by["pd", 0.0, False], by["paper_optimum", 0.0, False]
     others = [name for name in LAWS if name != "pd"]
     return [
-        # The paper's own unit first: nominal K.
+        # First in the paper's own unit: nominal K.
         *(
             _against_pd(
                 setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False
@@ -135,7 +135,7 @@ def _swing(setting: Setting, curves: list[Curve]) -> Claim:
 
 
 def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, float]], list[float]]:
-    """Measured swing over √(K/m), with its gain; and over the angle of the exact pole."""
+    """Return the measured swing over √(K/m), with its gain, and over the exact pole's angle."""
     rings, angles = [], []
     for curve in curves:
         family = published(setting)[curve.law]
@@ -152,7 +152,7 @@ def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, flo
 
 
 def _ranges(gains: tuple[float, ...], good: set[float]) -> str:
-    """Name the ranges of gains that belong to a set."""
+    """Return the ranges of gains that belong to a set, as text."""
     runs = (
         list(run) for yes, run in itertools.groupby(sorted(set(gains)), good.__contains__) if yes
     )
@@ -196,7 +196,10 @@ def _against_pd(setting: Setting, pd: Curve, other: Curve, felt: bool) -> Claim:
 
 
 def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
-    """Judge the paper's thesis as numbers: at the edge K = 2 (b R − f(ω_c))/T, and K_max over the sampling period."""
+    """Judge the paper's thesis numerically.
+
+    At the limit K = 2 (b R − f(ω_c))/T, and K_max over the sampling period.
+    """
     edges = [
         (edge, limit)
         for curve in curves
@@ -240,7 +243,7 @@ _PERIODS = (0.0005, 0.001, 0.002, 0.004)
 
 
 def _top(setting: Setting, law: str) -> float:
-    """Stiffest K_max of a law over gains from 0.1 to twice m/T."""
+    """Return the largest K_max of a law over gains from 0.1 to twice m/T."""
     family = published(setting)[law]
     gains = np.geomspace(0.1, 2.0 * setting.mass / setting.period, 60).tolist()
     found = (k_max(family(gain), setting.held(0.0)).k_max_n_per_m for gain in gains)

@@ -1,1 +1,1 @@
-"""Studies that check a claim of this project: ``haptic lab``, and charts and failures of ``haptic study``."""
+"""Studies that check this project's claims: ``haptic lab``, and some of ``haptic study``."""

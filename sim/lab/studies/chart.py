@@ -1,4 +1,4 @@
-"""Chart speed against accuracy: realisations of D^α, also at equal demand, integrators, K_max, rates, proxies, the loop."""
+"""Chart speed against accuracy: derivatives, integrators, K_max, rates, proxies and loop."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def chart(options: ChartOptions) -> Answer:
     from sim.measure.stopwatch import machine
 
     start = time.monotonic()
-    # What is done of a run that is stopped; figures of time are of one machine, so a finished run
-    # leaves none.
+    # An interrupted run stores its results; times are of one machine, so a finished run
+    # deletes them.
     diary = options.out / ("chart.quick.part" if options.quick else "chart.part")
 
     def beside(jobs: list[Callable[[], Any]], step: Callable[[str, int], None]) -> list[Any]:
@@ -75,7 +75,7 @@ def chart(options: ChartOptions) -> Answer:
 def _measured(
     options: ChartOptions, parts: list[str], diary: Path, beside: Runner
 ) -> tuple[list[Group], list[str]]:
-    """Measure each part, or take it from the diary of a run that was stopped; and say which parts are missing."""
+    """Measure each part, or read it from an interrupted run; return missing parts too."""
     from sim.lab.charts.derivatives import derivative_groups, derivative_steps
     from sim.lab.charts.equal_demand import demand_groups, demand_steps
     from sim.lab.charts.integrators import integrator_groups, integrator_steps
@@ -89,7 +89,7 @@ def _measured(
     makers: dict[
         str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]
     ] = {
-        # The weight is about how many tenths of a second one step takes, so that the bar moves
+        # The weight is the approximate duration of a step [0.1 s], so that the bar moves
         # evenly.
         "derivatives": (partial(derivative_groups, spread=beside), derivative_steps, 1),
         "demand": (partial(demand_groups, spread=beside), demand_steps, 1),
@@ -115,7 +115,7 @@ def _measured(
                 step(f"{part}: done before", steps(quick) * weight)
             groups += found
         except MeasurementError as error:
-            # The other parts are worth keeping; the exit code shows that one is missing.
+            # The other parts are still valid; the exit code reports the missing one.
             failures.append(f"{part}: {error}")
         except KeyboardInterrupt:
             failures.append(f"{part}: interrupted; the same command goes on here")

@@ -1,4 +1,4 @@
-"""Identify and tune hundreds of random devices: whether the intervals hold the truth, and what the laws are worth."""
+"""Identify and tune hundreds of random devices; check intervals and laws."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from sim.results import fresh
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SweepOptions, swept
 
-WANTED = 0.90  # least coverage of a 95 % interval that counts as kept
+WANTED = 0.90  # minimum coverage of a 95 % interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ def _outside(options: CoverageOptions) -> Answer:
     if options.tune:
         raise UsageError("--tune: not with --outside, where most devices are refused")
     told, kinds = options.chosen("seed", "seconds", "rate"), list(KINDS)
-    # All kinds in turn, so that an interrupted study has seen each.
+    # All kinds in turn, so that an interrupted study covers each.
     jobs = [
         {"kind": kinds[n % len(kinds)], "number": n // len(kinds), **told}
         for n in range(options.devices)
@@ -95,7 +95,7 @@ def _outside(options: CoverageOptions) -> Answer:
     )
 
     def kept(count: int, of: int, allowed: float) -> bool:
-        # More than allowed, and not by chance.
+        # More than allowed, beyond chance.
         return count <= allowed * of or bool(binom.sf(count - 1, of, allowed) >= 0.01)
 
     held = kept(found["false"], found["devices"], ALLOWED) and kept(
@@ -109,7 +109,10 @@ def _share(count: int, of: int) -> str:
 
 
 def _kept(coverage: float, devices: int) -> bool:
-    """Judge a share of intervals; that of a few devices may be low by chance, at most one time in a hundred."""
+    """Return whether the coverage is high enough.
+
+    With few devices it may be low by chance, at most one time in a hundred.
+    """
     from scipy.stats import binom
 
     return coverage >= WANTED or bool(binom.cdf(round(coverage * devices), devices, 0.95) >= 0.01)
@@ -143,7 +146,7 @@ def _text(found: Mapping[str, Any]) -> list[str]:
 
 @styled
 def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Draw estimates against the truth, and errors in units of their own interval."""
+    """Plot estimates against the truth, and errors in units of their own interval."""
     from matplotlib.ticker import NullFormatter
 
     named = {"mass": "kg", "damping": "N s/m", "friction": "N", "delay": "ticks"}

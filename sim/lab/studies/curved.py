@@ -1,4 +1,4 @@
-"""Measure a law on curved surfaces: energy along closed ways, kicks, and K_max of a sliding contact, in both frames."""
+"""Measure a law on curved surfaces in both frames: energy, force steps, sliding K_max."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class CurvedOptions(SpreadOptions, FileOptions):
 
 
 def curved(options: CurvedOptions) -> Answer:
-    """Lead laws along surfaces, then search the edge of stability while one slides."""
+    """Move laws along surfaces, then search the stability limit while sliding."""
     if options.depth > 0.005:
         raise UsageError(f"--depth {options.depth:g}: at most 0.005 m, in a rod of 0.006 m")
     try:
@@ -61,7 +61,8 @@ def curved(options: CurvedOptions) -> Answer:
     laws = [("pd", PD(stiffness=k, damping=b).compile(period)), ("pd_alpha", alpha.compile(period))]
     found = along_ways(laws, period, options.speed, options.depth)
     lines = [
-        f"{'surface':26}{'law':10}{'frame':9}{'given out':>12}{'kicks [mN]':>12}{'off a spring [mN]':>19}"
+        f"{'surface':26}{'law':10}{'frame':9}{'given out':>12}{'kicks [mN]':>12}"
+        f"{'off a spring [mN]':>19}"
     ]
     lines += [
         f"{row.surface:26}{row.law:10}{row.frame:9}{100.0 * row.given_out:10.3f}"
@@ -110,13 +111,16 @@ def curved(options: CurvedOptions) -> Answer:
 
 @style.styled
 def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[Mapping[str, Any]]) -> Path:
-    """Draw the energy along closed ways, and how a slide moves the edge, in the world's axes and in turning ones."""
+    """Plot the energy along closed paths and the shift of the limit while sliding.
+
+    Both in world axes and in turning axes.
+    """
     surfaces, frames, laws = (
         list(dict.fromkeys(getattr(row, key) for row in ways))
         for key in ("surface", "frame", "law")
     )
     figure = style.new_figure(9.4, 1.6 + 0.36 * len(surfaces))
-    # Without slides there is no edge to show.
+    # Without slides there is no limit to show.
     panels = figure.subplots(
         1, 1 + bool(edges), width_ratios=(1.4, 1.0)[: 1 + bool(edges)], squeeze=False
     )

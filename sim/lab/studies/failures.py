@@ -1,4 +1,4 @@
-"""Where methods fail: boundaries from just inside and just outside by two methods, and the theory's traps, each sprung."""
+"""Check limits of methods by two methods each, and reproduce the theory's traps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class FailuresOptions(SpreadOptions, FileOptions):
 
 
 def failures(options: FailuresOptions) -> Answer:
-    """Look at all boundaries, spring all traps."""
+    """Check all boundaries and reproduce all traps."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.failures import MARGIN, both_sides, boundaries, euler_bias, traps
     from sim.lab.paper.failures_beyond import BEYOND, BeyondEdge

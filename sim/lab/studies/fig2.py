@@ -1,4 +1,4 @@
-"""The paper's figure 2: f(ω) of single fractional terms with f(ω_N) = 1, and the paper's claims about it, judged."""
+"""Plot the paper's figure 2, f(ω) of single fractional terms, and judge its claims."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class Fig2Options(FileOptions):
 
 @styled
 def fig2(options: Fig2Options) -> Answer:
-    """Draw the figure and check the claims."""
+    """Plot the figure and check the claims."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.fig2_fig3 import claims_2, figure_2
 

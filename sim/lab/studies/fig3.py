@@ -1,4 +1,4 @@
-"""The paper's figure 3: f(ω) of its optimised two-term law beside PD, and what is claimed about it."""
+"""Plot the paper's figure 3, f(ω) of its two-term law beside PD, and judge its claims."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Fig3Options(FileOptions):
 
 @styled
 def fig3(options: Fig3Options) -> Answer:
-    """Draw the figure and check the claims."""
+    """Plot the figure and check the claims."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.fig2_fig3 import claims_3, figure_3
 

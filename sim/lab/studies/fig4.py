@@ -1,4 +1,4 @@
-"""The paper's figure 4: largest stiffness that settles in a drop over B, for PD, the paper's optimum and designed laws."""
+"""Plot the paper's figure 4, the stiffest settling drop over B, and judge its claims."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _setting(options: Fig4Options) -> Setting:
 
 
 def fig4(options: Fig4Options) -> Answer:
-    """Drop, draw, and check the claims."""
+    """Run the drops, plot, and check the claims."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.fig4 import as_json, curves_of, designs, drops, point, spread_of_conventions
     from sim.lab.paper.fig4_claims import claims_4
@@ -67,7 +67,7 @@ def fig4(options: Fig4Options) -> Answer:
     setting = _setting(options)
     ledger = begun(options, "fig4")
     first = designs(setting)
-    # A design takes as long as some hundred points; the bar moves by points.
+    # A design takes as long as some hundred points; the bar counts points.
     step = options.progress(
         len(first) + len(drops(setting, [job | {"taps": [0.0]} for job in first]))
     )
@@ -137,7 +137,7 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
         plain_log(stiffness.yaxis, *stiffness.get_ylim())
         plain_log(stiffness.xaxis, setting.gains[0], setting.gains[-1])
         frequency.set(xlabel="B  [N s/m]", ylabel="measured swing at the limit  [Hz]")
-    # Each law where it has the most curves to be named by, and what full, dashed and × are.
+    # Label each law where it has the most curves, and explain full, dashed and ×.
     for text, look in (
         ("nominal K", {"ls": "-"}),
         ("felt, H(1)", {"ls": "--", "lw": 0.9}),

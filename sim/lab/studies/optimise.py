@@ -1,4 +1,4 @@
-"""Optimise a multi-term law: the paper's steepest descent and where it fails, then linear programmes over all orders."""
+"""Optimise a multi-term law by the paper's steepest descent and by linear programmes."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -65,7 +65,7 @@ class OptimiseOptions(DeviceOptions, SpreadOptions, FileOptions):
 
 
 def optimise(options: OptimiseOptions) -> Answer:
-    """Reproduce the descent, then do better."""
+    """Reproduce the descent, then solve linear programmes."""
     if options.taps < 2 or options.terms < 1 or options.starts < options.terms:
         raise UsageError(
             "--taps must be at least 2, --terms at least 1 and --starts at least --terms"
@@ -142,8 +142,8 @@ def _row(
 
 
 def _free_row(bound: float, taps: Any, ripple: float, options: OptimiseOptions) -> dict[str, Any]:
-    # T = 2 in the programme: at the loop's own period a derivative part is 2/T times as large per N
-    # s/m.
+    # The programme has T = 2: at the loop's own period a derivative part is 2/T times as
+    # large per N s/m.
     scale = 2.0 * options.rate * options.gain
     derivative = CompiledLaw(tuple((scale * taps).tolist()))
     nyquist = float(np.dot(taps, (-1.0) ** np.arange(len(taps))))

@@ -1,4 +1,4 @@
-"""The price of not knowing: how stiff a law may be, against how well joint, hand, mass and world are known."""
+"""Compute the stiffness of a law against the uncertainty of joint, hand, mass and world."""
 
 import itertools
 import math
@@ -16,9 +16,9 @@ from sim.studies.device_options import DeviceOptions
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SweepOptions, swept
 
-# how far the numbers of the joint may be off in either direction [%]
+# relative uncertainty of the joint's parameters, in either direction [%]
 KNOWN = (0.0, 5.0, 20.0, 50.0)
-VARIED = ("share", "frequency", "loss")  # the numbers of a joint
+VARIED = ("share", "frequency", "loss")  # parameters of a joint
 WORLDS = {"any_world": "any world, this rigid device", "any_hand": "any hand and any world"}
 LAWS = "price.yaml"
 
@@ -51,17 +51,22 @@ class PriceOptions(DeviceOptions, SweepOptions, FileOptions):
         default=list(VARIED),
         nargs="+",
         choices=VARIED,
-        help="which of the joint's numbers are off by that, in every combination (default: all three)",
+        help="which of the joint's numbers are off by that, in every combination"
+        " (default: all three)",
     )
     land: bool | None = option(
         action="on_off",
-        help="only laws that land, certified for every sequence of delays; or only by poles, in seconds (default: both)",
+        help="only laws that land, certified for every sequence of delays; or only by poles,"
+        " in seconds (default: both)",
     )
     taps: int = quantity("taps", 2)
 
 
 def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Design for what is known, by poles alone, or landing too and with a certificate for every sequence of the delays."""
+    """Design for the known parameters by poles only, or also for landing and jitter.
+
+    With landing the law is certified for every sequence of the delays.
+    """
     from nodes.stability.flexible import FlexiblePlant, flexible_radius
     from sim.design.demand import CONVENTIONS, Demand
     from sim.design.families import certificate, certified, designed
@@ -107,7 +112,11 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, float], ...]:
-    """List the joints to design for: as declared, and each varied number off by the factor either way, in all combinations."""
+    """Return the joints to design for.
+
+    These are the declared joint and all combinations of each varied parameter multiplied or
+    divided by the factor.
+    """
     spread = job["spread"]
     values = [
         (
@@ -127,9 +136,10 @@ def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, 
 
 
 def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
-    """Design for any world behind this device without its joint, and for any hand and any world, which has every joint too.
+    """Design for any world, and for any hand and any world, without the device's joint.
 
-    A joint with the damping on the motor's side is a passive load of the motor, as a hand is.
+    The second covers every joint: one with its damping on the motor's side is a passive load of
+    the motor, as a hand is.
     """
     from sim.design.any_world import Surroundings
     from sim.design.any_world_families import margin_figures, stiffest_taps
@@ -151,7 +161,7 @@ def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
 
 
 def price(options: PriceOptions) -> Answer:
-    """Design for less and less that is known."""
+    """Design with less and less knowledge."""
     if not 1 <= options.taps <= 12:
         raise UsageError(
             f"--taps {options.taps}: between 1 and 12; the search is over each of them"
@@ -203,7 +213,7 @@ def price(options: PriceOptions) -> Answer:
 
 
 def _name(row: Mapping[str, Any]) -> str:
-    """Name a row's law: letters, digits, - and _."""
+    """Return the name of a row's law: letters, digits, - and _."""
     if "world" in row:
         return str(row["world"])
     known = "rigid" if row["spread"] is None else f"joint_{100.0 * (row['spread'] - 1.0):.0f}"
@@ -211,7 +221,7 @@ def _name(row: Mapping[str, Any]) -> str:
 
 
 def write_laws(path: Path, rows: Sequence[Mapping[str, Any]], period: float) -> Path | None:
-    """Write all laws under their names, as `haptic param load` takes them; None where there is none."""
+    """Write all named laws for `haptic param load`; return the path, or None if no law."""
     from nodes.parameters.yaml_io import write_yaml
 
     laws = {
@@ -261,7 +271,7 @@ def _held(hand: float) -> str:
 
 @styled
 def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Draw H(1) against what is known of the joint."""
+    """Plot H(1) against the knowledge of the joint."""
     figure = new_figure(7.0, 4.0)
     axes = figure.subplots()
     for lands, hand in sorted({(row["lands"], row["hand"]) for row in rows}):

@@ -1,4 +1,4 @@
-"""Compare proxies on shapes with closed forms: error of the force, noise, drag on closed ways, a thin plate, µs a call."""
+"""Compare proxies on analytic shapes: force error, noise, drag, thin plate, call time."""
 
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -37,7 +37,7 @@ class ProxiesOptions(SpreadOptions):
 
 
 def proxies(options: ProxiesOptions) -> Answer:
-    """Compare, and fail when a proxy changed sides."""
+    """Compare the proxies; fail if a proxy changed sides."""
     if options.depth > 0.01:
         raise UsageError(f"--depth {options.depth}: at most 0.01 m, in a sphere of 0.05 m")
     from sim.lab.proxies import PLATE, Way, compared, count, timed, wrong_sides
@@ -45,22 +45,25 @@ def proxies(options: ProxiesOptions) -> Answer:
     period, step = 1.0 / options.rate, 2.0 / options.rate
     led = (options.ticks, options.depth, options.speed, period, options.tool)
     ways = [Way(number, *led) for number in range(count(options.finest))]
-    # The finest mesh takes longest, and goes first; times are of this machine, wherever the rest
-    # was worked out.
+    # The finest mesh takes longest and runs first; times are of this machine, the rest may be
+    # computed elsewhere.
     jobs: list[partial[Any]] = [partial(compared, way, options.stiffness) for way in reversed(ways)]
     jobs.append(partial(wrong_sides, options.steps, step, options.seed, options.tool))
     *rows, (wrong, aside) = spread(options, jobs)
     found = [timed(row, way) for row, way in zip(reversed(rows), ways, strict=True)]
     lines = [
         (
-            f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy [µm] off':>24}{'drag':>10}{'µs a call':>18}"
+            f"{'':28}{'force error [mN]':>24}{'':>12}{'proxy [µm] off':>24}"
+            f"{'drag':>10}{'µs a call':>18}"
         ),
         (
-            f"{'':28}{'rms':>12}{'max':>12}{'noise':>12}{'closed form':>12}{'triangles':>12}{'':>10}{'median':>9}{'p99':>9}"
+            f"{'':28}{'rms':>12}{'max':>12}{'noise':>12}{'closed form':>12}{'triangles':>12}"
+            f"{'':>10}{'median':>9}{'p99':>9}"
         ),
     ]
     lines += [
-        f"{row.name:28}{1e3 * row.rms_n:12.4g}{1e3 * row.max_n:12.4g}{1e3 * row.noise_n:12.4g}{row.proxy_um:12.4g}"
+        f"{row.name:28}{1e3 * row.rms_n:12.4g}{1e3 * row.max_n:12.4g}{1e3 * row.noise_n:12.4g}"
+        f"{row.proxy_um:12.4g}"
         f"{'' if row.polyhedron_um is None else format(row.polyhedron_um, '.2g'):>12}"
         f"{row.drag:10.2g}{row.call_us:9.3g}{row.call_p99_us:9.3g}"
         for row in found

@@ -1,4 +1,4 @@
-"""The nearest relatives of the designed laws at equal demand: fractional solids, passive taps and two rates beside PD."""
+"""Compare designed laws with fractional solids, passive taps and two rates at one demand."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,8 +19,8 @@ from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SweepOptions, swept
 
 ORDERS = (0.3, 0.5, 0.7, 0.9, 1.0)
-RELAXATIONS = (0.5, 1.0, 2.0, 4.0)  # relaxation times that are tried, in ticks
-SERVO = 4  # ticks of the servo in one of the loop, where two rates apply
+RELAXATIONS = (0.5, 1.0, 2.0, 4.0)  # relaxation times tried [ticks]
+SERVO = 4  # servo ticks per loop tick, with two rates
 FAMILIES = (
     "pd",
     "Kelvin-Voigt",
@@ -53,7 +53,7 @@ class RelativesOptions(SweepOptions, FileOptions):
 
 
 def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Tune one family to the demand: its stiffest law, and the damping that it needs to be passive."""
+    """Tune one family to the demand; return its stiffest law and its required damping."""
     from nodes.stability.effective_damping import damping_needed
     from sim.design.demand import Demand
     from sim.design.families import best_pd, designed
@@ -78,7 +78,7 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
         tuned = _best_solid(asked, job["taps"], family)
         law, result["law"] = (None, None) if tuned is None else tuned
     elif family == "Maxwell":
-        # It bears nothing for ever: what its cut response leaks is no wall.
+        # It renders no permanent force: the leak of its truncated response is no wall.
         return result | {"h1_n_per_m": 0.0}
     else:
         one = best_pd(asked) if family == "pd" else designed(asked, 4)
@@ -87,8 +87,8 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
         return result | {"h1_n_per_m": None}
     settled = drops(law, asked)
     needed = damping_needed(law, period, delay[0])
-    # Behind a short memory H(1) is K and what its cut end leaks: felt for ever, by a law that is
-    # meant to relax.
+    # With a short memory H(1) is K plus the leak of its truncation, felt permanently by a law
+    # that should relax.
     nominal = (result["law"] or {}).get("stiffness")
     return result | {
         "h1_n_per_m": law.h1,
@@ -120,7 +120,7 @@ def _masses(ends: Sequence[float]) -> list[float]:
 
 
 def _best_solid(asked: Any, taps: int, family: str) -> tuple[Any, dict[str, Any]] | None:
-    """Tune K and B at every order and relaxation; a Kelvin and Voigt's solid has none."""
+    """Tune K and B at every order and relaxation time; a Kelvin–Voigt solid has none."""
     from sim.design.families import best_linear
 
     best: tuple[float, Any, dict[str, Any]] | None = None
@@ -154,13 +154,16 @@ def _best_solid(asked: Any, taps: int, family: str) -> tuple[Any, dict[str, Any]
 
 
 def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
-    """Tune a bare spring under a servo's damper: the stiffest that keeps the radius at every mass, and the bound on noise."""
+    """Tune a bare spring under a servo's damper to the demand.
+
+    It is the stiffest that meets the pole radius at every mass, and the bound on noise.
+    """
     import numpy as np
 
-    # The servo hands forces over at its own ticks: no sooner than the loop does.
+    # The servo applies forces at its own ticks, never before the loop does.
     late = math.ceil(job["delay"] * SERVO - 1e-9)
-    # The damper acts on every sample of the servo: what multiplies encoder noise is K + 2 B_s N/T,
-    # as |H(−1)| of the others.
+    # The damper acts on every servo sample: encoder noise is multiplied by K + 2 B_s N/T, as
+    # by |H(−1)| in the others.
     noise = 2.0 * SERVO / period
     top = min(0.5 * job["mass"][0] * SERVO / period, job["nyquist"] / noise)
     best = (0.0, 0.0)
@@ -173,7 +176,7 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
         best = max(best, *found)
         if not best[0]:
             break
-        # Finer about the best: a third of the spacing on either side.
+        # A finer grid about the best: a third of the spacing on either side.
         step = (gains[1] / gains[0]) ** 0.8
         gains = np.minimum(np.geomspace(best[1] / step, best[1] * step, 7), top)
     stiffness, damper = float(best[0]), float(best[1])
@@ -189,7 +192,10 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
 def _stiffest_spring(
     job: Mapping[str, Any], period: float, damper: float, late: int, most: float
 ) -> float:
-    """Return the stiffest spring up to `most` [N/m] that keeps the radius beside a servo's damper; 0 where none does."""
+    """Return the stiffest spring up to `most` [N/m] that meets the radius; 0 if none does.
+
+    It acts beside a servo's damper.
+    """
     import numpy as np
 
     from nodes.stability.two_rate import TwoRate, two_rate_radius
@@ -205,7 +211,7 @@ def _stiffest_spring(
     low, high = 20.0, min(most, 4.0 * job["mass"][0] / period**2)
     if high <= low:
         return 0.0
-    # Too soft a spring creeps home, too stiff a one rings: in between it keeps the radius, or
+    # Too soft a spring creeps home, too stiff a one rings; the radius is met in between or
     # nowhere.
     grid = np.geomspace(low, high, 60).tolist()
     kept = [i for i, stiffness in enumerate(grid) if keeps(stiffness)]
@@ -221,7 +227,7 @@ def _stiffest_spring(
 
 
 def relatives(options: RelativesOptions) -> Answer:
-    """Tune every family, and compare."""
+    """Tune every family and compare them."""
     if not 2 <= options.taps <= 32:
         raise UsageError(f"--taps {options.taps}: between 2 and 32")
     if not (options.mass[0] > 0.0 and options.damping > 0.0):
@@ -284,7 +290,7 @@ def _line(row: Mapping[str, Any]) -> str:
 
 @styled
 def draw(path: Path, demand: str, damping: float, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Draw how stiff each family gets, and the damping with which it is passive."""
+    """Plot the stiffness of each family and its required damping for passivity."""
     figure = new_figure(8.6, 1.6 + 0.32 * len(rows))
     figure.suptitle(demand, fontsize=8.5, x=0.01, ha="left")
     stiffness, passive = figure.subplots(1, 2, sharey=True)

@@ -1,4 +1,4 @@
-"""Measure the sections of sim/RESULTS.md, and write the page with machine, load and commit."""
+"""Measure the sections of sim/RESULTS.md; write the page with machine, load and commit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ResultsOptions(Options):
 
 
 def results(options: ResultsOptions) -> Answer:
-    """Measure what is asked for, write the page, and name the sections that failed."""
+    """Measure the requested sections, write the page, and report failed sections."""
     from sim.lab.result_page import (
         PAGE,
         SECTIONS,

@@ -1,4 +1,4 @@
-"""Tune many random devices from end to end, inside the model and outside: whether anything unstable is delivered."""
+"""Tune many random devices end to end and check that no unstable law is delivered."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,8 @@ class TunedOptions(SweepOptions, FileOptions):
     land: bool = option(
         default=True,
         action="on_off",
-        help="demand that every drop settles too; without it a device takes seconds in place of a minute",
+        help="demand that every drop settles too; without it a device takes seconds in place"
+        " of a minute",
     )
     refuted: bool = option(
         action="store_true",
@@ -68,7 +69,7 @@ def tuned(options: TunedOptions) -> Answer:
 
 
 def held(found: Mapping[str, Any]) -> bool:
-    """Tell whether no law was delivered unstable, and each edge and each interval that was told is true."""
+    """Return whether no unstable law was delivered and all reported limits are true."""
     missed = (
         found["edges"]
         - found["edges_within_5_percent"]
@@ -106,7 +107,7 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[s
 
 
 def _outcome(row: Mapping[str, Any]) -> str:
-    """Show the edge that was told: one figure, or the interval."""
+    """Return the reported limit: a value or an interval."""
     if row["edge_n_per_m"]:
         return f"{row['edge_n_per_m']:.0f}"
     ends = row["edge_between_n_per_m"]
@@ -119,7 +120,7 @@ def _shown(value: float | None) -> str:
 
 @styled
 def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Draw the edge that was told over the true one, and how far each law is from it."""
+    """Plot the reported limit over the true one, and each law's distance from it."""
     figure = new_figure(6.8, 5.4)
     told, radius = figure.subplots(2, 1, sharex=True)
     tried = [row for row in rows if row["holds"] is not None and row["true_edge_n_per_m"]]

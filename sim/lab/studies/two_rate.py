@@ -1,4 +1,4 @@
-"""How stiff a wall gets when the device's own servo damps it faster than the loop runs."""
+"""Compute how stiff a wall can be if the device's servo damps it at a higher rate."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -80,7 +80,7 @@ def two_rate(options: TwoRateOptions) -> Answer:
 
 @styled
 def draw(path: Path, title: str, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Draw the largest stiffness over the servo's rate."""
+    """Plot the largest stiffness over the servo's rate."""
     figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(
         xlabel="rate of the servo  [Hz]",
