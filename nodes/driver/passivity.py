@@ -189,7 +189,7 @@ def count_step(s: DriverState) -> None:
 def settle(s: DriverState, account: int, force: float) -> float:
     """Discard credit that cannot be stored at a force; a partner may generate as much."""
     before = s.guard_energy[account]
-    if s.guard_bounded != 0:  # noqa: SIM108  # numba needs None as a separate type
+    if s.guard_bounded != 0:  # numba needs None as a separate type
         kept = forget(before, force, s.guard_stiffness)
     else:
         kept = forget(before, force, None)

@@ -8,10 +8,12 @@ without hardware. The kernel enforces limits of memory and processor time on a s
 from __future__ import annotations
 
 import copy
+import os
 import re
 import resource
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -173,7 +175,9 @@ def bounded() -> None:
     )
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR, PROCESSOR))
-    try_all()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)  # a node's run directory is the current one
+        try_all()
 
 
 @pytest.mark.process
