@@ -139,6 +139,7 @@ def test_a_node_that_reports_no_status_has_the_last_one(context: Context) -> Non
 def test_times_of_a_device_that_are_none_are_told_with_their_node(context: Context) -> None:
     with odd_node(context, device={"opening_s": "soon"}) as setup:
         supervisor = Supervisor(launch_file.read("floor_drop", {}), lambda _: None)
+        supervisor.context.term()
         supervisor.context = context
         with pytest.raises(
             LaunchFailedError, match=r"driver: answers device with {'opening_s': 'soon'}"

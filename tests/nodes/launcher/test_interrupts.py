@@ -23,6 +23,7 @@ def test_a_node_that_fails_is_no_user_who_asks(capsys: pytest.CaptureFixture[str
     assert supervisor._stop_asked == "driver: ended with exit code 1"
     supervisor.interrupt("SIGINT")
     assert supervisor._hurry
+    supervisor.context.term()
 
 
 @pytest.mark.parametrize("when", ["before", "after"])

@@ -26,9 +26,9 @@ from tests.support.launching import typed_in
         ),
         ("axis: z", "axis: w", "environment.surface.axis: expected one of x, y, z, got 'w'"),
         (
-            "apply: $(var apply)",
+            "apply: on_arrival",
             "apply: later",
-            "run.apply: expected one of next_tick, on_arrival, got 'later'",
+            "arguments.apply: 'later', expected one of on_arrival, next_tick (the default of apply)",
         ),
         (
             "    kind: sim_driver",

@@ -389,7 +389,7 @@ def test_a_force_that_stays_on_an_arm_fails_the_drill(monkeypatch: pytest.Monkey
 
     def strike(rig: Rig) -> None:
         # Nobody unplugs it: the wall goes on pushing.
-        monkeypatch.setattr(devices, "PATIENCE", 0.2)
+        monkeypatch.setattr(devices, "FORCE_TIMEOUT", 0.2)
         stand.force_ends()
         assert rig.states
 
