@@ -86,6 +86,7 @@ class Supervisor:
     def supervise(self, progress: Callable[[Supervisor], None] | None = None) -> None:
         """Run the launch from start to end."""
         with contextlib.ExitStack() as held:
+            held.callback(self.context.term)  # also where no run directory can be made
             if self._launch.run.stays_awake and (refused := held.enter_context(realtime.awake())):
                 self._say(refused)
             self._supervise(progress, held)
@@ -153,7 +154,6 @@ class Supervisor:
             self._note_load()
             for child in self.children.values():
                 child.release()
-            self.context.term()
             shutil.rmtree(run_dir, ignore_errors=True)
             if self._reaper is not None:
                 self._reaper.dismiss()

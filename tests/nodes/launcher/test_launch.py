@@ -190,7 +190,7 @@ def test_launch_files_are_checked_completely(
             "kind: cone",
             "environment.surface.kind: 'cone' is not an installed surface",
         ),
-        "rate: $(var rate)": ("rate: $(var speed)", "$(var speed) is not an argument"),
+        "mass: $(var mass)": ("mass: $(var speed)", "$(var speed) is not an argument"),
         "required: false": (
             "requird: false",
             "nodes.logger.requird: no such parameter; available: kind, ",
