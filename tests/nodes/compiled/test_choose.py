@@ -123,6 +123,7 @@ def test_a_change_of_what_builds_and_keeps_kernels_compiles_none() -> None:
     assert used == {
         "nodes/__init__.py",
         "nodes/compiled/__init__.py",
+        "nodes/compiled/lean_numba.py",
         "nodes/compiled/machine_code.py",
     }
     for module in KERNELS:
