@@ -6,11 +6,14 @@ leaves the machine code as it is; together they save a third of the time.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
+
+TRIED: Final = ((0, 68),)  # versions of numba whose kernels compile alike with it and without
 
 
 def make_lean() -> None:
     """Change numba in this process: no counting of references, and nothing computed twice."""
+    import numba
     from numba.core import ir, targetconfig, typed_passes, types
     from numba.core.cpu import CPUContext
     from numba.core.runtime.context import NRTContext
@@ -26,6 +29,9 @@ def make_lean() -> None:
 
     # A kernel's memory belongs to Python, which holds it: there is nothing to count.
     counts.incref = counts.decref = lambda *_: None
+    # The rest only saves time, and changes internals: not in a version it was not tried with.
+    if numba.version_info.short not in TRIED:
+        return
 
     # Registries are complete after the first function; what is imported later is still refreshed.
     load, loaded = context.load_additional_registries, set[int]()

@@ -149,7 +149,7 @@ def test_the_command_line_beside_a_running_loop(
         assert "nan is not a finite number" in err
         for words, told in (
             (("param", "set", "coupling", "ramp"), "'ramp' has no value"),
-            (("param", "set", "coupling", "ramp", "1", "ramp", "2"), "ramp stands twice"),
+            (("param", "set", "coupling", "ramp", "1", "ramp", "2"), "ramp is given twice"),
             (("param", "set", "coupling", "ramp", "[1"), "not valid YAML"),
             (("param", "get", "copling", "ramp"), "did you mean coupling?"),
             (("param", "load", "coupling", "nix.yaml"), "No such file"),

@@ -28,7 +28,7 @@ from tests.support.launching import typed_in
         (
             "apply: on_arrival",
             "apply: later",
-            "arguments.apply: 'later', expected one of on_arrival, next_tick (the default of apply)",
+            "arguments.apply: 'later', expected one of on_arrival, next_tick (the default of ",
         ),
         (
             "    kind: sim_driver",
