@@ -120,7 +120,6 @@ def test_a_missing_library_is_told_with_what_to_do() -> None:
         connected("libHD.so.none")
 
 
-@pytest.mark.process
 @needs_cc
 def test_a_missing_device_and_a_wrong_library_are_told(fake: Bench, tmp_path: Path) -> None:
     with pytest.raises(
