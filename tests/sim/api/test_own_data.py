@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import haptic
 import numpy as np
@@ -49,7 +50,10 @@ def csv(rig: Rig, tmp_path: Path) -> Path:
     return path
 
 
-CHOSEN = {"columns": {"position": "stage", "force": "load"}, "units": {"position": "mm"}}
+CHOSEN: dict[str, Any] = {
+    "columns": {"position": "stage", "force": "load"},
+    "units": {"position": "mm"},
+}
 
 
 def test_arrays_and_their_file_give_the_same_true_device(rig: Rig, csv: Path) -> None:
