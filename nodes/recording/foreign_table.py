@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.nearest import did_you_mean
+from nodes.recording.mcap_walk import TABLES, TEXT_TABLES
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 LARGEST = 1 << 30  # largest file, unpacked, that is read [bytes]
 _TICKS = "ticks"  # table of our own exports with one row per tick
-_TEXTS = (".csv", ".tsv", ".txt", ".dat")
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 _HEADER_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")
 
@@ -126,12 +126,12 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
     suffix = path.suffix.lower()
     if suffix == ".mcap":
         raise RecordError(f"{path}: is an MCAP file already; open it with: haptic bag info {path}")
-    if suffix in _TEXTS:
+    if suffix in TEXT_TABLES:
         reader: Callable[[Path], ForeignTable] = lambda file: _read_text(file, decimal_comma)  # noqa: E731
     elif suffix in _READERS:
         reader = _READERS[suffix]
     else:
-        known = ", ".join((*_TEXTS, *_READERS))
+        known = ", ".join(TABLES)
         raise RecordError(f"{path}: the suffix {suffix!r} is no table read here; read are {known}")
     try:
         if path.stat().st_size > LARGEST:

@@ -1,4 +1,4 @@
-"""Data of other programs in Python: tables read as recordings, arrays identified as a device."""
+"""Read tables of other programs as recordings; identify the device of arrays."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def as_recording(
     ignore_times: bool = False,
     decimal_comma: bool = False,
 ) -> Iterator[Path]:
-    """Return the path of a recording of a file's data: its own, or of a table imported meanwhile.
+    """Yield the path of a recording: the file, or a table imported meanwhile.
 
     Parameters
     ----------

@@ -310,6 +310,8 @@ def test_every_verb_reads_an_imported_recording(tmp_path: Path) -> None:
     assert "already exists" in typed_in(tmp_path, *words, code=2).stderr
     run = tmp_path / "rig.mcap"
     assert figures["recording"] == run.name
+    unread = typed_in(tmp_path, "bag", "info", "rig.csv", code=1)
+    assert "haptic bag import rig.csv" in unread.stderr
     assert "imported  rig.csv" in typed_in(tmp_path, "bag", "info", "rig.mcap").stdout
     assert Recording(run).manifest["imported_columns"].count("mm") == 1
     assert summarise(Recording(run)).rate_hz == pytest.approx(1000.0, rel=1e-12)
