@@ -137,8 +137,13 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         if path.stat().st_size > LARGEST:
             raise RecordError(f"{path}: larger than {LARGEST >> 20} MiB; import it in parts")
         found = reader(path)
+    except RecordError:
+        raise
     except OSError as error:
         raise RecordError(f"{path}: {error.strerror or error}") from error
+    # The libraries of these formats raise many kinds for a damaged file.
+    except Exception as error:
+        raise RecordError(f"{path}: cannot be read as {suffix[1:].upper()}: {error}") from error
     if not found.columns or not max(len(column) for column in found.columns.values()):
         raise RecordError(f"{path}: no column with a row")
     return found
@@ -321,9 +326,6 @@ def _read_mat(path: Path) -> ForeignTable:
         raise RecordError(
             f"{path}: is a MAT file of version 7.3 (HDF5); save it with -v7: {error}"
         ) from error
-    # scipy raises many kinds for a damaged file.
-    except Exception as error:
-        raise RecordError(f"{path}: cannot be read as MAT: {error}") from error
     return _from_arrays(path, dict(_flattened(found)))
 
 

@@ -273,6 +273,14 @@ def test_what_is_no_table_is_refused(tmp_path: Path, name: str) -> None:
     path.write_bytes(b"hello")
     with pytest.raises(RecordError, match="rig"):
         import_table(path, tmp_path / "out.mcap")
+    if name == "rig.npz":
+        np.savez(path, x=POSITION)
+        # A newer ZIP than Python's: NotImplementedError of zipfile.
+        data = path.read_bytes()
+        at = data.rindex(b"PK\1\2") + 6
+        path.write_bytes(data[:at] + b"\xb3" + data[at + 1 :])
+        with pytest.raises(RecordError, match="cannot be read as NPZ"):
+            import_table(path, tmp_path / "out.mcap")
     np.savez(tmp_path / "pickled.npz", x=np.array([{}], dtype=object))
     with pytest.raises(RecordError, match="plain arrays"):
         import_table(tmp_path / "pickled.npz", tmp_path / "out.mcap")
