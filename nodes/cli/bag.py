@@ -13,13 +13,14 @@ from datetime import datetime
 from pathlib import Path
 
 from messages.errors import UsageError
+from nodes.cli.bag_import import add_import, run_import
 from nodes.cli.main import add_json, add_run_name, answer, complain, heeding
 from nodes.parameters.quantities import above_zero, not_negative
 from nodes.recording.accounts import ClockRecord, Completeness, clocks, completeness
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 
-OWN = ("record", "info", "play", "cut", "filter", "recover", "export", "plot")
+OWN = ("record", "info", "play", "cut", "filter", "recover", "export", "import", "plot")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -70,6 +71,11 @@ def add(parser: argparse.ArgumentParser) -> None:
             " parquet: ticks only; ros2: a directory for ros2 bag play; foxglove: the"
             " recording with its scene in 3D (default: from the suffix of --out)"
         ),
+    )
+    add_import(
+        declare(
+            "import", run_import, "Write a table of another program (CSV, NPZ, …) as a recording."
+        )
     )
     plot = declare(
         "plot",
@@ -276,7 +282,7 @@ def _info_text(
     with contextlib.suppress(KeyError, ValueError, OverflowError):
         begin = recording.first_log + float(facts["wall_minus_monotonic_s"])
         facts["started"] = datetime.fromtimestamp(begin).astimezone().isoformat(" ", "seconds")
-    for name in ("scenario", "run", "started", "host", "pace", "rate_hz"):
+    for name in ("scenario", "run", "imported", "started", "host", "pace", "rate_hz"):
         if name in facts:
             lines.append(f"  {name:9} {facts[name]}")
     lines.append(

@@ -20,6 +20,9 @@ import zstandard
 from nodes.recording.writer import RecordError
 
 MAGIC = b"\x89MCAP0\r\n"
+# Suffixes of the tables that ``haptic bag import`` reads.
+TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")
+TABLES = (*TEXT_TABLES, ".npz", ".mat", ".parquet")
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = (
     0x02,
     0x03,
@@ -268,7 +271,9 @@ def walk(path: Path) -> Iterator[Record]:
         start = stream.read(len(MAGIC))
         if start != MAGIC:
             what = "is empty" if not start else f"starts with {start!r}"
-            raise RecordError(f"{path}: {what}, so it is no MCAP recording ({size} bytes)")
+            table = path.suffix.lower() in TABLES
+            hint = f"; make one of the table with: haptic bag import {path}" if table else ""
+            raise RecordError(f"{path}: {what}, so it is no MCAP recording ({size} bytes){hint}")
         # If the end magic is there, the writer finished the file: an error is damage, not a cut.
         stream.seek(max(size - len(MAGIC), len(MAGIC)))
         ended = stream.read() == MAGIC

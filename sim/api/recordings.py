@@ -57,13 +57,17 @@ class Recorded(Result):
         return figure
 
 
-def read(recording: str | Path) -> Recorded:
-    """Read a recording.
+def read(recording: str | Path, **options: Any) -> Recorded:
+    """Read a recording, or a table of another program.
 
     Parameters
     ----------
     recording : str or Path
-        MCAP file of a launch.
+        MCAP file of a launch, or a CSV, NPZ, MAT or Parquet file.
+    **options : object
+        Of a table: ``columns={"position": "x", "force": "F", "time": "t"}``, ``units={"position":
+        "mm"}``, ``rate`` [Hz], ``axis``, ``ignore_times``, ``decimal_comma``; ``haptic bag import
+        --help`` explains them.
 
     Returns
     -------
@@ -85,16 +89,18 @@ def read(recording: str | Path) -> Recorded:
     """
     from nodes.recording import table
     from nodes.recording.reader import Recording
+    from sim.api.own_data import as_recording
 
-    found = Recording(recording)
-    return Recorded(
-        Path(recording),
-        found.manifest.get("scenario", ""),
-        found.duration,
-        {topic: figures.messages for topic, figures in found.topics.items()},
-        found.complete,
-        table.read(recording),
-    )
+    with as_recording(recording, **options) as path:
+        found = Recording(path)
+        return Recorded(
+            Path(recording),
+            found.manifest.get("scenario", ""),
+            found.duration,
+            {topic: figures.messages for topic, figures in found.topics.items()},
+            found.complete,
+            table.read(path),
+        )
 
 
 @dataclass(frozen=True, repr=False)

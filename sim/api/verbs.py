@@ -6,9 +6,11 @@ They run in this process: interrupting the cell stops them, and the files alread
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from messages.errors import UsageError
 from nodes.parameters.installed import points
 from nodes.parameters.options import options_of
 from nodes.parameters.refusals import choices
@@ -17,6 +19,8 @@ from sim.api.progress import bars_of
 from sim.api.python_runs import LaunchError
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from sim.studies.result import StudyResult
     from sim.tune.tune import TuneResult
 
@@ -156,15 +160,27 @@ def design(**options: Any) -> StudyResult:
     return _called("study.design", (), options)
 
 
-def identify(recording: str | Path, **options: Any) -> StudyResult:
-    """Identify the device of a recording: ``haptic study identify``.
+def identify(
+    recording: str | Path | None = None,
+    *,
+    position: ArrayLike | None = None,
+    force: ArrayLike | None = None,
+    **options: Any,
+) -> StudyResult:
+    """Identify the device of a recording, of a table or of arrays: ``haptic study identify``.
 
     Parameters
     ----------
-    recording : str or Path
-        Recording of a launch, preferably of the scenario ``identify``.
+    recording : str or Path, optional
+        Recording of a launch, preferably of the scenario ``identify``; or a table, see
+        `haptic.read`.
+    position : array_like, shape (N,) or (N, 3), optional
+        In place of a recording: position sampled at each tick [m].
+    force : array_like, shape (N,) or (N, 3), optional
+        Force handed over for each tick, held until the next [N].
     **options : object
-        The verb's options.
+        The verb's options: ``axis``, ``held``, ``window``; of arrays also ``rate`` [Hz], which
+        they need, and ``delay`` [ticks]; of a table those of `haptic.read`.
 
     Returns
     -------
@@ -179,8 +195,21 @@ def identify(recording: str | Path, **options: Any) -> StudyResult:
     Examples
     --------
     >>> identify("identify.mcap")["mass_kg"]  # doctest: +SKIP
+    >>> identify(position=x, force=f, rate=1000)["mass_kg"]  # doctest: +SKIP
     """
-    return _called("study.identify", (recording,), options)
+    from sim.api.own_data import IMPORT_OPTIONS, as_recording, identify_arrays
+
+    if recording is None:
+        if position is None or force is None or "rate" not in options:
+            raise UsageError("identify: needs a recording, or position, force and rate")
+        return identify_arrays(position, force, **options)
+    if position is not None or force is not None:
+        raise UsageError("identify: a recording, or position and force; not both")
+    of_table = {name: options.pop(name) for name in IMPORT_OPTIONS if name in options}
+    with as_recording(recording, axis=options.get("axis"), **of_table) as path:
+        found: Any = _called("study.identify", (path,), options)
+    named: StudyResult = replace(found, recording=Path(recording))
+    return named
 
 
 def tune(

@@ -1,0 +1,488 @@
+"""Choose position, force and time among the columns of a foreign table, in SI units.
+
+Units are those of the file or of the caller; nothing is converted without one of them. Values that
+make no sense in SI units are refused, with the unit that was probably meant.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from nodes.parameters.nearest import did_you_mean
+from nodes.recording.facts import FASTEST, SLOWEST
+from nodes.recording.foreign_table import ForeignTable
+from nodes.recording.writer import RecordError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    Array = np.ndarray[Any, np.dtype[np.float64]]
+
+ROLES = ("position", "force", "time")
+UNITS: dict[str, dict[str, float]] = {
+    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+"""SI value of each unit that is known by name, by role."""
+
+LARGEST_SPAN = 2.0  # span of positions beyond which another unit was probably meant [m]
+LARGEST_FORCE = 1000.0  # force beyond which another unit was probably meant [N]
+UNEVEN = 0.25  # tolerated distance of a stamp from its tick [ticks]
+RATE_TOLERANCE = 0.01  # tolerated difference between a given rate and that of the stamps
+
+SLOWEST_USUAL = 20.0  # rate below which another unit of time was probably meant [Hz]
+ROUNDING = 1e-9  # a period this near to one of six digits is that one [share]
+
+OWN_COLUMNS = ("seq", "stamp", "position_x", "force_x", "mean_force_x", "changed_at", "force_seq")
+"""Columns by which a table of our own exports is recognised."""
+
+_WHOLE = {
+    "position": ("position", "pos", "displacement"),
+    "force": ("force", "f"),
+    "time": ("time", "t", "stamp", "timestamp"),
+}
+_PARTS = {"position": ("position", "pos", "p", ""), "force": ("force", "f")}
+
+
+@dataclass(frozen=True)
+class ImportedSamples:
+    """Samples of a device, of one to three axes, in SI units.
+
+    Attributes
+    ----------
+    period : float
+        Sampling period [s].
+    seq : numpy.ndarray
+        Tick of each sample, ascending from the first, shape (N,).
+    stamp : numpy.ndarray
+        Time of each sample [s], shape (N,).
+    position : numpy.ndarray
+        Positions, zero on other axes [m], shape (N, 3).
+    force : numpy.ndarray or None
+        Force handed over at each sample, held until the next [N], shape (N, 3); None without one.
+    axes : str
+        Axes that the file has, of ``xyz``.
+    sources : dict of str to str
+        Which columns and factors each quantity was read from, for a person.
+    """
+
+    period: float
+    seq: np.ndarray[Any, np.dtype[np.int64]]
+    stamp: Array
+    position: Array
+    force: Array | None
+    axes: str
+    sources: dict[str, str]
+
+
+def samples_of(
+    table: ForeignTable,
+    *,
+    columns: Mapping[str, Sequence[str]] | None = None,
+    units: Mapping[str, str] | None = None,
+    rate: float | None = None,
+    axis: str | None = None,
+    ignore_times: bool = False,
+) -> ImportedSamples:
+    """Return the samples in a table.
+
+    Parameters
+    ----------
+    table : ForeignTable
+        Columns of a file.
+    columns : mapping of str to sequence of str, optional
+        Columns of ``position`` and ``force``, one or three of each, and of ``time``; without it,
+        columns of the usual names.
+    units : mapping of str to str, optional
+        Unit of ``position``, ``force`` and ``time``: a name, or its value in SI as a number.
+    rate : float, optional
+        Sampling rate [Hz]; needed without a column of times.
+    axis : str, optional
+        Axis of a single column of positions; by default the one its name says, else ``x``.
+    ignore_times : bool
+        Whether each row is a tick at `rate`, whatever a column of times says.
+
+    Returns
+    -------
+    ImportedSamples
+        The samples, in SI units.
+
+    Raises
+    ------
+    RecordError
+        If a column is missing or ambiguous, values are missing, or times are uneven; the text says
+        what was probably meant.
+    """
+    import numpy as np
+
+    chosen = _checked_columns(table, columns or {})
+    given = _checked_units(table, units or {})
+    where = chosen.get("position") or _vector(table, "position", "x")
+    if not where:
+        raise RecordError(
+            f"{table.path}: which column is the position? There are"
+            f" {', '.join(table.columns)}; choose with --columns position=NAME, or"
+            " position=X:Y:Z for three axes"
+        )
+    if len(where) == 1:
+        where = {axis or next(iter(where)) or "x": next(iter(where.values()))}
+    pushed = chosen.get("force") or _vector(table, "force", "")
+    if len(pushed) == len(where) == 1:
+        pushed = dict(zip(where, pushed.values(), strict=True))
+    if set(pushed) - set(where):
+        raise RecordError(
+            f"{table.path}: the force is {', '.join(pushed.values())}, the position"
+            f" {', '.join(where.values())}; name the same axes of both:"
+            " --columns position=X:Y:Z,force=FX:FY:FZ"
+        )
+    sources: dict[str, str] = {}
+    own = is_own(table)
+    position = _filled(table, "position", where, given, sources)
+    force = _filled(table, "force", pushed, given, sources) if pushed else None
+    refuse_unlikely(table, position, force, given)
+    name = next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
+    if name is None or ignore_times:
+        if rate is None and ignore_times:
+            raise RecordError(f"{table.path}: without its times the rate is needed: --rate HZ")
+        if rate is None:
+            raise RecordError(
+                f"{table.path}: no column of times among {', '.join(table.columns)}; say the rate"
+                " with --rate HZ, or the column with --columns time=NAME"
+            )
+        _refuse_rate(table, rate)
+        period, seq = 1.0 / rate, np.arange(len(position))
+        stamp = np.multiply(seq, period, dtype=np.float64)
+        sources["time"] = f"rows at {rate:g} Hz"
+    else:
+        if own:
+            name = "stamp"
+        period, seq, stamp = _ticks(table, name, rate, given, sources)
+        if len(seq) != len(position):
+            raise RecordError(
+                f"{table.path}: {len(seq)} times in {name!r} and {len(position)} positions"
+            )
+    return ImportedSamples(period, seq, stamp, position, force, "".join(sorted(where)), sources)
+
+
+def is_own(table: ForeignTable) -> bool:
+    """Whether a table was written by ``haptic bag export``."""
+    return set(OWN_COLUMNS) <= set(table.columns)
+
+
+def _checked_columns(
+    table: ForeignTable, columns: Mapping[str, Sequence[str]]
+) -> dict[str, dict[str, str]]:
+    """Return the chosen columns by role and axis."""
+    found: dict[str, dict[str, str]] = {}
+    for role, names in columns.items():
+        if role not in ROLES:
+            raise RecordError(
+                f"columns: {role!r} is none of {', '.join(ROLES)}{did_you_mean(role, ROLES)}"
+            )
+        if len(names) not in ((1,) if role == "time" else (1, 3)):
+            raise RecordError(
+                f"columns: {role} has {len(names)} columns, expected one"
+                + ("" if role == "time" else " or three, as X:Y:Z")
+            )
+        for name in names:
+            table.numbers(name)
+        found[role] = dict(zip("xyz" if len(names) == 3 else ("",), names, strict=True))
+    return found
+
+
+def _checked_units(table: ForeignTable, units: Mapping[str, str]) -> dict[str, tuple[str, float]]:
+    """Return the given units by role: text and value in SI."""
+    found = {}
+    for role, text in units.items():
+        if role not in ROLES:
+            raise RecordError(
+                f"units: {role!r} is none of {', '.join(ROLES)}{did_you_mean(role, ROLES)}"
+            )
+        factor = factor_of(role, text)
+        if factor is None:
+            known = ", ".join(UNITS[role])
+            raise RecordError(
+                f"{table.path}: units: {role} in {text!r}; known are {known}, or a number: the"
+                f" value of 1 in {next(iter(UNITS[role]))}"
+            )
+        found[role] = (text, factor)
+    return found
+
+
+def factor_of(role: str, text: str) -> float | None:
+    """Return the SI value of a unit, given by name or as a number; None if it is neither."""
+    plain = text.strip().replace("µ", "u").replace("μ", "u")
+    if plain in UNITS[role]:
+        return UNITS[role][plain]
+    try:
+        value = float(plain)
+    except ValueError:
+        return None
+    return value if 0.0 < value < math.inf else None
+
+
+def _plain(name: str) -> str:
+    """Return a column's name without its unit, in lower case."""
+    stem, _, unit = name.rpartition("_")
+    if stem and any(unit.replace("µ", "u") in known for known in UNITS.values()):
+        name = stem
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
+def _suffix_unit(role: str, name: str) -> str:
+    stem, _, unit = name.rpartition("_")
+    return unit if stem and unit.replace("µ", "u") in UNITS[role] else ""
+
+
+def _one(table: ForeignTable, role: str, names: list[str]) -> str | None:
+    if len(names) > 1:
+        raise RecordError(
+            f"{table.path}: several columns may be the {role}: {', '.join(names)}; choose with"
+            f" --columns {role}={names[0]}"
+        )
+    return names[0] if names else None
+
+
+def _vector(table: ForeignTable, role: str, axis: str) -> dict[str, str]:
+    """Return the columns of a vector by axis, found by their names."""
+    plain = {name: _plain(name) for name in table.columns}
+    whole = [name for name in plain if plain[name] in _WHOLE[role]]
+    found: dict[str, str] = {}
+    for part in "xyz":
+        wanted = {f"{base}{dash}{part}" for base in _PARTS[role] for dash in ("_", "") if base}
+        wanted |= {part} if "" in _PARTS[role] else set()
+        candidates = [name for name in plain if plain[name] in wanted]
+        one = _one(table, role, candidates + whole if candidates else [])
+        found |= {part: one} if one is not None else {}
+    one = None if found else _one(table, role, whole)
+    return {axis: one} if one is not None else found
+
+
+def _time_column(table: ForeignTable) -> str | None:
+    plain = {name: _plain(name) for name in table.columns}
+    for wanted in _WHOLE["time"]:
+        one = _one(table, "time", [name for name in plain if plain[name] == wanted])
+        if one is not None:
+            return one
+    return None
+
+
+def _factor(
+    table: ForeignTable, role: str, name: str, given: Mapping[str, tuple[str, float]]
+) -> tuple[float, str]:
+    """Return the SI value of a column's unit, and where the unit comes from."""
+    own = table.units.get(name, "") or _suffix_unit(role, name)
+    named = factor_of(role, own) if own else None
+    if role in given:
+        text, factor = given[role]
+        if named is not None and not math.isclose(named, factor):
+            raise RecordError(
+                f"{table.path}: column {name!r} says [{own}], --units {role}={text}; which one is"
+                " it? Rename the column, or leave the option out"
+            )
+        return factor, f"{name} in {text}"
+    if own and named is None:
+        known = ", ".join(UNITS[role])
+        raise RecordError(
+            f"{table.path}: column {name!r} is in [{own}], which is unknown here for {role}; known"
+            f" are {known}; give its value in {next(iter(UNITS[role]))} with --units {role}=NUMBER"
+        )
+    if named is not None:
+        return named, f"{name} in {own}"
+    return 1.0, f"{name} in {next(iter(UNITS[role]))}"
+
+
+def _filled(
+    table: ForeignTable,
+    role: str,
+    where: Mapping[str, str],
+    given: Mapping[str, tuple[str, float]],
+    sources: dict[str, str],
+) -> Array:
+    """Return the vectors of a role in SI units, shape (N, 3)."""
+    import numpy as np
+
+    lengths = {name: len(table.numbers(name)) for name in where.values()}
+    if len(set(lengths.values())) > 1:
+        raise RecordError(f"{table.path}: columns of different lengths: {lengths}")
+    found = np.zeros((next(iter(lengths.values())), 3))
+    told = []
+    for part, name in where.items():
+        factor, source = _factor(table, role, name, given)
+        values = table.numbers(name).astype(np.float64)
+        if (bad := np.flatnonzero(~np.isfinite(values))).size and not (
+            role == "force" and (is_own(table) or bad.tolist() == [len(values) - 1])
+        ):
+            raise RecordError(
+                f"{table.path}: {table.place(int(bad[0]))}, column {name!r}: no number"
+                f" ({bad.size} such rows of {len(values)}); remove these rows: with a column of"
+                " times they are read as gaps"
+            )
+        found[:, "xyz".index(part)] = values * factor
+        told.append(source)
+    sources[role] = ", ".join(told)
+    return found
+
+
+def refuse_unlikely(
+    table: ForeignTable,
+    position: Array,
+    force: Array | None,
+    given: Mapping[str, tuple[str, float]] | None = None,
+) -> None:
+    """Raise RecordError for values that no device reaches, unless their unit was given.
+
+    Parameters
+    ----------
+    table : ForeignTable
+        Where they are from, for the text.
+    position : numpy.ndarray
+        Positions [m].
+    force : numpy.ndarray or None
+        Forces [N].
+    given : mapping, optional
+        Units that were given, by role.
+    """
+    given = given or {}
+    import numpy as np
+
+    if len(position) < 2:
+        raise RecordError(f"{table.path}: {len(position)} rows; at least 2 are needed")
+    span = float(np.ptp(position, axis=0).max())
+    if span > LARGEST_SPAN and "position" not in given:
+        meant = "mm" if span < 1e3 * LARGEST_SPAN else "um"
+        raise RecordError(
+            f"{table.path}: the positions span {span:.4g} m; are they in {meant}"
+            f" ({span * UNITS['position'][meant]:.3g} m)? Say so with --units position={meant}, or"
+            " position=m if they are metres"
+        )
+    if force is not None and "force" not in given:
+        largest = float(np.nanmax(np.abs(force)))
+        if largest > LARGEST_FORCE:
+            raise RecordError(
+                f"{table.path}: the largest force is {largest:.4g} N; is it in mN"
+                f" ({largest * 1e-3:.3g} N)? Say so with --units force=mN, or force=N if it is"
+                " newtons"
+            )
+
+
+def _refuse_rate(table: ForeignTable, rate: float) -> None:
+    if not SLOWEST <= rate <= FASTEST:
+        raise RecordError(
+            f"{table.path}: a rate of {rate:g} Hz; expected {SLOWEST:g} to {FASTEST:g} Hz"
+        )
+
+
+def _ticks(
+    table: ForeignTable,
+    name: str,
+    rate: float | None,
+    given: Mapping[str, tuple[str, float]],
+    sources: dict[str, str],
+) -> tuple[float, Any, Array]:
+    """Return the period, and tick and time of each row, from a column of times."""
+    import numpy as np
+
+    raw = table.numbers(name)
+    if (bad := np.flatnonzero(~np.isfinite(raw))).size:
+        raise RecordError(
+            f"{table.path}: {table.place(int(bad[0]))}, column {name!r}: no time ({bad.size} such"
+            f" rows of {len(raw)}); remove these rows, or read each row as a tick with --rate HZ"
+            " --ignore-times"
+        )
+    if is_own(table):
+        return _own_ticks(table, raw, sources)
+    factor, source = _factor(table, "time", name, given)
+    # Integers are subtracted as such: nanoseconds since 1970 have more digits than a float.
+    since = (raw - raw[0]).astype(np.float64)
+    steps = np.diff(since)
+    if (back := np.flatnonzero(steps <= 0.0)).size:
+        raise RecordError(
+            f"{table.path}: {table.place(int(back[0]) + 1)}, column {name!r}: the time does not"
+            f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows); sort the rows,"
+            " or read each row as a tick with --rate HZ --ignore-times"
+        )
+    step = float(np.median(steps))
+    if "time" not in given and factor == 1.0:
+        _refuse_unlikely_time(table, name, step, rate)
+    period = _regular_period(table, name, since, step) * factor
+    _refuse_rate(table, 1.0 / period)
+    if rate is not None and abs(rate * period - 1.0) > RATE_TOLERANCE:
+        raise RecordError(
+            f"{table.path}: --rate {rate:g}, while column {name!r} advances"
+            f" {1.0 / period:.6g} times a second; which one is it?"
+            f"{_unit_hint(step, rate)}"
+        )
+    if rate is not None:
+        period = 1.0 / rate
+    seq = np.concatenate(([0], np.cumsum(np.rint(steps / step)))).astype(np.int64)
+    begin = float(raw[0]) * factor
+    sources["time"] = source + (f", from {begin:.9g} s on" if begin else "")
+    return period, seq, since * factor
+
+
+def _own_ticks(
+    table: ForeignTable, stamp: Array, sources: dict[str, str]
+) -> tuple[float, Any, Array]:
+    """Return period, tick and time of each row of our own export."""
+    import numpy as np
+
+    seq = table.numbers("seq")
+    if np.any(seq != np.rint(seq)) or np.any(np.diff(seq) <= 0) or seq[0] < 0:
+        raise RecordError(
+            f"{table.path}: column 'seq' does not grow; of a run whose driver restarted, import"
+            " one part"
+        )
+    period = float((stamp[-1] - stamp[0]) / (seq[-1] - seq[0]))
+    if not period > 0.0:
+        raise RecordError(f"{table.path}: column 'stamp' does not grow")
+    _refuse_rate(table, 1.0 / period)
+    rounded = float(f"{period:.6g}")
+    sources["time"] = "stamp in s, seq"
+    near = abs(rounded / period - 1.0) < ROUNDING
+    return rounded if near else period, seq.astype(np.int64), np.asarray(stamp, dtype=np.float64)
+
+
+def _unit_hint(step: float, rate: float | None = None) -> str:
+    """Return the units of time in which a step is a usual rate, as a question; or nothing."""
+    likely = []
+    for unit, factor in UNITS["time"].items():
+        found = 1.0 / (step * factor)
+        if unit != "s" and (20.0 <= found <= 20e3 if rate is None else abs(found / rate - 1) < 0.1):
+            likely.append(f"{unit} ({found:.5g} Hz)")
+    unit = likely[0].partition(" ")[0] if len(likely) == 1 else "UNIT"
+    return f" Is it in {' or '.join(likely)}? Say so with --units time={unit}" if likely else ""
+
+
+def _refuse_unlikely_time(table: ForeignTable, name: str, step: float, rate: float | None) -> None:
+    if SLOWEST_USUAL <= 1.0 / step <= FASTEST:
+        return
+    raise RecordError(
+        f"{table.path}: column {name!r} grows by {step:g} a row, {1.0 / step:.4g} Hz if it is"
+        f" seconds.{_unit_hint(step, rate) or ' Say its unit with --units time=UNIT'}, or time=s if"
+        " it is; if it counts rows, add --rate HZ --ignore-times"
+    )
+
+
+def _regular_period(table: ForeignTable, name: str, since: Array, step: float) -> float:
+    """Return the period that fits all times, which may have gaps but must be even."""
+    import numpy as np
+
+    steps = np.diff(since)
+    counts = np.rint(steps / step)
+    stray = np.abs(steps / step - counts)
+    if (bad := np.flatnonzero((stray > UNEVEN) | (counts < 1))).size:
+        raise RecordError(
+            f"{table.path}: {table.place(int(bad[0]) + 1)}, column {name!r}: the times are uneven"
+            f" ({bad.size} of {len(steps)} steps lie beside a multiple of {step:g}); resample the"
+            " data evenly, or, if each row is a tick, add --rate HZ --ignore-times"
+        )
+    period = float(since[-1] / counts.sum())
+    rounded = float(f"{period:.6g}")
+    # Stamps are rounded, and so is their mean step.
+    return rounded if abs(rounded / period - 1.0) < ROUNDING else period

@@ -1,0 +1,207 @@
+"""Read tables of other programs as recordings; identify the device of arrays."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from messages.errors import RefusedError, UsageError
+from nodes.recording.facts import FASTEST, SLOWEST
+from nodes.recording.foreign_table import ForeignTable, is_export
+from nodes.recording.import_table import import_table
+from nodes.recording.imported_samples import refuse_unlikely
+from nodes.recording.writer import RecordError
+
+if TYPE_CHECKING:
+    from sim.studies.identify import IdentifiedRecording
+
+ARRAYS = Path("arrays")  # what a result of arrays names as its recording
+IMPORT_OPTIONS = ("columns", "units", "rate", "ignore_times", "decimal_comma")
+
+
+@contextmanager
+def as_recording(
+    file: str | Path,
+    *,
+    columns: Mapping[str, str | Sequence[str]] | None = None,
+    units: str | Mapping[str, str | float] | None = None,
+    rate: float | None = None,
+    axis: str | None = None,
+    ignore_times: bool = False,
+    decimal_comma: bool = False,
+) -> Iterator[Path]:
+    """Yield the path of a recording: the file, or a table imported meanwhile.
+
+    Parameters
+    ----------
+    file : str or Path
+        An MCAP file, or a table.
+    columns, units, rate, axis, ignore_times, decimal_comma : optional
+        Of a table, as of `nodes.recording.import_table.import_table`; one column and the unit of
+        positions may be a text.
+
+    Yields
+    ------
+    Path
+        The recording; an imported one exists inside the block only.
+
+    Raises
+    ------
+    UsageError
+        If a recording comes with options of a table.
+    nodes.recording.writer.RecordError
+        If the file is no such table.
+    """
+    path = Path(file)
+    of_table = {
+        "columns": columns,
+        "units": units,
+        "rate": rate,
+        "ignore_times": ignore_times,
+        "decimal_comma": decimal_comma,
+    }
+    is_folder = path.is_dir() and not is_export(path)
+    if is_folder or not path.exists() or path.suffix.lower() == ".mcap" or is_mcap(path):
+        if given := [name for name, value in of_table.items() if value]:
+            raise UsageError(f"{path}: is no table; {', '.join(given)} are of tables")
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="haptic-import-") as folder:
+        out = Path(folder) / f"{path.stem}.mcap"
+        try:
+            import_table(
+                path,
+                out,
+                columns=_columns(columns),
+                units=_units(units),
+                rate=rate,
+                axis=axis,
+                ignore_times=ignore_times,
+                decimal_comma=decimal_comma,
+            )
+        except RecordError as error:
+            raise RecordError(in_python(str(error))) from None
+        yield out
+
+
+def is_mcap(path: Path) -> bool:
+    """Whether a file begins as an MCAP file does."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(5) == b"\x89MCAP"
+
+
+def in_python(text: str) -> str:
+    """Return an error's text with the options of the command line as Python names them."""
+    return re.sub(r"--([a-z]+)(?:-([a-z]+))?", lambda m: "_".join(filter(None, m.groups())), text)
+
+
+def _columns(columns: Mapping[str, str | Sequence[str]] | None) -> dict[str, Sequence[str]]:
+    return {
+        role: names.split(":") if isinstance(names, str) else names
+        for role, names in (columns or {}).items()
+    }
+
+
+def _units(units: str | Mapping[str, str | float] | None) -> dict[str, str]:
+    named = {"position": units} if isinstance(units, str) else units or {}
+    return {role: str(unit) for role, unit in named.items()}
+
+
+def identify_arrays(
+    position: ArrayLike,
+    force: ArrayLike,
+    rate: float,
+    *,
+    delay: float = 0.0,
+    axis: str | None = None,
+    held: bool | None = None,
+    window: int = 100,
+) -> IdentifiedRecording:
+    """Identify the device whose position answered a force.
+
+    Parameters
+    ----------
+    position : array_like, shape (N,) or (N, 3)
+        Position sampled at each tick [m].
+    force : array_like, shape (N,) or (N, 3)
+        Force handed over for each tick, held until the next [N].
+    rate : float
+        Sampling rate [Hz].
+    delay : float
+        Time from each sample until its force was handed over [ticks].
+    axis : str, optional
+        Which axis; by default the one that was pushed hardest.
+    held : bool, optional
+        Whether a hand held the device; by default this is found out.
+    window : int
+        Length of a window [ticks].
+
+    Returns
+    -------
+    IdentifiedRecording
+        Mass, damping, friction, delay and encoder, each with its 95 % interval.
+
+    Raises
+    ------
+    UsageError
+        If the arrays do not fit each other, hold no numbers, or are in another unit.
+    RefusedError
+        If they identify nothing.
+    """
+    from sim.identify.experiment import SHORTEST, lockstep
+    from sim.identify.identify import identify
+    from sim.studies.identify import IdentifiedRecording
+
+    where, pushed = _checked("position", position), _checked("force", force)
+    if where.shape != pushed.shape:
+        raise UsageError(
+            f"position has the shape {where.shape}, force {pushed.shape}; they need the same: (N,)"
+            " or (N, 3)"
+        )
+    if not SLOWEST <= rate <= FASTEST:
+        raise UsageError(f"rate {rate:g} Hz; expected {SLOWEST:g} to {FASTEST:g} Hz")
+    if axis not in (None, "x", "y", "z"):
+        raise UsageError(f"axis {axis!r}; expected x, y or z")
+    if not 0.0 <= delay < SHORTEST:
+        raise UsageError(f"delay {delay:g} ticks; expected 0 to {SHORTEST}")
+    if len(where) < SHORTEST:
+        raise RefusedError(f"{len(where)} samples; at least {SHORTEST} are needed")
+    try:
+        refuse_unlikely(ForeignTable(ARRAYS, {}), where, pushed)
+    except RecordError as error:
+        raise UsageError(_without_units(str(error))) from None
+    if where.ndim == 2:
+        axis = axis or "xyz"[int(np.argmax(np.std(pushed, axis=0)))]
+        where, pushed = where[:, "xyz".index(axis)], pushed[:, "xyz".index(axis)]
+    try:
+        found = identify(lockstep(1.0 / rate, where, pushed, delay, axis or "x"), held, window)
+    except ValueError as error:
+        raise RefusedError(str(error)) from error
+    return IdentifiedRecording(ARRAYS, found)
+
+
+def _without_units(text: str) -> str:
+    """Return an error's text without the option of tables: arrays are in SI units."""
+    return text.partition(" Say so with")[0] + " Arrays are in metres and newtons"
+
+
+def _checked(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name}: {error}") from error
+    if found.ndim not in (1, 2) or (found.ndim == 2 and found.shape[1] != 3):
+        raise UsageError(f"{name} has the shape {found.shape}; expected (N,) or (N, 3)")
+    if not np.isfinite(found).all():
+        bad = np.argwhere(~np.isfinite(found))[0].tolist()
+        raise UsageError(f"{name}{bad} is no finite number; cut the data there")
+    return found
