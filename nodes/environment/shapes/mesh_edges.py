@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from nodes.environment.shapes.polygons import Ids, Coordinates
+from nodes.environment.shapes.polygons import Coordinates, Ids
 
 Flags = NDArray[np.bool_]
 
@@ -39,7 +39,7 @@ def open_edges(ids: Ids) -> Ids:
     edge = half_edges(ids)[2]
     order = np.argsort(edge, kind="stable")
     first, times = _runs(edge[order])
-    return order[first[times == 1]]
+    return np.asarray(order[first[times == 1]], dtype=np.int64)
 
 
 def _runs(values: Ids) -> tuple[Ids, Ids]:

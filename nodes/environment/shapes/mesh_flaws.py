@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from nodes.environment.shapes.mesh_edges import components, first_of_equal, half_edges, open_edges
-from nodes.environment.shapes.polygons import Ids, Coordinates
+from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import lowest_heights
 
 RepairKind: TypeAlias = Literal[
@@ -72,7 +72,7 @@ def drop_copies(ids: Ids, counts: Counts) -> Ids:
             counts["folded"] += int(folded.sum())
     counts["repeated"] += int(repeated.sum())
     counts["repeated"] += int(((copies > 1) & (total != 0) & (way * total < 0)).sum())
-    return ids[keep & chosen]
+    return np.asarray(ids[keep & chosen], dtype=np.int64)
 
 
 def join_open(points: Coordinates, ids: Ids, distance: float) -> tuple[Ids, int, float]:
@@ -162,7 +162,7 @@ def remove_flat(points: Coordinates, ids: Ids, height: float, counts: Counts) ->
 
 
 def _split_over(ids: Ids, flat: Ids, lengths: Coordinates, counts: Counts) -> Ids:
-    """Give the middle corner of each flat triangle to its neighbour over the longest edge."""
+    """Split the neighbour over the longest edge of each flat triangle at its middle corner."""
     edge = half_edges(ids)[2]
     order = np.argsort(edge, kind="stable")
     in_order = edge[order]

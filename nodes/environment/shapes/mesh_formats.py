@@ -30,7 +30,7 @@ class _Property(NamedTuple):
 
 class _Element(NamedTuple):
     name: str
-    count: int
+    size: int
     properties: list[_Property]
 
     @property
@@ -98,9 +98,9 @@ def _ply_header(text: str) -> tuple[str, list[_Element]]:
 def _ascii_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[list[Any], int]:
     del order
     found: list[Any] = []
-    while len(found) < element.count:
+    while len(found) < element.size:
         if at >= len(data):
-            raise ValueError(f"is cut off: {len(found)} of {element.count} of {element.name}")
+            raise ValueError(f"is cut off: {len(found)} of {element.size} of {element.name}")
         stop = data.find(b"\n", at)
         stop = len(data) if stop < 0 else stop
         words = data[at:stop].split()
@@ -129,7 +129,7 @@ def _ascii_row(words: list[bytes], element: _Element) -> list[Any]:
 
 def _binary_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[Any, int]:
     """Return the rows of an element; at once if all its lists are as long as the first."""
-    if not element.count:
+    if not element.size:
         return [], at
     short = ValueError(f"is cut off within {element.name}")
     try:
@@ -142,17 +142,17 @@ def _binary_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[A
             else:
                 fields.append((f"v{i}", order + one.type))
         layout = np.dtype(fields)
-        if len(data) >= at + layout.itemsize * element.count:
-            rows = np.frombuffer(data, layout, element.count, at)
+        if len(data) >= at + layout.itemsize * element.size:
+            rows = np.frombuffer(data, layout, element.size, at)
             if all(
                 (rows[f"c{i}"] == len(first[i])).all()
                 for i, one in enumerate(element.properties)
                 if one.counted_by
             ):
                 columns = [rows[f"v{i}"] for i in range(len(element.properties))]
-                return list(zip(*columns, strict=True)), at + layout.itemsize * element.count
+                return list(zip(*columns, strict=True)), at + layout.itemsize * element.size
         found = []
-        for _ in range(element.count):
+        for _ in range(element.size):
             row, at = _binary_row(data, at, element, order)
             found.append(row)
     except ValueError as error:
@@ -187,7 +187,8 @@ def read_off(text: str) -> Faces:
         sizes = int(words[0]), int(words[1])
     except (IndexError, ValueError) as error:
         raise ValueError(f"line {line}: numbers of corners and faces expected") from error
-    points, faces = [], []
+    points: list[list[float]] = []
+    faces: list[list[int]] = []
     for line, words in rows:
         try:
             if len(points) < sizes[0]:

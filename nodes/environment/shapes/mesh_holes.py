@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.environment.shapes.polygons import Ids, Coordinates
+from nodes.environment.shapes.polygons import Coordinates, Ids
 
 
 class Hole(NamedTuple):

@@ -31,7 +31,7 @@ from nodes.environment.shapes.mesh_flaws import (
 )
 from nodes.environment.shapes.mesh_holes import lids
 from nodes.environment.shapes.mesh_shells import shell_turns
-from nodes.environment.shapes.polygons import Ids, Coordinates
+from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import lowest_heights
 
 SLIVER = 1e-9  # height up to which a triangle is flat [m]
@@ -70,14 +70,14 @@ class Repaired(NamedTuple):
         """Whether every edge is closed."""
         return bool(self.closed.all())
 
-    def texts(self) -> list[str]:
-        """Return the repairs as text, in the order in which they were done."""
+    def texts(self, scale: float = 1.0) -> list[str]:
+        """Return the repairs as text, in their order; `scale` is in metres per unit."""
         found = []
         for kind, count in self.counts.items():
             if kind == "turned_shells" and len(self.closed) == 1:
                 found.append("all faces pointed inwards and were flipped")
             elif count:
-                more = self.moved if kind == "joined" else len(self.closed)
+                more = self.moved * scale if kind == "joined" else len(self.closed)
                 found.append(TEXTS[kind].format(count, more))
         return found
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nodes.environment.shapes.mesh_edges import Flags
-from nodes.environment.shapes.polygons import Ids, Coordinates
+from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import signed_volumes
 
 _PROBES = 5  # places of a shell at which it is asked whether another contains it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nodes.environment.shapes.polygons import Ids, Coordinates
+from nodes.environment.shapes.polygons import Coordinates, Ids
 
 
 def lowest_heights(corners: Coordinates) -> tuple[Coordinates, Coordinates]:
@@ -19,4 +19,4 @@ def signed_volumes(corners: Coordinates, part: Ids, count: int) -> Coordinates:
     """Return the volume of each of `count` parts, negative if its faces look inwards."""
     about = corners - corners.reshape(-1, 3).mean(axis=0)
     pieces = np.einsum("ij,ij->i", about[:, 0], np.cross(about[:, 1], about[:, 2])) / 6.0
-    return np.bincount(part, pieces, minlength=count)
+    return np.asarray(np.bincount(part, pieces, minlength=count), dtype=np.float64)

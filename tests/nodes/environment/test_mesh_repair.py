@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -86,33 +88,34 @@ def test_a_face_of_many_corners_is_cut_within_its_outline(seed: int, count: int)
     assert np.abs(found - expected).max() < 1e-6
 
 
-def solid(rng: np.random.Generator) -> tuple[Array, Any]:
+def in_cube(places: Array, back: Array, half: float) -> Any:
+    return np.abs(places @ back.T).max(axis=1) < half
+
+
+def in_ball(places: Array, normals: Array, heights: Array) -> Any:
+    return (places @ normals.T < heights).all(axis=1)
+
+
+def solid(rng: np.random.Generator) -> tuple[Array, Callable[[Array], Any]]:
     """Return triangles of random boxes and balls side by side, some hollow, and their inside."""
-    parts, tests = [], []
+    parts: list[Array] = []
+    tests: list[tuple[int, Array, Callable[[Array], Any]]] = []
     for n in range(int(rng.integers(1, 4))):
         centre = np.array([0.06 * n, 0.0, 0.0])
         size = float(rng.uniform(0.01, 0.02))
-        hollow = bool(rng.integers(0, 2))
-        for part, sign in ((1.0, 1), (0.5, -1))[: 2 if hollow else 1]:
+        for part, sign in ((1.0, 1), (0.5, -1))[: int(rng.integers(1, 3))]:
+            half = 0.5 * part * size
             if rng.integers(0, 2):
-                angles = rng.uniform(-1.0, 1.0, 3).tolist()
-                parts.append(
-                    (turned(box_triangles([part * size] * 3), *angles) + centre)[:, ::sign]
-                )
-                back = turned(np.eye(3)[:, None], *angles)[:, 0]
-                tests.append(
-                    (
-                        sign,
-                        centre,
-                        lambda x, b=back, h=0.5 * part * size: np.abs(x @ b.T).max(1) < h,
-                    )
-                )
+                roll, pitch, yaw = rng.uniform(-1.0, 1.0, 3).tolist()
+                made = turned(box_triangles([2.0 * half] * 3), roll, pitch, yaw)
+                back = turned(np.eye(3)[:, None], roll, pitch, yaw)[:, 0]
+                tests.append((sign, centre, partial(in_cube, back=back, half=half)))
             else:
-                ball = icosphere(2, 0.5 * part * size)
-                parts.append((ball + centre)[:, ::sign])
-                normal = np.cross(ball[:, 1] - ball[:, 0], ball[:, 2] - ball[:, 0])
-                level = np.einsum("ij,ij->i", normal, ball[:, 0])
-                tests.append((sign, centre, lambda x, n=normal, h=level: (x @ n.T < h).all(1)))
+                made = icosphere(2, half)
+                normals = np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0])
+                heights = np.einsum("ij,ij->i", normals, made[:, 0])
+                tests.append((sign, centre, partial(in_ball, normals=normals, heights=heights)))
+            parts.append((made + centre)[:, ::sign])
 
     def inside(places: Array) -> Any:
         return sum(sign * test(places - centre).astype(int) for sign, centre, test in tests)
