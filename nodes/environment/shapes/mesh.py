@@ -53,7 +53,10 @@ def prepare_mesh(
             f" {hint}"
         )
     # Corners at the same place are merged: STL repeats them per triangle, in single precision.
-    found = repair(corners)
+    try:
+        found = repair(corners)
+    except ValueError as error:
+        raise ParameterError(f"{where}: the mesh {error}") from error
     if not len(found.ids):
         raise ParameterError(f"{where}: no triangle has an area")
     ids, neighbours = found.ids, found.partner.reshape(-1, 3) // 3

@@ -14,6 +14,7 @@ from nodes.environment.shapes.polygons import Coordinates, Ids
 
 Flags = NDArray[np.bool_]
 
+_MOST_TURNS = 3_000_000  # triangles that are passed on the way around all rims
 MOST_SHARED = 50_000  # edges of more than two triangles that are divided by angle
 
 
@@ -153,13 +154,14 @@ def following(half: Ids | int) -> Ids | int:
 def rims(partner: Ids) -> list[list[int]]:
     """Return the rims of holes: half-edges without a partner, each rim in order."""
     left = set(np.flatnonzero(partner < 0).tolist())
+    budget = _MOST_TURNS
     found = []
     while left:
         rim = [left.pop()]
         while True:
-            half, turns = int(following(rim[-1])), 0
-            while partner[half] >= 0 and turns < 10_000:
-                half, turns = int(following(int(partner[half]))), turns + 1
+            half = int(following(rim[-1]))
+            while partner[half] >= 0 and budget:
+                half, budget = int(following(int(partner[half]))), budget - 1
             if half not in left:
                 break
             left.discard(half)

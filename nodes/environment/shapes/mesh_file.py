@@ -81,7 +81,7 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
             raise ValueError(f"has no triangles ({len(points)} points); export its surface")
         with np.errstate(all="ignore"):  # coordinates that are not finite are refused later
             ids, cut, crossed = cut_faces(points, groups)
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError) as error:
         raise ParameterError(f"{where}: {path}: {error}") from error
     more = []
     if cut:
@@ -215,18 +215,18 @@ def _obj(data: bytes) -> Faces:
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
     """Yield number and text of each line, joined with those that a backslash continues."""
-    waiting, first = "", 0
+    parts: list[str] = []
+    first = 0
     for line, row in enumerate(text.splitlines(), 1):
-        if not waiting:
+        if not parts:
             first = line
-        whole = waiting + row
-        if row.rstrip().endswith("\\") and not whole.lstrip().startswith("#"):
-            waiting = whole.rstrip()[:-1] + "\n"
+        if row.rstrip().endswith("\\") and not (parts or [row])[0].lstrip().startswith("#"):
+            parts.append(row.rstrip()[:-1] + "\n")
         else:
-            waiting = ""
-            yield first, whole
-    if waiting:
-        yield first, waiting
+            yield first, "".join([*parts, row])
+            parts = []
+    if parts:
+        yield first, "".join(parts)
 
 
 def _numbers(words: list[str], line: int) -> list[float]:
@@ -245,7 +245,7 @@ def _corner(word: str, known: int, line: int) -> int:
     try:
         number = int(word.partition("/")[0])
     except ValueError as error:
-        raise ValueError(f"line {line}: {word!r} names no corner") from error
+        raise ValueError(f"line {line}: {word[:40]!r} names no corner") from error
     if number == 0 or -number > known:
         raise ValueError(f"line {line}: corner {number}, but {known} are known so far")
     return number - 1 if number > 0 else known + number

@@ -30,7 +30,7 @@ RepairKind: TypeAlias = Literal[
 ]
 Counts: TypeAlias = Counter[RepairKind]
 
-MOST_OPEN = 20_000  # open edges of a mesh whose T-joints are searched
+MOST_OPEN = 8_000  # open edges of a mesh whose T-joints are searched
 _ROUNDS = 100
 
 
@@ -105,15 +105,14 @@ def split_t_joints(points: Coordinates, ids: Ids, distance: float, counts: Count
         a, b = start[half], end[half]
         rim = np.unique(np.concatenate([a, b]))
         length = np.linalg.norm(points[b] - points[a], axis=1)
-        near = cKDTree(points[rim]).query_ball_point(
-            0.5 * (points[a] + points[b]), 0.5 * length + distance
-        )
+        tree, middle = cKDTree(points[rim]), 0.5 * (points[a] + points[b])
         gone: set[int] = set()
         new: list[tuple[int, int, int]] = []
-        for i, found in enumerate(near):
+        for i in range(len(half)):
             triangle = int(half[i]) // 3
             if triangle in gone or length[i] <= 4.0 * distance:
                 continue
+            found = tree.query_ball_point(middle[i], 0.5 * length[i] + distance)
             x, y = int(a[i]), int(b[i])
             z = int(ids[triangle].sum()) - x - y
             others = np.array(

@@ -23,6 +23,7 @@ LIKELY: Final = (0.02, 0.5)  # width of what a hand feels [m]
 _PROBES = (64, 400)  # least and most places of its faces that are probed for crossings
 _WORK = 4_000_000  # triangles times places, above the least number of places
 _WIDTH = 0.08  # assumed width where no unit gives a likely one [m]
+_WIDEST = 1e30  # largest width, whose cube is still a number [units]
 _OFF_FACE = 1e-6  # distance of a probed place from its face [of the width]
 
 
@@ -70,13 +71,19 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
     read = read_mesh(path, where)
     if not np.isfinite(read.corners).all():
         raise ParameterError(f"{where}: {path}: a coordinate is not finite; export the mesh again")
-    size = np.ptp(read.corners.reshape(-1, 3), axis=0)
+    with np.errstate(over="ignore"):
+        size = np.ptp(read.corners.reshape(-1, 3), axis=0)
     width = float(size.max())
+    if not width < _WIDEST:
+        raise ParameterError(f"{where}: {path}: is {width:.3g} units wide; export the mesh again")
     units = unit_candidates(width)
     if scale is None:
         likely = [one.scale for one in units if one.is_likely] or [one.scale for one in units]
         scale = likely[0] if likely else _WIDTH / max(width, 1e-300)
-    repaired = repair(read.corners, height=SLIVER / scale)
+    try:
+        repaired = repair(read.corners, height=SLIVER / scale)
+    except ValueError as error:
+        raise ParameterError(f"{where}: {path}: {error}") from error
     if not len(repaired.ids):
         raise ParameterError(f"{where}: {path}: no triangle has an area; export its surface")
     crossings, probes = count_crossings(repaired, width) if repaired.is_solid else (0, 0)

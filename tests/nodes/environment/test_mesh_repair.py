@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nodes.environment.shapes import mesh_shells
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import read_mesh, read_triangles
 from nodes.environment.shapes.mesh_repair import repair
@@ -213,6 +214,16 @@ def test_a_strip_of_one_side_is_no_solid_but_a_sheet() -> None:
     with pytest.raises(ParameterError, match=r"one side only, as a Möbius strip.*sides: both"):
         prepare_mesh(strip, False, "file")
     assert len(prepare_mesh(strip, True, "file").corners) == 2 * len(strip)
+
+
+def test_more_shells_than_can_be_compared_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only where some look inwards; others need no comparison."""
+    monkeypatch.setattr(mesh_shells, "MOST_SHELLS", 2)
+    three = np.concatenate([CUBE + np.array([0.03 * n, 0.0, 0.0]) for n in range(3)])
+    assert prepare_mesh(three, False, "file").repairs == ()
+    three[:12] = three[:12, ::-1]
+    with pytest.raises(ParameterError, match=r"file: the mesh has 3 shells.*at most 2 can be"):
+        prepare_mesh(three, False, "file")
 
 
 @pytest.mark.parametrize("name", ["u", "two_cubes_one_inverted", "bom"])
