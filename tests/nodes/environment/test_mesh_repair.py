@@ -87,6 +87,13 @@ def test_a_face_of_many_corners_is_cut_within_its_outline(seed: int, count: int)
     expected = in_outline(outline, places) & (places[:, 2] > 0.0) & (places[:, 2] < 0.02)
     found = winding(prepared.corners, turned(places[:, None], 0.3, -0.4, 0.5)[:, 0])
     assert np.abs(found - expected).max() < 1e-6
+    # Nothing lies over a notch: the faces have the area of the prism, by the shoelace formula.
+    following = np.roll(outline, -1, axis=0)
+    cap = 0.5 * np.abs((outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]).sum())
+    walls = 0.02 * np.linalg.norm(following - outline, axis=1).sum()
+    edges = prepared.corners[:, 1:] - prepared.corners[:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
+    assert area == pytest.approx(2.0 * cap + walls, rel=1e-6)
 
 
 def in_cube(places: Array, back: Array, half: float) -> Any:
