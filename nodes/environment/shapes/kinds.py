@@ -251,7 +251,8 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     file : str
-        An ``.stl`` or ``.obj`` file; ``$(dirname)`` in a launch file is the folder of that file.
+        An ``.stl``, ``.obj``, ``.ply`` or ``.off`` file; ``$(dirname)`` in a launch file is the
+        folder of that file.
     scale : float
         Metres per unit of the file: 0.001 for millimetres.
     position : tuple of float, shape (3,)
@@ -274,17 +275,18 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         import numpy as np  # a scene of plain shapes needs no numpy
 
         from nodes.environment.shapes.mesh import prepare_mesh
-        from nodes.environment.shapes.mesh_file import read_triangles
+        from nodes.environment.shapes.mesh_file import read_mesh
 
         file = Path(self.file).expanduser()
-        corners = read_triangles(file, f"{where}.file")
+        read = read_mesh(file, f"{where}.file")
         with np.errstate(over="ignore", invalid="ignore"):
             corners = (
-                self.scale * corners @ np.array(scene.rotation(self.rotation)).T + self.position
+                self.scale * read.corners @ np.array(scene.rotation(self.rotation)).T
+                + self.position
             )
         return [
             scene.mesh(
-                prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}"),
+                prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}", read.notes),
                 self.coefficients,
             )
         ]

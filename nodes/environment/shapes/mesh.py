@@ -7,6 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.environment.shapes.mesh_edges import rims
+from nodes.environment.shapes.mesh_holes import holes
+from nodes.environment.shapes.mesh_repair import Repaired, repair
 from nodes.environment.shapes.tables import NODE
 from nodes.parameters.store import ParameterError
 
@@ -15,7 +18,6 @@ LARGEST = 2.0  # largest extent of a mesh [m]; a larger one was probably drawn i
 SMALLEST = 1e-3
 
 _LEAF = 4  # largest number of triangles in a leaf of the tree
-_SLIVER = 1e-9  # height below which a triangle is degenerate [m]
 
 
 class PreparedMesh(NamedTuple):
@@ -31,12 +33,14 @@ class PreparedMesh(NamedTuple):
     repairs: tuple[str, ...]  # what was repaired, as text
 
 
-def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh:
-    """Check triangles [m], shape (n, 3, 3), and return them with neighbours and tree.
+def prepare_mesh(
+    corners: Corners, both_sides: bool, where: str, notes: tuple[str, ...] = ()
+) -> PreparedMesh:
+    """Repair triangles [m], shape (n, 3, 3), and return them with neighbours and tree.
 
+    `notes` are reported before the repairs: what was read otherwise than it stands in the file.
     Raises ParameterError if the triangles bound no solid (or form no sheet, with `both_sides`).
     """
-    repairs = []
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
         raise ParameterError(f"{where}: triangle {bad} has a coordinate that is not finite")
@@ -49,90 +53,55 @@ def prepare_mesh(corners: Corners, both_sides: bool, where: str) -> PreparedMesh
             f" {hint}"
         )
     # Corners at the same place are merged: STL repeats them per triangle, in single precision.
-    corner, ids = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    ids = ids.reshape(-1, 3).astype(np.int64)
-    corners = corner[ids]
-    good = (ids[:, 0] != ids[:, 1]) & (ids[:, 1] != ids[:, 2]) & (ids[:, 2] != ids[:, 0])
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice_area = np.linalg.norm(across, axis=1)
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    flat = good & (twice_area <= _SLIVER * longest)
-    if flat.any():
-        raise ParameterError(
-            f"{where}: triangle {int(np.flatnonzero(flat)[0])} is flat: its corners lie on a line"
-            f" ({int(flat.sum())} such); clean the mesh"
-        )
-    if not good.all():
-        repairs.append(
-            f"{where}: {int((~good).sum())} triangles of fewer than three corners left out"
-        )
-    corners, ids, across, twice_area = corners[good], ids[good], across[good], twice_area[good]
-    if not len(corners):
+    try:
+        found = repair(corners)
+    except ValueError as error:
+        raise ParameterError(f"{where}: the mesh {error}") from error
+    if not len(found.ids):
         raise ParameterError(f"{where}: no triangle has an area")
+    ids, neighbours = found.ids, found.partner.reshape(-1, 3) // 3
     if both_sides:
-        corners = np.concatenate([corners, corners[:, ::-1]])
         # Separate corners for the back, so that no triangle is its own neighbour.
-        ids = np.concatenate([ids, ids[:, ::-1] + len(corner)])
-        normals = (
-            np.concatenate([across, -across]) / np.concatenate([twice_area, twice_area])[:, None]
-        )
+        ids = np.concatenate([ids, ids[:, ::-1]])
+        back = np.where(neighbours < 0, -1, neighbours + len(found.ids))[:, [1, 0, 2]]
+        neighbours = np.concatenate([neighbours, back])
     else:
-        _refuse_open(ids, where)
-        normals = across / twice_area[:, None]
-        if float(np.einsum("ij,ij->", corners[:, 0] - corner[0], across)) < 0.0:
-            corners, ids, normals = corners[:, ::-1], ids[:, ::-1], -normals
-            repairs.append(f"{where}: all faces pointed inwards and were flipped")
+        _refuse_open(found, where, notes)
+    corners = found.points[ids]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = across / np.linalg.norm(across, axis=1)[:, None]
     order, leaves = _order(corners)
-    corners, ids, normals = corners[order], ids[order], normals[order]
+    corners, normals, neighbours = corners[order], normals[order], neighbours[order]
+    place = np.append(np.argsort(order), -1)  # the last one is of a neighbour −1
     boxes = _boxes(corners, leaves)
     return PreparedMesh(
         np.ascontiguousarray(corners),
         normals,
-        _neighbours(ids),
+        place[neighbours],
         boxes,
         leaves,
         not both_sides,
-        tuple(repairs),
+        tuple(f"{where}: {text}" for text in (*notes, *found.texts())),
     )
 
 
-def _edges(ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return a number for each directed edge, unique to its two corners."""
-    return np.asarray(ids * (int(ids.max()) + 1) + np.roll(ids, -1, axis=1), dtype=np.int64)
-
-
-def _refuse_open(ids: NDArray[np.int64], where: str) -> None:
-    there = _edges(ids).ravel()
-    back = _edges(ids[:, ::-1]).ravel()
-    named, times = np.unique(there, return_counts=True)
-    undirected = np.minimum(ids, np.roll(ids, -1, axis=1)) * (int(ids.max()) + 1) + np.maximum(
-        ids, np.roll(ids, -1, axis=1)
+def _refuse_open(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
+    """Raise ParameterError unless every edge is closed; name the reason and the ways out."""
+    if found.is_solid:
+        return
+    lonely = int((found.partner < 0).sum())
+    if found.disagreeing:
+        raise ParameterError(
+            f"{where}: {found.disagreeing} surfaces have one side only, as a Möbius strip: their"
+            " faces disagree about where outside is; set sides: both to feel the mesh as a sheet"
+        )
+    rim = holes(found.points, found.ids, rims(found.partner))
+    raise ParameterError(
+        f"{where}: the mesh is open: {lonely} edges have one triangle only, so it has no inside"
+        f" ({len(rim)} holes, the largest of {rim[0].edges} edges, {rim[0].width:.3g} m wide);"
+        " close it (haptic mesh FILE --close OUT fills small holes), or set sides: both to feel it"
+        " as a sheet" + "".join(f"; {note}" for note in notes)
     )
-    _, shared = np.unique(undirected, return_counts=True)
-    if lonely := int((shared == 1).sum()):
-        raise ParameterError(
-            f"{where}: the mesh is open: {lonely} edges have one triangle only, so it has no"
-            " inside; close it, or set sides: both to feel it as a sheet"
-        )
-    if many := int((shared > 2).sum()):
-        raise ParameterError(
-            f"{where}: {many} edges have more than two triangles; split the mesh into solids"
-        )
-    if (times > 1).any() or not np.array_equal(np.sort(named), np.unique(back)):
-        raise ParameterError(
-            f"{where}: faces disagree about where outside is: {int((times > 1).sum())} edges are"
-            " passed twice in one direction; orient the faces alike"
-        )
-
-
-def _neighbours(ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    there = _edges(ids).ravel()
-    second = np.roll(ids, -1, axis=1) * (int(ids.max()) + 1) + ids
-    order = np.argsort(there, kind="stable")
-    at = np.searchsorted(there[order], second.ravel())
-    at = np.minimum(at, len(there) - 1)
-    found = there[order][at] == second.ravel()
-    return np.where(found, order[at] // 3, -1).reshape(-1, 3)
 
 
 def _order(corners: Corners) -> tuple[NDArray[np.int64], int]:
