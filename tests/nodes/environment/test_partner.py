@@ -150,11 +150,8 @@ def test_two_chains_feel_each_other_over_a_bad_network(tmp_path: Path) -> None:
     assert last.proxy[0] < last.position[0] - 1e-3
 
 
-def test_lockstep_is_refused_with_the_way_out(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    typed_in(tmp_path, "launch", "hands_apart", "run.pace:=lockstep", code=2)
-    told = capfd.readouterr().err
+def test_lockstep_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    told = typed_in(tmp_path, "launch", "hands_apart", "run.pace:=lockstep", code=2).stderr
     assert "run.pace is lockstep" in told
     assert "haptic study hands" in told
 

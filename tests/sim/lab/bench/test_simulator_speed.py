@@ -15,7 +15,6 @@ from sim.play.one_axis import run
 from tests.support.launching import exit_code
 
 
-@pytest.mark.process
 def test_c_and_nodes_kernels_give_the_same_bits(tmp_path: Path) -> None:
     if shutil.which("cc") is None and shutil.which("gcc") is None:
         pytest.skip("no C compiler here")
@@ -40,7 +39,6 @@ def test_no_compiler_is_told(
     assert all(point["ticks_per_s"] > 0.0 for point in answer["points"])
 
 
-@pytest.mark.process
 def test_a_broken_compiler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = tmp_path / "cc"
     fake.write_text("#!/bin/sh\necho 'cc: out of ink' >&2\nexit 1\n")
