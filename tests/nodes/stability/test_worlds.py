@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nodes.laws import CompiledLaw
@@ -353,6 +353,7 @@ def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
 
 @settings(max_examples=60, deadline=None)
 @given(law=LAWS, plant=PLANTS)
+@example(law=pd(5e-324), plant=Plant(T, 10.0**0.0078125, 0.1, 0.5 * T))
 def test_the_worst_world_swings_just_above_and_rests_just_below(
     law: CompiledLaw, plant: Plant
 ) -> None:
@@ -369,7 +370,9 @@ def test_the_worst_world_swings_just_above_and_rests_just_below(
     )
     assert world_radius(inside, plant, found.body) < 1.0 < world_radius(outside, plant, found.body)
     at = with_spring(law, high)
-    assert polynomial_radius(at, plant, [body_in_z(found.body, T)]) == pytest.approx(1.0, abs=1e-6)
+    # Of a slow loop three poles lie beside z = 1, and roots of a triple one are eps^(1/3) = 6e-6 off.
+    radius = polynomial_radius(at, plant, [body_in_z(found.body, T)])
+    assert radius == pytest.approx(1.0, abs=float(np.cbrt(np.finfo(float).eps)))
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
