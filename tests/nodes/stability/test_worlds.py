@@ -370,7 +370,7 @@ def test_the_worst_world_swings_just_above_and_rests_just_below(
     )
     assert world_radius(inside, plant, found.body) < 1.0 < world_radius(outside, plant, found.body)
     at = with_spring(law, high)
-    # Of a slow loop three poles lie beside z = 1, and roots of a triple one are eps^(1/3) = 6e-6 off.
+    # A slow loop has three poles beside z = 1; those of a triple root are eps^(1/3) = 6e-6 off.
     radius = polynomial_radius(at, plant, [body_in_z(found.body, T)])
     assert radius == pytest.approx(1.0, abs=float(np.cbrt(np.finfo(float).eps)))
 
