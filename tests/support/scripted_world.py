@@ -27,6 +27,8 @@ EPOCH = START + TICK
 _GRID = 1000
 """Offset of the ends of waits, so that rounding before them does not matter [ns]."""
 
+_TENTH = _GRID // 10
+
 _SECOND = 10**9
 
 
@@ -43,8 +45,16 @@ def at(tick: float, microseconds: float = 0.0) -> int:
 
 
 def _end_of(wanted: float) -> int:
-    """Return when a wait ends; times are whole or half steps, apart from rounding."""
-    return (math.floor(wanted / _GRID + 0.25) + 1) * _GRID
+    """Return when a wait ends: until a deadline, which is a whole step, a step late.
+
+    Any other wait began at an arrival, at half a step. It ends a tenth late, not at the next whole
+    step: that may be the deadline, for which the interpreted tick would not wait any more, while
+    the compiled one waits in one piece and is late.
+    """
+    whole = round(wanted / _GRID)
+    if abs(wanted / _GRID - whole) < 0.025:  # of rounding
+        return (whole + 1) * _GRID
+    return (math.floor(wanted / _TENTH + 0.25) + 1) * _TENTH
 
 
 class World:
@@ -114,7 +124,8 @@ class World:
     def _wake(self, until: int) -> None:
         """Advance the time, further if the script delays the start of a tick."""
         tick = round((until - EPOCH) / TICK)
-        is_start = abs(until - EPOCH - tick * TICK) <= 2 * _GRID
+        # Waits for a deadline end at whole steps, see `_end_of`.
+        is_start = until % _GRID == 0 and abs(until - EPOCH - tick * TICK) <= 2 * _GRID
         self.now = max(self.now, until) + (1000 * self._late.get(tick, 0) if is_start else 0)
 
     def is_ready(self) -> bool:

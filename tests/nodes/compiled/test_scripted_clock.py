@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from messages import topics
@@ -244,6 +244,16 @@ quick = settings(max_examples=60)
     apply=st.sampled_from(["on_arrival", "next_tick"]),
     patient=st.integers(1, 12),
     jumps=st.lists(st.integers(0, 40), max_size=3),
+)
+@example(  # the wait of whole milliseconds ended at the deadline itself, before the finer one
+    late={},
+    held={},
+    coming=[
+        (tick, after, 0, 0.0, False) for tick, after in ((0, 0), (0, 0), (1, 1), (28, 1), (30, -1))
+    ],
+    apply="on_arrival",
+    patient=1,
+    jumps=[],
 )
 def test_a_driver_does_the_same_in_whatever_order(
     late: dict[int, int],
