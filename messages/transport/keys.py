@@ -44,6 +44,11 @@ def key_dir() -> Path:
     return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "haptic" / "keys"
 
 
+def _others_may(found: os.stat_result) -> bool:
+    """Whether another user owns what was found, or may read or write it."""
+    return found.st_uid != os.getuid() or bool(stat.S_IMODE(found.st_mode) & 0o077)
+
+
 def _private_dir(path: Path) -> None:
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -52,11 +57,7 @@ def _private_dir(path: Path) -> None:
             f"{path}: cannot be made: {error.strerror}; name a folder of your own in $HAPTIC_KEYS"
         ) from error
     found = path.lstat()
-    if (
-        not stat.S_ISDIR(found.st_mode)
-        or found.st_uid != os.getuid()
-        or stat.S_IMODE(found.st_mode) & 0o077
-    ):
+    if not stat.S_ISDIR(found.st_mode) or _others_may(found):
         raise KeyRefusedError(
             f"{path}: must be a directory of user {os.getuid()} with mode 0700; chmod 700 it"
         )
@@ -94,11 +95,7 @@ def _read(path: Path) -> list[str]:
         raise KeyRefusedError(f"{path}: {error.strerror}") from error
     with os.fdopen(descriptor, encoding="ascii", errors="replace") as file:
         found = os.fstat(file.fileno())
-        if (
-            not stat.S_ISREG(found.st_mode)
-            or found.st_uid != os.getuid()
-            or stat.S_IMODE(found.st_mode) & 0o077
-        ):
+        if not stat.S_ISREG(found.st_mode) or _others_may(found):
             raise KeyRefusedError(
                 f"{path}: must be a file of user {os.getuid()} with mode 0600; chmod 600 it"
             )

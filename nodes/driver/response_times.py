@@ -7,7 +7,7 @@ response next to the last one; every `BLOCK` ticks they are counted together.
 from __future__ import annotations
 
 from array import array
-from typing import Any, Final
+from typing import Final
 
 from nodes.compiled.layout import state_of
 from nodes.compiled.memory import wholes_at
@@ -36,8 +36,8 @@ def note_response(s: DriverState, response: float) -> None:
 class ResponseTimes:
     """A histogram of response times, in a driver's state or one of its own."""
 
-    def __init__(self, state: Any = None) -> None:
-        self._state: Any = state_of(DriverState) if state is None else state
+    def __init__(self, state: DriverState | None = None) -> None:
+        self._state = state_of(DriverState) if state is None else state
         # counts by microseconds; the last one counts all longer responses, shape (BINS + 1,)
         self.bins = array("q", [0]) * (BINS + 1)
         self._state.bins = self.bins.buffer_info()[0]

@@ -10,7 +10,7 @@ from nodes.driver.force_words import Noted, take_notes
 from nodes.driver.limits import Limits
 from nodes.driver.motion import Ending, endings
 from nodes.driver.response_times import ResponseTimes
-from nodes.driver.state import LIMITED, REFUSED, SAFETY
+from nodes.driver.state import LIMITED, REFUSED, SAFETY, DriverState
 
 # changes of state in the summary of a run; all are on the driver's event topic
 REASONS: Final = 8
@@ -19,7 +19,7 @@ REASONS: Final = 8
 class DriverReport:
     """The report of one driver."""
 
-    def __init__(self, state: Any) -> None:
+    def __init__(self, state: DriverState) -> None:
         self._state = state
         self.responses = ResponseTimes(state)  # its response times
         self.first = self.last = 0.0  # times of its first and last tick [s]

@@ -189,11 +189,7 @@ def _begin_environment(node: Any, instead: Instead) -> None:
 
 
 def play_chain(
-    launch: Launch,
-    namespace: str = "",
-    ticks: int | None = None,
-    instead: Instead | None = None,
-    given: Given | None = None,
+    launch: Launch, namespace: str, ticks: int, instead: Instead, given: Given
 ) -> ChainTrace:
     """Play a chain of a launch file with its own nodes; bit-identical to a lockstep run.
 
@@ -203,11 +199,11 @@ def play_chain(
         The launch file, read.
     namespace : str
         Namespace of the chain; empty for a launch of one chain.
-    ticks : int, optional
-        Length of the run; by default the launch file's, or 10 s without one.
-    instead : Instead, optional
+    ticks : int
+        Length of the run.
+    instead : Instead
         Replacements for parts of the launch file.
-    given : Given, optional
+    given : Given
         Additional inputs of the chain.
 
     Returns
@@ -221,8 +217,7 @@ def play_chain(
         As a launch raises it, or if one process cannot play a node.
     """
     hops = hops_of(launch, namespace)
-    ticks = ticks or launch.run.ticks or round(10.0 / launch.run.period)
-    wire = _Wire(launch, hops, ticks, instead or Instead(), given or Given())
+    wire = _Wire(launch, hops, ticks, instead, given)
     s: DriverState = wire.driver.driving
     s.until, s.most = ticks, ticks
     port = Port(
