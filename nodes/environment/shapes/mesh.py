@@ -41,32 +41,15 @@ def prepare_mesh(
     `notes` are reported before the repairs: what was read otherwise than it stands in the file.
     Raises ParameterError if the triangles bound no solid (or form no sheet, with `both_sides`).
     """
-    if not np.isfinite(corners).all():
-        bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
-        raise ParameterError(f"{where}: triangle {bad} has a coordinate that is not finite")
-    extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    if not SMALLEST <= extent <= LARGEST:
-        small = "its scale is too small, or its unit is not m"
-        hint = "a file in millimetres takes scale: 0.001" if extent > LARGEST else small
-        raise ParameterError(
-            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m;"
-            f" {hint}"
-        )
-    # Corners at the same place are merged: STL repeats them per triangle, in single precision.
-    try:
-        found = repair(corners)
-    except ValueError as error:
-        raise ParameterError(f"{where}: the mesh {error}") from error
-    if not len(found.ids):
-        raise ParameterError(f"{where}: no triangle has an area")
+    found = repaired_triangles(corners, where)
+    if not both_sides:
+        refuse_open(found, where, notes)
     ids, neighbours = found.ids, found.partner.reshape(-1, 3) // 3
     if both_sides:
         # Separate corners for the back, so that no triangle is its own neighbour.
         ids = np.concatenate([ids, ids[:, ::-1]])
         back = np.where(neighbours < 0, -1, neighbours + len(found.ids))[:, [1, 0, 2]]
         neighbours = np.concatenate([neighbours, back])
-    else:
-        _refuse_open(found, where, notes)
     corners = found.points[ids]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = across / np.linalg.norm(across, axis=1)[:, None]
@@ -85,7 +68,33 @@ def prepare_mesh(
     )
 
 
-def _refuse_open(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
+def repaired_triangles(corners: Corners, where: str) -> Repaired:
+    """Check the coordinates and the width of triangles [m], shape (n, 3, 3), and repair them.
+
+    Raises ParameterError if no sheet can be made of them.
+    """
+    if not np.isfinite(corners).all():
+        bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
+        raise ParameterError(f"{where}: triangle {bad} has a coordinate that is not finite")
+    extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
+    if not SMALLEST <= extent <= LARGEST:
+        small = "its scale is too small, or its unit is not m"
+        hint = "a file in millimetres takes scale: 0.001" if extent > LARGEST else small
+        raise ParameterError(
+            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m;"
+            f" {hint}"
+        )
+    # Corners at the same place are merged: STL repeats them per triangle, in single precision.
+    try:
+        found = repair(corners)
+    except ValueError as error:
+        raise ParameterError(f"{where}: the mesh {error}") from error
+    if not len(found.ids):
+        raise ParameterError(f"{where}: no triangle has an area")
+    return found
+
+
+def refuse_open(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
     """Raise ParameterError unless every edge is closed; name the reason and the ways out."""
     if found.is_solid:
         return

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nodes.environment.shapes.mesh import LARGEST, SMALLEST, prepare_mesh
+from nodes.environment.shapes.mesh import LARGEST, SMALLEST, refuse_open, repaired_triangles
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_file import ReadMesh, read_mesh
 from nodes.environment.shapes.mesh_holes import Hole, holes
@@ -97,8 +97,7 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
         holes(repaired.points, repaired.ids, rims(repaired.partner)),
         crossings,
         probes,
-        _refusal(read.corners * scale, False),
-        _refusal(read.corners * scale, True),
+        *_refusals(read.corners * scale),
     )
 
 
@@ -131,12 +130,17 @@ def count_crossings(found: Repaired, width: float) -> tuple[int, int]:
     return int(((outer != 0.0) | (inner != 1.0)).sum()), count
 
 
-def _refusal(corners: Coordinates, both_sides: bool) -> str:
+def _refusals(corners: Coordinates) -> tuple[str, str]:
+    """Return why triangles [m] are felt as no solid, and as no sheet; empty if they are."""
     try:
-        prepare_mesh(corners, both_sides, "")
+        found = repaired_triangles(corners, "")
     except ParameterError as error:
-        return str(error).removeprefix(": ")
-    return ""
+        return (str(error).removeprefix(": "),) * 2
+    try:
+        refuse_open(found, "", ())
+    except ParameterError as error:
+        return str(error).removeprefix(": "), ""
+    return "", ""
 
 
 def write_mesh(path: Path, points: Coordinates, ids: Ids) -> None:
