@@ -36,7 +36,7 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     taps: Taps | None = None
 
     def compile(self, period: float) -> CompiledLaw:
-        """Return taps and sections: one section at order 1, else eleven, none with short memory."""
+        """Return taps and sections: none with short memory, one at order 1, else up to twelve."""
         spring = self.damping / self.relaxation**self.order
         if self.taps is not None:
             answer = step_answer(self.order, (self.relaxation / period) ** self.order, self.taps)

@@ -67,7 +67,9 @@ def step_answer(order: float, share: float, count: int) -> list[float]:
 
 def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
     """Return poles and positive weights of the step response, s_m ≈ Σ weight pole^m."""
-    top = math.log(_FASTEST)
+    # The peak lies in the middle of a sample: as order → 1 it is all there is, one exponential.
+    sample, peak = _CELL / _POINTS, _log_peak(order, share)
+    top = peak + (math.floor((math.log(_FASTEST) - peak) / sample) + 0.5) * sample
     count = math.ceil((top - math.log(_SLOWEST)) / _CELL)
     poles: list[float] = []
     weights: list[float] = []
@@ -77,7 +79,7 @@ def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
         rates = [math.sqrt(fast * slow) for fast, slow in itertools.pairwise(ends)]
         # Over ln r, d ln s is r t/s of it: (s/r) of that is t.
         masses = [
-            (fast - slow) * math.exp(-s)
+            max(fast - slow, 0.0) * math.exp(-s)
             for (fast, slow), s in zip(itertools.pairwise(below), rates, strict=True)
         ]
         _two_nodes(rates, masses, poles, weights)
@@ -96,16 +98,34 @@ def _below(rate: float, order: float, share: float) -> float:
     return math.atan2(u * math.sin(angle), 1.0 + u * math.cos(angle)) / angle
 
 
+def _log_peak(order: float, share: float) -> float:
+    """Return ln s where u = 1, the middle of the density over ln r."""
+    log_r = -math.log(share) / order
+    return math.log(math.log1p(math.exp(min(max(log_r, -700.0), 700.0))))
+
+
 def _two_nodes(
     rates: list[float], masses: list[float], poles: list[float], weights: list[float]
 ) -> None:
-    """Add two exponentials that have the moments of a cell up to the third."""
+    """Add exponentials that have the moments of a cell up to the third.
+
+    They are two, but none where no mass is, and one where all of it lies in one sample (order → 1).
+    """
     total = math.fsum(masses)
+    if total == 0.0:
+        return
     mean = math.fsum(s * m for s, m in zip(rates, masses, strict=True)) / total
     second = math.fsum((s - mean) ** 2 * m for s, m in zip(rates, masses, strict=True)) / total
     third = math.fsum((s - mean) ** 3 * m for s, m in zip(rates, masses, strict=True)) / total
+    # Rounding of the mean alone leaves this much of a second moment.
+    if second <= (len(rates) * math.ulp(mean)) ** 2:
+        poles.append(math.exp(-mean))
+        weights.append(total)
+        return
     half = 0.5 * third / second
     root = math.sqrt(half * half + second)
-    low, high = half - root, half + root
+    # low · high = −second: the one of the two that would cancel follows from the other
+    far = half + math.copysign(root, half)
+    low, high = sorted((far, -second / far))
     poles += [math.exp(-(mean + low)), math.exp(-(mean + high))]
     weights += [total * high / (high - low), -total * low / (high - low)]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nodes.cli.main import main
@@ -61,8 +61,15 @@ ORDERS = st.floats(0.05, 1.0)
 RELAXATIONS = st.floats(0.5 * T, 10.0)
 
 
+# the last orders below 1: all the density lies in one sample, then in a few
 @settings(max_examples=25, deadline=None)
 @given(ORDERS, RELAXATIONS, st.floats(0.0, 2000.0))
+@example(order=1.0 - 2.0**-53, relaxation=0.001, stiffness=0.0)
+@example(order=1.0 - 2.0**-53, relaxation=1.0, stiffness=0.0)
+@example(order=1.0 - 1e-12, relaxation=0.3, stiffness=0.0)
+@example(order=1.0 - 1e-6, relaxation=0.3, stiffness=0.0)
+@example(order=0.999, relaxation=0.02, stiffness=0.0)
+@example(order=0.99, relaxation=0.02, stiffness=0.0)
 def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(
     order: float, relaxation: float, stiffness: float
 ) -> None:
