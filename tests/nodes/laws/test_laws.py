@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import inspect
 from numpy.typing import NDArray
 from scipy import signal, special
 
@@ -292,6 +294,40 @@ def test_orders_and_lengths_up_to_their_limits(order: float, taps: int) -> None:
     assert len(law.taps) == taps
     # Beyond m = 171 the paper's Gamma-ratio form gives 0; the recursion must not.
     assert law.taps[-1] != 0.0
+
+
+def edges(of: inspect.Type) -> list[Any]:
+    """Return a type's limits, their neighbours inside, and the last numbers around 1 and 2."""
+    if isinstance(of, inspect.UnionType):
+        return [value for one in of.types for value in edges(one)]
+    if isinstance(of, inspect.IntType):
+        return [value for value in (of.ge, (of.ge or 0) + 1) if value is not None]
+    if not isinstance(of, inspect.FloatType):
+        return []
+    least = -1e300 if of.gt is None else math.nextafter(of.gt, math.inf)
+    least = least if of.ge is None else of.ge
+    most = 1e300 if of.lt is None else math.nextafter(of.lt, -math.inf)
+    most = most if of.le is None else of.le
+    near = [math.nextafter(at, to) for at in (least, most, 1.0, 2.0) for to in (-math.inf, at + 1)]
+    return [value for value in (least, most, 1.0, 1e-300, 1e300, *near) if least <= value <= most]
+
+
+@pytest.mark.parametrize("kind", sorted(EXAMPLES))
+def test_two_parameters_at_their_edges_compile_or_are_refused(kind: str) -> None:
+    """Anything but a law, a ValueError or an overflow is an error of ours."""
+    law = law_kinds()[kind]
+    fields = {f.encode_name: edges(f.type) for f in cast(Any, inspect.type_info(law)).fields}
+    tried = 0
+    for one, other in itertools.combinations_with_replacement(fields, 2):
+        for pair in itertools.product(fields[one], fields[other]):
+            values = {**EXAMPLES[kind], one: pair[0], other: pair[1]}
+            try:
+                compiled = parse_law({"kind": kind, **values}).compile(T)
+            except (LawRefusedError, ValueError, OverflowError):
+                continue
+            assert isinstance(compiled, CompiledLaw)
+            tried += 1
+    assert tried or kind == "fir"  # it has lists only
 
 
 def test_any_number_of_terms() -> None:
