@@ -300,6 +300,8 @@ def edges(of: inspect.Type) -> list[Any]:
     """Return a type's limits, their neighbours inside, and the last numbers around 1 and 2."""
     if isinstance(of, inspect.UnionType):
         return [value for one in of.types for value in edges(one)]
+    if isinstance(of, inspect.NoneType):
+        return [None]
     if isinstance(of, inspect.IntType):
         return [value for value in (of.ge, (of.ge or 0) + 1) if value is not None]
     if not isinstance(of, inspect.FloatType):
