@@ -47,6 +47,20 @@ _CHOICE = re.compile(
 )
 
 
+class _Listed(argparse.Action):
+    """Store a list; the same option once more adds to it, where argparse would forget the first."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        before = getattr(namespace, self.dest, self.default)
+        setattr(namespace, self.dest, [*(() if before is self.default else before), *values])
+
+
 class Parser(argparse.ArgumentParser):
     """Argument parser without abbreviations that suggests corrections.
 
@@ -59,13 +73,15 @@ class Parser(argparse.ArgumentParser):
         self.set_defaults(parser=self)
 
     def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
-        """Declare an argument; an optional positional gets a default.
+        """Declare an argument; an optional positional gets a default, a repeated list grows.
 
-        Without one, argparse lists it among the missing arguments.
+        Without a default, argparse lists it among the missing arguments.
         """
-        return super().add_argument(
-            *names, **({"default": []} if options.get("nargs") == "*" else {}) | options
-        )
+        if options.get("nargs") == "*":
+            options = {"default": [], **options}
+        if options.get("nargs") in ("+", "*") and str(names[0]).startswith("-"):
+            options = {"action": _Listed, **options}
+        return super().add_argument(*names, **options)
 
     def error(self, message: str) -> NoReturn:
         """Print the error, with a suggestion, and exit with 2."""

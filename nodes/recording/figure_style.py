@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import itertools
 import re
 import threading
 import warnings
@@ -37,6 +38,7 @@ LINES: tuple[Any, ...] = (
 """Line styles in the same order."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # markers in the same order
+PAGE_WIDTH = 7.2  # text width of a paper [inch]: letters are as large in print as they are here
 BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 
 # label of an axis of frequency in units of the Nyquist frequency
@@ -273,30 +275,69 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
 def threshold(
     axes: Axes, value: float, name: str, vertical: bool = False, before: bool = False
 ) -> None:
-    """Draw a named threshold line; a vertical line's name stands after it unless `before`."""
-    draw = axes.axvline if vertical else axes.axhline
-    draw(value, color=INK, lw=0.9, ls=(0, (1, 1.5)))
-    place: tuple[float, float] = (value, 0.99) if vertical else (0.01, value)
-    # Near the top the name would overlap the title.
-    high = (
-        not vertical
-        and axes.transAxes.inverted().transform(
-            axes.transData.transform((axes.get_xlim()[1], value))
-        )[1]
-        > 0.9
-    )
-    axes.annotate(
-        name,
-        place,
-        xycoords=("data", "axes fraction") if vertical else ("axes fraction", "data"),
-        xytext=(-3 if before else 3, -3) if vertical else (0, -3 if high else 3),
-        textcoords="offset points",
-        ha="right" if before else "left",
-        fontsize=7.5,
-        color=INK,
-        va="top" if vertical or high else "bottom",
+    """Draw a named threshold line; a vertical line's name stands after it unless `before`.
+
+    A horizontal line's name stands where the fewest curves pass that were drawn before.
+    """
+    look: Any = {"color": INK, "lw": 0.9, "ls": (0, (1, 1.5))}
+    text: Any = {
+        "textcoords": "offset points",
+        "fontsize": 7.5,
+        "color": INK,
         # A background box keeps curves from striking the name through; an outline would turn the
         # letters into shapes.
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
-        zorder=5,
-    )
+        "bbox": {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6},
+        "zorder": 5,
+    }
+    if vertical:
+        axes.axvline(value, **look)
+        axes.annotate(
+            name,
+            (value, 0.99),
+            xycoords=("data", "axes fraction"),
+            xytext=(-3 if before else 3, -3),
+            ha="right" if before else "left",
+            va="top",
+            **text,
+        )
+        return
+    curves = _pixels(axes)
+    axes.axhline(value, **look)
+    inside, notes = axes.get_window_extent(), []
+    for side, over in _SIDES:
+        note = axes.annotate(
+            name,
+            (0.01 if side == "left" else 0.99, value),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 3 if over else -3),
+            ha=side,
+            va="bottom" if over else "top",
+            **text,
+        )
+        box = note.get_window_extent()
+        outside = box.y0 < inside.y0 or box.y1 > inside.y1
+        notes.append((outside, sum(box.contains(x, y) for x, y in curves), note))
+    best = min(notes, key=lambda one: one[:2])
+    for one in notes:
+        if one is not best:
+            one[2].remove()
+
+
+# Places of a horizontal threshold's name, in the order they are tried: side, above the line.
+_SIDES = (("left", True), ("right", True), ("left", False), ("right", False))
+
+
+def _pixels(axes: Axes) -> list[tuple[float, float]]:
+    """Return points along the curves of a panel [pixel], about four pixels apart."""
+    import numpy as np
+
+    found = [np.empty((0, 2))]
+    for line in axes.get_lines():
+        at = np.asarray(line.get_transform().transform(np.asarray(line.get_xydata(), dtype=float)))
+        at = at[np.isfinite(at).all(axis=1)]
+        found.append(at)
+        if line.get_linestyle() != "None":
+            for start, end in itertools.pairwise(at):
+                steps = min(int(np.abs(end - start).max() / 4.0), 500)
+                found.append(np.linspace(start, end, steps, endpoint=False))
+    return [(float(x), float(y)) for x, y in np.concatenate(found)]

@@ -14,6 +14,7 @@ from sim.api.laws import law as made
 from sim.arrays import Array
 from sim.experiments.rendered import LOWEST, POINTS, ZWidth, frequencies, rendered
 from sim.experiments.rendered import z_width as plane
+from sim.law_looks import law_looks
 from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:
@@ -83,18 +84,14 @@ class ZWidthResult(Result):
     def plot(self, ax: Axes | None = None) -> Figure:
         """Plot the K–B plane, in the axes `ax` if given.
 
-        Stable below the solid line in known hands; passive below the dashed one in any hand.
+        Stable below the heavy line in known hands; passive below the thin one in any hand.
         """
         axes = new_figure(height=4.0)[1][0] if ax is None else ax
-        for name, one in zip(self.names, self._planes, strict=True):
-            line = axes.plot(one.gain, one.h1_max_n_per_m, label=f"{name}, stable")
-            axes.plot(
-                one.gain,
-                one.passive_n_per_m,
-                ls="--",
-                color=line[0].get_color(),
-                label=f"{name}, passive",
-            )
+        looks = law_looks(self.names)
+        for name, look, one in zip(self.names, looks, self._planes, strict=True):
+            axes.plot(one.gain, one.h1_max_n_per_m, **look.curve(), label=f"{name}, stable")
+            passive: dict[str, Any] = look.curve() | {"lw": 0.7}
+            axes.plot(one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive")
         axes.set(xlabel="gain B of the damper", ylabel="stiffness [N/m]", title="Z-width")
         axes.legend(frameon=False)
         return _figure(axes)

@@ -11,7 +11,14 @@ import numpy as np
 
 from messages.errors import UsageError
 from nodes.laws import CompiledLaw
-from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    OMEGA,
+    PAGE_WIDTH,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import effective_damping
 from nodes.stability.plant import Plant
@@ -35,6 +42,7 @@ from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.rest_map import rest_map
 from sim.experiments.terms import RESOLUTION
+from sim.law_looks import law_looks
 from sim.results import fresh
 from sim.studies import any_world_design as any_world
 from sim.studies import device_options as shared
@@ -393,12 +401,13 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
     if passive is not None:
         named.append(("passive", passive.taps))
-    figure = new_figure(10.0, 4.0)
+    figure = new_figure(PAGE_WIDTH, 3.4)
     left, right = figure.subplots(1, 2)
     masses = np.geomspace(0.5 * demand.mass[0], 2.0 * demand.mass[1], 121)
     theta = np.linspace(0.0, np.pi, 401)
     whole = round(demand.delay[1])
-    for name, taps in named:
+    looks = law_looks([name for name, _ in named])
+    for (name, taps), look in zip(named, looks, strict=True):
         compiled = CompiledLaw(tuple(taps.tolist()))
         device, hands = (
             Plant(demand.period, demand.mass[0], demand.damping, demand.delay[1]),
@@ -409,11 +418,11 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
             for m in masses.tolist()
         ]
         label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
-        left.semilogx(masses, radii, label=label)
+        left.semilogx(masses, radii, **look.curve(), label=label)
         needed = 0.5 * demand.period * compiled.h1 + effective_damping(
             compiled, demand.period, theta / demand.period, whole
         )
-        right.plot(theta / np.pi, needed, label=label)
+        right.plot(theta / np.pi, needed, **look.curve(), label=label)
     plain_log(left.xaxis, float(masses[0]), float(masses[-1]))
     threshold(left, demand.radius, f"{demand.radius:g}: demanded at most")
     left.axvspan(*demand.mass, alpha=0.1, lw=0)

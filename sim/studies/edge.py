@@ -15,18 +15,12 @@ from messages.errors import UsageError
 from nodes.laws.parse import parse_law
 from nodes.parameters.options import FileOptions, argument, option, quantity
 from nodes.parameters.quantities import COUNT, Interval, not_negative, whole
-from nodes.recording.figure_style import (
-    COLOURS,
-    INK,
-    MARKERS,
-    new_figure,
-    save_figure,
-    styled,
-    threshold,
-)
+from nodes.recording.figure_style import INK, PAGE_WIDTH, new_figure, save_figure, styled
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
+from sim.axes import plain_log
+from sim.law_looks import law_looks
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions
 from sim.studies.result import Answer, StudyResult, answered
@@ -222,15 +216,15 @@ def _predict(options: EdgeOptions, recording: Path) -> StudyResult:
 
 @styled
 def _draw(options: EdgeOptions, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
-    figure = new_figure(10.0, 4.2)
+    figure = new_figure(PAGE_WIDTH, 3.4)
     left, right = figure.subplots(1, 2)
-    for i, name in enumerate(LAWS):
+    for name, look in zip(LAWS, law_looks(LAWS), strict=True):
         mine = [row for row in rows if row["law"] == name]
         k = [row["k_max_n_per_m"] for row in mine]
-        look: Any = {"ls": "none", "marker": MARKERS[i], "color": COLOURS[i], "label": name}
-        left.plot([row["f_n_s_per_m"] for row in mine], k, **look)
+        left.plot([row["f_n_s_per_m"] for row in mine], k, **look.points(), label=name)
         hertz = [row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine]
-        right.plot(hertz, [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in mine], **look)
+        off = [100.0 * abs(1.0 - row["k_simple_n_per_m"] / row["k_max_n_per_m"]) for row in mine]
+        right.semilogy(hertz, off, **look.points())
     span = sorted(row["f_n_s_per_m"] for row in rows)
     left.plot(
         span,
@@ -247,12 +241,10 @@ def _draw(options: EdgeOptions, rows: list[dict[str, Any]], damping: float, peri
     )
     right.set(
         xlabel=r"$\omega_c/2\pi$  [Hz]",
-        ylabel=r"$2(b-f(\omega_c))/T$ over $K_\mathrm{max}$  [1]",
+        ylabel=r"$2(b-f)/T$ differs from $K_\mathrm{max}$ by  [%]",
         title=r"Colgate at $\omega_c$ alone, without R",
     )
-    # Space for the label of the threshold, below the title.
-    right.set_ylim(top=1.0 + 0.25 * (1.0 - right.get_ylim()[0]))
-    threshold(right, 1.0, "1: as predicted")
+    plain_log(right.yaxis, *right.get_ylim())
     left.legend()
     figure.suptitle(
         f"m = {options.mass:g} kg, b = {damping:g} N s/m, d = {options.delay:g},"

@@ -13,18 +13,20 @@ from nodes.recording.figure_style import (
     GREY,
     LINES,
     MARKERS,
+    PAGE_WIDTH,
     new_figure,
     save_figure,
     styled,
     threshold,
 )
+from sim.axes import plain_log
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
 from sim.results import fresh
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SpreadOptions, spread
 
-LEAST = 1e-6  # lower limit of the plots, in mJ and mm: a nanojoule, a nanometre
+LEAST = 1e-6  # the plots are linear below it, in mJ and mm: a nanojoule, a nanometre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,17 +97,15 @@ def guard(options: GuardOptions) -> Answer:
 
 @styled
 def _draw(options: GuardOptions, drops: list[Drop]) -> Path:
-    figure = new_figure(7.0, 7.5)
+    figure = new_figure(PAGE_WIDTH, 6.4)
     panels = figure.subplots(3, 1, sharex=True)
     for guarded, i, label in ((False, 1, "without the guard"), (True, 0, "with the guard")):
         look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i], "ms": 3.5}
         chosen = [drop for drop in drops if drop.guarded is guarded]
         stiffness = [drop.stiffness for drop in chosen]
-        # Zero has no place on a logarithmic axis.
-        panels[0].plot(
-            stiffness, [max(drop.energy_max_j * 1e3, LEAST) for drop in chosen], label=label, **look
-        )
-        panels[1].plot(stiffness, [max(drop.unrest_m * 1e3, LEAST) for drop in chosen], **look)
+        given = [max(drop.energy_max_j * 1e3, 0.0) for drop in chosen]
+        panels[0].plot(stiffness, given, label=label, **look)
+        panels[1].plot(stiffness, [drop.unrest_m * 1e3 for drop in chosen], **look)
         felt = [float("nan") if drop.felt_n_per_m is None else drop.felt_n_per_m for drop in chosen]
         panels[2].plot(stiffness, felt, **look)
     nominal = [drop.stiffness for drop in drops]
@@ -116,8 +116,14 @@ def _draw(options: GuardOptions, drops: list[Drop]) -> Path:
         axes.set(xscale="log", yscale="log", ylabel=label)
         if axes.get_legend_handles_labels()[0]:
             axes.legend()
-    threshold(panels[0], LEAST, "nothing, or less")
-    threshold(panels[1], LEAST, "at rest")
+    for axes, name in ((panels[0], "nothing, or less"), (panels[1], "at rest")):
+        axes.set_yscale("symlog", linthresh=LEAST)
+        axes.set_ylim(bottom=-LEAST)
+        axes.set_yticks([0.0, *(10.0**power for power in (-6, -4, -2, 0, 2))])
+        axes.set_ylim(top=2.0 * max(line.get_ydata().max() for line in axes.get_lines()))
+        threshold(axes, 0.0, name)
+    plain_log(panels[2].yaxis, *panels[2].get_ylim())
+    plain_log(panels[2].xaxis, *panels[2].get_xlim())
     panels[2].set_xlabel("nominal stiffness K  [N/m]")
     panels[0].set_title(
         f"Drop of {options.mass:g} kg from {options.height * 1e3:g} mm, PD with B ="

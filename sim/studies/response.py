@@ -9,8 +9,9 @@ from typing import Any
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, whole
-from nodes.recording.figure_style import new_figure, save_figure, styled
+from nodes.recording.figure_style import PAGE_WIDTH, new_figure, save_figure, styled
 from nodes.stability.plant import Plant
+from sim.law_looks import law_looks
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
@@ -123,22 +124,18 @@ def _plane_lines(names: list[str], planes: list[Any]) -> list[str]:
 @styled
 def draw(path: Path, names: list[str], found: list[Any], planes: list[Any], device: Plant) -> Path:
     """Plot stiffness and damping over frequency, with the K–B plane beside them."""
-    figure = new_figure(11.0 if planes else 7.0, 5.2)
+    figure = new_figure(PAGE_WIDTH, 4.4)
+    looks = law_looks(names)
     grid = figure.add_gridspec(2, 2 if planes else 1)
     top = figure.add_subplot(grid[0, 0], xscale="log", ylabel="stiffness felt  [N/m]")
     below = figure.add_subplot(
         grid[1, 0], xscale="log", ylabel="damping felt  [N s/m]", xlabel="frequency  [Hz]"
     )
-    for name, felt in zip(names, found, strict=True):
+    for name, look, felt in zip(names, looks, found, strict=True):
         for axes, key in ((top, "stiffness_n_per_m"), (below, "damping_n_s_per_m")):
-            (line,) = axes.plot(felt.frequency_hz, getattr(felt, key), ls="-", label=name)
-            axes.plot(
-                felt.frequency_hz,
-                getattr(felt, f"law_{key}"),
-                ls=":",
-                color=line.get_color(),
-                label="_",
-            )
+            axes.plot(felt.frequency_hz, getattr(felt, key), **look.curve(), label=name)
+            alone = getattr(felt, f"law_{key}")
+            axes.plot(felt.frequency_hz, alone, ls=":", lw=0.8, color=look.color, label="_")
     top.set_title(
         f"what is felt (dotted: of the law alone), {1.0 / device.period:g} Hz, {device.delay:g}"
         " ticks late",
@@ -149,17 +146,10 @@ def draw(path: Path, names: list[str], found: list[Any], planes: list[Any], devi
         plane = figure.add_subplot(
             grid[:, 1], xlabel="gain B of the damper", ylabel="stiffness  [N/m]"
         )
-        for name, one in zip(names, planes, strict=True):
-            (line,) = plane.plot(
-                one.gain, one.h1_max_n_per_m, ls="-", label=f"{name}, stable: H(1)"
-            )
-            plane.plot(
-                one.gain,
-                one.passive_n_per_m,
-                ls="--",
-                color=line.get_color(),
-                label=f"{name}, passive",
-            )
+        for name, look, one in zip(names, looks, planes, strict=True):
+            plane.plot(one.gain, one.h1_max_n_per_m, **look.curve(), label=f"{name}, stable: H(1)")
+            passive: dict[str, Any] = look.curve() | {"lw": 0.7}
+            plane.plot(one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive")
         plane.set_title(
             f"Z-width, m = {device.mass:g} kg, b = {device.damping:g} N s/m", fontsize=8
         )

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, quantity
-from nodes.recording.figure_style import COLOURS, GREY, OMEGA, label_ends, new_figure, styled
+from nodes.recording.figure_style import GREY, OMEGA, label_ends, new_figure, styled
+from sim.law_looks import law_looks
 from sim.studies.result import Answer, answered
 
 
@@ -31,11 +32,12 @@ def fig3(options: Fig3Options) -> Answer:
     axes = figure.add_subplot(
         xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]"
     )
-    axes.plot(share, curves["optimum"], color=COLOURS[0], ls="-", label="paper's optimum")
-    axes.plot(share, curves["pd"], color=COLOURS[1], ls="--", label="PD")
+    optimum, pd = law_looks(("paper_optimum", "pd"))
+    axes.plot(share, curves["optimum"], color=optimum.color, ls="-", label="paper's optimum")
+    axes.plot(share, curves["pd"], color=pd.color, ls="--", label="PD")
     for i, label in enumerate((r"$1.69\,D^{1.50}$", r"$1.32\,D^{3.47}$")):
         axes.plot(
-            share, curves["terms"][i], color=COLOURS[2 + i], ls=("-.", ":")[i], lw=1.0, label=label
+            share, curves["terms"][i], color=optimum.color, ls=("-.", ":")[i], lw=0.8, label=label
         )
     for level in (-1.0, 0.0):
         axes.axhline(level, color=GREY, lw=0.8)

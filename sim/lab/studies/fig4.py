@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import signal
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, not_negative, positive, whole
-from nodes.recording.figure_style import COLOURS, GREY, MARKERS, new_figure, styled, threshold
+from nodes.recording.figure_style import GREY, PAGE_WIDTH, new_figure, styled, threshold
+from sim.law_looks import law_looks
 from sim.measure.jobs import SweepRow, read_ledger, sweep
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SweepOptions, begun, executor
@@ -111,39 +112,38 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
     from sim.axes import legend_below, plain_log
     from sim.lab.paper.fig4 import DELAYS, LAWS
 
-    figure = new_figure(10.0, 7.0)
+    figure = new_figure(PAGE_WIDTH, 5.6)
     axes = figure.subplots(2, 2, sharex=True)
+    looks = dict(zip(LAWS, law_looks(LAWS), strict=True))
     for column, delay in enumerate(DELAYS):
         stiffness, frequency = axes[0][column], axes[1][column]
         for curve in (c for c in curves if c.delay == delay):
-            i, gains = LAWS.index(curve.law), setting.gains[: len(curve.found)]
+            look, gains = looks[curve.law], setting.gains[: len(curve.found)]
             nominal, felt, swings = (
                 [getattr(f, key) or float("nan") for f in curve.found]
                 for key in ("k_max_n_per_m", "h1_max_n_per_m", "frequency_hz")
             )
-            color: Any = {"color": COLOURS[i]}
             if curve.touch:
-                stiffness.plot(gains, felt, **color, marker="x", ls="none")
+                stiffness.plot(gains, felt, color=look.color, marker="x", ms=3.0, ls="none")
                 continue
-            stiffness.plot(
-                gains, nominal, **color, ls="-", marker=MARKERS[i], ms=3.5, label=curve.law
-            )
-            stiffness.plot(gains, felt, **color, ls="--", lw=0.9)
-            frequency.plot(gains, swings, **color, ls="-", marker=MARKERS[i], ms=3.5)
-        stiffness.set(xscale="log", yscale="log", ylabel="largest stiffness that settles  [N/m]")
+            solid = look.points() | {"ls": "-", "ms": 3.0, "lw": 1.0}
+            stiffness.plot(gains, nominal, **solid, label=curve.law)
+            stiffness.plot(gains, felt, color=look.color, ls="--", lw=0.8)
+            frequency.plot(gains, swings, **solid)
+        stiffness.set(xscale="log", yscale="log", ylabel="stiffest that settles  [N/m]")
         stiffness.set_title(f"delay of {delay:g} tick{'' if delay == 1 else 's'}")
         edge = 2.0 * setting.damping / setting.period
         threshold(stiffness, edge, f"2b/T = {edge:.4g} N/m: passive for any hand")
         plain_log(stiffness.yaxis, *stiffness.get_ylim())
         plain_log(stiffness.xaxis, setting.gains[0], setting.gains[-1])
-        frequency.set(xlabel="B  [N s/m]", ylabel="measured swing at the limit  [Hz]")
+        frequency.set(xlabel="B  [N s/m]", ylabel="swing at the limit  [Hz]")
     # Label each law where it has the most curves, and explain full, dashed and ×.
-    for text, look in (
+    for text, line in (
         ("nominal K", {"ls": "-"}),
-        ("felt, H(1)", {"ls": "--", "lw": 0.9}),
-        ("felt with the Touch X's sensor", {"ls": "none", "marker": "x"}),
+        ("felt, H(1)", {"ls": "--", "lw": 0.8}),
+        ("felt with the Touch X's sensor", {"ls": "none", "marker": "x", "ms": 3.0}),
     ):
-        axes[0][0].plot([], [], color=GREY, label=text, **look)
+        axes[0][0].plot([], [], color=GREY, label=text, **line)
     legend_below(figure, axes[0])
     figure.suptitle(
         f"Drop of {setting.mass:g} kg, b = {setting.damping:g} N s/m, {1.0 / setting.period:g} Hz, "

@@ -13,7 +13,15 @@ from nodes.laws import CompiledLaw
 from nodes.laws.multi_term import MultiTerm, Term
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import interval, positive, whole
-from nodes.recording.figure_style import COLOURS, LINES, OMEGA, new_figure, save_figure, styled
+from nodes.recording.figure_style import (
+    COLOURS,
+    LINES,
+    OMEGA,
+    PAGE_WIDTH,
+    new_figure,
+    save_figure,
+    styled,
+)
 from nodes.stability.k_max import k_max, without_spring
 from sim.lab.paper.descent import (
     Descent,
@@ -28,6 +36,7 @@ from sim.lab.paper.descent import (
     steepest_descent,
 )
 from sim.lab.paper.fig2_fig3 import optimum_terms
+from sim.law_looks import law_looks
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions
@@ -205,43 +214,38 @@ def _text(figures: dict[str, Any]) -> list[str]:
 def _draw(
     options: OptimiseOptions, descents: dict[float, list[Descent]], rows: list[dict[str, Any]]
 ) -> Path:
-    figure = new_figure(10.0, 4.0)
+    figure = new_figure(PAGE_WIDTH, 3.4)
     left, right = figure.subplots(1, 2)
     for k, (rate, runs) in enumerate(descents.items()):
         for i, one in enumerate(runs):
-            look: Any = {"color": COLOURS[k % len(COLOURS)], "lw": 0.6, "ls": LINES[k % len(LINES)]}
+            thin: Any = {"color": COLOURS[k % len(COLOURS)], "lw": 0.6, "ls": LINES[k % len(LINES)]}
             left.loglog(
                 np.arange(1, one.cost.size + 1),
                 one.cost,
-                **look,
+                **thin,
                 label=f"rate {rate:g}" if i == 0 else None,
             )
     left.set(
         xlabel="step  [1]",
         ylabel="J, eq. (13)  [1]",
         title="steepest descent from a grid of orders",
-        ylim=(1e-7, 1e6),
+        ylim=(1e-7, min(1e6, 3.0 * left.get_ylim()[1])),
     )
     if descents:
         left.legend(title="of descent", title_fontsize=8.0)
     theta = np.linspace(0.0, np.pi, 401)
-    for row in rows:
-        if "orders" in row:
-            curve = damping_curve(
-                theta, np.array(row["gains"]), np.array(row["orders"]), options.taps, leak=False
-            )
-            bound = row["nyquist_bound"]
-            label = (
-                row["law"]
-                if bound is None
-                else rf"best orders, $f(\omega_\mathrm{{N}}) \leq {bound:g}$"
-            )
-            right.plot(
-                theta / np.pi,
-                curve,
-                label=label,
-                **({"color": "k", "ls": "-"} if bound is None else {}),
-            )
+    shaped = [row for row in rows if "orders" in row]
+    looks = law_looks(
+        "paper_optimum" if row["nyquist_bound"] is None else f"bound_{row['nyquist_bound']:g}"
+        for row in shaped
+    )
+    for row, look in zip(shaped, looks, strict=True):
+        gains, orders = np.array(row["gains"]), np.array(row["orders"])
+        curve = damping_curve(theta, gains, orders, options.taps, leak=False)
+        bound = row["nyquist_bound"]
+        named = rf"best orders, $f(\omega_\mathrm{{N}}) \leq {bound or 0.0:g}$"
+        label = row["law"] if bound is None else named
+        right.plot(theta / np.pi, curve, label=label, **look.curve())
     right.set(xlabel=OMEGA, ylabel="f over the spring as H(1)  [1]", title="shapes of f")
     if rows:
         right.legend()
