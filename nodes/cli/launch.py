@@ -31,6 +31,7 @@ from nodes.launcher.runs import STOPPED, ended_why, place_of
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
+from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.logger import LoggerParameters, file_of
 from nodes.recording.writer import Ended, write_ended
 
@@ -60,6 +61,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--tick",
         choices=("auto", "compiled", "plain"),
         help=("run the loop's ticks compiled or in the interpreter (plain); same as tick:="),
+    )
+    parser.add_argument(
+        "--law",
+        metavar="LAW",
+        help="law to start with: a name, or a mapping {kind: ...}; same as law:=",
     )
     parser.add_argument(
         "--out-dir",
@@ -313,6 +319,8 @@ def run(arguments: argparse.Namespace) -> int:
         given = launch_file.parse_assignments(arguments.assignments)
         if arguments.tick is not None:
             given["tick"] = arguments.tick
+        if arguments.law is not None:
+            given["law"] = parse_yaml(arguments.law, "law")
         launch = launch_file.without(
             launch_file.read(arguments.scenario, given, arguments.params), arguments.without
         )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from nodes.coupling.parameters import CouplingParameters, PlantParameters
@@ -128,6 +131,24 @@ class LawBook:
                 raise ParameterError(
                     f"{self._node}.{name}: is fixed while the node runs; set it in the launch file"
                 )
+
+
+def free_name(law: Mapping[str, Any], laws: Mapping[str, Any], mine: Collection[str] = ()) -> str:
+    """Return a name for a law given without one: its kind, numbered if taken.
+
+    `laws` are the coupling's; a name among `mine` may be used again. A law that is already there
+    keeps its name.
+    """
+    kind = str(law["kind"])[:56]
+    wanted = law_to_dict(parse_law(law))
+    names = itertools.chain([kind], (f"{kind}_{number}" for number in itertools.count(2)))
+    for name in names:
+        if name not in laws or name in mine:
+            return name
+        with contextlib.suppress(ParameterError):
+            if law_to_dict(parse_law(laws[name])) == wanted:
+                return name
+    raise AssertionError("the numbers never end")
 
 
 def worst_figures(

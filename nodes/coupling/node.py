@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import msgspec
@@ -24,13 +24,14 @@ from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.compiled.layout import NEVER, state_of
 from nodes.compiled.published import payload_of
 from nodes.coupling.judgement import Judgement, StartAnyway, refuses_start
-from nodes.coupling.law_book import LawBook
+from nodes.coupling.law_book import LawBook, free_name
 from nodes.coupling.law_on_axis import History
 from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer, settle_conventions
 from nodes.coupling.state import PUBLISHED, CouplingState
 from nodes.coupling.time_budget import Budget
 from nodes.laws import CompiledLaw
+from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:
@@ -99,6 +100,8 @@ class Coupling(Node):
         self._realtime = self.setup.pace == "realtime"
         self.counters.delay = _least_delay(self.setup)
         self._failed_text = ""
+        # names of laws that a switch was given by kind and parameters
+        self._given_laws: set[str] = set()
         # what was last reported of the law and a world that moves
         self._told_of_world: list[str] = []
         self._book = LawBook(self.setup.name, self.setup.period)
@@ -360,9 +363,14 @@ class Coupling(Node):
             **self._book.figures(parameters, active.compiled, self._felt_delay),
         }
 
-    def _switch_law(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+    def _switch_law(self, law: Any, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+        """Switch to a law by name, or to one that is given by kind and parameters."""
         usual = self.store.current.ramp
-        wanted = {"law": law} if ramp is None else {"law": law, "ramp": ramp}
+        wanted: dict[str, Any] = {} if ramp is None else {"ramp": ramp}
+        if isinstance(law, Mapping):
+            law, description = self._named(law), law
+            wanted[f"laws.{law}"] = dict(description)
+        wanted["law"] = law
         before = self._renderer.law
         ramps = []
 
@@ -380,6 +388,20 @@ class Coupling(Node):
             receipt["was"] = self._book.figures(parameters, before.compiled, self._felt_delay)
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
+
+    def _named(self, law: Mapping[str, Any]) -> str:
+        """Return a name for a law given by kind and parameters; raises LawRefusedError.
+
+        Names of such laws that no longer render are used again, so that a program may switch
+        without end.
+        """
+        parse_law(law, f"{self.setup.name}.law")
+        parameters: CouplingParameters = self.store.current
+        needed = {parameters.law, *(later.name for _, later, _ in self._schedule)}
+        name = free_name(law, parameters.laws, self._given_laws - needed)
+        if name not in parameters.laws:
+            self._given_laws.add(name)
+        return name
 
     @property
     def rendering(self) -> Renderer:

@@ -22,6 +22,7 @@ from messages.topics import within
 from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Axis
+from nodes.launcher.given_law import with_named_law
 from nodes.launcher.launch_spec import (
     Argument,
     Include,
@@ -184,7 +185,7 @@ def _fill_in(
             value = float(value)
         if kind is str and isinstance(value, (int, float)):
             value = str(value)
-        if type(value) is not kind:
+        if type(value) is not kind and not (kind is str and _is_law(value)):
             raise ParameterError(
                 f"{where}: expected {_KINDS.get(kind, kind.__name__)}, got {value!r}"
             )
@@ -209,6 +210,11 @@ def _fill_in(
             )
         values[name] = value
     return values
+
+
+def _is_law(value: Any) -> bool:
+    """Return whether a value describes a law by kind and parameters, in place of its name."""
+    return isinstance(value, Mapping) and isinstance(value.get("kind"), str)
 
 
 def _bound(text: str, instead: Mapping[str, str], where: str) -> None:
@@ -248,6 +254,11 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
                 )
             origins.filled_in(where, name)
         whole = _WHOLE.match(data)
+        for name in _WITHIN.findall(data):
+            if not whole and isinstance(values[name], Mapping):
+                raise ParameterError(
+                    f"{where}: {name} is a mapping, which cannot stand within a text; give a name"
+                )
         return (
             values[whole[1]]
             if whole
@@ -313,6 +324,7 @@ def _read(
         for node, parameters in tree.items():
             merged = merge(nodes[node].parameters, parameters)
             nodes[node] = msgspec.structs.replace(nodes[node], parameters=merged)
+    nodes = {node: with_named_law(spec, node) for node, spec in nodes.items()}
     for node, spec in nodes.items():
         if spec.watch:
             watched = _watched(node, spec, f"{path.name}.nodes.{node}")

@@ -43,6 +43,14 @@ class Origins:
         """Record that `argument` was substituted at `place`."""
         self._arguments[place.removeprefix(f"{self._name}.")] = argument
 
+    def _argument_of(self, place: str) -> str | None:
+        """Return the argument substituted at a place, or at one above it; None without any."""
+        while place not in self._arguments:
+            place, whole = _LAST.sub("", place, count=1), place
+            if place == whole:
+                return None
+        return self._arguments[place]
+
     def located(self, text: str) -> str:
         """Return an error text with file, line and argument of the value it names."""
         match = _PATH.match(text)
@@ -52,7 +60,7 @@ class Origins:
         node, dot, rest = place.partition(".")
         if node in self._nodes:
             place = f"nodes.{node}.parameters{dot}{rest}"
-        argument = self._arguments.get(place)
+        argument = self._argument_of(place)
         if argument is None and place.startswith("arguments."):
             argument = place.removeprefix("arguments.")
         behind = ""

@@ -11,20 +11,20 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
 import msgspec
 
-from nodes.parameters.checked import check_fields
+from nodes.parameters.checked import check_fields, check_given
 from nodes.parameters.registry import Registry
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["LAWS", "CompiledLaw", "Law", "law_kinds", "law_names", "load_law"]
+__all__ = ["LAWS", "CompiledLaw", "Law", "law_kinds", "law_names", "load_law", "with_gain"]
 
 
 def _wrong_law(name: str, found: Any) -> str:
@@ -144,21 +144,44 @@ class CompiledLaw:
         return True
 
 
-class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LawType(msgspec.StructMeta):
+    """Class of laws: a call names everything that is missing or unknown in one error."""
+
+    if not TYPE_CHECKING:  # type checkers read the fields
+
+        def __call__(cls, *args, **parameters):  # noqa: N805  # of a class of classes
+            """Return a law with these parameters."""
+            if args:
+                raise TypeError(
+                    f"{cls.__name__}: parameters are given by name:"
+                    f" {', '.join(cls.__struct_fields__)}"
+                )
+            parameters = with_gain(cls, parameters)
+            check_given(cls, parameters, cls.kind)
+            return super().__call__(**parameters)
+
+
+class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, metaclass=LawType):
     """Base of all laws: the fields of a subclass are its parameters.
 
     Attributes
     ----------
     kind : str
         Class variable: the registered name.
+    example : dict
+        Class variable: parameters of an example, as in YAML; at least those without a default.
+    internal : bool
+        Class variable: whether only programs use it, so that no list shows it.
 
     Raises
     ------
     ParameterError
-        If a parameter has the wrong type, is out of its limits or not finite.
+        If a parameter is missing, unknown, of the wrong type, out of its limits or not finite.
     """
 
     kind: ClassVar[str] = ""
+    example: ClassVar[dict[str, Any]] = {}
+    internal: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Check values given in Python as those of a YAML file are checked."""
@@ -239,6 +262,29 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             Arrays over the gain; ``.plot()`` draws them.
         """
         return RESULTS.load("z_width")(self, plant, **options)
+
+
+def with_gain(kind: type[Law], parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters with B, given as ``gain``, as the law's ``damping``.
+
+    Parameters
+    ----------
+    kind : type of Law
+        The law.
+    parameters : mapping
+        Parameters as given.
+
+    Returns
+    -------
+    dict
+        Parameters as the law names them; beside a device B is called ``gain``. A law with a
+        parameter ``gain`` of its own keeps it, and so does one that is given both, which its own
+        check refuses.
+    """
+    found, fields = dict(parameters), kind.__struct_fields__
+    if "gain" in found and "gain" not in fields and "damping" in fields and "damping" not in found:
+        found["damping"] = found.pop("gain")
+    return found
 
 
 def law_kinds() -> dict[str, type[Law]]:

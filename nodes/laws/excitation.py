@@ -84,6 +84,7 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "excitation"
+    internal: ClassVar[bool] = True
 
     amplitude: Positive = 0.7
     duration: Annotated[float, msgspec.Meta(gt=0.0, le=600.0)] = 8.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -15,6 +17,28 @@ Damping: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
 Order: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, lt=4.0)]
 Taps: TypeAlias = Annotated[int, msgspec.Meta(ge=2, le=MAX_TAPS)]
 Gains: TypeAlias = Literal["physical", "paper", "unlimited"]
+
+
+GAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "physical": {
+            "unit": "N s^α/m",
+            "gain": "B",
+            "take": "B_α was identified, or is given in SI units",
+        },
+        "unlimited": {
+            "unit": "N s/m",
+            "gain": "B (T/2)^(α−1)",
+            "take": "orders are compared: with endless memory |D(−1)| is that of a damper B",
+        },
+        "paper": {
+            "unit": "N s/m",
+            "gain": "B (T/2)^(α−1) · 2^α / Σ (−1)^m c_m",
+            "take": "the paper's figures: the same, for the memory that is there",
+        },
+    }
+)
+"""Values of ``gains``: unit of the gain, gain of D^α in SI units, when to take it."""
 
 
 def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int) -> float:

@@ -5,7 +5,7 @@ A designed law may have recursive sections besides its taps, like every compiled
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -36,6 +36,7 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "fir"
+    example: ClassVar[dict[str, Any]] = {"taps": [2500.0, -1500.0], "period": 0.002}
     taps: Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=MAX_TAPS)]
     period: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     recursive: Annotated[tuple[RecursiveSection, ...], msgspec.Meta(max_length=8)] | None = None

@@ -8,7 +8,7 @@ supports no permanent load. With full memory the arm is a sum of exponentials
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -29,6 +29,12 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "fractional_sls"
+    example: ClassVar[dict[str, Any]] = {
+        "stiffness": 900.0,
+        "damping": 8.0,
+        "order": 0.6,
+        "relaxation": 0.004,
+    }
     stiffness: Annotated[float, msgspec.Meta(ge=0.0)]
     damping: Damping
     order: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]

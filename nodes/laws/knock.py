@@ -9,7 +9,7 @@ active.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -34,6 +34,8 @@ class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "knock"
+    example: ClassVar[dict[str, Any]] = {"taps": [2500.0, -1500.0], "step": 1e-4}
+    internal: ClassVar[bool] = True
 
     taps: Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=MAX_TAPS)]
     step: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -36,6 +36,13 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "multi_term"
+    example: ClassVar[dict[str, Any]] = {
+        "stiffness": 1000.0,
+        "damping": 3.0,
+        "terms": [{"gain": 1.69, "order": 1.5}, {"gain": 1.32, "order": 3.47}],
+        "taps": 4,
+        "gains": "paper",
+    }
     stiffness: Stiffness
     damping: Damping
     terms: Annotated[tuple[Term, ...], msgspec.Meta(min_length=1)]

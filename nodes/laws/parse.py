@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from nodes.laws import CompiledLaw, Law, law_names, load_law
+from nodes.laws import CompiledLaw, Law, law_names, load_law, with_gain
 from nodes.laws.presets import PRESETS, expand, preset_names
 from nodes.parameters.refusals import choices, short
 from nodes.parameters.registry import NotInstalledError
@@ -49,6 +49,7 @@ def parse_law(data: object, path: str = "law") -> Law:
     except NotInstalledError as error:
         raise LawRefusedError(f"{path}.kind: {error}") from error
     parameters = law.__struct_fields__
+    whole = with_gain(law, whole)
     unknown = [key for key in whole if key not in parameters]
     if unknown:
         raise LawRefusedError(

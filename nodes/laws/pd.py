@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from nodes.laws import CompiledLaw, Law
 from nodes.parameters.checked import NonNegative, Positive
@@ -16,6 +16,7 @@ class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "pd"
+    example: ClassVar[dict[str, Any]] = {"stiffness": 1000.0, "damping": 3.0}
     stiffness: Positive
     damping: NonNegative = 0.0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.derivatives import realise
@@ -23,6 +23,13 @@ class PDAlpha(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "pd_alpha"
+    example: ClassVar[dict[str, Any]] = {
+        "stiffness": 1000.0,
+        "damping": 3.0,
+        "order": 1.2,
+        "taps": 10,
+        "gains": "paper",
+    }
     stiffness: Stiffness
     damping: Damping
     order: Order

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -22,6 +22,7 @@ class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "pd_filtered"
+    example: ClassVar[dict[str, Any]] = {"stiffness": 1000.0, "damping": 3.0, "cutoff": 100.0}
     stiffness: Stiffness
     damping: Damping
     cutoff: Annotated[float, msgspec.Meta(gt=0.0)]

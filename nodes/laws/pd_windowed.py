@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 
@@ -29,6 +29,7 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "pd_windowed"
+    example: ClassVar[dict[str, Any]] = {"stiffness": 1000.0, "damping": 3.0, "resolution": 2.3e-5}
     stiffness: Stiffness
     damping: Damping
     resolution: Annotated[float, msgspec.Meta(gt=0.0)]

@@ -1,11 +1,13 @@
 """Checking structs created in Python like those from YAML: types, limits, numpy numbers."""
 
 import functools
+from collections.abc import Mapping
 from typing import Annotated, Any, TypeAlias, get_type_hints
 
 import msgspec
 
-from nodes.parameters.store import convert
+from nodes.parameters.refusals import choices, missing_words
+from nodes.parameters.store import ParameterError, convert
 
 Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -25,6 +27,21 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return value.tolist()
     return msgspec.to_builtins(value, enc_hook=lambda other: other.tolist())
+
+
+def required_fields(kind: type[msgspec.Struct]) -> list[str]:
+    """Return the names of the fields without a default."""
+    return [field.name for field in msgspec.structs.fields(kind) if field.required]
+
+
+def check_given(kind: type[msgspec.Struct], values: Mapping[str, Any], name: str) -> None:
+    """Raise ParameterError if a field without a default is missing, or a name is unknown."""
+    fields = kind.__struct_fields__
+    for unknown in values:
+        if unknown not in fields:
+            raise ParameterError(f"{name}.{unknown}: no such parameter; {choices(unknown, fields)}")
+    if missing := [field for field in required_fields(kind) if field not in values]:
+        raise ParameterError(f"{name}.{missing[0]}: {missing_words(missing)}")
 
 
 def check_fields(made: msgspec.Struct, name: str = "") -> None:

@@ -6,7 +6,7 @@ at that path.
 
 import operator
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from msgspec import inspect
@@ -61,6 +61,12 @@ def choices(given: object, known: Iterable[str]) -> str:
     return f"available: {', '.join(names) or 'nothing yet'}{did_you_mean(given, names)}"
 
 
+def missing_words(names: Sequence[str]) -> str:
+    """Return the text about missing parameters; the path before it ends with the first."""
+    others = f"; also missing: {', '.join(names[1:])}" if len(names) > 1 else ""
+    return f"is missing, and has no default{others}"
+
+
 def short(value: object) -> str:
     """Return a value's repr, cut to 80 characters."""
     text = repr(value)
@@ -79,7 +85,8 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
         ]
         return f"{path}.{unknown['name']}", f"no such parameter; {choices(unknown['name'], fields)}"
     if missing := _MISSING.fullmatch(reason):
-        return f"{path}.{missing['name']}", "is missing, and has no default"
+        names = [missing["name"], *_also_missing(missing["name"], data, target, path)]
+        return f"{path}.{names[0]}", missing_words(names)
     value, known = look_up(data, path)
     shown = f", got {_called(value)}" if known else ""
     # errors raised by a type's own checks are passed on
@@ -103,6 +110,19 @@ def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
         return path, f"expected {words}{shown}"
     scalar = isinstance(value, str | int | float)
     return path, f"{reason.replace('`', '')}{shown if scalar else ''}"
+
+
+def _also_missing(first: str, data: Any, target: Any, path: str) -> list[str]:
+    """Return the other required fields that are missing at a path, if all there is one struct."""
+    value, known = look_up(data, path)
+    structs = [info for info in _types_at(target, path) if isinstance(info, inspect.StructType)]
+    if not known or len(structs) != 1 or not isinstance(value, dict):
+        return []
+    return [
+        field.encode_name
+        for field in structs[0].fields
+        if field.required and field.encode_name not in value and field.encode_name != first
+    ]
 
 
 def _broken(info: inspect.Type, value: Any) -> str:

@@ -24,6 +24,7 @@ from messages.types import DeviceState, Event, Receipt
 from nodes.base.setup import AXIS_INDEX
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
+from nodes.laws.law_fields import all_law_fields
 from nodes.parameters.store import ParameterError, convert
 from nodes.recording.facts import (
     axes_of,
@@ -36,7 +37,6 @@ from nodes.recording.facts import (
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from nodes.view.commands import CommandError
-from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, Facts, LiveRun
 from nodes.view.server import PageServer
 from nodes.view.stability_map import drawn_map

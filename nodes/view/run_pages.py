@@ -16,10 +16,10 @@ from nodes.base.setup import AXIS_INDEX
 from nodes.client.launches import roles
 from nodes.driver.pointer import awaited_pointer
 from nodes.launcher.runs import RunInfo
+from nodes.laws.law_fields import all_law_fields
 from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Comparison
-from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY, LiveRun, facts_of
 from nodes.view.server import PageServer
 from nodes.view.shared_hand import SharedHand

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from sim.api.laws import plain
+from sim.api.laws import LawLike, launch_arguments, plain
 
 # calls a node: (node, operation, arguments) to the answer, `sim.api.python_runs.Run.ask`
 AskNode = Callable[..., Any]
@@ -51,17 +51,19 @@ class Laws:
     def __init__(self, ask: AskNode) -> None:
         self._ask = ask
 
-    def switch(self, law: str, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+    def switch(self, law: LawLike, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
         """Switch the law between two ticks; return the receipt.
 
-        The receipt holds the tick, the force step [N] and both laws. `law`: a name of `list`.
-        `ramp`: cross-fade [ticks]; None: the coupling's own. With `force` a law that makes the loop
+        The receipt holds the tick, the force step [N] and both laws. `law`: a name of `list`, or
+        any law, e.g. ``haptic.PD(stiffness=800)``, which joins the list under its kind. `ramp`:
+        cross-fade [ticks]; None: the coupling's own. With `force` a law that makes the loop
         unstable is accepted.
         """
         wanted: dict[str, Any] = {"force": True} if force else {}
         if ramp is not None:
             wanted["ramp"] = ramp
-        receipt: dict[str, Any] = self._ask("law.switch", law=law, **wanted)
+        named = law if isinstance(law, str) else launch_arguments({"law": law})["law"]
+        receipt: dict[str, Any] = self._ask("law.switch", law=named, **wanted)
         return receipt
 
     def list(self) -> dict[str, dict[str, Any]]:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.launcher import launch_file
-from nodes.laws import CompiledLaw, Law, law_names
+from nodes.laws import CompiledLaw, Law, law_kinds
+from nodes.laws.described_laws import public_kinds
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
 
@@ -17,14 +18,41 @@ LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[flo
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert numpy numbers, arrays and laws to the types of YAML."""
+    """Convert numpy numbers, arrays and laws to the types of YAML, at any depth."""
     return {name: _plain(value) for name, value in values.items()}
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    return law_to_dict(value) if isinstance(value, Law) else value
+    if isinstance(value, Law):
+        return law_to_dict(value)
+    if isinstance(value, CompiledLaw):
+        return law_to_dict(_as_fir(value))
+    if isinstance(value, Mapping):
+        return plain(value)
+    # A named tuple stays what it is.
+    return type(value)(map(_plain, value)) if type(value) in (list, tuple) else value
+
+
+def _as_fir(law: CompiledLaw) -> Law:
+    """Return a compiled law as taps and sections with parameters of their own."""
+    if law.evaluate is not None:
+        raise TypeError("a compiled law with code of its own; pass the law that it was made from")
+    sections = [dict(zip(("b0", "b1", "a1", "a2"), one, strict=True)) for one in law.sections]
+    recursive = {"recursive": sections} if sections else {}
+    return parse_law({"kind": "fir", "taps": list(law.taps), **recursive})
+
+
+def launch_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a launch file as YAML has them; ``law`` may be any law.
+
+    A text is the name of a law.
+    """
+    found = dict(given)
+    if not isinstance(named := found.get("law", ""), str | CompiledLaw):
+        found["law"] = law(named)
+    return plain(found)
 
 
 def scenarios() -> dict[str, dict[str, Any]]:
@@ -53,17 +81,26 @@ def scenarios() -> dict[str, dict[str, Any]]:
 def laws() -> list[str]:
     """Return the kinds of law and the presets that `law` accepts.
 
+    ``haptic.PD`` and the like are the classes of the kinds; ``haptic law describe KIND`` explains
+    one.
+
     Returns
     -------
     list of str
-        Names.
+        Names, without the kinds that only programs use.
 
     Examples
     --------
     >>> "pd_alpha" in laws()
     True
     """
-    return [*law_names(), *preset_names()]
+    return [*public_kinds(), *preset_names()]
+
+
+def law_class(name: str) -> type[Law] | None:
+    """Return the class of an installed law by the class's name; None if there is none."""
+    found = {kind.__name__: kind for kind in law_kinds().values()}
+    return found.get(name)
 
 
 def law(kind: LawLike, **parameters: Any) -> Law:
@@ -102,7 +139,7 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     if isinstance(kind, str):
         return parse_law({"kind": kind, **parameters}, kind)
     if isinstance(kind, Mapping):
-        return parse_law({**kind, **parameters})
+        return parse_law(plain({**kind, **parameters}))
     if not isinstance(kind, Sequence | np.ndarray):
         raise TypeError(
             f"{kind!r} is no law: expected a kind, a preset, a mapping as in YAML, taps [N/m] or"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.stability.plant import Plant
-from sim.api.laws import LawLike, compiled, plain
+from sim.api.laws import LawLike, compiled, launch_arguments
 from sim.arrays import Array
 from sim.studies.notebook_results import Result, new_figure
 
@@ -193,7 +193,7 @@ def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
     from nodes.launcher import launch_file
     from sim.play.player import play as play_chain
 
-    launch = launch_file.read(scenario, plain(arguments))
+    launch = launch_file.read(scenario, launch_arguments(arguments))
     trace = play_chain(launch, chain)
     name = "/".join(filter(None, (launch.scenario, chain)))
     return _played(name, trace, _settled(launch, chain or "", trace))

@@ -17,7 +17,7 @@ from messages.errors import HapticError
 from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
-from sim.api.laws import plain
+from sim.api.laws import launch_arguments
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
 from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
@@ -339,7 +339,7 @@ def launch(
     """
     words = [
         f"{name}:={value if isinstance(value, str) else json.dumps(value)}"
-        for name, value in plain(arguments).items()
+        for name, value in launch_arguments(arguments).items()
     ]
     if view:
         words.append("--view")

@@ -2,6 +2,7 @@
 
 ``haptic.launch("floor_drop", stiffness=1500)`` starts the loop in its own processes,
 ``haptic.play`` plays it in this one, ``haptic.k_max`` and ``haptic.poles`` analyse its stability.
+``haptic.PD(stiffness=1500, damping=3)`` is a law; every installed kind has such a class.
 Everything is loaded on first use.
 """
 
@@ -14,7 +15,14 @@ if TYPE_CHECKING:
     from typing import Any
 
     from messages.errors import HapticError
+    from nodes.laws.fir import FIR, RecursiveSection
+    from nodes.laws.fractional_sls import FractionalSLS
+    from nodes.laws.multi_term import MultiTerm, Term
     from nodes.laws.parse import LawRefusedError
+    from nodes.laws.pd import PD
+    from nodes.laws.pd_alpha import PDAlpha
+    from nodes.laws.pd_filtered import PDFiltered
+    from nodes.laws.pd_windowed import PDWindowed
     from nodes.stability.plant import Plant
     from sim.api.laws import law, laws, scenarios
     from sim.api.loops import k_max, poles
@@ -25,11 +33,20 @@ if TYPE_CHECKING:
     from sim.api.verbs import design, identify, lab, study, tune
 
 __all__ = [
+    "FIR",
+    "PD",
+    "FractionalSLS",
     "HapticError",
     "LaunchError",
     "LawRefusedError",
+    "MultiTerm",
+    "PDAlpha",
+    "PDFiltered",
+    "PDWindowed",
     "Plant",
+    "RecursiveSection",
     "Run",
+    "Term",
     "bode",
     "connect",
     "design",
@@ -53,7 +70,14 @@ __all__ = [
 
 _NAMES = {
     "messages.errors": ("HapticError",),
+    "nodes.laws.fir": ("FIR", "RecursiveSection"),
+    "nodes.laws.fractional_sls": ("FractionalSLS",),
+    "nodes.laws.multi_term": ("MultiTerm", "Term"),
     "nodes.laws.parse": ("LawRefusedError",),
+    "nodes.laws.pd": ("PD",),
+    "nodes.laws.pd_alpha": ("PDAlpha",),
+    "nodes.laws.pd_filtered": ("PDFiltered",),
+    "nodes.laws.pd_windowed": ("PDWindowed",),
     "nodes.stability.plant": ("Plant",),
     "sim.api.laws": ("law", "laws", "scenarios"),
     "sim.api.loops": ("k_max", "poles"),
@@ -67,11 +91,16 @@ _HOME = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name in _HOME:
+        found = getattr(importlib.import_module(_HOME[name]), name)
+    elif name[:1].isupper() and (
+        law := importlib.import_module("sim.api.laws").law_class(name)
+    ):  # a law of another package
+        found = law
+    else:
         raise AttributeError(
             f"module 'haptic' has no attribute {name!r}; it has {', '.join(__all__)}"
         )
-    found = getattr(importlib.import_module(_HOME[name]), name)
     globals()[name] = found
     return found
 

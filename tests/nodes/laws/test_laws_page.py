@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from nodes.laws import law_kinds
+from nodes.laws.law_fields import law_fields
 from nodes.laws.presets import PRESETS
-from nodes.view.law_fields import law_fields
 from tests.support import ROOT
 
 PAGE = (ROOT / "nodes" / "laws" / "README.md").read_text(encoding="utf-8")

@@ -222,6 +222,16 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
         run.param["coupling.laws.pd.stiffness"] = 800
         assert haptic.connect().param["coupling.laws.pd.stiffness"] == 800
         assert run.law.switch("multi_term", ramp=5)["to"] == run.law.active == "multi_term"
+        # A law made here joins the coupling's; its name is used again once it no longer renders.
+        soft = [PD(stiffness=value, damping=2.0) for value in (700.0, 600.0, 500.0, 1000.0)]
+        switched = [run.law.switch(law)["to"] for law in soft]
+        assert switched == ["pd_2", "pd_3", "pd_2", "pd_3"]
+        assert run.param["coupling.laws.pd_3.stiffness"] == 1000.0
+        assert run.law.switch(haptic.law("pd", stiffness=800, damping=2))["to"] == "pd"
+        with pytest.raises(haptic.HapticError, match=r"law\.stiffness: .*above 0"):
+            run.law.switch({"kind": "pd", "stiffness": -1})
+        with pytest.raises(haptic.HapticError, match="unstable"):
+            run.law.switch(PD(stiffness=1e6))
         with pytest.raises(haptic.HapticError, match="no node is named 'nobody'"):
             run.param["nobody.x"]
         with pytest.raises(haptic.HapticError, match="unstable"):

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from nodes.laws import CompiledLaw, Law, law_kinds
-from nodes.view.law_fields import law_fields
+from nodes.laws.law_fields import law_fields
 
 
 @pytest.mark.parametrize("kind", law_kinds())
