@@ -48,7 +48,7 @@ _CHOICE = re.compile(
 
 
 class _Listed(argparse.Action):
-    """Store a list; the same option once more adds to it, where argparse would forget the first."""
+    """Add the values of a repeated list option; argparse would forget the first ones."""
 
     def __call__(
         self,

@@ -14,7 +14,7 @@ from sim.api.laws import law as made
 from sim.arrays import Array
 from sim.experiments.rendered import LOWEST, POINTS, ZWidth, frequencies, rendered
 from sim.experiments.rendered import z_width as plane
-from sim.law_looks import law_looks
+from sim.studies.law_looks import law_looks
 from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:

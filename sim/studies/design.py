@@ -42,11 +42,11 @@ from sim.design.passive import Passive, certain_damping, stiffest_passive
 from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.rest_map import rest_map
 from sim.experiments.terms import RESOLUTION
-from sim.law_looks import law_looks
 from sim.results import fresh
 from sim.studies import any_world_design as any_world
 from sim.studies import device_options as shared
 from sim.studies.design_options import DesignOptions
+from sim.studies.law_looks import law_looks
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SPREAD, spread
 

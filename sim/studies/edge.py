@@ -20,9 +20,9 @@ from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.axes import plain_log
-from sim.law_looks import law_looks
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions
+from sim.studies.law_looks import law_looks
 from sim.studies.result import Answer, StudyResult, answered
 from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 

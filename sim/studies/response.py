@@ -11,10 +11,10 @@ from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, whole
 from nodes.recording.figure_style import PAGE_WIDTH, new_figure, save_figure, styled
 from nodes.stability.plant import Plant
-from sim.law_looks import law_looks
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
+from sim.studies.law_looks import law_looks
 from sim.studies.result import Answer, answered
 
 SHOWN = (1.0, 10.0, 50.0, 100.0)  # frequencies of the printed table [Hz]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, quantity
 from nodes.recording.figure_style import GREY, OMEGA, label_ends, new_figure, styled
-from sim.law_looks import law_looks
+from sim.studies.law_looks import law_looks
 from sim.studies.result import Answer, answered
 
 

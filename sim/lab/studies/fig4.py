@@ -10,8 +10,8 @@ from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, not_negative, positive, whole
 from nodes.recording.figure_style import GREY, PAGE_WIDTH, new_figure, styled, threshold
-from sim.law_looks import law_looks
 from sim.measure.jobs import SweepRow, read_ledger, sweep
+from sim.studies.law_looks import law_looks
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SweepOptions, begun, executor
 

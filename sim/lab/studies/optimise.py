@@ -36,10 +36,10 @@ from sim.lab.paper.descent import (
     steepest_descent,
 )
 from sim.lab.paper.fig2_fig3 import optimum_terms
-from sim.law_looks import law_looks
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions
+from sim.studies.law_looks import law_looks
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SpreadOptions, spread
 

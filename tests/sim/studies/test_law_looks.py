@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.law_looks import law_looks
+from sim.studies.law_looks import law_looks
 
 NAMES = (
     "pd",
