@@ -1,7 +1,7 @@
 """Play a chain of any launch file in one process, with its own nodes.
 
 Driver, environment and coupling are built as in their processes, without sockets: the tick is that
-of nodes/driver/tick.py in lockstep, with `_Wire` as its port. So every feature of the nodes is
+of nodes/driver/tick.py in lockstep, with `ChainNodes` as its port. So every feature of the nodes is
 available (shapes, moving bodies, pairs of devices, laws with code of their own, swaps, the driver's
 safety), and no rule is repeated here. The nodes run interpreted; `sim.play.player` uses the
 compiled loop of one axis instead where it gives the same bits.
@@ -62,7 +62,7 @@ def _made(launch: Launch, name: str) -> Any:
     return node
 
 
-class _Wire:
+class ChainNodes:
     """The driver's port: passes messages from node to node in place of sockets."""
 
     def __init__(self, launch: Launch, hops: Hops, ticks: int, instead: Instead, given: Given):
@@ -217,7 +217,7 @@ def play_chain(
         As a launch raises it, or if one process cannot play a node.
     """
     hops = hops_of(launch, namespace)
-    wire = _Wire(launch, hops, ticks, instead, given)
+    wire = ChainNodes(launch, hops, ticks, instead, given)
     s: DriverState = wire.driver.driving
     s.until, s.most = ticks, ticks
     port = Port(

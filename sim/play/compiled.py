@@ -103,12 +103,14 @@ def own_force(own: Callable[[Sequence[float], int], float], history: Any, head: 
     return own(history, head)
 
 
-def _windowed(own: Any, history: Any, head: int) -> float:
+def windowed_force(own: Any, history: Any, head: int) -> float:
+    """Return the force of a windowed damper [N]; `own` is gain, error and window."""
     damped: float = own[0] * _slope(history, head, own[1], int(own[2]))
     return damped
 
 
-def _pushed(own: Any, history: Any, head: int) -> float:
+def pushed_force(own: Any, history: Any, head: int) -> float:
+    """Return the force of a push [N]; `own` is a `Pushing`, whose state changes."""
     load: float = own.load
     ticks, k = len(own.signal), own.state[0]
     if k >= ticks:
@@ -128,7 +130,7 @@ kernel(faded)
 # of an argument's name.
 overload(own_force, strict=False)(
     lambda own, history, head: (  # noqa: ARG005
-        _pushed if getattr(own, "instance_class", None) is Pushing else _windowed
+        pushed_force if getattr(own, "instance_class", None) is Pushing else windowed_force
     )
 )
 

@@ -1,0 +1,1 @@
+"""Emit the project's rules as JavaScript that gives the same bits."""
