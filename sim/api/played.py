@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.parameters.store import ParameterError
 from nodes.stability.plant import Plant
 from sim.api.laws import LawLike, compiled, launch_arguments
+from sim.api.python_words import speaking_python
 from sim.arrays import Array
 from sim.studies.notebook_results import Result, new_figure
 
@@ -193,8 +195,12 @@ def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
     from nodes.launcher import launch_file
     from sim.play.player import play as play_chain
 
-    launch = launch_file.read(scenario, launch_arguments(arguments))
-    trace = play_chain(launch, chain)
+    with speaking_python():
+        launch = launch_file.read(scenario, launch_arguments(arguments))
+        try:
+            trace = play_chain(launch, chain)
+        except ParameterError as error:
+            raise type(error)(launch.origins.located(str(error))) from error
     name = "/".join(filter(None, (launch.scenario, chain)))
     return _played(name, trace, _settled(launch, chain or "", trace))
 
