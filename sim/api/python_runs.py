@@ -10,6 +10,7 @@ import shutil
 import time
 import warnings
 import weakref
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,7 +19,7 @@ from messages.errors import HapticError
 from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
-from sim.api.laws import launch_arguments
+from sim.api.launch_arguments import launch_arguments
 from sim.api.progress import progress
 from sim.api.python_words import in_python, speaking_python
 from sim.api.recordings import Recorded, read
@@ -334,7 +335,13 @@ def connect(name: str | None = None) -> Run:
 
 
 def launch(
-    scenario: str, *, view: bool = False, out_dir: str | Path | None = None, **arguments: Any
+    scenario: str,
+    *,
+    view: bool = False,
+    out_dir: str | Path | None = None,
+    params: Mapping[str, Any] | None = None,
+    without: Sequence[str] = (),
+    **arguments: Any,
 ) -> Run:
     """Start a scenario in its own processes; return at its first tick.
 
@@ -346,8 +353,13 @@ def launch(
         Serve the page; its URL is in ``run.url``.
     out_dir : str or Path, optional
         Directory of recordings; by default the launch file's.
+    params : mapping of str to object, optional
+        Parameters of nodes, e.g. ``{"driver.device.mass": 0.2}``; checked as in the file.
+    without : sequence of str
+        Nodes to leave out, e.g. ``["logger"]``.
     **arguments : object
-        Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``.
+        Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``; ``law=`` takes any
+        law, e.g. ``haptic.PD(stiffness=1500, damping=3)``.
 
     Returns
     -------
@@ -373,8 +385,10 @@ def launch(
     """
     words = [
         f"{name}:={value if isinstance(value, str) else json.dumps(value)}"
-        for name, value in launch_arguments(arguments).items()
+        for name, value in launch_arguments(arguments, params).items()
     ]
+    for node in without:
+        words += ["--without", node]
     if view:
         words.append("--view")
     if out_dir is not None:

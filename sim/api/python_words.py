@@ -31,8 +31,7 @@ WORDS: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"--out-dir\b", "out_dir="),
         (r"--without\b", "without="),
         (r"--view\b", "view=True"),
-        # an argument with its value: run.rate:=1000 is no Python name, so its value is kept
-        (r"\b([a-z]\w*):=", r"\1="),
+        (r":=(?=\S)", "="),  # an argument with its value
     )
 )
 

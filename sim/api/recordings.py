@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+# Names of `Played` for columns of a recording.
+_NAMES = {"time_s": "time", "measured_m": "position", "proxy_m": "proxy", "force_n": "force"}
+
+
 @dataclass(frozen=True, repr=False)
 class Recorded(Result):
     """A recording: one row per tick, as ``haptic bag export`` writes it."""
@@ -30,7 +34,8 @@ class Recorded(Result):
         return self._table
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return one column, e.g. ``recorded["position"]``."""
+        """Return one column, e.g. ``recorded["position"]``, also by its name in `Played`."""
+        column = _NAMES.get(column, column)
         if column not in self._table:
             raise KeyError(f"{column!r} is no column; there are {', '.join(self._table)}")
         return self._table[column]

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from messages.types import DeviceState, Force, Proxy
-from nodes.view.feed import Feed
 from nodes.laws.law_fields import all_law_fields
+from nodes.view.feed import Feed
 from nodes.view.live import Facts, LiveRun
 from nodes.view.server import PageServer
 from tests.support.browser import OpenPage, needs_browser, shown

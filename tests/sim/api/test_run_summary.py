@@ -101,9 +101,8 @@ def texts(folder: Path) -> set[str]:
             and isinstance(node.body[0], ast.Expr)
         }
         for node in ast.walk(tree):
-            literal = isinstance(node, ast.Constant) and id(node) not in docs
-            if literal and isinstance(node.value, str):
-                found.add(node.value)
+            if isinstance(node, ast.Constant) and id(node) not in docs:
+                found |= {node.value} if isinstance(node.value, str) else set()
     return found
 
 
