@@ -237,19 +237,18 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
 
 
 def _ending(final: dict[str, Any], stopped: bool) -> str:
-    """Return a line about the final motion: at rest, swinging, falling or moving."""
+    """Return a line about the final motion: stopped, at rest, swinging, falling or moving."""
     motion, where = (
         final["motion"],
         f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N",
     )
     swing, speed = f"{final['swing_m'] * 1e3:.3g} mm", f"{final['velocity_m_per_s']:+.3g} m/s"
+    if stopped:
+        return f"  stopped   {where}, {motion}: no force acts any more"
     if motion == "swinging":
         return f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
     if motion == "falling":
-        return (
-            f"  falling   {where}, {speed}:"
-            f" {'the driver has stopped' if stopped else 'it touches nothing'}"
-        )
+        return f"  falling   {where}, {speed}: it touches nothing"
     return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
 
 

@@ -4,7 +4,8 @@ A launch file has these parts: ``summary``, ``arguments`` (with default, unit, h
 ``run`` (rate, pace, apply, duration, axes, scheduling), ``nodes``, and optionally ``model`` (the
 purpose of the scene and its intended omissions) and ``include`` (other launch files, each in a
 namespace). ``$(var NAME)`` stands for an argument and ``$(dirname)`` for the folder of the launch
-file, as in ROS 2. ``run.NAME:=VALUE`` sets a field of ``run`` for which there is no argument.
+file, as in ROS 2. ``run.NAME:=VALUE`` sets a field of ``run`` for which there is no argument, and
+``NODE.PATH:=VALUE`` any parameter of a node.
 """
 
 import contextlib
@@ -33,9 +34,10 @@ from nodes.launcher.launch_spec import (
     NodeSpec,
     RunSpec,
 )
+from nodes.launcher.node_parameters import is_node_parameter, places, with_parameters
 from nodes.launcher.origins import Origins
 from nodes.launcher.plants import with_plants
-from nodes.launcher.usual_arguments import with_usual
+from nodes.launcher.usual_arguments import with_gain, with_usual
 from nodes.parameters.refusals import choices
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
@@ -276,7 +278,8 @@ def read(
     """Read a launch file, substitute its arguments and apply files of parameters.
 
     `given`: arguments that differ from their defaults; every launch file also accepts ``tick`` and
-    ``run.NAME`` (see `RunSpec`), and ``device`` if it has a virtual device. `laid_over`: YAML
+    ``run.NAME`` (see `RunSpec`), ``NODE.PATH`` (`nodes.launcher.node_parameters`), and ``device``
+    if it has a virtual device. `laid_over`: YAML
     files that map nodes to some or all parameters, as ``haptic param dump`` and ``haptic study
     design`` write them; later files take precedence. `including`: the files that include this one.
     """
@@ -284,6 +287,7 @@ def read(
     outermost = including is None
     including = (including or Including()).another(path, name)
     data = read_yaml(path)
+    given = with_gain(data, given)
     origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
     try:
         launch = _read(path, data, given, laid_over, origins, including)
@@ -311,7 +315,13 @@ def _read(
     over_run = {name.removeprefix(_RUN): given[name] for name in over}
     declared = {**(_offered(path, file, Including()) if DEVICE in given else {}), **file.arguments}
     values = _fill_in(
-        path, declared, {name: value for name, value in given.items() if name not in over}
+        path,
+        declared,
+        {
+            name: value
+            for name, value in given.items()
+            if name not in over and not is_node_parameter(name)
+        },
     )
     included = [
         _include(entry, values, f"{path.name}.include[{i}]", origins, including)
@@ -324,13 +334,16 @@ def _read(
         for node, parameters in tree.items():
             merged = merge(nodes[node].parameters, parameters)
             nodes[node] = msgspec.structs.replace(nodes[node], parameters=merged)
-    nodes = {node: with_named_law(spec, node) for node, spec in nodes.items()}
     for node, spec in nodes.items():
         if spec.watch:
             watched = _watched(node, spec, f"{path.name}.nodes.{node}")
             nodes[node] = msgspec.structs.replace(spec, parameters=watched)
     if DEVICE not in file.arguments and (device := values.get(DEVICE, "none")) not in ("", "none"):
         nodes = _with_device(nodes, device, path.name)
+    for name, node, place in places(given):
+        origins.filled_in(f"nodes.{node}.parameters.{place}", name)
+    nodes = with_parameters(nodes, given, path.name)
+    nodes = {node: with_named_law(spec, node) for node, spec in nodes.items()}
     written_run = {**_substitute(file.run, values, f"{path.name}.run", origins), **over_run}
     run = convert(
         {**_common_run(included, written_run, path.name), **written_run},

@@ -43,3 +43,16 @@ def with_usual(data: Any) -> Any:
     if isinstance(run, Mapping):
         run = {**{name: f"$(var {name})" for name in RUN if name in short}, **run}
     return {**data, "arguments": arguments, "run": run}
+
+
+def with_gain(data: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return assignments with ``gain``, the studies' name of a law's B, as ``damping``.
+
+    Only for a launch file with an argument ``damping`` and none that is named ``gain``.
+    """
+    declared = data.get("arguments") if isinstance(data, Mapping) else None
+    names = set(declared) if isinstance(declared, Mapping) else set()
+    found = dict(given)
+    if "gain" in found and "gain" not in names and "damping" in names - set(found):
+        found["damping"] = found.pop("gain")
+    return found

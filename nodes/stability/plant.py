@@ -10,9 +10,26 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
+from typing import Any, overload
 
+LONGEST_PERIOD = 1.0  # longest sampling period [s]: what is longer is a rate [Hz]
 MAX_DELAY = 1100.0  # longest delay of a loop [ticks]: its matrix has a row and a column for each
 _SHORTEST = 1e-15  # fraction of a tick that counts as zero, because of rounding [ticks]
+
+
+def _checked(name: str, value: Any) -> float:
+    """Return a field as a plain number; it must be finite, and positive or not negative."""
+    positive = name in ("mass", "period", "rate")
+    if (
+        isinstance(value, str)
+        or not math.isfinite(value)
+        or value < 0.0
+        or (positive and value == 0.0)
+    ):
+        raise ValueError(
+            f"{name} = {value!r}: must be finite and {'positive' if positive else 'at least 0'}"
+        )
+    return float(value)
 
 
 @dataclass(frozen=True)
@@ -37,14 +54,14 @@ class Counterpart:
     later: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Plant:
     """The device that a law is coupled to, including a hand's share, sampled by a loop.
 
     Attributes
     ----------
     period : float
-        Sampling period T [s].
+        Sampling period T [s], at most 1 s; or `rate`, its inverse.
     mass : float
         Moving mass m [kg].
     damping : float
@@ -55,16 +72,20 @@ class Plant:
         Stiffness of a hand [N/m].
     partner : Counterpart or None
         Moving body at the other end of the coupling; None for a wall or a point.
+    rate : float
+        Rate of the loop [Hz].
 
     Raises
     ------
     ValueError
         If a field is out of its limits.
+    TypeError
+        If mass, damping, or both period and rate are missing.
 
     Examples
     --------
-    >>> Plant(period=0.002, mass=0.1, damping=1.0, delay=1.3).delay
-    1.3
+    >>> Plant(rate=500, mass=0.1, damping=1.0, delay=1.3).period
+    0.002
     """
 
     period: float
@@ -74,30 +95,72 @@ class Plant:
     stiffness: float = 0.0
     partner: Counterpart | None = None
 
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        if self.partner is not None:
-            Plant(
-                self.period,
-                self.partner.mass,
-                self.partner.damping,
-                self._delay_of_partner,
-                self.partner.stiffness,
+    @overload
+    def __init__(
+        self,
+        period: float,
+        mass: float,
+        damping: float,
+        delay: float = ...,
+        stiffness: float = ...,
+        partner: Counterpart | None = ...,
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self,
+        *,
+        mass: float,
+        damping: float,
+        delay: float = ...,
+        stiffness: float = ...,
+        partner: Counterpart | None = ...,
+        rate: float,
+    ) -> None: ...
+
+    def __init__(
+        self,
+        period: float | None = None,
+        mass: float | None = None,
+        damping: float | None = None,
+        delay: float = 0.0,
+        stiffness: float = 0.0,
+        partner: Counterpart | None = None,
+        *,
+        rate: float | None = None,
+    ) -> None:
+        if period is not None and rate is not None:
+            raise TypeError("Plant: period and rate are the same quantity; give one")
+        if rate is not None:
+            period = 1.0 / _checked("rate", rate)
+        values = {"period": period, "mass": mass, "damping": damping}
+        if missing := [name for name, value in values.items() if value is None]:
+            named = ", ".join(missing).replace("period", "period or rate")
+            raise TypeError(f"Plant: missing {named}; e.g. Plant(rate=500, mass=0.1, damping=1.0)")
+        values |= {"delay": delay, "stiffness": stiffness}
+        for name, value in values.items():
+            object.__setattr__(self, name, _checked(name, value))
+        object.__setattr__(self, "partner", partner)
+        if self.period > LONGEST_PERIOD:
+            raise ValueError(
+                f"period = {self.period:g} s: must be at most {LONGEST_PERIOD:g} s; for"
+                f" {self.period:g} Hz write rate={self.period:g}"
             )
-        for name in ("mass", "period", "damping", "delay", "stiffness"):
-            value, positive = getattr(self, name), name in ("mass", "period")
-            if (
-                isinstance(value, str)
-                or not math.isfinite(value)
-                or value < 0.0
-                or (positive and value == 0.0)
-            ):
-                raise ValueError(
-                    f"{name} = {value!r}: must be finite and"
-                    f" {'positive' if positive else 'at least 0'}"
-                )
         if self.delay > MAX_DELAY:
             raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
+        if partner is not None:
+            Plant(
+                self.period,
+                partner.mass,
+                partner.damping,
+                self._delay_of_partner,
+                partner.stiffness,
+            )
+
+    @property
+    def rate(self) -> float:
+        """Rate of the loop [Hz]."""
+        return 1.0 / self.period
 
     def with_tool(self, mass: float, damping: float = 0.0) -> Plant:
         """Return this device coupled to a tool that is free to move.

@@ -3,7 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from sim.api.laws import LawLike, launch_arguments, plain
+from sim.api.launch_arguments import launch_arguments
+from sim.api.laws import LawLike, plain
 
 # calls a node: (node, operation, arguments) to the answer, `sim.api.python_runs.Run.ask`
 AskNode = Callable[..., Any]

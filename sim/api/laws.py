@@ -44,17 +44,6 @@ def _as_fir(law: CompiledLaw) -> Law:
     return parse_law({"kind": "fir", "taps": list(law.taps), **recursive})
 
 
-def launch_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a launch file as YAML has them; ``law`` may be any law.
-
-    A text is the name of a law.
-    """
-    found = dict(given)
-    if not isinstance(named := found.get("law", ""), str | CompiledLaw):
-        found["law"] = law(named)
-    return plain(found)
-
-
 def scenarios() -> dict[str, dict[str, Any]]:
     """Return the scenarios that can be launched.
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.parameters.store import ParameterError
 from nodes.stability.plant import Plant
-from sim.api.laws import LawLike, compiled, launch_arguments
+from sim.api.launch_arguments import launch_arguments
+from sim.api.laws import LawLike, compiled
+from sim.api.python_words import speaking_python
 from sim.arrays import Array
 from sim.studies.notebook_results import Result, new_figure
 
@@ -53,8 +56,18 @@ class Played(Result):
         return {**super().figures(), "bodies": ", ".join(self.bodies)}
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays with one row per tick, bodies' positions and orientations included."""
-        found = super().columns()
+        """Return the arrays with one row per tick, bodies' positions and orientations included.
+
+        The first columns are those of a recording (nodes/recording/table.py): ``time``,
+        ``position_z``, which is what the encoder read, ``proxy_z``, ``force_z``; for each axis.
+        The arrays by their names here follow.
+        """
+        shown = {"position": self.measured_m, "proxy": self.proxy_m, "force": self.force_n}
+        found: dict[str, NDArray[Any]] = {"time": self.time_s}
+        for name, values in shown.items():
+            rows = values.reshape(len(values), -1)
+            found |= {f"{name}_{axis}": rows[:, i] for i, axis in enumerate(self.axes)}
+        found |= super().columns()
         for name, body in self.bodies.items():
             found[f"{name}_m"] = body.position
             if body.turn is not None:
@@ -160,7 +173,14 @@ def drop(
     )
 
 
-def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
+def play(
+    scenario: str,
+    chain: str | None = None,
+    *,
+    params: Mapping[str, Any] | None = None,
+    without: Sequence[str] = (),
+    **arguments: Any,
+) -> Played:
     """Play a scenario's launch file in this process; bit-identical to its lockstep launch.
 
     Parameters
@@ -169,8 +189,13 @@ def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
         Name or path of a launch file; ``haptic.scenarios()`` lists them.
     chain : str, optional
         Namespace of the chain to play, if the launch file has several.
+    params : mapping of str to object, optional
+        Parameters of nodes, e.g. ``{"driver.device.mass": 0.2}``.
+    without : sequence of str
+        Nodes to leave out.
     **arguments : object
-        Arguments of the launch file, e.g. ``stiffness=1500``.
+        Arguments of the launch file, e.g. ``stiffness=1500``; ``law=`` takes any law, e.g.
+        ``haptic.PD(stiffness=1500, damping=3)``.
 
     Returns
     -------
@@ -193,8 +218,13 @@ def play(scenario: str, chain: str | None = None, **arguments: Any) -> Played:
     from nodes.launcher import launch_file
     from sim.play.player import play as play_chain
 
-    launch = launch_file.read(scenario, launch_arguments(arguments))
-    trace = play_chain(launch, chain)
+    with speaking_python():
+        given = launch_arguments(arguments, params)
+        launch = launch_file.without(launch_file.read(scenario, given), list(without))
+        try:
+            trace = play_chain(launch, chain)
+        except ParameterError as error:
+            raise type(error)(launch.origins.located(str(error))) from error
     name = "/".join(filter(None, (launch.scenario, chain)))
     return _played(name, trace, _settled(launch, chain or "", trace))
 

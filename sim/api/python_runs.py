@@ -8,7 +8,9 @@ import contextlib
 import json
 import shutil
 import time
+import warnings
 import weakref
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,9 +19,11 @@ from messages.errors import HapticError
 from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
-from sim.api.laws import launch_arguments
+from sim.api.launch_arguments import launch_arguments
 from sim.api.progress import progress
-from sim.api.recordings import Recorded, RunSummary, read
+from sim.api.python_words import in_python, speaking_python
+from sim.api.recordings import Recorded, read
+from sim.api.run_summary import LaunchWarning, RunSummary, summary_of, warnings_in
 from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
 from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
@@ -66,6 +70,8 @@ class Run:
         if started is not None:
             weakref.finalize(self, shutil.rmtree, started.output, ignore_errors=True)
         self._summary: RunSummary | None = None
+        self._ended_here = False
+        self._warned = 0  # number of warnings already issued
 
     def __enter__(self) -> Self:
         """Return the launch itself."""
@@ -136,7 +142,7 @@ class Run:
         object
             The answer.
         """
-        with deferred():
+        with deferred(), speaking_python():
             return launches.ask(self.info, node, op, **args)
 
     @property
@@ -214,12 +220,45 @@ class Run:
         except KeyboardInterrupt:
             self.stop()
             raise
+        self._warn()
         return self.summary
+
+    def _warn(self) -> None:
+        """Issue the launch's new warnings as LaunchWarning, at the caller's caller."""
+        if self._started is None:
+            return
+        found = warnings_in(self._started.errors)
+        fresh, self._warned = found[self._warned :], len(found)
+        for text in fresh:
+            warnings.warn(text, LaunchWarning, stacklevel=3)
+
+    def rearm(self, driver: str = "") -> dict[str, Any]:
+        """Enable forces again after the driver has stopped the loop; return the receipt.
+
+        Parameters
+        ----------
+        driver : str
+            Name of the driver; by default that of the only chain.
+
+        Returns
+        -------
+        dict
+            The tick from which forces ramp up, as ``seq``, and more.
+
+        Raises
+        ------
+        HapticError
+            If there are several drivers and none is named.
+        """
+        receipt: dict[str, Any] = self.ask(driver or self.role("driver"), "rearm", beside=True)
+        return receipt
 
     def stop(self) -> None:
         """Stop the launch as Ctrl-C does: ramp the force to zero first, finish the recordings."""
         if self._started is not None:
+            self._ended_here = self._ended_here or not self._started.ended
             self._started.interrupt()
+            self._warn()
             return
         try:
             haptic(Path.cwd(), "stop", self.info.run)
@@ -249,18 +288,8 @@ class Run:
             printed = started.figures
             # A killed launch may have printed only the URL of its page.
             if started.exit_code == 1 or "exit_reason" not in printed:
-                raise LaunchError(started.failure())
-            keys = (
-                "scenario",
-                "exit_reason",
-                "ticks",
-                "missed",
-                "rate_hz",
-                "response_us",
-                "final",
-                "recording",
-            )
-            self._summary = RunSummary(**{key: printed[key] for key in keys}, all=printed)
+                raise LaunchError(in_python(started.failure()))
+            self._summary = summary_of(printed, started.errors, self._ended_here)
         return self._summary
 
     @property
@@ -306,7 +335,13 @@ def connect(name: str | None = None) -> Run:
 
 
 def launch(
-    scenario: str, *, view: bool = False, out_dir: str | Path | None = None, **arguments: Any
+    scenario: str,
+    *,
+    view: bool = False,
+    out_dir: str | Path | None = None,
+    params: Mapping[str, Any] | None = None,
+    without: Sequence[str] = (),
+    **arguments: Any,
 ) -> Run:
     """Start a scenario in its own processes; return at its first tick.
 
@@ -318,8 +353,13 @@ def launch(
         Serve the page; its URL is in ``run.url``.
     out_dir : str or Path, optional
         Directory of recordings; by default the launch file's.
+    params : mapping of str to object, optional
+        Parameters of nodes, e.g. ``{"driver.device.mass": 0.2}``; checked as in the file.
+    without : sequence of str
+        Nodes to leave out, e.g. ``["logger"]``.
     **arguments : object
-        Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``.
+        Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``; ``law=`` takes any
+        law, e.g. ``haptic.PD(stiffness=1500, damping=3)``.
 
     Returns
     -------
@@ -331,6 +371,12 @@ def launch(
     LaunchError
         If the launch does not start; the text states why.
 
+    Warns
+    -----
+    LaunchWarning
+        Of an unstable law, of what is not judged, and of what fails while it runs; the latter when
+        the program waits for the end or stops it.
+
     Examples
     --------
     >>> with launch("floor_drop", stiffness=1500, pace="lockstep") as run:
@@ -339,8 +385,10 @@ def launch(
     """
     words = [
         f"{name}:={value if isinstance(value, str) else json.dumps(value)}"
-        for name, value in launch_arguments(arguments).items()
+        for name, value in launch_arguments(arguments, params).items()
     ]
+    for node in without:
+        words += ["--without", node]
     if view:
         words.append("--view")
     if out_dir is not None:
@@ -358,10 +406,12 @@ def launch(
                 launcher=started.process.pid,
                 nodes={},
             )
-        return Run(info, started)
+        run = Run(info, started)
     except MeasurementError as error:
         started.close()
-        raise LaunchError(str(error)) from error
+        raise LaunchError(in_python(str(error))) from error
     except BaseException:
         started.close()
         raise
+    run._warn()
+    return run

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from sim.studies.notebook_results import Result, bars, new_figure
+from sim.studies.notebook_results import Result, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+# Names of `Played` for columns of a recording.
+_NAMES = {"time_s": "time", "measured_m": "position", "proxy_m": "proxy", "force_n": "force"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -30,7 +34,8 @@ class Recorded(Result):
         return self._table
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return one column, e.g. ``recorded["position"]``."""
+        """Return one column, e.g. ``recorded["position"]``, also by its name in `Played`."""
+        column = _NAMES.get(column, column)
         if column not in self._table:
             raise KeyError(f"{column!r} is no column; there are {', '.join(self._table)}")
         return self._table[column]
@@ -101,31 +106,6 @@ def read(recording: str | Path, **options: Any) -> Recorded:
             found.complete,
             table.read(path),
         )
-
-
-@dataclass(frozen=True, repr=False)
-class RunSummary(Result):
-    """Final report of a launch: the figures of ``haptic launch --json``."""
-
-    scenario: str  # name of the launched scenario
-    exit_reason: str  # reason of the exit
-    ticks: int  # number of ticks done
-    missed: int  # number of ticks whose force was late
-    rate_hz: float  # measured tick rate [Hz]
-    response_us: dict[str, float]  # percentiles of the response time [µs]
-    final: dict[str, Any]  # final position [m], force [N] and motion
-    recording: str | None  # path of the recording
-    all: dict[str, Any]  # all figures of the report
-
-    def figures(self) -> dict[str, Any]:
-        """Return the figures that fit on a screen."""
-        return {name: value for name, value in super().figures().items() if name != "all"}
-
-    def plot(self) -> Figure:
-        """Plot position and force of its recording; without a recording, the response times."""
-        if self.recording is not None and Path(self.recording).exists():
-            return read(self.recording).plot()
-        return bars(self.response_us, "response time [µs]", self.scenario)
 
 
 def plot(what: Result | str | Path) -> Figure:

@@ -146,7 +146,7 @@ def response(
     --------
     >>> found = response({"kind": "pd", "stiffness": 1000, "damping": 3}, frequency_hz=[1.0])
     >>> round(float(found.stiffness_n_per_m[0]), 2), round(float(found.damping_n_s_per_m[0]), 3)
-    (1000.08, 2.0)
+    (1000.21, 2.0)
     """
     device = plant or USUAL
     at = (

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
     from sim.api.responses import bode, response, z_width
+    from sim.api.run_summary import LaunchWarning, RunSummary
     from sim.api.verbs import design, identify, lab, study, tune
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "FractionalSLS",
     "HapticError",
     "LaunchError",
+    "LaunchWarning",
     "LawRefusedError",
     "MultiTerm",
     "PDAlpha",
@@ -46,6 +48,7 @@ __all__ = [
     "Plant",
     "RecursiveSection",
     "Run",
+    "RunSummary",
     "Term",
     "bode",
     "connect",
@@ -84,6 +87,7 @@ _NAMES = {
     "sim.api.played": ("drop", "play"),
     "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
     "sim.api.recordings": ("plot", "read"),
+    "sim.api.run_summary": ("LaunchWarning", "RunSummary"),
     "sim.api.responses": ("bode", "response", "z_width"),
     "sim.api.verbs": ("design", "identify", "lab", "study", "tune"),
 }

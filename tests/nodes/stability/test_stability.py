@@ -415,3 +415,18 @@ def test_what_no_device_is_is_refused_at_once(wrong: dict[str, Any]) -> None:
     (name,) = wrong
     with pytest.raises(ValueError, match=rf"^{name} = .*: must be finite and"):
         Plant(**{"period": 0.002, "mass": 0.1, "damping": 1.0, **wrong})
+
+
+def test_a_plant_is_made_of_a_rate_or_a_period() -> None:
+    assert Plant(rate=500, mass=0.1, damping=1.0) == Plant(0.002, 0.1, 1.0)
+    assert Plant(0.002, 0.1, 1.0).rate == pytest.approx(500.0, rel=1e-15)
+    with pytest.raises(ValueError, match=r"period = 500 s: must be at most 1 s; .*rate=500"):
+        Plant(500, 0.1, 1.0)
+    assert Plant(1.0, 0.1, 1.0).period == 1.0  # the longest
+    with pytest.raises(TypeError, match="missing mass, damping"):
+        Plant(0.002)  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="missing period or rate"):
+        Plant(mass=0.1, damping=1.0)  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="period and rate are the same quantity"):
+        Plant(0.002, 0.1, 1.0, rate=500)  # type: ignore[call-overload]
+    assert type(Plant(0.002, np.float64(0.1), 1).mass) is float
