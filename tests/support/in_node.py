@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from nodes.launcher.launch_spec import Launch
-from sim.static_page.image import image_of
 from sim.static_page.emitted_rules import constant, player
+from sim.static_page.image import image_of
 
 ROWS = ("position", "velocity", "measured", "deflection", "force")
 

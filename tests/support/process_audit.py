@@ -28,7 +28,7 @@ CACHED: Final = (
     "nodes.driver.hardware.compile",
     "glfw.library",  # MuJoCo's first import asks its version in a process
 )
-"""Modules that start a process once, on a cold cache: it needs no marker, and may bear one."""
+"""Modules whose processes run on a cold cache only: a test needs no marker for them."""
 KEPT: Final = "once: "
 COSTS: Final = os.environ.get("HAPTIC_TEST_COSTS")
 
