@@ -12,7 +12,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from messages.topics import DEVICE_STATE
+from messages.event_kinds import MARK
+from messages.topics import DEVICE_STATE, message_type
+from messages.types import Event
 from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
 from nodes.recording.writer import MANIFEST, PARAMETERS, RecordError
@@ -113,6 +115,14 @@ def _moved(recording: Recording) -> list[str]:
         if low[place] < high[place] or low[place + 3] < high[place + 3]
     ]
     return found or ["z"]
+
+
+def marks_of(recording: Recording) -> list[Event]:
+    """Return the events with which somebody marked a moment, in the order of their stamps."""
+    topics = [topic for topic in recording.topics if message_type(topic) is Event]
+    found = (entry.message for entry in recording.entries(topics)) if topics else ()
+    marks = [event for event in found if isinstance(event, Event) and event.kind == MARK]
+    return sorted(marks, key=lambda event: event.stamp)
 
 
 def publishers_of(recording: Recording) -> dict[str, list[str]]:

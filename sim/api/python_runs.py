@@ -18,6 +18,7 @@ from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
 from sim.api.laws import plain
+from sim.api.live_data import Live
 from sim.api.progress import progress
 from sim.api.recordings import Recorded, RunSummary, read
 from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
@@ -31,7 +32,7 @@ class LaunchError(HapticError):
     """A launch did not start, or did not end as asked; the text contains its output."""
 
 
-class Run:
+class Run(Live):
     """A running launch, started or connected to by this program.
 
     Parameters
