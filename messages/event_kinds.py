@@ -17,6 +17,7 @@ __all__ = [
     "CHANGE",
     "DATA",
     "EVENTS",
+    "MARK",
     "EventKind",
     "Kind",
     "OtherKind",
@@ -48,6 +49,7 @@ EventKind: TypeAlias = Literal[
     "limit",
     "link",
     "listeners",
+    "mark",
     "mesh",
     "partner",
     "realtime",
@@ -139,6 +141,9 @@ DATA: Final[dict[str, str]] = {
 CHANGE: Final = ("cause", "tick", "before", "after")
 """Numbers of every change of a driver's safety state."""
 
+MARK: Final = "mark"
+"""Kind of the event that marks a moment."""
+
 EVENTS: Final[dict[EventKind, Kind]] = {
     "axes": Kind(
         "the surface has a force along an axis that the scene does not compute", ("axis",)
@@ -183,6 +188,7 @@ EVENTS: Final[dict[EventKind, Kind]] = {
         "some listeners did not connect in time; the run starts without them",
         ("listeners", "expected", "limit_s"),
     ),
+    "mark": Kind("somebody marked this moment; `reason` is their text"),
     "mesh": Kind("a mesh was repaired"),
     "partner": Kind(
         "messages of the partner's device arrive, or have stopped",

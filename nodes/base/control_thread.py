@@ -84,6 +84,7 @@ class ControlServer(threading.Thread):
             "start": node.started.set,
             "stop": lambda: node.stop("stop requested"),
             "report": self._report,
+            "mark": node.events.mark,
             "clock": lambda: {"monotonic_s": time.monotonic()},
             "clock.set": node.set_clock,
             "param.list": node.store.flat,

@@ -15,12 +15,13 @@ from typing import Final
 
 from messages import topics
 from messages.codec import encode
-from messages.event_kinds import EventKind, OtherKind, checked_data
+from messages.event_kinds import MARK, EventKind, OtherKind, checked_data
 from messages.types import Event, Message
 from nodes.base.kept_line import erased
 from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
 
+LONGEST_MARK: Final = 200  # longest text of a mark [characters]
 NONE: Final[Mapping[str, float]] = MappingProxyType({})  # an event without numbers
 
 
@@ -129,12 +130,40 @@ class Events:
         self.log(f"{kind}: {reason}")
         self._publish_event(kind, reason, numbers)
 
-    def _publish_event(self, kind: str, reason: str, data: dict[str, float]) -> None:
+    def mark(self, text: str) -> dict[str, float]:
+        """Publish an event of kind ``mark`` on request; return its tick and stamp [s].
+
+        Parameters
+        ----------
+        text : str
+            Text of the mark; at most `LONGEST_MARK` characters.
+
+        Returns
+        -------
+        dict of str to float
+            ``tick`` and ``stamp``.
+
+        Raises
+        ------
+        ParameterError
+            If the text is empty or longer.
+        """
+        if not isinstance(text, str) or not 0 < len(text.strip()) <= LONGEST_MARK:
+            raise ParameterError(
+                f"{self._name}: mark {str(text)[:40]!r}: expected a text of 1 to {LONGEST_MARK}"
+                " characters"
+            )
+        self.log(f"{MARK}: {text}")
+        seq, stamp = self._publish_event(MARK, text, {})
+        return {"tick": seq, "stamp": stamp}
+
+    def _publish_event(self, kind: str, reason: str, data: dict[str, float]) -> tuple[int, float]:
         seq, stamp = self._seq(), self._clock.now()
         message = Event(
             seq=seq, stamp=stamp, node=self._name, kind=kind, reason=reason[:4000], data=data
         )
         self.publish(topics.event(self._name), message)
+        return seq, stamp
 
     def publish(self, topic: str, message: Message) -> None:
         """Queue a message that is not part of the tick; it leaves after the tick's own."""

@@ -13,10 +13,13 @@ from datetime import datetime
 from pathlib import Path
 
 from messages.errors import UsageError
+from messages.topics import DEVICE_STATE
 from nodes.cli.bag_import import add_import, run_import
 from nodes.cli.main import add_json, add_run_name, answer, complain, heeding
 from nodes.parameters.quantities import above_zero, not_negative
 from nodes.recording.accounts import ClockRecord, Completeness, clocks, completeness
+from nodes.recording.facts import period_of, stamped_rate
+from nodes.recording.foreign_channels import described
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 
@@ -211,13 +214,22 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
 def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
     """Run a sub-verb; for a bad file, print a one-line error and return exit code 1."""
     for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):
-        if not file.is_file():
+        # A ROS bag is a folder.
+        if not file.exists():
             raise UsageError(f"{file}: no such file")
     try:
         return run(arguments)
     except RecordError as error:
         complain(error)
         return 1
+
+
+def _opened(file: Path) -> Recording:
+    """Open a recording; name on stderr what is not read of it."""
+    recording = Recording(file)
+    if recording.foreign:
+        complain(f"{file}: not read: {described(recording.foreign)}")
+    return recording
 
 
 def _free(out: Path, force: bool) -> Path:
@@ -285,12 +297,16 @@ def _info_text(
     for name in ("scenario", "run", "imported", "started", "host", "pace", "rate_hz"):
         if name in facts:
             lines.append(f"  {name:9} {facts[name]}")
+    stamped = stamped_rate(recording)
+    if "rate_hz" not in facts and stamped is not None:
+        lines.append(f"  {'rate_hz':9} {stamped:g} by the stamps; the file names none")
     lines.append(
         f"  {'duration':9} {recording.duration:.6g} s (recorded in {recording.wall_duration:.6g} s)"
     )
     lines.append(f"  {'state':9} {verdict.text}")
     if recording.cut:
         lines.append(f"  {'':9} {recording.cut}")
+    lines += [f"  {'':9} {text}" for text in _contradictions(recording)]
     width = max(map(len, recording.topics), default=5)
     lines.append(
         f"  {'topic':{width}} {'messages':>9} {'rate [Hz]':>10} {'gaps':>6} {'repeats':>8}"
@@ -300,6 +316,10 @@ def _info_text(
             f"  {topic:{width}} {figures.messages:9} {figures.rate:10.6g} {figures.gaps:6}"
             f" {figures.back:8}"
         )
+    lines += [
+        f"  {topic}: {one.messages} messages, not read: {one.text}"
+        for topic, one in recording.foreign.items()
+    ]
     if verdict.left_out:
         lines.append(
             f"  ticks left out by the driver, late by a whole period: {verdict.left_out} (gaps"
@@ -313,6 +333,16 @@ def _info_text(
             f" ±{clock.error * 1e6:.0f} µs"
         )
     return "\n".join(lines)
+
+
+def _contradictions(recording: Recording) -> list[str]:
+    """Return what the manifest says against the stamps."""
+    if "rate_hz" in recording.manifest and DEVICE_STATE in recording.topics:
+        try:
+            period_of(recording)
+        except RecordError as error:
+            return [str(error).removeprefix(f"{recording.path}: ")]
+    return []
 
 
 def _info(arguments: argparse.Namespace) -> int:
@@ -335,6 +365,10 @@ def _info(arguments: argparse.Namespace) -> int:
             }
             for topic, figures in recording.topics.items()
         },
+        "foreign": {
+            topic: {"messages": one.messages, "encoding": one.encoding, "schema": one.schema}
+            for topic, one in recording.foreign.items()
+        },
         "nodes": {
             node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
             for node, account in verdict.nodes.items()
@@ -356,14 +390,12 @@ def _info(arguments: argparse.Namespace) -> int:
 def _play(arguments: argparse.Namespace) -> int:
     from messages.transport.context import new_context
     from nodes.cli.relay import local_publisher
-    from nodes.recording.play import play
+    from nodes.recording.play import length_of, play
 
-    recording = Recording(arguments.file)
+    recording = _opened(arguments.file)
     names = _remapped(recording, arguments.remap)
-    if arguments.start_offset > recording.wall_duration:
-        raise UsageError(
-            f"--start-offset {arguments.start_offset:g}: it lasts {recording.wall_duration:g} s"
-        )
+    if arguments.start_offset > (length := length_of(recording)):
+        raise UsageError(f"--start-offset {arguments.start_offset:g}: it lasts {length:g} s")
     counts: dict[str, int] = {}
     interrupts = []
 
@@ -431,12 +463,12 @@ def _extract(arguments: argparse.Namespace) -> int:
 
     recording = Recording(arguments.file)
     start, stop = _in_order(arguments.start, arguments.stop)
+    # Topics of other programs are copied too.
+    known = [*recording.topics, *recording.foreign]
     for topic in arguments.topics:
-        if topic not in recording.topics:
-            raise UsageError(
-                f"{arguments.file}: no topic {topic!r}; there are {', '.join(recording.topics)}"
-            )
-    topics = _chosen(recording.topics, arguments)
+        if topic not in known:
+            raise UsageError(f"{arguments.file}: no topic {topic!r}; there are {', '.join(known)}")
+    topics = _chosen(known, arguments)
     out = _free(
         arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force
     )
@@ -479,7 +511,7 @@ def _export(arguments: argparse.Namespace) -> int:
         )
     ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(form, f".{form}")
     out = _free(arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force)
-    recording = Recording(source)
+    recording = _opened(source)
     files = formats[form](recording, out, overwrite=arguments.force)
     if form in TABLES:
         try:
@@ -502,7 +534,7 @@ def _plot(arguments: argparse.Namespace) -> int:
     out = _free(
         arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"), arguments.force
     )
-    recordings = [Recording(file) for file in files]
+    recordings = [_opened(file) for file in files]
     if alone:
         plot(recordings[0], out, start=start, stop=stop, overwrite=arguments.force)
     else:

@@ -53,6 +53,10 @@ class Completeness(msgspec.Struct):
     # Ticks that the driver left out: gaps in ``seq`` on every topic, but no losses; None if its
     # states were not recorded.
     left_out: int | None
+    # Nodes with a status whose topics are unknown because the manifest is missing, and ``seq``
+    # missing on topics of ticks.
+    unknown: list[str] = []
+    gaps: int = 0
 
     @property
     def lost(self) -> int | None:
@@ -70,6 +74,10 @@ class Completeness(msgspec.Struct):
             )
             before = f"; {self.lost} messages lost before" if self.lost else ""
             return f"cut at {self.end_s:.3f} s; {after} not there{before}"
+        if self.unknown:
+            gaps = f"{self.gaps} ticks missing in seq" if self.gaps else "no tick missing in seq"
+            who = ", ".join(self.unknown)
+            return f"complete, {gaps}; losses of {who} unknown: the file has lost its manifest"
         if self.lost is None:
             return "complete, losses unknown: no node has its status and all its topics recorded"
         return f"complete, {f'{self.lost} messages' if self.lost else 'nothing'} lost"
@@ -84,7 +92,16 @@ def completeness(recording: Recording) -> Completeness:
         if split(topic)[1] == DEVICE_STATE
     ]
     missing = max(ended.ticks - max(last), 0) if ended and last else None
-    return Completeness(not recording.recovered, recording.duration, missing, *_compared(recording))
+    nodes, left_out, unknown = _compared(recording)
+    return Completeness(
+        not recording.recovered,
+        recording.duration,
+        missing,
+        nodes,
+        left_out,
+        unknown,
+        sum(figures.gaps for figures in recording.topics.values()),
+    )
 
 
 class ClockRecord(msgspec.Struct):
@@ -142,6 +159,7 @@ class _Told(msgspec.Struct):
     since: int
     early: int
     comparable: bool  # whether all its topics were to be recorded
+    known: bool  # whether its topics are known
     sent: dict[int, int] = {}  # by process
     recorded: int = 0
     finished: bool = False
@@ -167,11 +185,13 @@ def _first_told(
     comparable = (not ticking or ticking[0] in counts) and _all_taken(
         recording, {*ticking, topic, f"{place}/event"}
     )
-    return _Told(own, chain, since, early, comparable)
+    # Without a manifest, only topics inside its own name are known to be a node's.
+    known = bool(recording.manifest) or any(split(t)[1] in LOOP for t in own)
+    return _Told(own, chain, since, early, comparable and known, known)
 
 
-def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
-    """Return each node's account and the ticks left out, in one pass through the recording."""
+def _compared(recording: Recording) -> tuple[dict[str, Account], int | None, list[str]]:
+    """Return each node's account, the ticks left out, and the nodes of unknown topics."""
     topics = recording.topics
     places = {topic: split(topic) for topic in topics}
     begins: dict[str, int] = {}
@@ -216,7 +236,8 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None]:
             )
         if node.comparable:
             found[name] = Account(sent, node.recorded, lost, node.early, node.since, node.finished)
-    return found, sum(left_out.values()) if left_out else None
+    unknown = [name for name, node in told.items() if not node.known]
+    return found, sum(left_out.values()) if left_out else None, unknown
 
 
 def accounts(recording: Recording) -> dict[str, Account]:

@@ -110,7 +110,11 @@ def begin_of(recording: Recording) -> float:
     ticks = [
         figures for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE
     ]
-    return min((figures.first_stamp for figures in ticks or recording.topics.values()), default=0.0)
+    if not recording.topics:
+        # Only topics of other programs: their first message.
+        first = min((one.first_publish for one in recording.foreign.values()), default=0)
+        return (first - recording.publish_offset) / 1e9
+    return min(figures.first_stamp for figures in ticks or recording.topics.values())
 
 
 def _tick_names() -> list[str]:

@@ -12,6 +12,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from messages.event_kinds import MARK
+from messages.topics import DEVICE_STATE, message_type
+from messages.types import Event
 from nodes.base.setup import AXIS_INDEX
 from nodes.recording.reader import Recording
 from nodes.recording.writer import MANIFEST, PARAMETERS, RecordError
@@ -21,8 +24,23 @@ DEEPEST = 32  # limit of the nesting depth of parameters
 
 
 def period_of(recording: Recording) -> float:
-    """Return the sampling period from the manifest's ``rate_hz`` [s]."""
-    text = recording.manifest.get("rate_hz", "")
+    """Return the sampling period [s]: the manifest's, else that of the states' stamps.
+
+    Raises
+    ------
+    RecordError
+        If ``rate_hz`` of the manifest is no rate, or the stamps advance at another; without it, if
+        the stamps give none.
+    """
+    text = recording.manifest.get("rate_hz")
+    stamped = stamped_rate(recording)
+    if text is None:
+        if stamped is None:
+            raise RecordError(
+                f"{recording.path}: {MANIFEST}.rate_hz is missing, and the stamps of"
+                f" {DEVICE_STATE} give no rate; replaying and drawing the scene need it"
+            )
+        return 1.0 / stamped
     try:
         rate = float(text)
     except ValueError:
@@ -32,12 +50,50 @@ def period_of(recording: Recording) -> float:
             f"{recording.path}: {MANIFEST}.rate_hz is {text[:40]!r}, expected {SLOWEST:g} to"
             f" {FASTEST:g} Hz; replaying and drawing the scene need it"
         )
+    if stamped is not None and not _agree(recording, rate):
+        raise RecordError(
+            f"{recording.path}: {MANIFEST}.rate_hz is {rate:g}, while the stamps of {DEVICE_STATE}"
+            f" advance {stamped:g} times a second; write the rate of the ticks, or leave it out"
+        )
     return 1.0 / rate
 
 
+def stamped_rate(recording: Recording) -> float | None:
+    """Return the rate at which the stamps of the states advance [Hz].
+
+    It is rounded to the fewest digits that the stamps, each late by up to a tick, do not
+    contradict. None for fewer than two states, for several runs in one file, and for stamps that
+    give no rate of a launch.
+    """
+    figures = recording.topics.get(DEVICE_STATE)
+    if figures is None or figures.back:
+        return None
+    steps, span = figures.last_seq - figures.first_seq, figures.last_stamp - figures.first_stamp
+    if steps < 1 or not span > 0.0:
+        return None
+    rate = steps / span
+    if not SLOWEST <= rate <= FASTEST:
+        return None
+    candidates = (float(f"{rate:.{digits}g}") for digits in range(1, 10))
+    return next((one for one in candidates if abs(one / rate - 1.0) <= _ROUNDED / steps), rate)
+
+
+_ROUNDED = 0.5  # what the first and the last stamp together may be late by [ticks]
+_RATE_TOLERANCE, _LATE = 0.01, 2.0  # of a declared rate: share, and ticks that a stamp may be late
+
+
+def _agree(recording: Recording, rate: float) -> bool:
+    """Whether a declared rate fits the stamps."""
+    figures = recording.topics[DEVICE_STATE]
+    steps, span = figures.last_seq - figures.first_seq, figures.last_stamp - figures.first_stamp
+    return abs(span * rate - steps) <= _RATE_TOLERANCE * steps + _LATE
+
+
 def axes_of(recording: Recording) -> list[str]:
-    """Return the axes that the scene computes, from the manifest."""
-    text = recording.manifest.get("axes", "")
+    """Return the axes that the scene computes: the manifest's, else those that moved."""
+    text = recording.manifest.get("axes")
+    if text is None:
+        return _moved(recording)
     axes = text.split(",")
     if not set(axes) <= set(AXIS_INDEX) or len(set(axes)) != len(axes):
         raise RecordError(
@@ -45,6 +101,28 @@ def axes_of(recording: Recording) -> list[str]:
             " separated by commas"
         )
     return axes
+
+
+def _moved(recording: Recording) -> list[str]:
+    """Return the axes along which position or force changed, of a file that names none."""
+    low, high = [math.inf] * 6, [-math.inf] * 6
+    for state in recording.messages(DEVICE_STATE):
+        for place, value in enumerate((*state.position, *state.force)):
+            low[place], high[place] = min(low[place], value), max(high[place], value)
+    found = [
+        axis
+        for axis, place in AXIS_INDEX.items()
+        if low[place] < high[place] or low[place + 3] < high[place + 3]
+    ]
+    return found or ["z"]
+
+
+def marks_of(recording: Recording) -> list[Event]:
+    """Return the events with which somebody marked a moment, in the order of their stamps."""
+    topics = [topic for topic in recording.topics if message_type(topic) is Event]
+    found = (entry.message for entry in recording.entries(topics)) if topics else ()
+    marks = [event for event in found if isinstance(event, Event) and event.kind == MARK]
+    return sorted(marks, key=lambda event: event.stamp)
 
 
 def publishers_of(recording: Recording) -> dict[str, list[str]]:

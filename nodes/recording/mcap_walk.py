@@ -216,15 +216,21 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
             if zstandard.frame_content_size(data) not in (size, -1):
                 raise ValueError("the compressed frame has another size than the chunk says")
             data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        elif compression == "lz4":
+            # Imported here: a logger, which must stay small, does not need it. Never more than
+            # `size` bytes are made, whatever the frame declares.
+            import lz4.frame
+
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         elif compression:
-            raise ValueError(f"compressed with {compression!r}; only zstd is read here")
+            raise ValueError(f"compressed with {compression!r}; zstd and lz4 are read here")
         if len(data) != size or (checksum and zlib.crc32(data) != checksum):
             raise ValueError(f"checksum or size does not match ({len(data)} of {size} bytes)")
         return data
 
     try:
         data = _parsed(path, record, "chunk", parse)
-    except zstandard.ZstdError as error:
+    except (zstandard.ZstdError, RuntimeError) as error:  # the latter of lz4
         raise RecordError(f"{path}: damaged chunk at byte {record.offset}: {error}") from error
     return _split(path, record.offset, data, len(record.content) + SMALL_RECORDS)
 

@@ -30,6 +30,7 @@ COLORS = {
     "surface": "#8a8f98",
     "late": "#c0262d",
     "switch": "#009E73",
+    "mark": "#7b3294",
 }
 """Colour of each curve of a plot."""
 
@@ -172,13 +173,13 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
 
 
 def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
-    """Mark each change of law or parameters in all panels; name it on top where there is room."""
+    """Draw changes of law or parameters and marks; name each on top where there is room."""
     low, high = panels[0].get_xlim()
     taken = [-math.inf] * _ROWS
-    for stamp, action, law in lines.receipts:
-        color = {"switch": COLORS["switch"], "fallback": COLORS["late"]}.get(
-            action, COLORS["surface"]
-        )
+    colors = {"switch": COLORS["switch"], "fallback": COLORS["late"], "mark": COLORS["mark"]}
+    marks = [(stamp, "mark", text) for stamp, text in lines.marks]
+    for stamp, action, law in sorted([*lines.receipts, *marks], key=lambda one: one[0]):
+        color = colors.get(action, COLORS["surface"])
         at = stamp - lines.begin
         for axes in panels:
             axes.axvline(at, color=color, lw=1.0, ls=":")

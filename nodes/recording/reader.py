@@ -2,7 +2,8 @@
 
 Opening reads the file once, checks every length and checksum, and stores figures only, so an hour
 of recording needs no more memory than a minute. A file whose writer was killed opens too;
-`Recording.cut` says where it ends.
+`Recording.cut` says where it ends. Channels of other programs are counted in `Recording.foreign`
+and skipped. A file without its clock record is judged by the stamps inside its messages.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
-import messages.types
-from messages.topics import DEVICE_STATE, LOOP, message_type, split
+from messages.topics import DEVICE_STATE, LOOP, split
 from messages.types import Message
 from nodes.recording import mcap_walk
+from nodes.recording.foreign_channels import ForeignTopic, Stamped, described, file_of, type_of
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
 from nodes.recording.parts import parts_of
 from nodes.recording.topic_figures import TopicFigures
@@ -80,7 +81,8 @@ class Recording:
     Parameters
     ----------
     path : str or Path
-        An MCAP file written by `nodes.recording.writer.RecordWriter`.
+        An MCAP file written by `nodes.recording.writer.RecordWriter` or by another program
+        (messages/PROTOCOL.md), or the folder of a ROS bag with one.
 
     Attributes
     ----------
@@ -92,6 +94,8 @@ class Recording:
         The file, and those in which a restarted logger continued (nodes/recording/parts.py).
     topics : dict of str to TopicFigures
         Figures per topic, in the order of their first message.
+    foreign : dict of str to ForeignTopic
+        Figures of the topics that are not read here, by their full names.
     metadata : dict of str to dict of str to str
         All metadata records.
     complete : bool
@@ -103,20 +107,20 @@ class Recording:
     wall_duration : float
         Time from the first to the last receipt [s].
     channels, schemas : dict of int to Channel, dict of int to Schema
-        Channels by the numbers that `raw` yields, and schemas by the numbers in the channels.
-    publish_offset : int
-        Offset to subtract from a publish time of `raw` to get the stamp [ns].
+        Channels by the numbers that `raw` yields, those of other programs included, and schemas by
+        the numbers in the channels.
 
     Raises
     ------
     RecordError
-        If it is not an MCAP file, is damaged, or has channels that are not JSON.
+        If it is not an MCAP file, or is damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = file_of(Path(path))
         self.parts = parts_of(self.path)
         self.topics: dict[str, TopicFigures] = {}
+        self.foreign: dict[str, ForeignTopic] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.complete = False
         self.cut = ""
@@ -125,8 +129,11 @@ class Recording:
         self.namespace = ""
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        # Without a clock record (another program's file) times stay unchanged.
-        self._log_offset = self.publish_offset = 0
+        self._types: dict[int, type[Message] | None] = {}
+        self._header = msgspec.json.Decoder(Stamped)
+        # Offsets of log and publish times to the time of the run [ns], and whether the publish
+        # times tell the stamps, by part.
+        self._clocks: dict[int, tuple[int, int, bool]] = {}
         self._scan()
 
     @property
@@ -139,28 +146,29 @@ class Recording:
         """Whether the file was cut, even if `nodes.recording.recover.recover` completed it."""
         return not self.complete or RECOVERY in self.metadata
 
+    def _of_ticks(self) -> list[TopicFigures]:
+        """Return the figures of the topics of ticks, or else of all topics."""
+        return [self.topics[topic] for topic in LOOP if topic in self.topics] or list(
+            self.topics.values()
+        )
+
+    @property
+    def first_stamp(self) -> float:
+        """Return the first stamp [s], of ticks or else of all messages."""
+        return min((figures.first_stamp for figures in self._of_ticks()), default=0.0)
+
     @property
     def duration(self) -> float:
         """Return the time from first to last stamp [s], of ticks or else of all messages."""
-        figures = [self.topics[topic] for topic in LOOP if topic in self.topics] or list(
-            self.topics.values()
-        )
-        if not figures:
-            return 0.0
-        return max(f.last_stamp for f in figures) - min(f.first_stamp for f in figures)
+        last = max((figures.last_stamp for figures in self._of_ticks()), default=0.0)
+        return last - self.first_stamp
 
-    def _channel(self, channel: Channel, offset: int) -> Channel:
-        """Check a channel: JSON encoding, and one topic per channel number."""
-        if channel.encoding != "json":
-            raise RecordError(
-                f"{self.path}: {channel.topic} is encoded as {channel.encoding!r}; only json is"
-                " read here"
-            )
+    def _channel(self, channel: Channel, offset: int) -> None:
+        """Enter a channel; a number belongs to one topic."""
         if self.channels.setdefault(channel.number, channel) != channel:
             raise RecordError(
                 f"{self.path}: damaged at byte {offset}: channel {channel.number} changes its topic"
             )
-        return channel
 
     def _records(self) -> Iterator[tuple[int, Record]]:
         """Yield all records, chunks unpacked, without the summaries.
@@ -185,8 +193,8 @@ class Recording:
         for shift, record in self._records():
             if record.opcode == mcap_walk.MESSAGE:
                 raw = self._message(shift, record)
-                self._count(raw, record.offset)
-                first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
+                if self._count(raw, record.offset):
+                    first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
             elif record.opcode == mcap_walk.SCHEMA:
                 schema = mcap_walk.parse_schema(self.path, record)
                 self.schemas[schema.number + shift] = schema
@@ -199,15 +207,17 @@ class Recording:
                 self._channel(channel, record.offset)
             elif record.opcode == mcap_walk.METADATA:
                 name, values = mcap_walk.parse_metadata(self.path, record)
-                self.metadata[name] = values
+                if name != CLOCK or name not in self.metadata:
+                    # A copy of all parts has the first part's clock.
+                    self.metadata[name] = values
                 if name == CLOCK:
-                    self._set_clock(values, record.offset)
+                    self._set_clock(shift // _OWN_NUMBERS, values, record.offset)
             elif record.opcode == mcap_walk.FOOTER:
                 finished += 1
         self.complete = finished == len(self.parts)
         self._enter_chain()
         if self.topics:
-            self.first_log = (first_log - self._log_offset) / _NANO
+            self.first_log = (first_log - next(iter(self._clocks.values()))[0]) / _NANO
             self.wall_duration = (last_log - first_log) / _NANO
 
     def _enter_chain(self) -> None:
@@ -218,6 +228,8 @@ class Recording:
             self.topics = {split(topic)[1]: figures for topic, figures in self.topics.items()}
             self.channels = {
                 number: channel._replace(topic=split(channel.topic)[1])
+                if self._type(number) is not None
+                else channel
                 for number, channel in self.channels.items()
             }
 
@@ -258,50 +270,109 @@ class Recording:
         if chains:
             take = f"haptic bag filter {shlex.quote(str(self.path))} -e ^/{chains[0]}/"
             text += f"; to extract one of its chains ({', '.join(chains)}): {take}"
+        if self.foreign:
+            text += f"; not read: {described(self.foreign)}"
         raise RecordError(text)
 
     def _message(self, shift: int, record: Record) -> RawMessage:
         raw = mcap_walk.parse_message(self.path, record)
         return raw._replace(channel=raw.channel + shift) if shift else raw
 
-    def _set_clock(self, values: dict[str, str], offset: int) -> None:
+    def _set_clock(self, part: int, values: dict[str, str], offset: int) -> None:
         try:
-            self._log_offset, self.publish_offset = read_offsets(values)
+            log, publish = read_offsets(values)
         except ValueError as error:
             raise RecordError(f"{self.path}: damaged at byte {offset}: {error}") from error
+        self._clocks[part] = log, publish, True
 
-    def _count(self, raw: RawMessage, offset: int) -> None:
+    def _type(self, number: int) -> type[Message] | None:
+        """Return the message type of a channel by its number; None if it is not read here."""
+        if number not in self._types:
+            channel = self.channels[number]
+            self._types[number] = type_of(channel, self.schemas.get(channel.schema))
+        return self._types[number]
+
+    def _stamped(self, raw: RawMessage) -> Stamped | None:
+        """Return tick and stamp inside a message; None if it has none."""
+        try:
+            return self._header.decode(raw.data)
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return None
+
+    def _count(self, raw: RawMessage, offset: int) -> bool:
+        """Count a message; return whether it is read here."""
         channel = self.channels.get(raw.channel)
         if channel is None:
             raise RecordError(
                 f"{self.path}: damaged at byte {offset}: a message on channel {raw.channel}, which"
                 " is unknown"
             )
-        figures = self.topics.setdefault(channel.topic, TopicFigures())
-        figures.add(
-            raw.sequence,
-            (raw.publish_time - self.publish_offset) / _NANO,
-            split(channel.topic)[1] in LOOP,
-        )
-
-    def _types(self) -> dict[int, type[Message]]:
-        """Return the message type of each channel, from its schema's name or else its topic."""
-        known = {
-            f"haptic.{t.__name__}": t for t in vars(messages.types).values() if isinstance(t, type)
-        }
-        found: dict[int, type[Message]] = {}
-        by_topic: dict[str, type[Message]] = {}
-        for number, channel in self.channels.items():
+        if self._type(raw.channel) is None:
             schema = self.schemas.get(channel.schema)
-            kind = known.get(schema.name if schema else "") or message_type(channel.topic)
-            if kind is not None and issubclass(kind, Message):
-                found[number] = kind
-                if by_topic.setdefault(channel.topic, kind) is not kind:
-                    raise RecordError(f"{self.path}: {channel.topic} carries two message types")
-        return found
+            self.foreign.setdefault(
+                channel.topic, ForeignTopic(channel.encoding, schema.name if schema else "")
+            ).add(raw.publish_time)
+            return False
+        part = raw.channel // _OWN_NUMBERS
+        sequence, stamp = raw.sequence, 0.0
+        if not self._clocks.get(part, (0, 0, False))[2]:
+            # A tool dropped the record or moved it to the end, or the file is another program's.
+            inside = self._stamped(raw)
+            if inside is not None:
+                sequence, stamp = inside.seq & 0xFFFFFFFF, inside.stamp
+            if part not in self._clocks:
+                begin = raw.publish_time - round(stamp * _NANO) if inside is not None else 0
+                self._clocks[part] = begin, begin, False
+            if inside is None:
+                stamp = (raw.publish_time - self._clocks[part][1]) / _NANO
+        else:
+            stamp = (raw.publish_time - self._clocks[part][1]) / _NANO
+        figures = self.topics.setdefault(channel.topic, TopicFigures())
+        figures.add(sequence, stamp, split(channel.topic)[1] in LOOP)
+        return True
 
-    def raw(self) -> Iterator[tuple[str, RawMessage, int]]:
+    def stamp_ns(self, raw: RawMessage) -> int:
+        """Return the stamp of a message of `raw` [ns].
+
+        Parameters
+        ----------
+        raw : RawMessage
+            Encoded message; of another program's, its publish time counts.
+
+        Returns
+        -------
+        int
+            Time of the run [ns].
+        """
+        _, publish, trusted = self._clocks.get(
+            raw.channel // _OWN_NUMBERS, (0, self.publish_offset, True)
+        )
+        if not trusted and self._type(raw.channel) is not None:
+            inside = self._stamped(raw)
+            if inside is not None:
+                return round(inside.stamp * _NANO)
+        return raw.publish_time - publish
+
+    @property
+    def publish_offset(self) -> int:
+        """Return what the first part's publish times exceed its stamps by [ns]."""
+        return next(iter(self._clocks.values()))[1] if self._clocks else 0
+
+    def _refuse_mixed(self) -> None:
+        """Raise RecordError for a topic with messages of two types."""
+        kinds: dict[str, type[Message]] = {}
+        for number, channel in self.channels.items():
+            kind = self._type(number)
+            if kind is not None and kinds.setdefault(channel.topic, kind) is not kind:
+                raise RecordError(f"{self.path}: {channel.topic} carries two message types")
+
+    def raw(self, *, foreign: bool = False) -> Iterator[tuple[str, RawMessage, int]]:
         """Yield the encoded messages in the order of receipt.
+
+        Parameters
+        ----------
+        foreign : bool
+            Whether those of other programs are included.
 
         Yields
         ------
@@ -319,7 +390,8 @@ class Recording:
                 channel = self.channels.get(raw.channel)
                 if channel is None:
                     raise RecordError(f"{self.path}: has changed while it was read")
-                yield channel.topic, raw, record.offset
+                if foreign or self._type(raw.channel) is not None:
+                    yield channel.topic, raw, record.offset
 
     def decode(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, offset: int) -> M:
         """Decode a message of `raw`.
@@ -367,24 +439,25 @@ class Recording:
         Raises
         ------
         RecordError
-            If a topic is not in the recording or of an unknown type, or a message does not fit
+            If a topic is not in the recording or is another program's, or a message does not fit
             its type.
         """
         wanted = set(self.topics if topics is None else topics)
         for topic in wanted - set(self.topics):
+            if topic in self.foreign:
+                raise RecordError(f"{self.path}: {topic} is {self.foreign[topic].text}")
             raise RecordError(
                 f"{self.path}: no topic {topic!r}; there are {', '.join(self.topics) or 'none'}"
             )
-        types = self._types()
+        self._refuse_mixed()
         decoders: dict[int, msgspec.json.Decoder[Message]] = {}
         for number, channel in self.channels.items():
-            if channel.topic in wanted:
-                if number not in types:
-                    raise RecordError(f"{self.path}: unknown message type of {channel.topic}")
-                decoders[number] = msgspec.json.Decoder(types[number])
+            kind = self._type(number)
+            if channel.topic in wanted and kind is not None:
+                decoders[number] = msgspec.json.Decoder(kind)
         for topic, raw, offset in self.raw():
             if raw.channel in decoders:
-                log_time = (raw.log_time - self._log_offset) / _NANO
+                log_time = (raw.log_time - self._clocks[raw.channel // _OWN_NUMBERS][0]) / _NANO
                 yield Entry(topic, log_time, self.decode(decoders[raw.channel], raw, offset))
 
     def messages(self, topic: str) -> list[Any]:

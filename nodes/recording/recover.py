@@ -21,6 +21,7 @@ import msgspec
 from messages.topics import within
 from nodes.recording import mcap_walk
 from nodes.recording.export import begin_of
+from nodes.recording.foreign_channels import file_of
 from nodes.recording.mcap_walk import FRAME, Channel, RawMessage, Record, Schema
 from nodes.recording.parts import parts_of
 from nodes.recording.reader import EXTRACT, RECOVERY, WITHOUT, Recording
@@ -253,7 +254,7 @@ def _layout(
 
 def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
     """Copy everything sound in a recording, with all its parts, into a new complete file."""
-    path, out = Path(path), Path(out)
+    path, out = file_of(Path(path)), Path(out)
     parts = parts_of(path)
     wrong = {part: _problems(part) for part in parts}
     problems = [text for texts in wrong.values() for text in texts]
@@ -306,22 +307,27 @@ def extract(
     high = math.inf if math.isinf(stop) else zero + round(stop * 1e9)
     # Statuses contain full node names, so topics keep their namespace.
     full = {
-        n: channel._replace(topic=within(recording.namespace, channel.topic))
+        n: channel
+        if channel.topic in recording.foreign
+        else channel._replace(topic=within(recording.namespace, channel.topic))
         for n, channel in recording.channels.items()
     }
     without = recording.facts(EXTRACT, WITHOUT, list[str])
     without += [
         within(recording.namespace, topic) for topic in recording.topics if topic not in topics
     ]
+    without += [topic for topic in recording.foreign if topic not in topics]
     with written(out, overwrite) as output:
         copy = Copy(mcap_writer(output), recording.schemas, full)
         part = {"source": str(recording.path), "from_s": repr(start), "to_s": repr(stop)}
         part[WITHOUT] = msgspec.json.encode(without).decode()
         for name, values in [*recording.metadata.items(), (EXTRACT, part)]:
             copy.writer.add_metadata(name, values)
-        for topic, raw, _ in recording.raw():
-            if topic in topics and low <= raw.publish_time - recording.publish_offset <= high:
-                copy.message(raw)
+        for topic, raw, _ in recording.raw(foreign=True):
+            if topic in topics and low <= (stamp := recording.stamp_ns(raw)) <= high:
+                # Only the first part's clock record is copied, so later parts follow it.
+                publish = min(max(stamp + recording.publish_offset, 0), LATEST_NS)
+                copy.message(raw._replace(publish_time=publish))
         if not copy.counts:
             raise RecordError(
                 f"{recording.path}: no message of these topics from {start:g} s to {stop:g} s"

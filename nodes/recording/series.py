@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
-from messages.types import DeviceState, Force, Proxy, Receipt
+from messages.event_kinds import MARK
+from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT, message_type
+from messages.types import DeviceState, Event, Force, Proxy, Receipt
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 
@@ -22,6 +23,7 @@ AnyArray = np.ndarray[Any, Any]
 POINTS = 4000  # longest line stored unreduced
 BINS = POINTS // 2  # time intervals of a longer line; about two per pixel
 _BLOCK = 8192
+_MOST = 200  # changes, and marks, that are drawn
 
 
 class Line:
@@ -132,6 +134,7 @@ class Lines:
         self.normal = [0.0, 0.0, 0.0]
         # First 200 changes: stamp, action, and the law afterwards.
         self.receipts: list[tuple[float, str, str]] = []
+        self.marks: list[tuple[float, str]] = []  # first 200 marks: stamp and text
         self.laws: list[str] = []  # laws that computed a force
         self._before: DeviceState | None = None
         self._named = -1
@@ -139,7 +142,9 @@ class Lines:
 
     def _read(self, recording: Recording) -> None:
         wanted = [
-            topic for topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) if topic in recording.topics
+            topic
+            for topic in recording.topics
+            if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or message_type(topic) is Event
         ]
         # If ticks are recorded in order, the first state after the interval ends the reading.
         ordered = not recording.topics[DEVICE_STATE].back
@@ -153,7 +158,7 @@ class Lines:
                     return
                 self._before = message
 
-    def _take(self, message: DeviceState | Proxy | Force | Receipt) -> None:
+    def _take(self, message: DeviceState | Proxy | Force | Receipt | Event) -> None:
         if isinstance(message, DeviceState):
             self._take_outcome(message)
             self._before = message
@@ -169,7 +174,10 @@ class Lines:
                 stamp, action, _ = self.receipts[-1]
                 self.receipts[-1] = (stamp, action, message.law)
                 self._named = -1
-        elif len(self.receipts) < 200:
+        elif isinstance(message, Event):
+            if message.kind == MARK and len(self.marks) < _MOST:
+                self.marks.append((message.stamp, message.reason))
+        elif len(self.receipts) < _MOST:
             self.receipts.append((message.stamp, message.action, ""))
             self._named = message.seq
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
-from messages.types import DeviceState, Force, Proxy
+from messages.types import DeviceState, Force, Message, Proxy
 from nodes.recording.reader import Recording
 
 if TYPE_CHECKING:
@@ -130,6 +130,23 @@ def rows(recording: Recording) -> Iterator[Row]:
         If no state was recorded, or a message does not fit its type.
     """
     recording.require_ticks()
+    topics = [topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics]
+    yield from joined(entry.message for entry in recording.entries(topics))
+
+
+def joined(messages: Iterable[Message]) -> Iterator[Row]:
+    """Yield the ticks of messages.
+
+    Parameters
+    ----------
+    messages : iterable of Message
+        States, proxies and forces, in the order of their receipt.
+
+    Yields
+    ------
+    tuple
+        As `rows`.
+    """
     waiting: list[DeviceState] = []
     proxies: dict[int, Proxy] = {}
     forces: dict[int, Force] = {}
@@ -138,10 +155,7 @@ def rows(recording: Recording) -> Iterator[Row]:
         after = following if following is not None and following.seq == state.seq + 1 else None
         return state, after, proxies.pop(state.seq, None), forces.pop(state.seq, None)
 
-    for entry in recording.entries(
-        topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics
-    ):
-        message = entry.message
+    for message in messages:
         if isinstance(message, DeviceState):
             if waiting and message.seq <= waiting[-1].seq:
                 # A restarted driver counts from zero; nothing will answer the old ticks.
@@ -190,6 +204,24 @@ def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
     RecordError
         If it is no recording, is damaged, or has no state.
     """
+    table = columns_of(rows(Recording(path)))
+    table["time"] = table["time"] - table["stamp"][0]
+    return table
+
+
+def columns_of(ticks: Iterable[Row]) -> dict[str, np.ndarray[Any, Any]]:
+    """Return ticks as arrays by column.
+
+    Parameters
+    ----------
+    ticks : iterable of tuple
+        Ticks of `rows`.
+
+    Returns
+    -------
+    dict of str to numpy.ndarray
+        As `read`, but ``time`` is the stamp [s].
+    """
     import numpy as np
 
     blocks: dict[str, list[np.ndarray[Any, Any]]] = {name: [] for name in COLUMNS}
@@ -200,12 +232,10 @@ def read(path: str | Path) -> dict[str, np.ndarray[Any, Any]]:
             blocks[name].append(np.array([value(row) for row in block]))
         block.clear()
 
-    for row in rows(Recording(path)):
+    for row in ticks:
         block.append(row)
         if len(block) == _WINDOW:
             flush()
     if block:
         flush()
-    table = {name: np.concatenate(parts) for name, parts in blocks.items()}
-    table["time"] = table["time"] - table["stamp"][0]
-    return table
+    return {name: np.concatenate(parts) for name, parts in blocks.items()}

@@ -34,6 +34,7 @@ from nodes.recording.facts import (
     publishers_of,
     refuse_foreign_files,
 )
+from nodes.recording.foreign_channels import described
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from nodes.view.commands import CommandError
@@ -126,6 +127,8 @@ class ReplayPages:
         notices = self._read(recording, progress)
         if not recording.complete:
             notices.append(f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.")
+        if recording.foreign:
+            notices.append(f"Not read: {described(recording.foreign)}.")
         feed = self.live.feed
         document = {
             "series": feed.names,

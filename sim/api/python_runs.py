@@ -20,6 +20,7 @@ from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
 from sim.api.launch_arguments import launch_arguments
+from sim.api.live_data import Live
 from sim.api.progress import progress
 from sim.api.python_words import in_python, speaking_python
 from sim.api.recordings import Recorded, read
@@ -35,7 +36,7 @@ class LaunchError(HapticError):
     """A launch did not start, or did not end as asked; the text contains its output."""
 
 
-class Run:
+class Run(Live):
     """A running launch, started or connected to by this program.
 
     Parameters

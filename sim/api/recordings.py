@@ -18,15 +18,10 @@ if TYPE_CHECKING:
 _NAMES = {"time_s": "time", "measured_m": "position", "proxy_m": "proxy", "force_n": "force"}
 
 
-@dataclass(frozen=True, repr=False)
-class Recorded(Result):
-    """A recording: one row per tick, as ``haptic bag export`` writes it."""
+class TickTable(Result):
+    """Columns with one row per tick; the base of recorded and of live tables."""
 
-    path: Path  # path of the file
-    scenario: str  # name of the launched scenario
-    duration_s: float  # from the first to the last stamp [s]
-    messages: dict[str, int]  # number of messages of each topic
-    complete: bool  # whether its writer closed it
+    scenario: str
     _table: dict[str, NDArray[Any]]
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -62,6 +57,20 @@ class Recorded(Result):
         return figure
 
 
+@dataclass(frozen=True, repr=False)
+class Recorded(TickTable):
+    """A recording: one row per tick, as ``haptic bag export`` writes it."""
+
+    path: Path  # path of the file
+    scenario: str  # name of the launched scenario
+    duration_s: float  # from the first to the last stamp [s]
+    messages: dict[str, int]  # number of messages of each topic
+    complete: bool  # whether its writer closed it
+    marks: tuple[tuple[float, str], ...]  # marks of ``run.mark``: time [s] and text
+    not_read: tuple[str, ...]  # topics of other programs
+    _table: dict[str, NDArray[Any]]
+
+
 def read(recording: str | Path, **options: Any) -> Recorded:
     """Read a recording, or a table of another program.
 
@@ -93,18 +102,23 @@ def read(recording: str | Path, **options: Any) -> Recorded:
     (201, 3)
     """
     from nodes.recording import table
+    from nodes.recording.facts import marks_of
     from nodes.recording.reader import Recording
     from sim.api.own_data import as_recording
 
     with as_recording(recording, **options) as path:
         found = Recording(path)
+        columns = table.read(path)
+        begin = float(columns["stamp"][0])
         return Recorded(
             Path(recording),
             found.manifest.get("scenario", ""),
             found.duration,
             {topic: figures.messages for topic, figures in found.topics.items()},
             found.complete,
-            table.read(path),
+            tuple((event.stamp - begin, event.reason) for event in marks_of(found)),
+            tuple(found.foreign),
+            columns,
         )
 
 

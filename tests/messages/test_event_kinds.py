@@ -19,7 +19,15 @@ from hypothesis import strategies as st
 import messages
 from messages import topics
 from messages.codec import Decoder, encode
-from messages.event_kinds import DATA, EVENTS, EventKind, OtherKind, UnknownEventError, checked_data
+from messages.event_kinds import (
+    DATA,
+    EVENTS,
+    MARK,
+    EventKind,
+    OtherKind,
+    UnknownEventError,
+    checked_data,
+)
 from messages.schema import schema
 from messages.types import Event
 from nodes.base.events import Clock, Events
@@ -118,7 +126,7 @@ def calls() -> Iterator[tuple[str, ast.Call]]:
 def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -> None:
     """Rare ones too: an unregistered kind would end the node."""
     # chosen by an expression
-    used = {note.kind for note in NOTES.values()} | {"device_force", "device_force_back"}
+    used = {note.kind for note in NOTES.values()} | {"device_force", "device_force_back", MARK}
     for place, call in calls():
         assert isinstance(call.func, ast.Attribute)
         kind: Any = (
