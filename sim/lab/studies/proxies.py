@@ -2,19 +2,35 @@
 
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
-from nodes.parameters.options import option, quantity
+from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import SEED, not_negative, positive, whole
+from nodes.recording.figure_style import (
+    COLOURS,
+    INK,
+    LINES,
+    MARKERS,
+    PAGE_WIDTH,
+    new_figure,
+    save_figure,
+    styled,
+)
+from sim.axes import name_points, plain_log
+from sim.results import fresh
 from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SpreadOptions, spread
+
+if TYPE_CHECKING:
+    from sim.lab.proxies import ProxyError
 
 _MOST = 7
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProxiesOptions(SpreadOptions):
+class ProxiesOptions(SpreadOptions, FileOptions):
     """Options of `proxies`."""
 
     finest: int = option(
@@ -73,4 +89,37 @@ def proxies(options: ProxiesOptions) -> Answer:
         f" mm: {wrong} on the wrong side, at most {1e6 * aside:.3g} µm beside the device"
     )
     plate = {"steps": options.steps, "step_m": step, "wrong_side": wrong, "aside_max_m": aside}
-    return answered({"rows": [asdict(row) for row in found], "plate": plate}, lines, held=not wrong)
+    figures = {"rows": [asdict(row) for row in found], "plate": plate}
+    plot = _draw(options.out / "proxies.png", found)
+    return answered(figures, lines, plot=plot, held=not wrong)
+
+
+@styled
+def _draw(path: Path, found: list["ProxyError"]) -> Path:
+    """Plot the largest error and the noise of the force over the time of a call."""
+    figure = new_figure(PAGE_WIDTH, 3.4)
+    panels = figure.subplots(1, 2)
+    kinds = ("closed form", "mesh")
+    for axes, key, scale, title in (
+        (panels[0], "max_n", 1e3, "largest force error  [mN]"),
+        (panels[1], "noise_n", 1e3, "noise of the force  [mN]"),
+    ):
+        shown = [row for row in found if getattr(row, key) > 0.0]
+        for i, kind in enumerate(kinds):
+            mine = [row for row in shown if (kinds[row.triangles > 0]) == kind]
+            axes.loglog(
+                [row.call_us for row in mine],
+                [scale * getattr(row, key) for row in mine],
+                color=COLOURS[i],
+                marker=MARKERS[i],
+                ls="none" if kind == "closed form" else LINES[i],
+                lw=0.8,
+                label=kind,
+            )
+        axes.set(xlabel="time of a call, median  [µs]", title=title)
+        axes.margins(0.15)
+        plain_log(axes.xaxis, *axes.get_xlim())
+        named = [(row.name, row.call_us, scale * getattr(row, key)) for row in shown]
+        name_points(axes, named, [], must=True, size=6.5, color=INK)
+    panels[0].legend()
+    return save_figure(figure, path, fresh)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from pathlib import Path
 
 import pytest
 
@@ -14,9 +15,12 @@ from tests.support.launching import exit_code
 # The first run on a machine compiles the geometry.
 
 
-def test_the_study_tells_exact_shapes_from_meshes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_study_tells_exact_shapes_from_meshes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["lab", "proxies", "--finest", "4", "--ticks", "600", "--steps", "100000", "--json"]
-    assert main(words) == 0
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "proxies.pdf").stat().st_size > 1000
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     rows = {row["name"]: row for row in figures["rows"]}
     for name in ("plane", "sphere", "capsule"):
