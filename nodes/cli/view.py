@@ -1,4 +1,4 @@
-"""Show a running launch or a recording in a browser: haptic view [--replay FILE]."""
+"""Show a launch or a recording in a browser, or write a page that needs no server."""
 
 import argparse
 import asyncio
@@ -26,6 +26,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--over", type=Path, metavar="FILE", help="with --replay: draw another recording over it"
+    )
+    parser.add_argument(
+        "--static",
+        nargs="+",
+        metavar=("DIR", "SCENARIO"),
+        help=(
+            "write a folder of plain files whose page plays scenarios by itself, for any web host"
+            " or a double click (default scenario: touch_wall)"
+        ),
     )
     parser.add_argument(
         "--port", type=PORT, default=0, help="port of the page (default: any free port)"
@@ -56,6 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from nodes.view.address import check_address
 
+    if arguments.static:
+        return _static(arguments)
     check_address(arguments.address, arguments.port)
     ended: list[int] = []
     try:
@@ -66,6 +77,19 @@ def run(arguments: argparse.Namespace) -> int:
             return _beside(found, arguments, ended)
     except OSError as error:
         raise RefusedError(f"port {arguments.port}: {error.strerror or error}") from error
+
+
+def _static(arguments: argparse.Namespace) -> int:
+    from nodes.view.pages import PAGES
+
+    directory, *scenarios = arguments.static
+    written = PAGES.load("static")(Path(directory), scenarios)
+    return answer(
+        arguments.json,
+        written,
+        f"{directory}: {written['files']} files, {written['bytes'] / 1000:.0f} kB; open"
+        f" {directory}/index.html, or put the folder on any web host",
+    )
 
 
 def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,13 @@ import numpy as np
 from sim.javascript.names import literal
 
 _SHORT: Final = 16  # an array of more zeros than this is written as their number
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Data that stays JSON: bools, lists of numbers and None keep their meaning."""
+
+    data: Any
 
 
 def value(given: Any) -> str:
@@ -23,10 +31,12 @@ def value(given: Any) -> str:
     NotEmittedError
         For a number that is no double, and for any other type.
     """
+    if isinstance(given, Plain):
+        return _json(given.data)
     if isinstance(given, bool | np.bool_):
         return "1" if given else "0"
     if isinstance(given, str):
-        return json.dumps(given, ensure_ascii=True).replace("</", "<\\/")
+        return _json(given)
     if isinstance(given, Mapping):
         pairs = ", ".join(f"{json.dumps(str(key))}: {value(one)}" for key, one in given.items())
         return f"{{{pairs}}}"
@@ -37,6 +47,11 @@ def value(given: Any) -> str:
     if hasattr(given, "__len__"):  # an array of a struct
         return _sequence(list(given))
     return literal(given)
+
+
+def _json(given: Any) -> str:
+    # "</" would end a script element.
+    return json.dumps(given, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
 
 
 def _sequence(given: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -61,6 +62,10 @@ _CONSTANTS: Final = {
 }
 
 
+# Spaces that mean nothing in emitted code, which has no text with spaces; not around + and −.
+_SPACES: Final = re.compile(r" ?([{}()\[\],;=<>*/?:&|]) ?")
+
+
 @cache
 def emitted() -> Emitter:
     """Return the emitted rules."""
@@ -73,7 +78,8 @@ def emitted() -> Emitter:
 def player() -> str:
     """Return the JavaScript of a loop: memory, rules and the nodes around them."""
     constants = "".join(constant(name, one) for name, one in _CONSTANTS.items())
-    return script("memory") + constants + emitted().text + script("player")
+    rules = _SPACES.sub(r"\1", emitted().text)
+    return script("memory") + constants + rules + script("player")
 
 
 def script(name: str) -> str:

@@ -126,6 +126,11 @@ export class Laws {
     name.append(words(path), Object.assign(document.createElement("small"), { textContent: field.unit ? `  ${field.unit}` : "" }));
     row.append(name);
     const made = (field.type === "choice" ? choice : field.type === "numbers" ? numbers : slider)(field, row, change);
+    if (field.fixed) {
+      row.inert = true;
+      row.classList.add("fixed");
+      row.title = `${field.told} Fixed on this page.`;
+    }
     this.sliders.append(row);
     this.controls.set(path, { ...made, row });
   }

@@ -8,6 +8,7 @@ import { Link } from "./link.js";
 import { linkOf, readState } from "./link_state.js";
 import { Log } from "./log.js";
 import { StabilityMap } from "./map.js";
+import { StaticPage } from "./static_page.js";
 import { Plots } from "./plots.js";
 import { Replay } from "./replay.js";
 import { Scene } from "./scene.js";
@@ -101,7 +102,10 @@ const link = new Link({
     beside.start(found);
     sound.start(store, found.axes);
     if (!found.hand) $("hint").textContent = "";
-    $("record").hidden = $("stop").hidden = found.replay;
+    $("record").hidden = found.replay || found.records === false;
+    $("stop").hidden = found.replay || found.ends === false;
+    status.measures = found.measures !== false;
+    page.start(found);
     $("replay").hidden = !found.replay;
     replay.start(found);
     if (found.notice) status.tell(found.notice);
@@ -121,7 +125,7 @@ const link = new Link({
   status(found) {
     status.show(found);
     if (lag.median !== null) status.row("hand → picture", `${Math.round(lag.median)} ms`);
-    if (lag.force !== null) status.row("hand → force", `${Math.round(lag.force)} ms`);
+    if (lag.force !== null && status.measures) status.row("hand → force", `${Math.round(lag.force)} ms`);
     const stopped = found.safety === "stopped";
     map.stop(stopped);
     if (stopped && found.stop && stoppedAt !== found.stop.t && !hello?.replay) watchSlowly(found.stop);
@@ -161,6 +165,7 @@ const link = new Link({
     refused(found.error);
   },
 });
+const page = new StaticPage({ banner: $("banner"), python: $("python"), restart: $("restart"), scenarios: $("scenarios"), title: $("scenario") }, ask);
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
 // One axis or 3D, at the same moment.
@@ -216,7 +221,7 @@ async function open() {
 }
 
 $("share").addEventListener("click", async () => {
-  const link = linkOf({ law: laws.state?.active, stiffness: dial.stiffness, delay: delay.ticks, beside: beside.law, lab: $("lab").open });
+  const link = linkOf({ law: laws.state?.active, stiffness: dial.stiffness, delay: delay.ticks, beside: beside.law, lab: $("lab").open, scenario: page.scenario });
   history.replaceState(null, "", link);
   await navigator.clipboard?.writeText(link).catch(() => {});
   $("share").textContent = "Copied";

@@ -2,7 +2,7 @@
 import { count, fixed, unbroken } from "./format.js";
 
 export class Status {
-  constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; }
+  constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; this.measures = true; }
 
   connected(open) {
     clearTimeout(this.lost);
@@ -22,11 +22,13 @@ export class Status {
     if (kind !== this.kind) Object.assign(this, { kind }).told.textContent = words;
     this.words.dataset.level = this.dot.dataset.level = found.level;
     this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");
-    this.row("response p50", micro(found.response_us.p50));
-    this.row("p99", micro(found.response_us.p99));
+    if (this.measures) {
+      this.row("response p50", micro(found.response_us.p50));
+      this.row("p99", micro(found.response_us.p99));
+    }
     this.row("delay", `${fixed(found.delay_ticks, 2)} ticks`);
     const lately = found.missed_lately;
-    this.row("missed", lately ? `${fixed(found.missed, 0)} (${count(lately, "tick")} in 10 s)` : fixed(found.missed, 0), lately > 0);
+    if (this.measures) this.row("missed", lately ? `${fixed(found.missed, 0)} (${count(lately, "tick")} in 10 s)` : fixed(found.missed, 0), lately > 0);
     if (found.overruns) this.row("overruns", fixed(found.overruns, 0), lately > 0);
     this.row("time", `${fixed(found.t, 1)} s`);
     this.nodes.replaceChildren(...Object.entries(found.nodes).map(([name, { state, silent_s: silent }]) =>

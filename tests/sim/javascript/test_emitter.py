@@ -13,7 +13,7 @@ import pytest
 
 from sim.javascript.emitter import Emitter
 from sim.javascript.names import NotEmittedError, literal
-from sim.javascript.values import value
+from sim.javascript.values import Plain, value
 from tests.support.in_node import node
 
 EDGES = (0.0, -0.0, 1.0, -1.0, 2.5, -2.5, 0.1, 7.0, -7.0, 1e300, 5e-324, math.inf, -math.inf)
@@ -163,3 +163,9 @@ def test_a_whole_number_that_is_no_double_is_refused() -> None:
     assert literal(2**62) == "4611686018427387904"
     with pytest.raises(NotEmittedError, match="is no double"):
         literal(2**53 + 1)
+
+
+def test_plain_data_stays_json_and_ends_no_script() -> None:
+    assert value(Plain([1, 2.5, True, None])) == "[1,2.5,true,null]"
+    assert value("</script>") == '"<\\/script>"'
+    assert value([True, 0.5]) == "new Float64Array([1, 0.5])"

@@ -215,11 +215,11 @@ def test_moving_bodies_are_refused() -> None:
     [
         ("return proxy - position", "return (proxy - position) * (1 + 2 ** -52)"),
         (
-            "force + (taps[m] * history[head + m])",
+            "force +(taps[m]*history[head + m])",
             "(taps[m] * history[head + m]) + force * (1 + 2 ** -52)",
         ),
         (
-            "((coefs[0] * x) + (coefs[1] * v)) + (coefs[4] * u)",
+            "((coefs[0]*x)+(coefs[1]*v))+(coefs[4]*u)",
             "(coefs[0] * x) + ((coefs[1] * v) + (coefs[4] * u))",
         ),
     ],

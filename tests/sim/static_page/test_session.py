@@ -1,0 +1,344 @@
+"""A page's session in node: laws, edges, words, and its copy as `haptic.play`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import haptic
+import msgspec
+import numpy as np
+import pytest
+
+from messages.types import DeviceState, Force, Proxy
+from nodes.driver.force_words import explain
+from nodes.driver.state import SAFETY
+from nodes.launcher import launch_file
+from nodes.laws.parse import parse_law
+from nodes.stability.closed_loop import pole_radius
+from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.plant import Plant
+from nodes.view.ringing import Ringing
+from sim.play.player import play
+from sim.static_page.emitted_rules import constant
+from sim.static_page.law_parts import parts_of
+from sim.static_page.site import data_of, session_script
+from tests.support.in_node import node
+
+T = 0.002
+
+LAWS: dict[str, dict[str, Any]] = {
+    "pd": {"kind": "pd"},
+    "paper": {"kind": "pd_alpha", "order": 1.2, "taps": 10, "gains": "paper"},
+    "unlimited": {"kind": "pd_alpha", "order": 0.7, "taps": 20, "gains": "unlimited"},
+    "physical": {
+        "kind": "pd_alpha",
+        "order": 0.6,
+        "taps": 11,
+        "gains": "physical",
+        "derivative": "oustaloup_tustin",
+    },
+    "multi_term": {"kind": "paper_optimum"},
+    "filtered": {"kind": "pd_filtered", "cutoff": 80.0},
+}
+
+pytestmark = [pytest.mark.process, pytest.mark.smoke]
+
+
+def run(directory: Path, script: str, scenario: str = "") -> Any:
+    """Run a script behind a session's; return what it leaves in `result`."""
+    path, out = directory / "session.js", directory / "session.json"
+    data = constant("DATA", data_of(launch_file.read(scenario, {}))) if scenario else ""
+    path.write_text(
+        f"{data}{session_script()}let result;\n{script}\n"
+        'require("fs").writeFileSync(process.argv[2], JSON.stringify(result, (_, x) =>\n'
+        "  typeof x === 'number' && !Number.isFinite(x) ? String(x)\n"
+        "  : ArrayBuffer.isView(x) ? Array.from(x) : x));\n"
+    )
+    done = subprocess.run(
+        [node(), str(path), str(out)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(out.read_text())
+
+
+def law_of(name: str, stiffness: float, damping: float) -> Any:
+    return parse_law({**LAWS[name], "stiffness": stiffness, "damping": damping}, name)
+
+
+def numbers(values: Mapping[str, float]) -> list[float]:
+    return [float(value) for value in values.values()]
+
+
+def test_coefficients_follow_both_sliders_with_the_bits_of_compile(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    pairs = np.exp(rng.uniform(np.log([1.0, 0.01]), np.log([1e5, 1e2]), (60, 2))).tolist()
+    parts = {name: parts_of(law_of(name, 1.0, 1.0), T, 100, 1, name) for name in LAWS}
+    found = run(
+        tmp_path,
+        f"const parts = {constant('P', parts).partition('=')[2]}const pairs = {json.dumps(pairs)};"
+        "result = Object.fromEntries(Object.entries(parts).map(([name, one]) => [name,"
+        " pairs.map(([stiffness, damping]) => compiled(one, { stiffness, damping }, 0.002))]));",
+    )
+    for name in LAWS:
+        for (stiffness, damping), got in zip(pairs, found[name], strict=True):
+            law = law_of(name, stiffness, damping).compile(T)
+            assert tuple(got["taps"]) == law.taps, (name, stiffness, damping)
+            assert tuple(got["sections"]) == tuple(np.ravel(law.sections)), name
+
+
+def test_the_largest_stable_stiffness_is_that_of_the_poles(tmp_path: Path) -> None:
+    """Curve and Schur–Cohn against the pole radii of nodes/stability, at any delay."""
+    rng = np.random.default_rng(7)
+    cases = []
+    for n in range(90):
+        mass, damping = np.exp(rng.uniform(np.log([0.02, 0.05]), np.log([1.0, 8.0]))).tolist()
+        delay = float(rng.choice([0.0, 0.4, 1.0, 1.7, 3.25, 7.0]))
+        hand = float(rng.choice([0.0, 150.0, 800.0]))
+        gain = float(np.exp(rng.uniform(np.log(0.1), np.log(6.0))))
+        cases.append((list(LAWS)[n % len(LAWS)], gain, Plant(T, mass, damping, delay, hand)))
+    parts = {name: parts_of(law_of(name, 1.0, 1.0), T, 100, 1, name) for name in LAWS}
+    given = [
+        [
+            name,
+            gain,
+            {"period": T, "mass": p.mass, "damping": p.damping, "delay": p.delay}
+            | {"stiffness": p.stiffness},
+        ]
+        for name, gain, p in cases
+    ]
+    found = run(
+        tmp_path,
+        f"const parts = {constant('P', parts).partition('=')[2]}"
+        f"result = {json.dumps(given)}.map(([name, damping, device]) => {{"
+        " const law = { stiffness: 1, damping };"
+        " const edge = stableStiffness(device, withoutSpring(parts[name], law, device.period));"
+        " const stable = [0.9, 1.1].map((by) => loopIsStable(device, compiled(parts[name],"
+        " { stiffness: by * (edge ? edge[1] : 1), damping }, device.period)));"
+        " return [edge, stable]; });",
+    )
+    for (name, gain, plant), (edge, stable) in zip(cases, found, strict=True):
+        want = k_max(without_spring(law_of(name, 1.0, gain), T), plant)
+        if not want.stable:
+            assert edge is None, (name, gain, plant)
+            continue
+        assert edge is not None, (name, gain, plant)
+        # Both find roots of the same real function to about 1e-10 of the angle.
+        assert edge == pytest.approx(want.stable[0], rel=1e-7, abs=1e-6), (name, gain, plant)
+        for by, verdict in zip((0.9, 1.1), stable, strict=True):
+            law = law_of(name, by * edge[1], gain).compile(T)
+            assert verdict == (pole_radius(law, plant) < 1.0), (name, gain, plant, by)
+
+
+def state_of(**more: Any) -> DeviceState:
+    return DeviceState(
+        seq=5, stamp=0.0, position=(0.0, 0.0, 0.0), **{"safety": "active", "force_seq": 5, **more}
+    )
+
+
+def test_sentences_are_those_of_the_driver(tmp_path: Path) -> None:
+    cases = []
+    for safety in SAFETY:
+        for force, asked in ((0.0, 0.0), (1.5, 1.5), (10.0, 31.25)):
+            for contact, normal in ((False, 0.0), (False, -1.0), (True, -1.0), (True, 0.0)):
+                for why in ("", "ramp of 50 ticks done"):
+                    for ringing in ("", "It rings at 22 Hz, up to 3.1 N"):
+                        cases.append((safety, force, asked, contact, normal, why, ringing))
+    found = run(
+        tmp_path,
+        f"result = {json.dumps(cases)}.map(([safety, f, a, contact, n, why, ringing]) =>"
+        " explained({ safety, force: [f, 0, 0], asked: [a, 0, 0], age: 0, contact,"
+        " normal: [n, 0, 0], distance: -0.00123, law: 'pd' }, why, ringing));",
+    )
+    for case, got in zip(cases, found, strict=True):
+        safety, force, asked, contact, normal, why, ringing = case
+        state = state_of(safety=safety, force=(force, 0.0, 0.0))
+        zero = (0.0, 0.0, 0.0)
+        proxy = Proxy(
+            seq=5,
+            stamp=0.0,
+            position=zero,
+            proxy=zero,
+            normal=(normal, 0.0, 0.0),
+            distance=-0.00123,
+            contact=contact,
+        )
+        message = Force(seq=5, stamp=0.0, force=(asked, 0.0, 0.0), law="pd")
+        assert tuple(got) == explain(state, proxy, message, 0.0, why, ringing), case
+
+
+def test_numbers_are_formatted_as_python_formats_them(tmp_path: Path) -> None:
+    formats = (".0f", ".1f", ".2f", ".3g", ".2g", ".4g", "g")
+    values = [0.0, 1.0, -1.0, 0.1234567, 12.3456, 1234.56, 9.996e-5, 0.000123, 123456.7, 2e6, 1e-9]
+    found = run(
+        tmp_path,
+        f"result = {json.dumps(values)}.map((x) => {json.dumps(formats)}.map((f) =>"
+        " formatted(x, f)));",
+    )
+    assert found == [[format(value, one) for one in formats] for value in values]
+
+
+def test_ringing_is_found_in_the_same_ticks(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    time = np.arange(1500) * T
+    force = np.where((time > 0.5) & (time < 2.0), 4.0 * np.sin(2.0 * np.pi * 24.0 * time), 0.0)
+    force = (force + rng.normal(0.0, 0.02, len(time))).tolist()
+    found = run(
+        tmp_path,
+        f"const ringing = new Ringing(); result = {json.dumps(force)}.map((force, k) => {{"
+        " ringing.take(k * 0.002, force); return ringWords(ringing.ring()); });",
+    )
+    ringing, want = Ringing(), []
+    for k, value in enumerate(force):
+        ringing.take(k * T, value)
+        want.append(str(ringing.ring() or ""))
+    assert found == want
+    assert any(want)
+    assert not all(want)
+
+
+_VISIT = """
+const session = new Session(DATA), rows = [], own = [];
+const tick = (count) => { for (let n = 0; n < count; n++) {
+  session.tick();
+  const { position, force } = session.player.driver;
+  rows.push([...position, ...force]);
+} };
+tick(150);
+session.hand([0.03, 0.004, 0.003]);
+tick(120);
+session.setLaw("stiffness", 1700, false);
+tick(40);
+session.switchTo("pd_alpha", 60, false);
+tick(90);
+session.hand([0.036, 0.002, -0.003]);
+session.setLaw("damping", 2.5, false);
+tick(120);
+session.switchTo("designed_d0", 0, true);
+session.scale(900, true);
+tick(60);
+session.hand(null);
+tick(200);
+result = { rows, python: session.python() };
+"""
+
+
+@pytest.mark.parametrize("scenario", ["touch_wall", "sphere_feel"])
+def test_a_copied_session_gives_the_same_bits_in_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: str
+) -> None:
+    found = run(tmp_path, _VISIT, scenario)
+    monkeypatch.chdir(tmp_path)
+    played: dict[str, Any] = {"print": lambda *_: None}
+    exec(found["python"].replace("print(haptic.play", "played = (haptic.play"), played)  # noqa: S102
+    axes = [0] if scenario == "touch_wall" else [0, 1, 2]
+    rows = np.array(found["rows"])
+    want = played["played"]
+    measured = want.measured_m.reshape(len(rows), len(axes))
+    force = want.force_n.reshape(len(rows), len(axes))
+    assert np.abs(force).max() > 0.5
+    assert (rows[:, axes] == measured).all()
+    assert (rows[:, [3 + axis for axis in axes]] == force).all()
+    assert haptic.scenarios()
+
+
+def test_beside_with_the_same_law_is_the_same_run(tmp_path: Path) -> None:
+    """B is forked from A in contact, during a fade, and follows the same hand."""
+    found = run(
+        tmp_path,
+        """
+        const session = new Session(DATA), both = [];
+        session.hand([0.03, 0, 0]);
+        for (let n = 0; n < 300; n++) session.tick();
+        session.compare("pd");
+        const b = session.beside;
+        for (let n = 0; n < 300; n++) {
+          if (n === 100) session.hand([0.02, 0, 0]);
+          session.tick();
+          const { position, force } = session.player.driver;
+          both.push([position[0], b.position.at(-1), force[0], b.force.at(-1)]);
+        }
+        session.compare("multi_term");
+        for (let n = 0; n < 100; n++) session.tick();
+        result = { both, other: session.beside.force };
+        """,
+        "touch_wall",
+    )
+    both = np.array(found["both"])
+    assert (both[:, 0] == both[:, 1]).all()
+    assert (both[:, 2] == both[:, 3]).all()
+    assert np.abs(both[:, 2]).max() > 0.5
+
+
+@pytest.mark.parametrize("delay", [0.37, 1.0, 1.7, 5.2])
+def test_a_delay_set_at_the_start_is_the_device_with_that_delay(
+    tmp_path: Path, delay: float
+) -> None:
+    found = run(
+        tmp_path,
+        f"""
+        const session = new Session(DATA), rows = [];
+        session.delayBy({delay});
+        session.spoiled = "";
+        for (let n = 0; n < 700; n++) {{
+          session.tick();
+          rows.push([session.player.driver.position[0], session.player.driver.force[0]]);
+        }}
+        result = {{ rows, stopped: session.player.driver.safety }};
+        """,
+        "touch_wall",
+    )
+    launch = launch_file.read("touch_wall", {})
+    spec = launch.nodes["driver"]
+    device = {**spec.parameters["device"], "delay": delay}
+    changed = msgspec.structs.replace(spec, parameters={**spec.parameters, "device": device})
+    coupling = launch.nodes["coupling"]
+    unjudged = {**coupling.parameters, "plant": None, "stability": "off"}
+    coupling = msgspec.structs.replace(coupling, parameters=unjudged)
+    nodes = {**launch.nodes, "driver": changed, "coupling": coupling}
+    launch = msgspec.structs.replace(launch, nodes=nodes)
+    trace = play(launch, ticks=700)
+    rows = np.array(found["rows"])
+    assert np.abs(rows[:, 1]).max() > 0.5
+    assert (rows[:, 0] == trace.measured[:, 0]).all()
+    assert (rows[:, 1] == trace.force[:, 0]).all()
+
+
+def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None:
+    found = run(
+        tmp_path,
+        """
+        const session = new Session(DATA), said = [];
+        for (const change of [
+          () => session.setLaw("stiffness", 1e5, false),
+          () => session.setDelay(6, false),
+          () => session.setLaw("order", 1, false),
+          () => session.setLaw("stiffness", NaN, true),
+        ]) try { change(); said.push(""); } catch (error) { said.push(error.message); }
+        session.setLaw("stiffness", 15000, true);
+        session.hand([0.04, 0, 0]);
+        for (let n = 0; n < 2000; n++) session.tick();
+        const stopped = session.player.driver.safety;
+        session.setLaw("stiffness", 500, false);
+        session.rearm();
+        for (let n = 0; n < 600; n++) session.tick();
+        const again = session.player.driver.safety;
+        try { session.python(); } catch (error) { said.push(error.message); }
+        session.begin();
+        session.tick();
+        result = { said, stopped, again, seq: session.seq, python: session.python() };
+        """,
+        "touch_wall",
+    )
+    largest, delay, fixed, number, spoiled = found["said"]
+    assert "The largest pd.stiffness that is accepted is 5797" in largest
+    assert "unstable at a delay of 6 ticks" in delay
+    assert "pd.order is fixed on this page" in fixed
+    assert "NaN is no stiffness" in number
+    assert (SAFETY[found["stopped"]], SAFETY[found["again"]]) == ("stopped", "active")
+    assert "rearmed" in spoiled
+    assert found["seq"] == 1
+    assert "stiffness: 500" in found["python"]

@@ -1,0 +1,182 @@
+"""The folder of `haptic view --static`: plain files, nothing from elsewhere; a visit."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import re
+import threading
+from collections.abc import Iterator
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from messages.errors import UsageError
+from nodes.parameters.store import ParameterError
+from sim.static_page.site import LARGEST, smaller, write_site
+from tests.support.browser import chromium, needs_browser
+from tests.support.launching import typed_in, wait_for
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site") / "page"
+    done = typed_in(
+        folder.parent, "view", "--static", str(folder), "touch_wall", "sphere_feel", "--json"
+    )
+    assert json.loads(done.stdout.splitlines()[-1])["scenarios"] == ["touch_wall", "sphere_feel"]
+    return folder
+
+
+def test_the_folder_is_small_and_loads_nothing_from_elsewhere(site: Path) -> None:
+    files = [path for path in site.rglob("*") if path.is_file()]
+    assert sum(path.stat().st_size for path in files) < LARGEST
+    html = (site / "index.html").read_text()
+    linked = re.findall(r'(?:src|href)="([^"]+)"', html)
+    assert linked
+    assert all((site / name).is_file() for name in linked), linked
+    for path in files:
+        text = path.read_text(errors="replace")
+        elsewhere = set(re.findall(r"https?://[\w.]+", text))
+        assert elsewhere <= {"http://www.w3.org", "https://github.com"}, (path, elsewhere)
+
+
+def test_a_page_is_written_again_and_never_over_anything_else(tmp_path: Path) -> None:
+    folder = tmp_path / "page"
+    assert write_site(folder)["files"] == write_site(folder)["files"]
+    (folder / "thesis.tex").write_text("mine")
+    with pytest.raises(UsageError, match=r"page: contains 'thesis\.tex', which is no file of a"):
+        write_site(folder)
+    assert (folder / "thesis.tex").read_text() == "mine"
+
+
+def test_a_folder_that_would_be_too_large_is_refused(tmp_path: Path) -> None:
+    every = ["touch_wall", "sphere_feel", "box_edges", "mesh_pebble", "rough_plane"]
+    with pytest.raises(UsageError, match=f"limit {LARGEST}; name fewer scenarios"):
+        write_site(tmp_path / "page", every)
+    assert not (tmp_path / "page").exists()
+
+
+def test_what_a_browser_cannot_play_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="drives two devices"):
+        write_site(tmp_path / "page", ["hands_coupled"])
+    assert not (tmp_path / "page").exists()
+
+
+def test_a_smaller_script_is_the_same_without_comments_and_indentation() -> None:
+    assert smaller("  a();\n\n  // why\n  b(); // c\n") == "a();\nb(); // c\n"
+
+
+@contextlib.contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """Serve a folder as any static host does."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_address[1]}/index.html"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def _visit(page: Page) -> None:
+    page.wait_for_function("document.body.dataset.ready === 'static'")
+    page.wait_for_function("haptic.laws.edge > 5000")
+    box: Any = page.locator("#scene").bounding_box()
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 0.3 * box["width"], y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.9 * box["width"], y, steps=4)
+    page.wait_for_function("document.querySelector('#words').textContent.includes('pushes back')")
+    page.locator("#other").select_option("pd_alpha")
+    page.wait_for_function("haptic.beside.on")
+    page.mouse.up()
+    page.locator("#python").click()
+    page.wait_for_function("document.querySelector('#python').textContent === 'Copied'")
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@needs_browser
+@pytest.mark.parametrize("by", ["http", "file"])
+def test_a_visitor_touches_the_wall_without_any_process_of_ours(site: Path, by: str) -> None:
+    wrong: list[str] = []
+    with served(site) as url, chromium() as browser:
+        page = browser.new_page()
+        page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto(url if by == "http" else f"file://{site}/index.html")
+        _visit(page)
+        link = page.evaluate("location.href")
+        # Past the edge, the stop, and again.
+        page.locator("#beyond").check()
+        page.evaluate("haptic.dial.let(3)")
+        page.locator("#scene").focus()
+        for _ in range(8):
+            page.keyboard.press("Shift+ArrowRight")
+        page.wait_for_function("document.querySelector('#again').hidden === false")
+        page.locator("#again").click()
+        page.wait_for_function("document.querySelector('#again').hidden === true")
+        # A link brings anybody to the same law.
+        page.goto("about:blank")
+        page.goto(f"{link.split('#')[0]}#law=multi_term&k=1500&delay=0.4")
+        page.wait_for_function("haptic.laws.state?.active === 'multi_term'")
+        page.wait_for_function("haptic.laws.state.laws.multi_term.stiffness === 1500")
+        page.wait_for_function("haptic.laws.state.device_delay === 0.4")
+        # Another scenario, in three axes.
+        page.locator("#scenarios").select_option("sphere_feel")
+        page.wait_for_function(
+            "haptic.space.shape !== null && !document.querySelector('#space').hidden"
+        )
+        wait_for(lambda: page.evaluate("Number(document.body.dataset.bins) > 300"), "it plays")
+    assert wrong == []
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@needs_browser
+def test_the_page_goes_on_offline_and_by_touch(site: Path) -> None:
+    with served(site) as url, chromium() as browser:
+        phone = browser.new_context(
+            viewport={"width": 390, "height": 780}, has_touch=True, is_mobile=True
+        )
+        page = phone.new_page()
+        page.goto(url)
+        page.wait_for_function("document.body.dataset.ready === 'static'")
+        phone.set_offline(True)
+        box: Any = page.locator("#scene").bounding_box()
+        touch = phone.new_cdp_session(page)
+        x, y = box["x"] + box["width"] / 2, box["y"] + 0.2 * box["height"]
+        for kind, at in (
+            ("touchStart", y),
+            ("touchMove", y + 40),
+            ("touchMove", y + 0.7 * box["height"]),
+        ):
+            touch.send(
+                "Input.dispatchTouchEvent",
+                {
+                    "type": kind,
+                    "touchPoints": [
+                        {"x": x + (0 if box["height"] > box["width"] else at - y), "y": at}
+                    ],
+                },
+            )
+            page.wait_for_timeout(50)
+        page.wait_for_function("haptic.scene.grip.used")
+        before = int(page.evaluate("Number(document.body.dataset.bins)"))
+        wait_for(
+            lambda: page.evaluate("Number(document.body.dataset.bins)") > before + 200, "it plays"
+        )
+        width = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+        assert width[0] <= width[1]
