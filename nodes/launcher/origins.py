@@ -6,9 +6,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import lines_of
 
-_PATH = re.compile(r"^(?P<path>[^\s:\[\]]+(?:\[\d+\][^\s:\[\]]*)*): ")
+# last step of a path: a name, or an index
 _LAST = re.compile(r"(?:^|\.)[^.\[\]]*$|\[\d+\]$")
 
 
@@ -51,12 +52,10 @@ class Origins:
                 return None
         return self._arguments[place]
 
-    def located(self, text: str) -> str:
-        """Return an error text with file, line and argument of the value it names."""
-        match = _PATH.match(text)
-        if match is None:
-            return text
-        place = match["path"].removeprefix(f"{self._name}.")
+    def located(self, error: ParameterError) -> str:
+        """Return an error's text with file, line and argument of the value it names."""
+        path = error.path.removeprefix(f"{self._name}.")
+        place = path
         node, dot, rest = place.partition(".")
         if node in self._nodes:
             place = f"nodes.{node}.parameters{dot}{rest}"
@@ -74,6 +73,6 @@ class Origins:
         while place not in self._lines:
             place, whole = _LAST.sub("", place, count=1), place
             if place == whole:
-                return text
+                return str(error)
         file, line = self._lines[place]
-        return f"{file}:{line}: {text.removeprefix(f'{self._name}.')}{behind}"
+        return f"{file}:{line}: {path}: {error.text}{behind}"

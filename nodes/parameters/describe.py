@@ -1,6 +1,5 @@
 """Descriptions of parameters: type, unit, limits, default and meaning, from their struct."""
 
-import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -8,21 +7,9 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from messages.schema import attributes
-from nodes.parameters.refusals import STEP, choices, look_up
+from messages.schema import attributes, unit_of
+from nodes.parameters.refusals import BOUNDS, KINDS, STEP, choices
 from nodes.parameters.store import ParameterError
-
-_UNIT = re.compile(r"\[([^\]]+)\]")
-
-_NAMES: dict[type[inspect.Type], str] = {
-    inspect.FloatType: "number",
-    inspect.IntType: "integer",
-    inspect.StrType: "text",
-    inspect.BoolType: "true or false",
-    inspect.NoneType: "null",
-}
-
-_LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 
 class Description(msgspec.Struct, kw_only=True):
@@ -68,7 +55,9 @@ def described(
                     meaning="What it is: one of the kinds that are installed.",
                 )
             if name not in fields:
-                raise ParameterError(f"{done}{step}: no such parameter; {choices(name, fields)}")
+                raise ParameterError(
+                    f"no such parameter; {choices(name, fields)}", path=f"{done}{step}"
+                )
             found = _field(info.cls, fields[name])
             info = fields[name].type
         elif name and isinstance(info, inspect.DictType):
@@ -79,11 +68,19 @@ def described(
             found = Description(type=_words(info), meaning=found.meaning)
         elif not isinstance(info, inspect.AnyType):
             raise ParameterError(
-                f"{done}{step}: there is nothing below {done or 'it'}, which is {_words(info)}"
+                f"there is nothing below {done or 'it'}, which is {_words(info)}",
+                path=f"{done}{step}",
             )
-        values, _ = look_up(values, name or step)
+        values = _below(values, name, index)
         done += step
     return found
+
+
+def _below(values: Any, name: str, index: str) -> Any:
+    """Return the value at a name or an index; None if there is none."""
+    if name:
+        return values.get(name) if isinstance(values, dict) else None
+    return values[int(index)] if isinstance(values, list) and int(index) < len(values) else None
 
 
 def _kind(values: Any) -> str:
@@ -107,13 +104,12 @@ def _field(owner: type[Any], field: inspect.Field) -> Description:
     for base in reversed(owner.__mro__):
         meanings.update(attributes(base.__doc__ or ""))
     meaning = meanings.get(field.encode_name, "")
-    unit = _UNIT.search(meaning)
     default = field.default
     if default is msgspec.NODEFAULT and field.default_factory is not msgspec.NODEFAULT:
         default = field.default_factory()
     return Description(
         type=_words(field.type),
-        unit=unit[1] if unit else "",
+        unit=unit_of(meaning),
         limits=_limits(field.type),
         default=None if field.required else msgspec.to_builtins(default),
         required=field.required,
@@ -140,15 +136,15 @@ def _words(info: inspect.Type) -> str:
         )
     if isinstance(info, inspect.CollectionType):
         return f"list of {_words(info.item_type)}"
-    return _NAMES.get(type(info), "anything")
+    return KINDS[type(info)].noun if type(info) in KINDS else "anything"
 
 
 def _limits(info: inspect.Type) -> str:
     info = _without_none(info)
     found = []
-    for name, word in _LIMITS.items():
-        limit = getattr(info, name, None)
+    for bound in BOUNDS:
+        limit = getattr(info, bound.attribute, None)
         # The largest double is how a finite number is required.
         if limit is not None and abs(limit) != sys.float_info.max:
-            found.append(f"{word} {limit:g}")
+            found.append(f"{bound.words} {limit:g}")
     return ", ".join(found)
