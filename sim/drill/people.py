@@ -11,6 +11,7 @@ from messages.transport.requests import ControlError
 from messages.types import DeviceState
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
+from nodes.stability.every_delay import Certificate
 from sim.drill.drill import RATE, Fault, kill
 from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
@@ -112,13 +113,7 @@ def leave_a_design(rig: Rig) -> None:
         "drops_settled": 0,
         "drops": 0,
     }
-    unknown = (
-        "edge_h1_n_per_m",
-        "edge_factor",
-        "stable_up_to_delay_ticks",
-        "every_delay_stable",
-        "limit_cycle_free",
-    )
+    unknown = ("edge_h1_n_per_m", "edge_factor", "stable_up_to_delay_ticks", "limit_cycle_free")
     asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0, "period": 1.0 / RATE}
     law = {"kind": "fir", "taps": TAPS, "period": 1.0 / RATE}
     known = {
@@ -134,6 +129,7 @@ def leave_a_design(rig: Rig) -> None:
         "predicted": {
             **dict.fromkeys(unknown),
             **edges,
+            "every_delay": Certificate.UNDECIDED,
             "h1_n_per_m": h1,
             "knock_m": 1e-3,
             "pole_radius": 1.0,

@@ -13,6 +13,7 @@ from typing import Any
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.every_delay import Certificate
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
@@ -217,12 +218,10 @@ def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
     """Certify the law for every sequence of delays if their range is within a tick."""
     low, high = asked.delay
     answer = certificate(law, asked)
-    if answer != "too wide":
-        return {"every_delay_stable": answer}
-    return {
-        "every_delay_stable": None,
-        "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart",
-    }
+    figures: dict[str, Any] = {"every_delay": answer}
+    if answer is Certificate.TOO_WIDE:
+        figures["every_delay_why"] = f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart"
+    return figures
 
 
 def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:

@@ -3,7 +3,20 @@
 from collections.abc import Mapping
 from typing import Any
 
+from nodes.stability.every_delay import Certificate
+from nodes.stability.rest import ComesToRest
+
 TextRow = tuple[str, str]
+_EVERY_DELAY = {
+    Certificate.CERTIFIED: "yes",
+    Certificate.UNSTABLE: "NO",
+    Certificate.UNDECIDED: "not decided",
+}
+_AT_REST = {
+    ComesToRest.PROVEN: "yes",
+    ComesToRest.ESTIMATED: "by estimate",
+    ComesToRest.NOT_PROVEN: "not proven",
+}
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -85,7 +98,7 @@ def _grasped(record: Mapping[str, Any]) -> list[TextRow]:
     if (judged := record.get("grasp")) is None:
         return []
     worst = judged["worst"]
-    told = {True: "stable, certified", False: "NOT stable"}.get(
+    told = {Certificate.CERTIFIED: "stable, certified", Certificate.UNSTABLE: "NOT stable"}.get(
         worst["certified"], "stable at all points tried, not certified"
     )
     return [
@@ -114,9 +127,8 @@ def predicted_rows(record: Mapping[str, Any]) -> list[TextRow]:
     knocked = record["edge_h1_n_per_m"]
     rest = record["limit_cycle_free"]
     later = record["stable_up_to_delay_ticks"]
-    every = record["every_delay_stable"]
-    decided = record.get("every_delay_why") or ("not decided" if every is None else number(every))
-    quiet = {True: "yes", "estimated": "by estimate", None: "unknown"}.get(rest, "not proven")
+    decided = record.get("every_delay_why") or _EVERY_DELAY[Certificate(record["every_delay"])]
+    quiet = "unknown" if rest is None else _AT_REST[ComesToRest(rest)]
     return [
         (
             "edge, by knocks on the model",

@@ -87,7 +87,7 @@ def designed(
             "drops_settled": 0,
             "drops": 0,
             "stable_up_to_delay_ticks": None,
-            "every_delay_stable": None,
+            "every_delay": "undecided",
             "limit_cycle_free": None,
         },
         "predicted_steps": {
