@@ -67,10 +67,7 @@ _REPLAYED = 2000
 
 def design(options: DesignOptions) -> StudyResult:
     """Design a law, or compare families of laws."""
-    if not 1 <= options.taps <= 12:
-        raise UsageError(
-            f"--taps {options.taps}: between 1 and 12; the search is over each of them"
-        )
+    shared.refuse_taps(options.taps)
     if options.compare and options.taps < 2:
         raise UsageError(f"--taps {options.taps} --compare: PD and PDα have at least 2 taps")
     if options.every_delay and options.compare:

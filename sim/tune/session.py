@@ -68,10 +68,9 @@ class Tuning:
         options: TuneOptions,
         running: Callable[[], PushedLaunch],
         identified: Callable[[], tuple[Path, str, Identified]],
-        say: Callable[[str], None],
         fresh: bool,
     ) -> None:
-        self._options, self._find, self._identified, self._say = options, running, identified, say
+        self._options, self._find, self._identified = options, running, identified
         self._file, self._tuned, self._designed = (
             options.out / name for name in ("tune.json", "tuned.yaml", "designed.yaml")
         )
@@ -155,7 +154,7 @@ class Tuning:
                 f"{refused}. A law would be for another device; --refuted designs it anyway"
             )
         found = found.anyway()
-        self._say(
+        self._options.say(
             f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare"
         )
         wanted = Wanted(
@@ -262,7 +261,7 @@ class Tuning:
         with borrowed(loop) as held:
             try:
                 taps, knock = designed["taps_n_per_m"], predicted["knock_m"]
-                Trials(loop, held, taps, knock, load, self._say, self._options.rearm).climb(
+                Trials(loop, held, taps, knock, load, self._options.say, self._options.rearm).climb(
                     plan, edge
                 )
             except KeyboardInterrupt:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from messages.errors import RefusedError, UsageError
+from messages.errors import RefusedError
 from nodes.client import launches
 from sim.identify.pushing import identify_running
+from sim.studies.device_options import refuse_taps
 from sim.studies.result import StudyResult
 from sim.tune.session import Tuning
 from sim.tune.tune_options import STEPS, TuneOptions
@@ -53,25 +54,9 @@ class TuneResult(StudyResult):
 def tune(options: TuneOptions) -> TuneResult:
     """Run the steps of a tuning; the device is left safe and results are written in all cases.
 
-    Parameters
-    ----------
-    options : TuneOptions
-        The launch, the steps, the law's length and its demands.
-
-    Returns
-    -------
-    TuneResult
-        The result of each step; a refusal of a step is part of it.
-
-    Raises
-    ------
-    messages.errors.UsageError
-        For incompatible options.
+    The refusal of a step is part of the result; incompatible options raise UsageError.
     """
-    if not 1 <= options.taps <= 12:
-        raise UsageError(
-            f"--taps {options.taps}: between 1 and 12; the search is over each of them"
-        )
+    refuse_taps(options.taps)
     options.excitation()
     options.out.mkdir(parents=True, exist_ok=True)
     from sim.identify.borrowed import PushedLaunch
@@ -88,17 +73,12 @@ def tune(options: TuneOptions) -> TuneResult:
 
     steps = [name for name in STEPS if name in options.steps]
     tuning = Tuning(
-        options,
-        lambda: PushedLaunch(launches.find(run_name)),
-        identified,
-        options.say,
-        "identify" in steps,
+        options, lambda: PushedLaunch(launches.find(run_name)), identified, "identify" in steps
     )
-    live = {"identify", "apply", "verify"} & set(steps)
     number, now = 0, ""
     with interrupted_once() as signalled, contextlib.ExitStack() as held:
         try:
-            if live and options.scenario:
+            if options.scenario and {"identify", "apply", "verify"} & set(steps):
                 options.say(f"starting {options.scenario} ...")
                 words = (*options.assignments, "duration:=0")
                 run_name = held.enter_context(launched(options.scenario, *words)).run

@@ -13,7 +13,7 @@ from nodes.parameters.quantities import not_negative, positive
 from nodes.recording.figure_style import BAD, new_figure, save_figure, styled
 from sim.measure.jobs import SweepRow
 from sim.results import fresh
-from sim.studies.device_options import DeviceOptions
+from sim.studies.device_options import DeviceOptions, refuse_taps
 from sim.studies.result import Findings
 from sim.studies.sweeps import SweepOptions, swept
 
@@ -172,10 +172,7 @@ class PriceFound(Findings):
 
 def price(options: PriceOptions) -> PriceFound:
     """Design with less and less knowledge."""
-    if not 1 <= options.taps <= 12:
-        raise UsageError(
-            f"--taps {options.taps}: between 1 and 12; the search is over each of them"
-        )
+    refuse_taps(options.taps)
     if options.share >= 1.0:
         raise UsageError(f"--share {options.share:g}: expected a part of the mass, below 1")
     device = options.chosen("mass", "damping", "delay", "jitter", *VARIED, "taps", "rate", "vary")

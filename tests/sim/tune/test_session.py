@@ -32,7 +32,7 @@ def refuse() -> Any:
 
 
 def tuning(folder: Path, running: Callable[[], Any] = refuse, fresh: bool = False) -> Tuning:
-    return Tuning(TuneOptions(out=folder), running, refuse, lambda _: None, fresh)
+    return Tuning(TuneOptions(out=folder), running, refuse, fresh)
 
 
 def resting(step: int) -> KnockVerdict:
