@@ -11,37 +11,36 @@ from messages.errors import RefusedError
 from nodes.client import launches
 from sim.identify.pushing import identify_running
 from sim.studies.device_options import refuse_taps
-from sim.studies.result import StudyResult
-from sim.tune.session import Tuning
+from sim.studies.result import StudyResult, plain
 from sim.tune.tune_options import STEPS, TuneOptions
 
 if TYPE_CHECKING:
     from sim.identify.identified import Identified
+    from sim.tune.record import TuneRecord
 
 
 @dataclass(frozen=True, repr=False)
 class TuneResult(StudyResult):
     """Results of a tuning and its files."""
 
-    record: dict[str, Any]  # result of each step, by name
+    record: TuneRecord  # what each step found
     files: dict[str, str]  # written files
-    came_through: bool  # whether no law was tried, or the law holds
     interrupted: int = 0
 
     @property
     def refused(self) -> str:
         """Return why a step was refused; else empty."""
-        return str(self.record.get("refused", ""))
+        return self.record.refused
 
     @property
     def held(self) -> bool:
-        """Return whether every step was done and the law holds."""
-        return self.came_through and not self.refused
+        """Return whether every step was done and the law holds, if one was tried."""
+        return self.record.came_through() and not self.refused
 
     @property
     def answer(self) -> dict[str, Any]:
         """Return the figures by name."""
-        return self.record | {"files": self.files}
+        return {**plain(self.record), "files": self.files}
 
     @property
     def text(self) -> str:
@@ -63,6 +62,7 @@ def tune(options: TuneOptions) -> TuneResult:
     from sim.measure.haptic_commands import MeasurementError
     from sim.measure.interrupts import interrupted_once, undisturbed
     from sim.measure.measured_launch import launched
+    from sim.tune.session import Tuning
 
     places, run_name = options.places or [0.0], options.run_name
 
@@ -88,10 +88,10 @@ def tune(options: TuneOptions) -> TuneResult:
                 tuning.keep()
             now = ""
         except KeyboardInterrupt:
-            tuning.record["interrupted"] = now or "the start"
+            tuning.record.interrupted = now or "the start"
             number = signalled() or 2
         except (RefusedError, ValueError, MeasurementError) as error:
-            tuning.record["refused"] = str(error)
+            tuning.record.refused = str(error)
         finally:
             with undisturbed():
                 tuning.keep()
@@ -99,4 +99,4 @@ def tune(options: TuneOptions) -> TuneResult:
                 held.close()
                 tuning.write()
     options.say("")
-    return TuneResult(tuning.record, tuning.files, tuning.came_through, number)
+    return TuneResult(tuning.record, tuning.files, number)

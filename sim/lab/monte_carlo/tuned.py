@@ -48,20 +48,21 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
         row["h1_n_per_m"], row["taps_n_per_m"] = compiled.h1, list(compiled.taps)
         if risk := remainder_refusal(compiled, found):
             return row | {"stopped": f"refused: {risk}"}
-        figures, _, plan = predict(compiled, asked, found, PEAK, None)
+        figures, planned = predict(compiled, asked, found, PEAK, None)
     except ValueError as error:
         return row | {"stopped": str(error)}
-    verdict = verified(figures, climb(plan, knocks(device, compiled, figures["knock_m"], period)))
+    trials = knocks(device, compiled, figures.knock_m, period)
+    verdict = verified(figures, climb(planned.plan, trials))
     row |= {
-        "holds": verdict["holds"],
-        "delivered": verdict["holds"],
-        "edge_n_per_m": verdict["edge_by_poles_h1_n_per_m"],
-        "edge_between_n_per_m": verdict["edge_by_poles_between_n_per_m"],
-        "predicted_edge_n_per_m": figures["edge_linear_h1_n_per_m"],
+        "holds": verdict.holds,
+        "delivered": verdict.holds,
+        "edge_n_per_m": verdict.edge_by_poles_h1_n_per_m,
+        "edge_between_n_per_m": verdict.edge_by_poles_between_n_per_m,
+        "predicted_edge_n_per_m": figures.edge_linear_h1_n_per_m,
         "true_radius": true_radius(compiled, device, period),
         "true_edge_n_per_m": true_edge(compiled, device, period),
-        "knocks": len(verdict["steps"]),
-        "ended": verdict["ended"],
+        "knocks": len(verdict.steps),
+        "ended": verdict.ended,
     }
     return row
 
