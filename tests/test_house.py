@@ -271,6 +271,21 @@ WITH_ARGUMENTS = {
 FUNCTIONS = ("sim.studies", "sim.lab.studies")
 """Where functions of options stand that are sub-verbs: one a file, called as it is."""
 
+LONGEST_VERB = 60
+"""Lines of a function of a command, which parses, calls and prints."""
+
+
+def test_verbs_are_short() -> None:
+    long = [
+        f"{module}.{node.name}: {lines} lines"
+        for module, path in MODULES.items()
+        if module.startswith(("nodes.cli", "sim.cli", *FUNCTIONS, "sim.tune.tune"))
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.FunctionDef)
+        and (lines := (node.end_lineno or 0) - node.lineno + 1) > LONGEST_VERB
+    ]
+    assert long == []
+
 
 def test_verbs_are_in_one_place() -> None:
     """A verb is a module in cli/ or a function; no other room reads arguments."""

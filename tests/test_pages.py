@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+import ast
+import itertools
 import json
 import re
 import shlex
 import subprocess
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,7 +18,7 @@ from typing import Any
 import pytest
 import yaml
 
-from nodes.cli.main import VERBS, Parser, parser_for, verbs
+from nodes.cli.main import VERBS, Parser, parser_for, sub_verbs, verbs
 from nodes.parameters.installed import OURS
 from sim.lab.bench.scene_costs import BODIES
 from tests.support import ROOT
@@ -321,6 +324,57 @@ def test_every_scenario_and_every_verb_is_mentioned() -> None:
             assert re.search(rf"\bhaptic {verb.name}\b", README), (
                 f"haptic {verb.name} is not mentioned"
             )
+
+
+def leaves(parser: argparse.ArgumentParser) -> Iterator[tuple[str, ...]]:
+    """Yield the words of each command below a parser."""
+    below = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    if not below:
+        yield ()
+    for name, own in ((name, own) for one in below for name, own in one.choices.items()):
+        for words in leaves(own):
+            yield (name, *words)
+
+
+def constants(words: Sequence[ast.expr]) -> Iterator[tuple[str, ...]]:
+    """Yield the runs of string constants in an argument list, split at blanks, from each on."""
+    for first in range(len(words)):
+        found = itertools.takewhile(lambda one: isinstance(one, ast.Constant), words[first:])
+        yield tuple(" ".join(str(one.value) for one in found).split()[:3])  # type: ignore[attr-defined]
+
+
+def test_every_verb_is_run_by_a_page_or_a_test() -> None:
+    """The words of each command of our own stand on a page or in an argument list of a test."""
+    typed = {
+        tuple(command(line, SHORTER).words[1:4])
+        for text in PAGES.values()
+        for block in blocks(text)
+        for line in block.lines
+    }
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                typed.update(constants(node.args))
+            elif isinstance(node, ast.List | ast.Tuple):
+                typed.update(constants(node.elts))
+            elif isinstance(node, ast.Dict):
+                # Tables of short runs, by the study's name.
+                typed.update(constants([key for key in node.keys if key is not None]))
+    ours = {
+        words
+        for verb in verbs()
+        if VERBS.points()[verb].package == OURS
+        for words in ({(verb, name) for name in sub_verbs(verb)} | {*leaves(parser_for(verb))})
+        if words != (verb,) or not sub_verbs(verb)
+    }
+    assert len(ours) > 75
+
+    def run(words: tuple[str, ...]) -> bool:
+        # Tests of studies give the name alone to a helper of theirs.
+        starts = {words, words[1:]} if words[0] in ("study", "lab") else {words}
+        return any(one[: len(start)] == start for one in typed for start in starts)
+
+    assert [words for words in sorted(ours) if not run(words)] == []
 
 
 def test_every_study_is_explained() -> None:

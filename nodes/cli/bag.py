@@ -38,11 +38,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         add_json(own)
         return own
 
-    _add_record(
-        declare(
-            "record", _record, "Record a running launch into an MCAP file, until it ends or Ctrl-C."
-        )
-    )
+    text = "Record a running launch into an MCAP file, until it ends or Ctrl-C."
+    _add_record(declare("record", _record, text))
     info = declare(
         "info", _info, "Show a recording's topics, message counts, gaps in seq and losses."
     )
@@ -52,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     cut = declare("cut", _extract, "Copy a part of a recording into a new one.")
     cut.set_defaults(topics=[])
     few = declare("filter", _extract, "Copy some topics of a recording into a new one.")
-    few.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names")
+    _add_topics(few)
     recover = declare(
         "recover",
         _recover,
@@ -66,15 +63,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     for own in (info, play, cut, few, recover, export):
         own.add_argument("file", type=Path)
     _add_play(play)
-    export.add_argument(
-        "--format",
-        choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
-        help=(
-            "csv: a directory, also with a file per topic (default); npz: numpy; mat: MATLAB;"
-            " parquet: ticks only; ros2: a directory for ros2 bag play; foxglove: the"
-            " recording with its scene in 3D (default: from the suffix of --out)"
-        ),
-    )
+    _add_formats(export)
     add_import(
         declare(
             "import", run_import, "Write a table of another program (CSV, NPZ, …) as a recording."
@@ -90,39 +79,61 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--xy", action="store_true", help="draw force over position instead of both over time"
     )
     for own in (cut, few, plot):
-        own.add_argument(
-            "--from",
-            type=not_negative,
-            dest="start",
-            metavar="S",
-            help="start at this time of the run [s]",
-        )
-        own.add_argument(
-            "--to", type=not_negative, dest="stop", metavar="S", help="stop at this time [s]"
-        )
+        _add_span(own)
     for own in (cut, few):
         _add_patterns(own)
-    for own, default in (
-        (recover, "FILE.recovered.mcap"),
-        (cut, "FILE.cut.mcap"),
-        (few, "FILE.filter.mcap"),
-        (
-            export,
-            "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap",
+    for own in (recover, cut, few, export, plot):
+        _add_out(own)
+
+
+_OUT = {
+    "recover": "FILE.recovered.mcap",
+    "cut": "FILE.cut.mcap",
+    "filter": "FILE.filter.mcap",
+    "export": ("the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap"),
+    "plot": "FILE.png, FILE_xy.png or FILE_overlay.png; the suffix .svg or .pdf sets the format",
+}
+
+
+def _add_formats(own: argparse.ArgumentParser) -> None:
+    own.add_argument(
+        "--format",
+        choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
+        help=(
+            "csv: a directory, also with a file per topic (default); npz: numpy; mat: MATLAB;"
+            " parquet: ticks only; ros2: a directory for ros2 bag play; foxglove: the"
+            " recording with its scene in 3D (default: from the suffix of --out)"
         ),
-        (
-            plot,
-            "FILE.png, FILE_xy.png or FILE_overlay.png; the suffix .svg or .pdf sets the format",
-        ),
-    ):
-        own.add_argument(
-            "--out",
-            "-o",
-            type=Path,
-            metavar="PATH",
-            help=f"output (default: {default}, beside the recording)",
-        )
-        own.add_argument("--force", action="store_true", help="replace existing files")
+    )
+
+
+def _add_topics(own: argparse.ArgumentParser) -> None:
+    own.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names")
+
+
+def _add_span(own: argparse.ArgumentParser) -> None:
+    own.add_argument(
+        "--from",
+        type=not_negative,
+        dest="start",
+        metavar="S",
+        help="start at this time of the run [s]",
+    )
+    own.add_argument(
+        "--to", type=not_negative, dest="stop", metavar="S", help="stop at this time [s]"
+    )
+
+
+def _add_out(own: argparse.ArgumentParser) -> None:
+    default = _OUT[own.prog.rpartition(" ")[2]]
+    own.add_argument(
+        "--out",
+        "-o",
+        type=Path,
+        metavar="PATH",
+        help=f"output (default: {default}, beside the recording)",
+    )
+    own.add_argument("--force", action="store_true", help="replace existing files")
 
 
 def _add_record(own: argparse.ArgumentParser) -> None:

@@ -429,11 +429,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             )
         )
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
-        processors = {
-            cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus
-        }
-        with realtime.off(processors):
-            compile_later(kernel_modules(launch), say)
+        _compile_later(launch, supervisor, say)
     # A recording on another machine is drawn there, with haptic bag plot.
     here = [path for place, path in _recordings(launch, supervisor) if not place]
     if here and not arguments.no_plot and figures["ticks"]:
@@ -447,6 +443,19 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         _print(json.dumps(figures))
     elif figures["plot"]:
         _print(f"  plot      {figures['plot']}")
+    return _exit_code(launch, supervisor)
+
+
+def _compile_later(launch: Launch, supervisor: Supervisor, say: Callable[[str], None]) -> None:
+    """Compile the tick of the next launch in the background, off the loop's processors."""
+    processors = {
+        cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus
+    }
+    with realtime.off(processors):
+        compile_later(kernel_modules(launch), say)
+
+
+def _exit_code(launch: Launch, supervisor: Supervisor) -> int:
     if supervisor.failed or supervisor.failures:
         return 1
     if supervisor.load is not None and supervisor.load.cause == "chains":

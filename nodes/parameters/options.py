@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import inspect
 import json
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
@@ -228,7 +229,7 @@ def takes_options(found: Any) -> bool:
 def options_of(function: Callable[..., Any]) -> type[Options]:
     """Return the class of a function's options: the annotation of its argument ``options``."""
     found = function.__annotations__["options"]
-    kind = function.__globals__[found] if isinstance(found, str) else found
+    kind = inspect.unwrap(function).__globals__[found] if isinstance(found, str) else found
     if not (isinstance(kind, type) and issubclass(kind, Options)):
         raise TypeError(
             f"{function.__qualname__}: options is {found!r}, expected a class of Options"

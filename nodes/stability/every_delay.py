@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -32,12 +33,24 @@ _MARGIN = 1e-9
 _ENOUGH = 1e-6
 
 
+class Certificate(StrEnum):
+    """Answer of a search for a proof of stability; only `CERTIFIED` is true."""
+
+    CERTIFIED = "certified"
+    UNSTABLE = "unstable"  # an unstable case was found
+    UNDECIDED = "undecided"  # neither a proof nor an unstable case
+    TOO_WIDE = "too_wide"  # not searched: the delays are more than a tick apart
+
+    def __bool__(self) -> bool:
+        """Return whether there is a proof."""
+        return self is Certificate.CERTIFIED
+
+
 @dataclass(frozen=True)
 class EveryDelay:
     """Whether a loop is stable for every sequence of delays."""
 
-    # True with a certificate, False with a growing sequence; None if neither was found
-    stable: bool | None
+    stable: Certificate  # unstable: with a growing sequence
     # factor per tick by which every motion contracts in the certificate's norm; None without one
     rate: float | None
     words: int  # products in the certificate: runs of delays over which the norm contracts
@@ -74,15 +87,15 @@ def every_delay(
         )
     growth, growing = _worst_word(ticks, delay)
     if growth >= rate:
-        return EveryDelay(False, None, 0, 0, growing, growth)
+        return EveryDelay(Certificate.UNSTABLE, None, 0, 0, growing, growth)
     hull = ticks.hull() / rate
     norm = _norm(hull)
     balanced = norm @ hull @ np.linalg.inv(norm)
     closed = _close(balanced, ticks.off(norm) / rate)
     if closed is None:
-        return EveryDelay(None, None, 0, 0, (), growth)
+        return EveryDelay(Certificate.UNDECIDED, None, 0, 0, (), growth)
     words, longest, slowest = closed
-    return EveryDelay(True, rate * slowest, words, longest, (), growth)
+    return EveryDelay(Certificate.CERTIFIED, rate * slowest, words, longest, (), growth)
 
 
 def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[FlexiblePlant, float]:

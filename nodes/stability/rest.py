@@ -18,7 +18,8 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.plant import Plant
@@ -27,6 +28,14 @@ if TYPE_CHECKING:
     from nodes.laws import CompiledLaw
 
 _POINTS = 2000
+
+
+class ComesToRest(StrEnum):
+    """Whether a friction is enough for rest."""
+
+    PROVEN = "proven"
+    ESTIMATED = "estimated"  # at least the estimate, which may err either way
+    NOT_PROVEN = "not_proven"
 
 
 @dataclass(frozen=True)
@@ -44,18 +53,13 @@ class Rest:
     friction_estimated_n: float | None
     buzz_hz: float | None  # frequency of that oscillation [Hz]; None if there is none
 
-    def free(self, friction: float) -> Literal[True, False, "estimated"]:
-        """Return whether Coulomb friction [N] keeps the device at rest.
-
-        True is a proof; ``"estimated"`` means at least the estimate.
-        """
+    def free(self, friction: float) -> ComesToRest:
+        """Return whether Coulomb friction [N] keeps the device at rest."""
         if friction >= self.friction_bound_n:
-            return True if self.certain else "estimated"
-        return (
-            "estimated"
-            if self.friction_estimated_n is not None and friction >= self.friction_estimated_n
-            else False
-        )
+            return ComesToRest.PROVEN if self.certain else ComesToRest.ESTIMATED
+        known = self.friction_estimated_n
+        enough = known is not None and friction >= known
+        return ComesToRest.ESTIMATED if enough else ComesToRest.NOT_PROVEN
 
     def text(self) -> str:
         """Return the frictions as text."""

@@ -17,12 +17,16 @@ from nodes.parameters.refusals import choices
 from sim.api.laws import plain
 from sim.api.progress import bars_of
 from sim.api.python_runs import LaunchError
+from sim.measure.cancelling import cancelled_by, stopping
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from sim.studies.result import StudyResult
     from sim.tune.tune import TuneResult
+
+
+_HOW = ("progress", "cancel")  # keywords that are no options
 
 
 def _called(name: str, words: Sequence[Any], given: dict[str, Any]) -> StudyResult:
@@ -34,9 +38,9 @@ def _called(name: str, words: Sequence[Any], given: dict[str, Any]) -> StudyResu
         moved = f"; haptic.lab({asked!r}) is it now" if f"lab.{asked}" in found else ""
         raise LaunchError(f"{kind} {asked!r}: {choices(asked, known)}{moved}")
     function: Any = found[name].load()
-    options = plain({key: value for key, value in given.items() if key != "progress"})
-    with bars_of(name.replace(".", " ")) as shown:
-        progress = given.get("progress") or shown
+    options = plain({key: value for key, value in given.items() if key not in _HOW})
+    with bars_of(name.replace(".", " ")) as shown, cancelled_by(given.get("cancel")):
+        progress = stopping(given.get("progress") or shown)
         result: StudyResult = function(
             options_of(function).of(*words, **options, progress=progress)
         )
@@ -55,9 +59,9 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> StudyRe
     client : distributed.Client, optional
         Dask client whose workers run the jobs of a sweep; the figures are bit-identical.
     **options : object
-        The study's options: ``gain=(1, 40)`` or ``gain="1..40"``, ``points=41``; ``progress``, a
-        function of the number of parts that returns the function called for each part; ``haptic
-        study kmax --help`` lists them.
+        The study's options: ``gain=(1, 40)`` or ``gain="1..40"``, ``points=41``; ``haptic study
+        kmax --help`` lists them. ``progress``: a function of the number of parts that returns the
+        function called for each part. ``cancel``: a `threading.Event` that ends the study.
 
     Returns
     -------
@@ -67,7 +71,7 @@ def study(name: str, *words: str, client: Any = None, **options: Any) -> StudyRe
     Raises
     ------
     HapticError
-        If the study refuses; the text states why.
+        If the study refuses; the text states why. A `StudyCancelledError` if it was cancelled.
 
     Examples
     --------
@@ -250,7 +254,8 @@ def tune(
     from sim.tune.tune_options import TuneOptions
 
     given = [f"{name}:={value}" for name, value in plain(arguments or {}).items()]
-    found = function(TuneOptions.of(scenario, *given, out=out, **plain(options)))
+    with cancelled_by(options.pop("cancel", None)):
+        found = function(TuneOptions.of(scenario, *given, out=out, **plain(options)))
     if found.refused:
         raise LaunchError(f"tune {scenario}: {found.refused}")
     return found

@@ -18,6 +18,7 @@ from nodes.compiled.kernels.sources import kernel
 from sim.arrays import Array
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating
 from sim.design.fall import Falls, falls, settles_one
+from sim.measure.cancelling import check
 from sim.play.compiled import compiled
 
 _uniform, _integer = np.random.uniform, np.random.randint
@@ -215,6 +216,7 @@ def evolved(
     )
     # With two or three parameters the linear programs find the rest.
     for i, width in enumerate((span, *_BOXES) if p > 3 else (span,)):
+        check()
         # The last box enforces the bound in all cases.
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
         box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])

@@ -16,7 +16,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
-from nodes.stability.every_delay import every_delay
+from nodes.stability.every_delay import Certificate, every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import tolerance
 from nodes.stability.plant import Plant
@@ -214,19 +214,16 @@ def _latest(
     return low
 
 
-def certificate(law: CompiledLaw, demand: Demand) -> bool | str | None:
-    """Certify a law for every sequence of the demanded delays (THEORY.md §10).
-
-    Return False if one sequence grows, None if undecided.
-    """
+def certificate(law: CompiledLaw, demand: Demand) -> Certificate:
+    """Certify a law for every sequence of the demanded delays (THEORY.md §10)."""
     if demand.delay[1] > demand.delay[0] + 1.0:
-        return "too wide"
-    worst: bool | None = True
+        return Certificate.TOO_WIDE
+    worst = Certificate.CERTIFIED
     for plant in corners(demand):
         found = every_delay(law, plant, demand.delay, period=demand.period).stable
-        if found is False:
-            return False
-        worst = worst if found else None
+        if found is Certificate.UNSTABLE:
+            return found
+        worst = worst if found else Certificate.UNDECIDED
     return worst
 
 
@@ -243,7 +240,7 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
         )
     for _ in range(10):
         tuned = tune(replace(demand, radius=1.0 - margin))
-        if tuned.found is None or certificate(tuned.found.law, demand) is True:
+        if tuned.found is None or certificate(tuned.found.law, demand):
             return tuned
         margin = max(1.1 * margin, 1e-3)
     return Tuned(tuned.family, None, None)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import tick_matrix
+from nodes.stability.every_delay import Certificate
 from nodes.stability.grasp import Grasp
 from nodes.stability.plant import Plant
 from sim.arrays import Array
@@ -77,9 +78,7 @@ class WorstGrasp:
 
     radius: float  # largest pole radius found over the box
     grasp: Grasp  # the grasp with that radius
-    # True: proven stable for every grasp of the box; False: one grasp is unstable; None: undecided
-    # or not requested
-    certified: bool | None
+    certified: Certificate  # for every grasp of the box; undecided if not requested
     cells: int  # cells the certificate needed
 
 
@@ -103,8 +102,8 @@ def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = Fa
             best, at = float(radii.max()), Grasp(*worst)
         limits = [_closer(axis, value) for axis, value in zip(axes, worst, strict=True)]
     if best >= 1.0:
-        return WorstGrasp(best, at, False, 0)
-    certified, cells = certify_box(law, plant, box) if certify else (None, 0)
+        return WorstGrasp(best, at, Certificate.UNSTABLE, 0)
+    certified, cells = certify_box(law, plant, box) if certify else (Certificate.UNDECIDED, 0)
     return WorstGrasp(best, at, certified, cells)
 
 
@@ -120,9 +119,9 @@ class JudgedGrasps:
     def text(self) -> str:
         """Return the verdict as a sentence."""
         told = {
-            True: "every one stable: certified",
-            False: "NOT every one stable",
-            None: "all that were tried stable: not certified",
+            Certificate.CERTIFIED: "every one stable: certified",
+            Certificate.UNSTABLE: "NOT every one stable",
+            Certificate.UNDECIDED: "all that were tried stable: not certified",
         }
         at = self.worst.grasp
         return (
@@ -143,12 +142,12 @@ def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CEL
     worst, where = max(found, key=lambda one: one[0].radius)
     cells, certified = 0, worst.certified
     if worst.radius < 1.0:
-        certified = True
+        certified = Certificate.CERTIFIED
         for _, plant in found:
             proven, taken = certify_box(law, plant, box, most - cells)
             cells += taken
             if not proven:
-                certified = None
+                certified = Certificate.UNDECIDED
                 break
     return JudgedGrasps(
         box, replace(worst, certified=certified, cells=cells), where.mass, where.delay
@@ -199,10 +198,10 @@ def _closer(axis: list[float], value: float) -> list[float]:
 
 def certify_box(
     law: CompiledLaw, plant: Plant, box: HandBox, most: int = CELLS
-) -> tuple[bool | None, int]:
+) -> tuple[Certificate, int]:
     """Prove stability for every grasp of a box, cell by cell.
 
-    Return True, or None if `most` cells do not suffice, and the number of cells.
+    Return whether `most` cells suffice, and the number of cells.
     """
     ticks = _Ticks(law, plant)
     # With 1/mass as coordinate, the generator of a tick is linear in each of the three parameters,
@@ -217,9 +216,9 @@ def certify_box(
         batch, waiting = waiting[-_BATCH:], waiting[:-_BATCH]
         cells += len(batch)
         if cells > most:
-            return None, cells
+            return Certificate.UNDECIDED, cells
         waiting = np.concatenate([waiting, ticks.halved(batch[~ticks.shrink(batch)])])
-    return True, cells
+    return Certificate.CERTIFIED, cells
 
 
 class _Ticks:

@@ -26,6 +26,7 @@ from sim.design.demand import (
 )
 from sim.design.evolution import evolved
 from sim.design.landing import landed
+from sim.measure.cancelling import check
 
 _MASSES = 5
 # Half-widths of the boxes searched without a start: a narrow box alone excludes the stiffest long
@@ -158,6 +159,7 @@ def _climb(
     gain, noise = basis.sum(axis=1), basis @ signs
     here, trust = start, 0.05
     for _ in range(300):
+        check()
         if trust < 1e-9:
             break
         poles, slopes = loop.poles(here @ basis)

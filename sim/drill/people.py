@@ -1,6 +1,5 @@
 """Faults caused by people: a hand that keeps pushing, and verbs that end unexpectedly."""
 
-import json
 import signal
 import subprocess
 from collections.abc import Sequence
@@ -12,8 +11,10 @@ from messages.types import DeviceState
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from sim.drill.drill import RATE, Fault, kill
+from sim.drill.given_law import given_design, given_prediction, given_record
 from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
+from sim.tune.knocking import Plan
 from sim.tune.live_trial import TRIAL
 
 PEAK = 40.0  # force limit for a hand that has sunk in [N]
@@ -105,48 +106,11 @@ def held_at_a_point(content: dict[str, Any]) -> None:
 
 def leave_a_design(rig: Rig) -> None:
     """Write the files of a design and a prediction: a law to be tried from above."""
-    h1 = sum(TAPS)
-    edges = {
-        "edge_linear_h1_n_per_m": 10.0 * h1,
-        "edge_linear_factor": 10.0,
-        "drops_settled": 0,
-        "drops": 0,
-    }
-    unknown = (
-        "edge_h1_n_per_m",
-        "edge_factor",
-        "stable_up_to_delay_ticks",
-        "every_delay_stable",
-        "limit_cycle_free",
-    )
-    asked = {"mass": [MASS, MASS], "delay": [0.0, 1.0], "radius": 1.0, "period": 1.0 / RATE}
-    law = {"kind": "fir", "taps": TAPS, "period": 1.0 / RATE}
-    known = {
-        "taps_n_per_m": TAPS,
-        "law": law,
-        "h1_n_per_m": h1,
-        "gain_over_pd": None,
-        "lands": False,
-        "demand": asked,
-    }
-    said = {
-        "designed": known,
-        "predicted": {
-            **dict.fromkeys(unknown),
-            **edges,
-            "h1_n_per_m": h1,
-            "knock_m": 1e-3,
-            "pole_radius": 1.0,
-        },
-        "predicted_steps": {
-            "steps": [],
-            "ended": "",
-            "plan": {"first": FIRST, "near": FIRST, "last": LAST},
-        },
-    }
+    law = given_design(TAPS, 1.0 / RATE, MASS)
+    record = given_record(law, given_prediction(sum(TAPS), 10.0), Plan(FIRST, FIRST, LAST))
     folder = rig.folder / "tuning"
     folder.mkdir(exist_ok=True)
-    (folder / "tune.json").write_text(json.dumps(said), encoding="utf-8")
+    record.write(folder / "tune.json")
 
 
 def borrowed_now(rig: Rig) -> tuple[Any, Any]:

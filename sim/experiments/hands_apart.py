@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from nodes.driver.passivity import control, observe
 from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant, held_step
+from sim.measure.cancelling import check
 
 FELT_AT = 1.0  # frequency at which stiffness and drag are measured [Hz]
 
@@ -350,6 +351,7 @@ def over_delay(
 
     rows = []
     for delay in delays:
+        check()
         tried = [plant.damping * i / (dampers - 1) for i in range(dampers)]
         bears = [(each(delay, damper) or 0.0, damper) for damper in tried]
         stiffest, damper = max(bears)

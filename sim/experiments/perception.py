@@ -20,7 +20,6 @@ class Threshold:
 # From abstracts: 7 % (Pang et al.); 22 % (Tan et al. 1995, without work and final-force cues); 8
 # % with these cues (Tan, Pang & Durlach 1992, as quoted in their paper "Manual resolution of
 # compliance when work and force cues are minimized"). The upper ends are from memory.
-# compliance when work and force cues are minimized" quotes it. The upper ends are from memory.
 THRESHOLDS = (
     Threshold(
         "force",

@@ -1,6 +1,7 @@
 """Map of the limit-cycle-free stiffness over friction and encoder step (THEORY.md §5)."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,38 @@ from nodes.laws import CompiledLaw
 from nodes.recording.figure_style import COLOURS, new_figure, save_figure, styled
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.plant import Plant
-from nodes.stability.rest import rest, stiffest_at_rest
+from nodes.stability.rest import ComesToRest, Rest, rest, stiffest_at_rest
 from sim.axes import plain_log
 from sim.results import fresh
 
 DECADES = 1.5  # range of the map on either side of the device [decades]
 _SHOWN, _TOLD = 121, 13
+
+
+@dataclass(frozen=True)
+class RestMap:
+    """Stiffest K at rest over friction and encoder step."""
+
+    friction_n: Any
+    resolution_m: Any
+    k_rest_n_per_m: Any  # shape (resolutions, frictions); NaN: none
+    k_max_n_per_m: float | None
+    plot: Path
+
+
+@dataclass(frozen=True)
+class RestFound:
+    """What a law needs to come to rest, and what a friction is enough for."""
+
+    rest: Rest
+    map: RestMap
+    limit_cycle_free: ComesToRest | None = None  # with the given friction; None: none was given
+    k_rest_n_per_m: float | None = None  # stiffest at rest with it; None: none, or none given
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures, the frictions at the top level, with the text."""
+        figures = vars(self) | vars(self.rest) | {"text": self.rest.text()}
+        return {name: one for name, one in figures.items() if name != "rest"}
 
 
 def rest_map(
@@ -25,7 +52,7 @@ def rest_map(
     resolution: float,
     friction: float,
     path: Path,
-) -> dict[str, Any]:
+) -> RestMap:
     """Plot the lesser of K_rest and K_max over friction and encoder step; return the data."""
     derivative = with_spring(law, -stiffness)
     limit = k_max(derivative, device).k_max_n_per_m
@@ -52,13 +79,8 @@ def rest_map(
         (found.friction_bound_n, found.friction_estimated_n),
         stiffness,
     )
-    return {
-        "friction_n": frictions.tolist(),
-        "resolution_m": steps.tolist(),
-        "k_rest_n_per_m": [[value if value > 0.0 else None for value in row] for row in k.tolist()],
-        "k_max_n_per_m": limit if limit is not None and math.isfinite(limit) else None,
-        "plot": str(path),
-    }
+    bounded = limit if limit is not None and math.isfinite(limit) else None
+    return RestMap(frictions, steps, np.where(k > 0.0, k, math.nan), bounded, path)
 
 
 @styled

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import SHARE, STATES, slopes
+from sim.measure.cancelling import check
 
 # Smallest value of each unknown, in the order and units of `NAMES`.
 LOWER_BOUNDS = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0])
@@ -81,6 +82,7 @@ def fit(
     steps: int = 60,
 ) -> Fit:
     """Fit the `free` unknowns until no step lowers the error; `scale` is a small error [m]."""
+    check()
     theta = np.array(theta, dtype=np.float64)
     chosen = np.array(free, dtype=np.int64)
     states = first_states(experiment, starts, length) if states is None else states.copy()
@@ -96,6 +98,7 @@ def fit(
     now = equations(theta, states)
     damping, stuck = 1e-3, 0
     for _ in range(steps):
+        check()
         errors, matrices, sides, alone, along = now
         matrix, side = matrices.sum(axis=0), sides.sum(axis=0)
         move = _step(matrix, side, damping, theta[chosen], LOWER_BOUNDS[chosen])

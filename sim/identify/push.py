@@ -14,6 +14,7 @@ from typing import Any
 from messages import topics
 from messages.errors import RefusedError
 from sim.identify.borrowed import RAMP, Borrowed, PushedLaunch, borrowed, carried
+from sim.measure.cancelling import check
 from sim.measure.haptic_commands import start_command, within
 from sim.measure.interrupts import undisturbed
 
@@ -124,6 +125,7 @@ def _watch(
         if done % 50 == 0:
             say(f"pushing: {min(100, 100 * done // ticks)} %")
             held.check()
+            check()
         if done >= ticks:
             result.reason = "done"
             return

@@ -13,11 +13,12 @@ import json
 import os
 import platform
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, Future, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from pathlib import Path
 from typing import Any, TypeVar
 
 from messages.errors import RefusedError
+from sim.measure.cancelling import PERIOD, check
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -63,8 +64,12 @@ def done_by(
         part = range(first, min(first + chunk, len(jobs)))
         pending[pool.submit(run_chunk, job, [jobs[i] for i in part], program())] = part
     try:
-        for future in as_completed(pending):
-            yield pending[future], _result(future)
+        waiting = set(pending)
+        while waiting:
+            done, waiting = wait(waiting, PERIOD, FIRST_COMPLETED)
+            check()
+            for future in done:
+                yield pending[future], _result(future)
     finally:
         # Cancel jobs not yet started, also after Ctrl-C.
         for future in pending:

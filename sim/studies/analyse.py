@@ -1,7 +1,8 @@
 """Analyse a law: f(ω), leak, passivity limit, pole radius, K_max, tolerance of the device."""
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,19 @@ from nodes.laws.parse import compile_law
 from nodes.parameters.options import FileOptions, argument, option, quantity
 from nodes.parameters.quantities import interval, not_negative, positive
 from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
-from nodes.stability.closed_loop import law_figures
+from nodes.stability.closed_loop import Rendered, rendered
 from nodes.stability.effective_damping import effective_damping
-from nodes.stability.every_delay import every_delay
-from nodes.stability.k_max import edge_of, k_max, tolerance, without_spring
+from nodes.stability.every_delay import Certificate, EveryDelay, every_delay
+from nodes.stability.k_max import KMax, Tolerance, edge_of, k_max, tolerance, without_spring
+from nodes.stability.occurring import Edge
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
-from nodes.stability.world_limits import finite, world_limits
-from sim.experiments.rest_map import rest_map
+from nodes.stability.world_limits import WorldLimits, finite, world_limits
+from sim.experiments.rest_map import RestFound, rest_map
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings, at_top
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +53,113 @@ class AnalyseOptions(LawOptions, DeviceOptions, FileOptions):
     )
 
 
-def analyse(options: AnalyseOptions) -> Answer:
+@dataclass(frozen=True)
+class DelaysJudged:
+    """Verdict on every sequence of delays of a range."""
+
+    delay_ticks: tuple[float, float]
+    found: EveryDelay
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        return {"delay_ticks": self.delay_ticks, **vars(self.found)}
+
+    @property
+    def line(self) -> str:
+        """The verdict in one line."""
+        (low, high), found = self.delay_ticks, self.found
+        row = {
+            Certificate.CERTIFIED: (
+                f"stable: a common norm shrinks over each of {found.words} words of delays"
+            ),
+            Certificate.UNSTABLE: (
+                f"UNSTABLE: {', '.join(f'{d:.4g}' for d in found.growing)} ticks, repeated,"
+                f" grow by {found.growth:.6f} per tick"
+            ),
+        }.get(found.stable, "not decided: no norm found, and no sequence that grows")
+        return f"every delay     of {low:g}..{high:g} ticks: {row} (THEORY.md §10)"
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Analysis(Findings):
+    """What a law renders on a device, and how far the device may differ."""
+
+    lines: Sequence[str] = ()
+    loop: str  # law, device and loop
+    law: Rendered = at_top()
+    delay_ticks: float
+    taps_n_per_m: Sequence[float]
+    sections: int
+    k_max: KMax
+    worlds: WorldLimits
+    tolerance: Tolerance | None
+    edge: Edge | None
+    every_delay: DelaysJudged | None  # None: not asked for
+    rest: RestFound | None  # None: no encoder given
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name, those of the law and of the worlds at the top level."""
+        figures = super().answer
+        limit, _ = figures.pop("k_max"), figures.pop("worlds")
+        del limit["stable"]
+        worlds = self.worlds.k_max_n_per_m.items()
+        return {**figures, **limit, **{f"k_max_{name}_n_per_m": finite(k) for name, k in worlds}}
+
+    @property
+    def text(self) -> str:
+        """Text for the terminal."""
+        law, limit = self.law, self.k_max
+        radius = law.pole_radius or 0.0  # a device with a mass has one
+        verdict = "stable" if radius < 1.0 else "UNSTABLE"
+        lines = [
+            self.loop,
+            f"H(1)            {_shown(law.h1_n_per_m, 'N/m')}",
+            f"H(-1)           {_shown(law.h_nyquist_n_per_m, 'N/m')}",
+            (
+                f"f min, H(1)     {_shown(law.f_min_n_s_per_m, 'N s/m')} at"
+                f" {law.f_min_rad_per_s:.5g} rad/s"
+            ),
+            f"f(w_N), H(1)    {_shown(law.f_nyquist_n_s_per_m, 'N s/m')}",
+            f"passive from b  {_shown(law.damping_needed_n_s_per_m, 'N s/m')}",
+            f"passive scale   {_shown(law.passive_scale, '')}",
+            f"pole radius     {radius:.9f} ({verdict})",
+            (
+                f"K_max           {_shown(limit.k_max_n_per_m, 'N/m')} nominal, "
+                f"{_shown(limit.h1_max_n_per_m, 'N/m')} felt ({limit.method})"
+            ),
+        ]
+        named = {"any_world": "K_max any world", "any_hand_any_world": "any hand, world"}
+        lines += [
+            f"{label} {_shown(finite(self.worlds.k_max_n_per_m[key]), 'N/m', 'none certified')}"
+            " (THEORY.md §18)"
+            for key, label in named.items()
+        ]
+        lines += self._beyond()
+        lines += _tolerance_lines(self.tolerance) if self.tolerance is not None else []
+        return "\n".join([*lines, str(self.picture)])
+
+    def _beyond(self) -> list[str]:
+        """Return the requested lines on ringing frequency, sequences of delays and rest."""
+        lines = []
+        if (edge := self.edge) is not None:
+            lines.append(
+                f"at the edge     rings at {edge.omega_rad_per_s / (2.0 * math.pi):.5g} Hz, where f"
+                f" = {edge.f_n_s_per_m:.5g} N s/m: 2(b R - f)/T = {edge.k_exact_n_per_m:.6g} N/m,"
+                f" R = {edge.damping_factor:.5g} (THEORY.md §9)"
+            )
+        if self.every_delay is not None:
+            lines.append(self.every_delay.line)
+        if (still := self.rest) is not None:
+            lines.append(f"rest            {still.rest.text()}")
+            if still.limit_cycle_free is not None:
+                stiffest = _shown(still.k_rest_n_per_m, "N/m")
+                lines.append(f"stiffest rest   {stiffest} with the declared friction")
+            lines.append(f"rest map        {still.map.plot}")
+        return lines
+
+
+def analyse(options: AnalyseOptions) -> Analysis:
     """Analyse one law on one device."""
     device, period = shared.device(options), 1.0 / options.rate
     law = shared.law(options, options.law, options.gain, nominal=True)
@@ -61,138 +169,66 @@ def analyse(options: AnalyseOptions) -> Answer:
             f"{law.kind}: has code of its own, so no transfer function and no poles to analyse;"
             " drop it: haptic study kmax --method simulation"
         )
-    limits, edge, boundary = (
-        tolerance(compiled, device),
-        edge_of(derivative, device),
-        asdict(k_max(derivative, device)),
+    boundary = k_max(derivative, device)
+    return Analysis(
+        loop=shared.head(law, device),
+        law=rendered(compiled, device),
+        delay_ticks=device.delay,
+        taps_n_per_m=compiled.taps,
+        sections=len(compiled.sections),
+        k_max=boundary,
+        worlds=world_limits(derivative, device),
+        tolerance=tolerance(compiled, device),
+        edge=edge_of(derivative, device),
+        every_delay=_every_delay(options, compiled, device),
+        rest=_rest(options, compiled, derivative, device, boundary.k_max_n_per_m or 0.0),
+        picture=_draw(options, compiled, device),
     )
-    worlds = world_limits(derivative, device)
-    figures = law_figures(compiled, device) | {
-        "tolerance": limits and asdict(limits),
-        **{key: boundary[key] for key in ("k_max_n_per_m", "h1_max_n_per_m", "method")},
-        "edge": edge and asdict(edge),
-        **{f"k_max_{name}_n_per_m": finite(k) for name, k in worlds.k_max_n_per_m.items()},
-        "every_delay": _every_delay(options, compiled, device),
-        "rest": _rest(options, compiled, derivative, device, boundary["k_max_n_per_m"] or 0.0),
-    }
-    if options.resolution is not None:
-        friction = options.friction or figures["rest"]["friction_bound_n"]
-        nominal = compiled.taps[0] - derivative.taps[0]
-        figures["rest"]["map"] = rest_map(
-            compiled, nominal, device, options.resolution, friction, options.out / "rest.png"
-        )
-    figures["loop"] = shared.head(law, device)
-    return answered(figures, _text(figures), plot=_draw(options, compiled, device))
 
 
-def _every_delay(options: AnalyseOptions, law: CompiledLaw, device: Plant) -> dict[str, Any] | None:
+def _every_delay(options: AnalyseOptions, law: CompiledLaw, device: Plant) -> DelaysJudged | None:
     if options.every_delay is None:
         return None
     try:
-        found = every_delay(law, device, options.every_delay)
+        return DelaysJudged(options.every_delay, every_delay(law, device, options.every_delay))
     except ValueError as error:
         raise UsageError(f"--every-delay: {error}") from error
-    return {"delay_ticks": list(options.every_delay), **asdict(found)}
 
 
 def _rest(
     options: AnalyseOptions, law: CompiledLaw, derivative: CompiledLaw, device: Plant, limit: float
-) -> dict[str, Any] | None:
-    if options.resolution is None:
-        if options.friction is not None:
+) -> RestFound | None:
+    step, friction = options.resolution, options.friction
+    if step is None:
+        if friction is not None:
             raise UsageError("--friction: rest takes the encoder too; give --resolution")
         return None
-    needed = rest(law, device, options.resolution)
-    found: dict[str, Any] = {**asdict(needed), "text": needed.text()}
-    if options.friction is not None:
+    needed, nominal = rest(law, device, step), law.taps[0] - derivative.taps[0]
+    free = stiffest = None
+    if friction is not None:
         # Above K_max friction stops only small motions.
-        stiffest = min(stiffest_at_rest(derivative, options.resolution, options.friction), limit)
-        found["limit_cycle_free"] = needed.free(options.friction)
-        found["k_rest_n_per_m"] = stiffest if stiffest > 0.0 else None
-    return found
+        stiffest = min(stiffest_at_rest(derivative, step, friction), limit)
+        free, stiffest = needed.free(friction), stiffest if stiffest > 0.0 else None
+    shown = friction or needed.friction_bound_n
+    drawn = rest_map(law, nominal, device, step, shown, options.out / "rest.png")
+    return RestFound(needed, drawn, free, stiffest)
 
 
-def _text(figures: dict[str, Any]) -> list[str]:
-    def shown(value: float | None, unit: str, missing: str = "none") -> str:
-        return missing if value is None else f"{value:.6g} {unit}".rstrip()
+def _shown(value: float | None, unit: str, missing: str = "none") -> str:
+    return missing if value is None else f"{value:.6g} {unit}".rstrip()
 
-    verdict = "stable" if figures["pole_radius"] < 1.0 else "UNSTABLE"
-    lines = [
-        figures["loop"],
-        f"H(1)            {shown(figures['h1_n_per_m'], 'N/m')}",
-        f"H(-1)           {shown(figures['h_nyquist_n_per_m'], 'N/m')}",
-        (
-            f"f min, H(1)     {shown(figures['f_min_n_s_per_m'], 'N s/m')} at"
-            f" {figures['f_min_rad_per_s']:.5g} rad/s"
-        ),
-        f"f(w_N), H(1)    {shown(figures['f_nyquist_n_s_per_m'], 'N s/m')}",
-        f"passive from b  {shown(figures['damping_needed_n_s_per_m'], 'N s/m')}",
-        f"passive scale   {shown(figures['passive_scale'], '')}",
-        f"pole radius     {figures['pole_radius']:.9f} ({verdict})",
-        (
-            f"K_max           {shown(figures['k_max_n_per_m'], 'N/m')} nominal, "
-            f"{shown(figures['h1_max_n_per_m'], 'N/m')} felt ({figures['method']})"
-        ),
+
+def _tolerance_lines(limits: Tolerance) -> list[str]:
+    low = _shown(limits.mass_min_kg, "kg", "stable down to 1e-4 of it, no limit found")
+    high = _shown(limits.mass_max_kg, "kg", "stable up to 1e4 of it, no limit found")
+    hand = _shown(limits.hand_stiffness_max_n_per_m, "N/m", "1e6 N/m, no limit found")
+    late = _shown(limits.delay_max_ticks, "ticks", "100 ticks more, no limit found")
+    return [
+        f"mass            {low} .. {high}",
+        f"damping from    {_shown(limits.damping_min_n_s_per_m, 'N s/m', '0 N s/m')}",
+        f"hand up to      {hand}",
+        f"delay up to     {late}",
     ]
-    for key, label in (("any_world", "K_max any world"), ("any_hand_any_world", "any hand, world")):
-        lines.append(
-            f"{label} {shown(figures[f'k_max_{key}_n_per_m'], 'N/m', 'none certified')} (THEORY.md"
-            " §18)"
-        )
-    lines += _beyond(figures)
-    limits = figures["tolerance"]
-    if limits is not None:
-        lines += [
-            (
-                "mass            "
-                f"{shown(limits['mass_min_kg'], 'kg', 'stable down to 1e-4 of it, no limit found')}"
-                " .. "
-                f"{shown(limits['mass_max_kg'], 'kg', 'stable up to 1e4 of it, no limit found')}"
-            ),
-            f"damping from    {shown(limits['damping_min_n_s_per_m'], 'N s/m', '0 N s/m')}",
-            (
-                "hand up to     "
-                f" {shown(limits['hand_stiffness_max_n_per_m'], 'N/m', '1e6 N/m, no limit found')}"
-            ),
-            (
-                "delay up to    "
-                f" {shown(limits['delay_max_ticks'], 'ticks', '100 ticks more, no limit found')}"
-            ),
-        ]
-    return lines
-
-
-def _beyond(figures: dict[str, Any]) -> list[str]:
-    """Return the requested lines on ringing frequency, sequences of delays and rest."""
-    lines = []
-    edge, jitter, still = figures["edge"], figures["every_delay"], figures["rest"]
-    if edge is not None:
-        lines.append(
-            f"at the edge     rings at {edge['omega_rad_per_s'] / (2.0 * math.pi):.5g} Hz, where f"
-            f" = {edge['f_n_s_per_m']:.5g} N s/m: 2(b R - f)/T = {edge['k_exact_n_per_m']:.6g} N/m,"
-            f" R = {edge['damping_factor']:.5g} (THEORY.md §9)"
-        )
-    if jitter is not None:
-        low, high = jitter["delay_ticks"]
-        row = {
-            True: f"stable: a common norm shrinks over each of {jitter['words']} words of delays",
-            False: (
-                f"UNSTABLE: {', '.join(f'{d:.4g}' for d in jitter['growing'])} ticks, repeated,"
-                f" grow by {jitter['growth']:.6f} per tick"
-            ),
-            None: "not decided: no norm found, and no sequence that grows",
-        }[jitter["stable"]]
-        lines.append(f"every delay     of {low:g}..{high:g} ticks: {row} (THEORY.md §10)")
-    if still is not None:
-        lines.append(f"rest            {still['text']}")
-        if "k_rest_n_per_m" in still:
-            stiffest = still["k_rest_n_per_m"]
-            lines.append(
-                f"stiffest rest   {'none' if stiffest is None else f'{stiffest:.6g} N/m'} with the"
-                " declared friction"
-            )
-        lines.append(f"rest map        {still['map']['plot']}")
-    return lines
 
 
 @styled

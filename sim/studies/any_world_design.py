@@ -1,6 +1,8 @@
 """`haptic study design --for any_hand | any_world`: stiffest law of each family."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from sim.design.any_world_families import (
 )
 from sim.results import fresh
 from sim.studies.design_options import DesignOptions
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 
 WORDS = {
     "any_hand": "any hand, of any mass, and any passive world that answers within the tick",
@@ -33,138 +35,161 @@ FAMILIES = {
 }
 
 
-def run(options: DesignOptions) -> Answer:
+@dataclass(frozen=True)
+class WorldCase:
+    """Stiffest law of each family at one delay."""
+
+    world: str  # any_hand or any_world
+    delay_ticks: tuple[float, float]
+    rate_hz: float
+    damping_n_s_per_m: float
+    mass_kg: tuple[float, float] | None  # None: any hand, so any mass
+    h_nyquist_limit_n_per_m: float
+    members: Sequence[Member]
+
+    @property
+    def closed_limit_n_per_m(self) -> float:
+        """2b/(T(1 + d)): no causal linear law for any hand has more."""
+        return 2.0 * self.damping_n_s_per_m * self.rate_hz / (1.0 + self.delay_ticks[1])
+
+    def felt(self, family: str) -> float | None:
+        """Return H(1) of a family [N/m]; None without a law."""
+        found = next((one for one in self.members if one.family == family), None)
+        return None if found is None or found.design is None else found.design.h1_n_per_m
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        figures = {name: one for name, one in vars(self).items() if name not in _NAMED_ABOVE}
+        laws = [
+            {"family": one.family, "law": one.law}
+            | ({"h1_n_per_m": None} if one.design is None else margin_figures(one.design))
+            for one in self.members
+        ]
+        return figures | {
+            "closed_limit_n_per_m": self.closed_limit_n_per_m,
+            "laws": laws,
+            "fractional_gain": fractional_gain(list(self.members)),
+        }
+
+    @property
+    def lines(self) -> list[str]:
+        """The figures as lines."""
+        (low, high), mass = self.delay_ticks, self.mass_kg
+        device = "" if mass is None else f"m {mass[0]:g}..{mass[1]:g} kg, "
+        lines = [
+            f"stable for {WORDS[self.world]}: {device}b {self.damping_n_s_per_m:g} N s/m, delay"
+            f" {low:g}..{high:g} ticks at {self.rate_hz:g} Hz, |H(-1)| <="
+            f" {self.h_nyquist_limit_n_per_m:g} N/m",
+            *map(_member_line, self.members),
+        ]
+        lines.append(
+            "  no causal linear law has more than 2b/(T(1 + d)) ="
+            f" {self.closed_limit_n_per_m:.1f} N/m (THEORY.md §20)"
+            if self.world == "any_hand"
+            else "  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that"
+            " limit these"
+        )
+        if any(one.family == "two_poles" for one in self.members):
+            behind = ("one_pole", "taps_over_pole", "two_poles")
+            best, taps = max(self.felt(one) or 0.0 for one in behind), self.felt("taps") or math.nan
+            lines.append(
+                f"  sections buy {100.0 * (best / taps - 1.0):+.1f} % over free taps, and no"
+                f" law more than {100.0 * (self.closed_limit_n_per_m / taps - 1.0):+.1f} %"
+            )
+        if (gain := fractional_gain(list(self.members))) is not None:
+            bought = f"{100.0 * (gain - 1.0):+.1f} % over PD" if gain > 1.001 else "nothing over PD"
+            lines.append(f"  a fractional term buys {bought}")
+        return lines
+
+
+_NAMED_ABOVE = ("world", "members")
+
+
+def _member_line(one: Member) -> str:
+    if one.design is None:
+        return f"  {FAMILIES[one.family]:21} none"
+    found = one.design
+    proof = "proven at every frequency" if found.proven else "NOT proven between the frequencies"
+    taps = ", ".join(f"{tap:.6g}" for tap in found.law.taps)
+    sections = "".join(
+        f"; section {', '.join(f'{c:.6g}' for c in section)}" for section in found.law.sections[:1]
+    )
+    return (
+        f"  {FAMILIES[one.family]:21} H(1) {found.h1_n_per_m:8.1f} N/m  H(-1)"
+        f" {found.h_nyquist_n_per_m:8.1f} N/m  {proof}  taps {taps}{sections}"
+    )
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class StiffestForWorld(Findings):
+    """Stiffest laws for any hand or any world: at one delay, or compared over several."""
+
+    world: str
+    cases: Sequence[WorldCase]
+    yaml: Path | None = None  # of the stiffest; None: no law, or several delays
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name, those of a single delay at the top level."""
+        figures = super().answer
+        world, cases, yaml = (figures.pop(name) for name in ("world", "cases", "yaml"))
+        several = self.picture is not None
+        rest = {"cases": cases} if several else cases[0] | {"yaml": yaml}
+        return {"for": world} | rest | figures
+
+
+def run(options: DesignOptions) -> StiffestForWorld:
     """Design at one delay, or compare the families over several delays."""
-    if options.sections and options.world != "any_hand":
+    world = options.world
+    if options.sections and world != "any_hand":
         raise UsageError("--sections: with --for any_hand, where a linear programme bounds them")
     if options.compare:
-        found = [(delay, _members(options, (delay, delay))) for delay in options.delays]
-        rows = [
-            row for delay, members in found for row in [_figures(options, (delay, delay), members)]
-        ]
-        lines = [line for row in rows for line in _lines(options, row)]
-        plot = draw_delays(options.out / f"design_{options.world}.png", rows, options)
-        return answered({"for": options.world, "cases": rows}, lines, plot=plot)
-    delay = options.delay or (1.0, 1.0)
-    members = _members(options, delay)
-    row = _figures(options, delay, members)
-    lines = _lines(options, row)
-    best = max(members, key=stiffness)
+        cases = [_case(options, (delay, delay)) for delay in options.delays]
+        lines = [line for case in cases for line in case.lines]
+        plot = draw_delays(options.out / f"design_{world}.png", cases, options)
+        return StiffestForWorld(lines=lines, world=world, cases=cases, picture=plot)
+    case = _case(options, options.delay or (1.0, 1.0))
+    best = max(case.members, key=stiffness)
     if best.law is None:
-        lines.append("no law of these families is stable for every world")
-        return answered({"for": options.world, **row, "yaml": None}, lines, held=False)
+        lines = [*case.lines, "no law of these families is stable for every world"]
+        return StiffestForWorld(lines=lines, held=False, world=world, cases=[case])
     from sim.design.families import to_yaml
 
-    path = fresh(options.out / f"{options.world}.yaml")
-    path.write_text(
-        to_yaml(best.law, options.world, comment="\n".join(lines[:1])), encoding="utf-8"
-    )
-    lines.append(f"haptic param load coupling {path}")
-    return answered({"for": options.world, **row, "yaml": str(path)}, lines)
+    path = fresh(options.out / f"{world}.yaml")
+    path.write_text(to_yaml(best.law, world, comment=case.lines[0]), encoding="utf-8")
+    lines = [*case.lines, f"haptic param load coupling {path}"]
+    return StiffestForWorld(lines=lines, world=world, cases=[case], yaml=path)
 
 
-def _members(options: DesignOptions, delay: tuple[float, float]) -> list[Member]:
-    mass = options.mass if options.world == "any_world" else None
+def _case(options: DesignOptions, delay: tuple[float, float]) -> WorldCase:
+    mass, rate = options.mass if options.world == "any_world" else None, options.rate or 500.0
     try:
-        surroundings = Surroundings(
-            1.0 / (options.rate or 500.0), options.damping[0], delay, options.nyquist, mass
-        )
+        surroundings = Surroundings(1.0 / rate, options.damping[0], delay, options.nyquist, mass)
     except ValueError as error:
         raise UsageError(f"--{error}") from error
     members, step = [], options.progress(len(FAMILIES))
     for member in stiffest_members(surroundings, options.taps, options.sections):
         step(f"{FAMILIES[member.family]}, delay {delay[1]:g}", 1)
         members.append(member)
-    return members
-
-
-def _figures(
-    options: DesignOptions, delay: tuple[float, float], members: Sequence[Member]
-) -> dict[str, Any]:
-    rate = options.rate or 500.0
-    laws = [
-        {"family": member.family, "law": member.law}
-        | ({"h1_n_per_m": None} if member.design is None else margin_figures(member.design))
-        for member in members
-    ]
-    return {
-        "delay_ticks": list(delay),
-        "rate_hz": rate,
-        "damping_n_s_per_m": options.damping[0],
-        "mass_kg": list(options.mass) if options.world == "any_world" else None,
-        "h_nyquist_limit_n_per_m": options.nyquist,
-        "closed_limit_n_per_m": 2.0 * options.damping[0] * rate / (1.0 + delay[1]),
-        "laws": laws,
-        "fractional_gain": fractional_gain(list(members)),
-    }
-
-
-def _lines(options: DesignOptions, row: Mapping[str, Any]) -> list[str]:
-    low, high = row["delay_ticks"]
-    device = (
-        "" if row["mass_kg"] is None else f"m {row['mass_kg'][0]:g}..{row['mass_kg'][1]:g} kg, "
-    )
-    lines = [
-        f"stable for {WORDS[options.world]}: {device}b {row['damping_n_s_per_m']:g} N s/m, delay"
-        f" {low:g}..{high:g} ticks at {row['rate_hz']:g} Hz, |H(-1)| <="
-        f" {row['h_nyquist_limit_n_per_m']:g} N/m"
-    ]
-    for law in row["laws"]:
-        if law["h1_n_per_m"] is None:
-            lines.append(f"  {FAMILIES[law['family']]:21} none")
-            continue
-        proof = (
-            "proven at every frequency" if law["proven"] else "NOT proven between the frequencies"
-        )
-        taps = ", ".join(f"{tap:.6g}" for tap in law["taps_n_per_m"])
-        sections = (
-            f"; section {', '.join(f'{c:.6g}' for c in law['sections'][0])}"
-            if law["sections"]
-            else ""
-        )
-        lines.append(
-            f"  {FAMILIES[law['family']]:21} H(1) {law['h1_n_per_m']:8.1f} N/m  H(-1)"
-            f" {law['h_nyquist_n_per_m']:8.1f} N/m  {proof}  taps {taps}{sections}"
-        )
-    if options.world == "any_hand":
-        lines.append(
-            "  no causal linear law has more than 2b/(T(1 + d)) ="
-            f" {row['closed_limit_n_per_m']:.1f} N/m (THEORY.md §20)"
-        )
-    else:
-        lines.append(
-            "  H(1) has no bound for a known device: it is |H(-1)| and the number of taps that"
-            " limit these"
-        )
-    found = {law["family"]: law["h1_n_per_m"] or 0.0 for law in row["laws"]}
-    if "two_poles" in found:
-        best = max(found["one_pole"], found["taps_over_pole"], found["two_poles"])
-        lines.append(
-            f"  sections buy {100.0 * (best / found['taps'] - 1.0):+.1f} % over free taps, and no"
-            f" law more than {100.0 * (row['closed_limit_n_per_m'] / found['taps'] - 1.0):+.1f} %"
-        )
-    gain = row["fractional_gain"]
-    if gain is not None:
-        bought = f"{100.0 * (gain - 1.0):+.1f} % over PD" if gain > 1.001 else "nothing over PD"
-        lines.append(f"  a fractional term buys {bought}")
-    return lines
+    device = (rate, options.damping[0], mass, options.nyquist)
+    return WorldCase(options.world, delay, *device, members)
 
 
 @styled
-def draw_delays(path: Path, rows: Sequence[Mapping[str, Any]], options: DesignOptions) -> Path:
+def draw_delays(path: Path, cases: Sequence[WorldCase], options: DesignOptions) -> Path:
     """Plot H(1) of each family over the delay, with the closed-form limit for any hand."""
     figure = new_figure(6.4, 4.2)
     axes = figure.add_subplot(xlabel="delay of the loop  [ticks]", ylabel="H(1)  [N/m]")
-    delays = [row["delay_ticks"][1] for row in rows]
+    delays = [case.delay_ticks[1] for case in cases]
     for family, name in FAMILIES.items():
-        felt = [law["h1_n_per_m"] for row in rows for law in row["laws"] if law["family"] == family]
-        axes.plot(
-            delays, [float("nan") if one is None else one for one in felt], marker="o", label=name
-        )
+        found = [case.felt(family) for case in cases]
+        felt = [math.nan if one is None else one for one in found]
+        if any(one.family == family for one in cases[0].members):
+            axes.plot(delays, felt, marker="o", label=name)
     if options.world == "any_hand":
         axes.plot(
             delays,
-            [row["closed_limit_n_per_m"] for row in rows],
+            [case.closed_limit_n_per_m for case in cases],
             ls="--",
             color="0.4",
             label="2b/(T(1 + d))",

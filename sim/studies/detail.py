@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +11,10 @@ from nodes.parameters.options import FileOptions, argument, option
 from nodes.parameters.quantities import not_negative, positive
 from nodes.recording import figure_style as style
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings, at_top
 
 if TYPE_CHECKING:
+    from nodes.launcher.launch_spec import Launch
     from sim.experiments.detail import Detail
 
 
@@ -37,23 +38,27 @@ class DetailOptions(FileOptions):
     )
 
 
-def detail(options: DetailOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class DetailFound(Findings):
+    """Levels of detail of a scene, and the coarsest that is enough."""
+
+    scenario: str
+    found: Detail = at_top()
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        return super().answer | {"needs": self.found.coarsest.name}
+
+
+def detail(options: DetailOptions) -> DetailFound:
     """Guide the device along a lockstep run's path through every level of detail."""
-    import tempfile
-
-    import numpy as np
-
-    from messages.topics import PROXY
     from nodes.coupling.law_book import LawBook
     from nodes.coupling.parameters import CouplingParameters
-    from nodes.environment.shapes.kinds import Touchable
-    from nodes.environment.surfaces import parse_surface
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError, convert
-    from nodes.recording.reader import Recording
-    from sim.experiments.detail import body_detail, detail
+    from sim.experiments.detail import body_detail
     from sim.experiments.terms import RESOLUTION
-    from sim.measure.measured_launch import launch as run_launch
 
     words = [*options.assignments, "pace:=lockstep"]
     try:
@@ -71,35 +76,53 @@ def detail(options: DetailOptions) -> Answer:
         resolution = options.resolution or device.get("resolution") or RESOLUTION
         if "mujoco" in parts:
             # In one process, bit-identical to a launch.
-            found = body_detail(
-                launch, stiffness, resolution, options.fraction, options.progress(5)
-            )
+            step = options.progress(5)
+            found = body_detail(launch, stiffness, resolution, options.fraction, step)
         else:
-            name, given = parts["environment"]
-            surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
-            if not isinstance(surface, Touchable):
-                raise UsageError(
-                    f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape"
-                    " in three axes, e.g. mesh_pebble"
-                )
-            solids = surface.solids(f"{name}.surface")
-            with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
-                figures = run_launch(options.scenario, *words, folder=Path(folder))
-                recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
-            path = np.array([message.position for message in recorded])
-            loop = launch.run.period, stiffness, resolution, options.fraction
-            found = detail(solids, path, surface.tool_radius, *loop, options.progress(12))
+            found = _shapes(options, words, launch, *parts["environment"], stiffness, resolution)
     except ParameterError:
         raise
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
-    result: dict[str, Any] = {
-        "scenario": launch.scenario,
-        **asdict(found),
-        "needs": found.coarsest.name,
-    }
+    lines = _text(launch.scenario, stiffness, resolution, found)
     picture = draw(options.out / f"detail_{launch.scenario}.png", launch.scenario, found)
-    return answered(result, _text(launch.scenario, stiffness, resolution, found), plot=picture)
+    return DetailFound(lines=lines, scenario=launch.scenario, found=found, picture=picture)
+
+
+def _shapes(
+    options: DetailOptions,
+    words: list[str],
+    launch: Launch,
+    name: str,
+    given: dict[str, Any],
+    stiffness: float,
+    resolution: float,
+) -> Detail:
+    """Compare the levels of a shape along the proxy's path of a launch in lockstep."""
+    import tempfile
+
+    import numpy as np
+
+    from messages.topics import PROXY
+    from nodes.environment.shapes.kinds import Touchable
+    from nodes.environment.surfaces import parse_surface
+    from nodes.recording.reader import Recording
+    from sim.experiments.detail import detail
+    from sim.measure.measured_launch import launch as run_launch
+
+    surface = parse_surface(given.get("surface", {"kind": "free"}), f"{name}.surface")
+    if not isinstance(surface, Touchable):
+        raise UsageError(
+            f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape"
+            " in three axes, e.g. mesh_pebble"
+        )
+    solids = surface.solids(f"{name}.surface")
+    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
+        figures = run_launch(options.scenario, *words, folder=Path(folder))
+        recorded = Recording(Path(folder) / figures["recording"]).messages(PROXY)
+    path = np.array([message.position for message in recorded])
+    loop = launch.run.period, stiffness, resolution, options.fraction
+    return detail(solids, path, surface.tool_radius, *loop, options.progress(12))
 
 
 def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sim.identify.pushing import PushOptions, identify_running, identify_scenario
 from sim.measure.interrupts import interrupted_once
-from sim.studies.result import Answer, StudyResult
+from sim.studies.result import Findings, StudyResult
 
 if TYPE_CHECKING:
     from sim.identify.identified import Identified
@@ -63,8 +63,8 @@ def device_identify(options: PushOptions) -> StudyResult:
 
     Returns
     -------
-    IdentifiedPlaces or Answer
-        The device at each place; an empty answer if it was interrupted before the push began.
+    IdentifiedPlaces or Findings
+        The device at each place; without figures if it was interrupted before the push began.
 
     Raises
     ------
@@ -89,5 +89,5 @@ def device_identify(options: PushOptions) -> StudyResult:
                 "nothing was recorded: interrupted before the push began; law and surface are back"
             )
             options.say(why)
-            return Answer({}, why, held=False, interrupted=signalled() or 2)
+            return Findings(lines=[why], held=False, interrupted=signalled() or 2)
     return IdentifiedPlaces(tuple(found))

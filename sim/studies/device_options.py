@@ -94,6 +94,12 @@ def recorded(path: Path) -> Measured:
         raise UsageError(str(error)) from error
 
 
+def refuse_taps(taps: int) -> None:
+    """Refuse a length of a designed law that is not searched."""
+    if not 1 <= taps <= 12:
+        raise UsageError(f"--taps {taps}: between 1 and 12; the search is over each of them")
+
+
 def device(options: DeviceOptions) -> Plant:
     """Return the device of parsed options."""
     return Plant(1.0 / options.rate, options.mass, options.damping, options.delay, options.hand)

@@ -6,7 +6,7 @@ K_max follows from Colgate's condition at that frequency alone.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,11 +23,12 @@ from sim.axes import plain_log
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions
 from sim.studies.law_looks import law_looks
-from sim.studies.result import Answer, StudyResult, answered
+from sim.studies.result import Findings, StudyResult, at_top
 from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 
 if TYPE_CHECKING:
-    from sim.identify.swing import Swing
+    from nodes.stability.occurring import Edge
+    from sim.identify.swing import DroppedSwing, Swing, SwingCount
 
 # The compared laws.
 LAWS: dict[str, dict[str, Any]] = {
@@ -74,6 +75,56 @@ class EdgeOptions(DeviceOptions, SpreadOptions, FileOptions):
     )
 
 
+@dataclass(frozen=True)
+class RingingLoop:
+    """A loop of one law at its edge of stability."""
+
+    law: str
+    gain: float
+    k_max_n_per_m: float
+    edge: Edge
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures, those of the edge at the top level."""
+        figures = vars(self) | vars(self.edge)
+        return {name: one for name, one in figures.items() if name != "edge"}
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class EdgesFound(Findings):
+    """Loops at their edges, and how far Colgate's condition at ω_c is from K_max."""
+
+    points: list[RingingLoop]
+
+    @property
+    def ratios(self) -> list[float]:
+        """2(b − f(ω_c))/T over K_max, of each loop."""
+        return [one.edge.k_simple_n_per_m / one.k_max_n_per_m for one in self.points]
+
+    @property
+    def exact_error(self) -> float:
+        """Largest relative error of 2(b R − f(ω_c))/T."""
+        return max(abs(one.edge.k_exact_n_per_m / one.k_max_n_per_m - 1.0) for one in self.points)
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        return super().answer | {
+            "ratio_min": min(self.ratios),
+            "ratio_max": max(self.ratios),
+            "exact_error": self.exact_error,
+        }
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class SwingsCounted(Findings):
+    """How often the interval of a swing holds K_max, over random devices."""
+
+    all: SwingCount = at_top()
+    laws: dict[str, SwingCount]
+    rows: list[DroppedSwing]
+
+
 def edge(options: EdgeOptions) -> StudyResult:
     """Compare laws, or predict from a recording."""
     if options.recording is not None:
@@ -85,59 +136,45 @@ def edge(options: EdgeOptions) -> StudyResult:
         "there is no RECORDING; the device's damping is --damping", "device_damping"
     )
     if options.drops is not None:
-        options.refuse_unused(
-            "--drops draws its devices and gains at random",
-            "gain",
-            "points",
-            "mass",
-            "damping",
-            "delay",
-            "hand",
-        )
+        drawn = ("gain", "points", "mass", "damping", "delay", "hand")
+        options.refuse_unused("--drops draws its devices and gains at random", *drawn)
         return _drops(options, options.drops)
     low, high = options.gain
     if not 0.0 < low < high:
         raise UsageError(f"--gain {low:g}..{high:g}: needs 0 < LOW < HIGH")
+    return _edges(options, low, high)
+
+
+def _edges(options: EdgeOptions, low: float, high: float) -> EdgesFound:
+    """Compare laws at their edges over a range of gains."""
     device, period = shared.device(options), 1.0 / options.rate
     gains = [low * (high / low) ** (i / (options.points - 1)) for i in range(options.points)]
-    found = spread(
-        options, [partial(_ring, name, gain, device) for name in LAWS for gain in gains], 4
-    )
-    rows = [row for row in found if row is not None]
+    jobs = [partial(_ring, name, gain, device) for name in LAWS for gain in gains]
+    rows = [row for row in spread(options, jobs, 4) if row is not None]
     if not rows:
         raise UsageError(
             f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains"
         )
-    ratios = [row["k_simple_n_per_m"] / row["k_max_n_per_m"] for row in rows]
-    exact = max(abs(row["k_exact_n_per_m"] / row["k_max_n_per_m"] - 1.0) for row in rows)
-    figures = {
-        "points": rows,
-        "ratio_min": min(ratios),
-        "ratio_max": max(ratios),
-        "exact_error": exact,
-    }
-    text = (
+    found = EdgesFound(lines=(), points=rows, picture=_draw(options, rows, device.damping, period))
+    lines = [
         f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay"
-        f" {device.delay:g} ticks, {options.rate:g} Hz; B {low:g} .. {high:g}\nK_max = 2(b R -"
-        f" f(w_c))/T to {exact:.1e} over {len(rows)} loops; without R the ratio is"
-        f" {min(ratios):.3f} .. {max(ratios):.3f} (THEORY.md §9)\npd_windowed is left out: no taps,"
-        " so no f(w); its K_max is by drops (study kmax --method simulation)"
-    )
-    return answered(figures, text, plot=_draw(options, rows, device.damping, period))
+        f" {device.delay:g} ticks, {options.rate:g} Hz; B {low:g} .. {high:g}",
+        f"K_max = 2(b R - f(w_c))/T to {found.exact_error:.1e} over {len(rows)} loops; without R"
+        f" the ratio is {min(found.ratios):.3f} .. {max(found.ratios):.3f} (THEORY.md §9)",
+        "pd_windowed is left out: no taps, so no f(w); its K_max is by drops (study kmax --method"
+        " simulation)",
+    ]
+    return replace(found, lines=lines)
 
 
-def _ring(name: str, gain: float, device: Plant) -> dict[str, Any] | None:
+def _ring(name: str, gain: float, device: Plant) -> RingingLoop | None:
     """Find the ringing frequency of a law on a device; None if stable at any stiffness."""
     derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
     limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
-    return (
-        None
-        if limit is None or edge is None
-        else {"law": name, "gain": gain, "k_max_n_per_m": limit, **asdict(edge)}
-    )
+    return None if limit is None or edge is None else RingingLoop(name, gain, limit, edge)
 
 
-def _drops(options: EdgeOptions, drops: int) -> Answer:
+def _drops(options: EdgeOptions, drops: int) -> SwingsCounted:
     from sim.identify.swing import counted, dropped
 
     named = [list(LAWS)[number % len(LAWS)] for number in range(drops)]
@@ -146,18 +183,19 @@ def _drops(options: EdgeOptions, drops: int) -> Answer:
         for number, name in enumerate(named)
     ]
     rows = spread(options, jobs)
-    laws = {name: counted([row for row in rows if row["law"] == name]) for name in LAWS}
+    laws = {name: counted([row for row in rows if row.law == name]) for name in LAWS}
+    total = counted(rows)
     lines = [
         f"{'law':20} {'drops':>6} {'told':>6} {'hold K_max':>11} {'worst miss':>11}"
         f" {'median width':>13}"
     ]
-    for name, one in {**laws, "all": counted(rows)}.items():
-        if one["told"]:
-            lines.append(
-                f"{name:20} {one['drops']:6d} {one['told']:6d} {one['hold']:11d}"
-                f" {100.0 * one['worst_miss']:9.2f} % {100.0 * one['median_width']:11.2f} %"
-            )
-    return answered({**counted(rows), "laws": laws, "rows": rows}, lines)
+    lines += [
+        f"{name:20} {one.drops:6d} {one.told:6d} {one.hold:11d}"
+        f" {100.0 * (one.worst_miss or 0.0):9.2f} % {100.0 * (one.median_width or 0.0):11.2f} %"
+        for name, one in {**laws, "all": total}.items()
+        if one.told
+    ]
+    return SwingsCounted(lines=lines, all=total, laws=laws, rows=rows)
 
 
 @dataclass(frozen=True, repr=False)
@@ -202,30 +240,38 @@ class SwingFound(StudyResult):
         )
 
 
+@dataclass(frozen=True, repr=False, kw_only=True)
+class NoSwing(Findings):
+    """Why a recording tells no K_max."""
+
+    k_max_n_per_m: None = None
+    why: str
+
+
 def _predict(options: EdgeOptions, recording: Path) -> StudyResult:
     from sim.identify.swing import CannotTellError, recorded_swing
 
     try:
         swing = recorded_swing(recording, options.device_damping, options.hand or None)
     except CannotTellError as error:
-        return answered({"k_max_n_per_m": None, "why": str(error)}, f"unknown: {error}", held=False)
+        return NoSwing(lines=[f"unknown: {error}"], held=False, why=str(error))
     except (RecordError, ValueError, OSError) as error:
         raise UsageError(str(error)) from error
     return SwingFound(swing)
 
 
 @styled
-def _draw(options: EdgeOptions, rows: list[dict[str, Any]], damping: float, period: float) -> Path:
+def _draw(options: EdgeOptions, rows: list[RingingLoop], damping: float, period: float) -> Path:
     figure = new_figure(PAGE_WIDTH, 3.4)
     left, right = figure.subplots(1, 2)
     for name, look in zip(LAWS, law_looks(LAWS), strict=True):
-        mine = [row for row in rows if row["law"] == name]
-        k = [row["k_max_n_per_m"] for row in mine]
-        left.plot([row["f_n_s_per_m"] for row in mine], k, **look.points(), label=name)
-        hertz = [row["omega_rad_per_s"] / (2.0 * math.pi) for row in mine]
-        off = [100.0 * abs(1.0 - row["k_simple_n_per_m"] / row["k_max_n_per_m"]) for row in mine]
+        mine = [row for row in rows if row.law == name]
+        k = [row.k_max_n_per_m for row in mine]
+        left.plot([row.edge.f_n_s_per_m for row in mine], k, **look.points(), label=name)
+        hertz = [row.edge.omega_rad_per_s / (2.0 * math.pi) for row in mine]
+        off = [100.0 * abs(1.0 - row.edge.k_simple_n_per_m / row.k_max_n_per_m) for row in mine]
         right.semilogy(hertz, off, **look.points())
-    span = sorted(row["f_n_s_per_m"] for row in rows)
+    span = sorted(row.edge.f_n_s_per_m for row in rows)
     left.plot(
         span,
         [2.0 * (damping - f) / period for f in span],

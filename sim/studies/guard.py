@@ -1,6 +1,6 @@
 """Measure safety and cost in stiffness of the passivity guard: drops on stiffer walls."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from sim.axes import plain_log
 from sim.device.model import DeviceModel
 from sim.experiments.guarded_drop import Drop, compare
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 from sim.studies.sweeps import SpreadOptions, spread
 
 LEAST = 1e-6  # the plots are linear below it, in mJ and mm: a nanojoule, a nanometre
@@ -60,7 +60,14 @@ class GuardOptions(SpreadOptions, FileOptions):
     )
 
 
-def guard(options: GuardOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class GuardFound(Findings):
+    """Drops on each wall, without and with the guard."""
+
+    drops: list[Drop]
+
+
+def guard(options: GuardOptions) -> GuardFound:
     """Compare drops with and without the guard, and plot them."""
     if options.points < 2 or not options.low < options.high:
         raise UsageError(
@@ -91,8 +98,7 @@ def guard(options: GuardOptions) -> Answer:
             for drop in (bare, guarded)
         ]
         lines.append(f"{bare.stiffness:8.0f} {cells[0]} {cells[1]}")
-    plot = _draw(options, drops)
-    return answered({"drops": [asdict(drop) for drop in drops]}, lines, plot=plot)
+    return GuardFound(lines=lines, drops=drops, picture=_draw(options, drops))
 
 
 @styled

@@ -1,6 +1,6 @@
 """Two hands far apart: stable stiffness and mutual feel over the network's delay."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from nodes.recording.figure_style import COLOURS, LINES, MARKERS, new_figure, sa
 from nodes.stability.plant import Plant
 from sim.experiments.hands_apart import HandsAtDelay, over_delay
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,14 @@ class HandsOptions(FileOptions):
     )
 
 
-def hands(options: HandsOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class HandsFound(Findings):
+    """Stable and felt stiffness at each delay of the network."""
+
+    rows: list[HandsAtDelay]
+
+
+def hands(options: HandsOptions) -> HandsFound:
     """Compare the couplings of two hands, and plot them."""
     plant = Plant(1.0 / options.rate, options.mass, options.damping)
     steps = (0, 1, 2, 3, 5, 8, 12, 20, 35, 50, 100, 200, 350, 500, 1000)
@@ -40,9 +47,8 @@ def hands(options: HandsOptions) -> Answer:
         ),
         " delay   one law  a law each  with damper        K    N/m  drag N s/m     N/m  drag N s/m",
     ]
-    lines = [_line(row, plant.period) for row in rows]
-    plot = _draw(options, rows, plant.period)
-    return answered({"rows": [asdict(row) for row in rows]}, [*head, *lines], plot=plot)
+    lines = [*head, *(_line(row, plant.period) for row in rows)]
+    return HandsFound(lines=lines, rows=rows, picture=_draw(options, rows, plant.period))
 
 
 def _line(row: HandsAtDelay, period: float) -> str:

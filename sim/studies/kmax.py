@@ -21,11 +21,12 @@ from sim.device.model import DeviceModel, Hand
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions, grasp_option
-from sim.studies.result import Answer, StudyResult, answered
+from sim.studies.result import Findings, StudyResult
 from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 
 if TYPE_CHECKING:
     from sim.design.hands import HandBox
+    from sim.experiments.k_max_launched import SameKMax
     from sim.play.one_axis import Scene
 
 _PRESSING = 100.0  # default stiffness of the pressing hand [N/m]
@@ -116,6 +117,113 @@ class KMaxFound(StudyResult):
         return "\n".join(lines)
 
 
+@dataclass(frozen=True, repr=False, kw_only=True)
+class KMaxLaunched(StudyResult):
+    """K_max on a grid of stiffnesses, by launches in lockstep and in one process."""
+
+    loop: str
+    found: SameKMax
+    grid: tuple[float, float, float]  # softest, next and stiffest K [N/m]
+
+    @property
+    def same(self) -> bool:
+        """Whether both found the same stiffness."""
+        return self.found.launched_n_per_m == self.found.one_process_n_per_m
+
+    @property
+    def held(self) -> bool:
+        """Whether they did, and it lies on the grid."""
+        return self.same and _bounded(self.found.launched_n_per_m) is not None
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        return {
+            "loop": self.loop,
+            "k_max_n_per_m": _bounded(self.found.launched_n_per_m),
+            "h1_max_n_per_m": self.found.h1_n_per_m,
+            "method": "lockstep",
+            "one_process_n_per_m": _bounded(self.found.one_process_n_per_m),
+            "searched_n_per_m": [self.grid[0], self.grid[2]],
+            "same": self.same,
+            "launches": self.found.launches,
+            "grid_ratio": self.grid[1] / self.grid[0],
+        }
+
+    @property
+    def text(self) -> str:
+        """Text for the terminal."""
+        # Beyond the ends of the grid nothing was tried.
+        ends = {0.0: f"below {self.grid[0]:.6g} N/m", math.inf: f"above {self.grid[2]:.6g} N/m"}
+        both = self.found.launched_n_per_m, self.found.one_process_n_per_m
+        launched, alone = (ends.get(k or 0.0, f"{k or 0.0:.6g} N/m") for k in both)
+        verdict, step = "the same" if self.same else "NOT the same", self.grid[1] / self.grid[0]
+        return (
+            f"{self.loop}\nK_max    {launched} (nominal), by {self.found.launches} launches in"
+            f" lockstep\n         {alone} in one process: {verdict}, on steps of {step - 1.0:.2%}"
+        )
+
+
+@dataclass(frozen=True)
+class KMaxPoint:
+    """K_max at one gain."""
+
+    gain: float
+    found: KMax
+
+    @property
+    def k(self) -> float | None:
+        """Largest stable nominal stiffness [N/m]; None if none is stable or no limit was found."""
+        return _bounded(self.found.k_max_n_per_m)
+
+    @property
+    def h1(self) -> float | None:
+        """The felt one [N/m]; None for a law that is not linear too."""
+        return None if self.k is None else self.found.h1_max_n_per_m
+
+    @property
+    def endless(self) -> bool:
+        """Whether no limit was found."""
+        return self.found.k_max_n_per_m == math.inf
+
+    @property
+    def line(self) -> str:
+        """The point as a line of a table."""
+        least = _figures(self.found).get("at_least_n_per_m")
+        end = "no limit" if least is None else f"> {least:.6g}"
+        missing = end if self.endless else "-"
+        return (
+            f"{self.gain:10.4g}  {missing if self.k is None else f'{self.k:.6g}':>12} "
+            f" {'-' if self.h1 is None else f'{self.h1:.6g}':>12}"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        return {"gain": self.gain, **_figures(self.found)}
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class KMaxBoundary(Findings):
+    """K_max over a range of gains."""
+
+    loop: str
+    points: list[KMaxPoint]
+
+    @property
+    def best(self) -> KMaxPoint | None:
+        """The stiffest gain; None if none is stable, or a limit is missing."""
+        if any(one.endless for one in self.points):
+            return None
+        stable = [one for one in self.points if one.k is not None]
+        felt = all(one.h1 is not None for one in stable)
+        return max(stable, key=lambda one: (one.h1 if felt else one.k) or 0.0, default=None)
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name, those of the stiffest gain at the top level."""
+        return {**({} if self.best is None else self.best.as_json()), **super().answer}
+
+
 def _said(found: KMax) -> str:
     if found.k_max_n_per_m is None:
         return f"{_nothing(found)}: lower the gain, the delay or the order"
@@ -144,8 +252,8 @@ def kmax(options: KMaxOptions) -> StudyResult:
 
     Returns
     -------
-    KMaxFound or Answer
-        K_max of one gain; an answer with ``points`` for a range, or with both results for lockstep.
+    KMaxFound, KMaxBoundary or KMaxLaunched
+        K_max of one gain; at each gain of a range; by launches and in one process.
 
     Raises
     ------
@@ -220,7 +328,7 @@ def _found(options: KMaxOptions, law: Law, device: Plant) -> KMax:
         raise UsageError(str(error)) from error
 
 
-def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> Answer:
+def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> KMaxLaunched:
     """Bisect one grid twice, by launches and in one process, around the simulation's K_max."""
     from sim.experiments.drop import Criterion
     from sim.experiments.k_max_launched import same_k_max
@@ -240,33 +348,9 @@ def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> Answer
         )
     except (ValueError, MeasurementError) as error:
         raise UsageError(str(error)) from error
-    both = found.launched_n_per_m, found.one_process_n_per_m
-    same = both[0] == both[1]
-    ratio, loop = grid[1] / grid[0], _loop(options, gain, device)
-    launched, alone = map(_bounded, both)
-    figures: dict[str, Any] = {
-        "loop": loop,
-        "k_max_n_per_m": launched,
-        "h1_max_n_per_m": found.h1_n_per_m,
-        "method": "lockstep",
-        "one_process_n_per_m": alone,
-        "searched_n_per_m": [grid[0], grid[-1]],
-        "same": same,
-        "launches": found.launches,
-        "grid_ratio": ratio,
-    }
-    # Beyond the ends of the grid nothing was tried.
-    ends = {0.0: f"below {grid[0]:.6g} N/m", math.inf: f"above {grid[-1]:.6g} N/m"}
-    said = [ends.get(k or 0.0, f"{k or 0.0:.6g} N/m") for k in both]
-    lines = [
-        loop,
-        f"K_max    {said[0]} (nominal), by {found.launches} launches in lockstep",
-        (
-            f"         {said[1]} in one process: {'the same' if same else 'NOT the same'}, on steps"
-            f" of {ratio - 1.0:.2%}"
-        ),
-    ]
-    return answered(figures, lines, held=same and launched is not None)
+    return KMaxLaunched(
+        loop=_loop(options, gain, device), found=found, grid=(grid[0], grid[1], grid[-1])
+    )
 
 
 def _scene(options: KMaxOptions, device: Plant) -> Scene:
@@ -316,65 +400,38 @@ def _figures(found: KMax) -> dict[str, Any]:
     return figures
 
 
-def _boundary(options: KMaxOptions, span: tuple[float, float], device: Plant) -> Answer:
+def _boundary(options: KMaxOptions, span: tuple[float, float], device: Plant) -> KMaxBoundary:
     low, high = span
     gains = [low + (high - low) * i / (options.points - 1) for i in range(options.points)]
     laws = [shared.law(options, options.law, gain) for gain in gains]
     # A worker shows no progress of its own.
     asked = replace(options, progress=silent)
     found = spread(options, [partial(_found, asked, law, device) for law in laws])
-    points = [{"gain": gain, **_figures(one)} for gain, one in zip(gains, found, strict=True)]
-    stable = [point for point in points if point["k_max_n_per_m"] is not None]
-    without_end = [point for point in points if "at_least_n_per_m" in point]
-    if not stable and not without_end:
-        text = f"{_nothing(found[0])} anywhere in this range"
-        return answered({"points": points, "plot": None}, text, held=False)
+    points = [KMaxPoint(gain, one) for gain, one in zip(gains, found, strict=True)]
     loop = _loop(options, low, device, f"B {low:g} .. {high:g}")
-    lines = [loop, "      gain     K_max N/m   H(1)_max N/m"]
-    for point in points:
-        k, h1 = point["k_max_n_per_m"], point["h1_max_n_per_m"]
-        least = point.get("at_least_n_per_m")
-        missing = (
-            "-"
-            if "at_least_n_per_m" not in point
-            else "no limit"
-            if least is None
-            else f"> {least:.6g}"
-        )
-        lines.append(
-            f"{point['gain']:10.4g}  {missing if k is None else f'{k:.6g}':>12} "
-            f" {'-' if h1 is None else f'{h1:.6g}':>12}"
-        )
-    figures: dict[str, Any] = {"loop": loop}
-    if without_end:
-        lines.append(
-            f"no end was found at {len(without_end)} of {len(points)} gains: the stiffest is not"
-            " known"
-        )
+    if not any(one.endless or one.k is not None for one in points):
+        text = f"{_nothing(found[0])} anywhere in this range"
+        return KMaxBoundary(lines=[text], held=False, loop=loop, points=points)
+    lines = [loop, "      gain     K_max N/m   H(1)_max N/m", *(one.line for one in points)]
+    result = KMaxBoundary(lines=lines, loop=loop, points=points, picture=_draw(options, points))
+    if (best := result.best) is None:
+        endless = sum(one.endless for one in points)
+        last = f"no end was found at {endless} of {len(points)} gains: the stiffest is not known"
     else:
-        felt = all(point["h1_max_n_per_m"] is not None for point in stable)
-        key, name = ("h1_max_n_per_m", "H(1)") if felt else ("k_max_n_per_m", "K_max")
-        best = max(stable, key=lambda point: float(point[key]))
-        lines.append(f"stiffest: gain {best['gain']:.4g}, {name} {best[key]:.6g} N/m")
-        figures |= best
-    return answered(figures | {"points": points}, lines, plot=_draw(options, points))
+        named = f"K_max {best.k:.6g}" if best.h1 is None else f"H(1) {best.h1:.6g}"
+        last = f"stiffest: gain {best.gain:.4g}, {named} N/m"
+    return replace(result, lines=[*lines, last])
 
 
 @styled
-def _draw(options: KMaxOptions, points: list[dict[str, Any]]) -> Path:
+def _draw(options: KMaxOptions, points: list[KMaxPoint]) -> Path:
     figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(xlabel="gain B  [N s/m]", ylabel="stiffness  [N/m]")
-    gains = [point["gain"] for point in points]
-    for key, label, style in (
-        ("k_max_n_per_m", "nominal K", "--"),
-        ("h1_max_n_per_m", "felt, H(1)", "-"),
-    ):
-        axes.plot(
-            gains,
-            [float("nan") if point[key] is None else point[key] for point in points],
-            ls=style,
-            label=label,
-        )
+    gains = [point.gain for point in points]
+    for key, label, style in (("k", "nominal K", "--"), ("h1", "felt, H(1)", "-")):
+        values = [getattr(point, key) for point in points]
+        shown = [math.nan if value is None else value for value in values]
+        axes.plot(gains, shown, ls=style, label=label)
     axes.set_title(
         f"Stability boundary: {options.law}, m = {options.mass:g} kg, b = {options.damping:g}"
         f" N s/m, d = {options.delay:g}, {options.rate:g} Hz"

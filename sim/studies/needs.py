@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.options import FileOptions, argument, option
 from nodes.parameters.quantities import whole
 from nodes.parameters.store import ParameterError
-from sim.studies.result import Answer, answered
+from sim.experiments.perception import THRESHOLDS, tolerances
+from sim.studies.result import Findings
 from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from nodes.launcher.launch_spec import Launch
+    from nodes.launcher.launch_spec import Launch, Model
     from sim.experiments.needs import Needs
+    from sim.experiments.rest_map import RestFound
 
 _ROUNDING = 1e-15  # rounding of positions of a few centimetres in double precision [m]
 
@@ -44,7 +46,74 @@ class NeedsOptions(SpreadOptions, FileOptions):
     )
 
 
-def needs(options: NeedsOptions) -> Answer:
+@dataclass(frozen=True)
+class RestNeeds:
+    """Effect of encoder and friction on the last law at rest."""
+
+    declared: bool  # whether the scene has both; else those of a Touch X
+    resolution_m: float
+    friction_n: float
+    found: RestFound
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        figures = vars(self) | self.found.as_json()
+        return {name: one for name, one in figures.items() if name != "found"}
+
+    @property
+    def line(self) -> str:
+        """The effect in one line, and the map's path in another."""
+        return (
+            f"rest: {1e6 * self.resolution_m:.3g} µm of encoder and {self.friction_n:.3g} N of"
+            f" friction{'' if self.declared else ' (a Touch X: the scene has none)'};"
+            f" {self.found.rest.text()}\n{self.found.map.plot}"
+        )
+
+
+@dataclass(frozen=True)
+class ChainNeeds:
+    """Which terms of one chain of a scene matter."""
+
+    scenario: str  # with the chain's name, if the launch has several
+    model: Model  # what its launch file declares
+    felt: bool  # whether changes are judged by what a hand notices
+    needs: Needs
+    rest: RestNeeds | None  # None without contact, of a device not rigid or a law not linear
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        found, tolerance = self.needs, tolerances(self.model.tolerance, self.felt)
+        return {
+            "scenario": self.scenario,
+            "outcome": found.outcome,
+            "tolerance": self.model.tolerance,
+            "tolerances": {outcome: tolerance(outcome) for outcome in self.model.outcome},
+            "thresholds": THRESHOLDS,
+            "tick_us": found.tick_us,
+            "terms": found.findings,
+            "superfluous": found.superfluous,
+            "missing": found.missing,
+            "left_out": [finding.term for finding in found.left_out],
+            "rest": self.rest,
+        }
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class NeedsFound(Findings):
+    """Which terms of each chain of a scene matter."""
+
+    scenario: str
+    chains: dict[str, ChainNeeds]
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name, those of a single chain at the top level."""
+        figures = super().answer
+        (first, *others) = figures["chains"].values()
+        return figures if others else first
+
+
+def needs(options: NeedsOptions) -> NeedsFound:
     """Report whether each chain of a scene models enough and no more."""
     from nodes.launcher import launch_file
     from nodes.launcher.wiring import chains_of
@@ -53,22 +122,16 @@ def needs(options: NeedsOptions) -> Answer:
     judged = {chain: _judge(options, launch, chain) for chain in chains_of(launch)}
     if not judged:
         raise ParameterError("no chain, so nothing to play", path=launch.scenario)
-    figures = [found for found, _ in judged.values()]
-    answer = figures[0]
-    if len(figures) > 1:
-        answer = {"scenario": launch.scenario, "chains": dict(zip(judged, figures, strict=True))}
-    enough = not any(found["superfluous"] or found["missing"] for found in figures)
-    return answered(answer, "\n\n".join(text for _, text in judged.values()), held=enough)
+    enough = not any(one.needs.superfluous or one.needs.missing for one in judged.values())
+    lines = ["\n\n".join(map(_text, judged.values()))]
+    return NeedsFound(lines=lines, held=enough, scenario=launch.scenario, chains=judged)
 
 
-def _judge(options: NeedsOptions, launch: Launch, chain: str) -> tuple[dict[str, Any], str]:
-    """Judge one chain; return its figures and text."""
+def _judge(options: NeedsOptions, launch: Launch, chain: str) -> ChainNeeds:
+    """Judge one chain."""
     from sim.experiments.needs import needs as found_needs
-    from sim.experiments.perception import THRESHOLDS, tolerances
 
-    model = launch.models.get(chain) or launch.model
-    felt, name = options.tolerance == "jnd", "/".join(filter(None, (launch.scenario, chain)))
-    tolerance = tolerances(model.tolerance, felt)
+    model, felt = launch.models.get(chain) or launch.model, options.tolerance == "jnd"
     found = found_needs(
         launch,
         chain,
@@ -76,38 +139,20 @@ def _judge(options: NeedsOptions, launch: Launch, chain: str) -> tuple[dict[str,
         options.rounds,
         options.progress(options.rounds),
         partial(spread, options),
-        tolerance,
+        tolerances(model.tolerance, felt),
     )
-    figures: dict[str, Any] = {
-        "scenario": name,
-        "outcome": asdict(found.outcome),
-        "tolerance": model.tolerance,
-        "tolerances": {outcome: tolerance(outcome) for outcome in model.outcome},
-        "thresholds": [asdict(threshold) for threshold in THRESHOLDS],
-        "tick_us": found.tick_us,
-        "terms": [asdict(finding) for finding in found.findings],
-        "superfluous": list(found.superfluous),
-        "missing": list(found.missing),
-        "left_out": [finding.term for finding in found.left_out],
-        "rest": _rest(launch, chain, options.out / f"needs_rest{chain.replace('/', '_')}.png"),
-    }
-    text = _text(name, model, found, felt)
-    if (told := figures["rest"]) is not None:
-        text += (
-            f"\nrest: {1e6 * told['resolution_m']:.3g} µm of encoder and {told['friction_n']:.3g} N"
-            f" of friction{'' if told['declared'] else ' (a Touch X: the scene has none)'};"
-            f" {told['text']}\n{told['map']['plot']}"
-        )
-    return figures, text
+    rest = _rest(launch, chain, options.out / f"needs_rest{chain.replace('/', '_')}.png")
+    name = "/".join(filter(None, (launch.scenario, chain)))
+    return ChainNeeds(name, model, felt, found, rest)
 
 
-def _rest(launch: Launch, chain: str, path: Path) -> dict[str, Any] | None:
+def _rest(launch: Launch, chain: str, path: Path) -> RestNeeds | None:
     """Return the effect of encoder and friction on the last law at rest; None without contact.
 
     Also None if the device is not rigid or the law is not linear.
     """
     from nodes.stability.rest import rest
-    from sim.experiments.rest_map import rest_map
+    from sim.experiments.rest_map import RestFound, rest_map
     from sim.experiments.terms import FRICTION, RESOLUTION
     from sim.play.launched import NotOneAxisError, from_launch
 
@@ -122,10 +167,10 @@ def _rest(launch: Launch, chain: str, path: Path) -> dict[str, Any] | None:
     declared = bool(body.resolution and body.friction)
     resolution = (declared and body.resolution) or RESOLUTION
     friction = (declared and body.friction) or FRICTION
-    found = rest(law, device, resolution)
     drawn = rest_map(law, law.h1, device, resolution, friction, path)
-    told = {"declared": declared, "resolution_m": resolution, "friction_n": friction}
-    return {**told, **asdict(found), "text": found.text(), "map": drawn}
+    return RestNeeds(
+        declared, resolution, friction, RestFound(rest(law, device, resolution), drawn)
+    )
 
 
 def _micrometres(length: float) -> str:
@@ -133,9 +178,8 @@ def _micrometres(length: float) -> str:
     return "0" if length < _ROUNDING else f"{1e6 * length:.3g}"
 
 
-def _text(name: str, model: Any, found: Needs, felt: bool) -> str:
-    from sim.experiments.perception import THRESHOLDS
-
+def _text(one: ChainNeeds) -> str:
+    name, model, found, felt = one.scenario, one.model, one.needs, one.felt
     now = found.outcome
     stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
     timed = "" if found.tick_us is None else f"; {found.tick_us:.3g} µs per tick in plain Python"
@@ -161,9 +205,9 @@ def _text(name: str, model: Any, found: Needs, felt: bool) -> str:
     if found.left_out:
         told = ", ".join(f"{f.term} ({f.most} by {100 * f.moved:.3g} %)" for f in found.left_out)
         lines.append(f"left out on purpose although it matters: {told}")
-    for one in THRESHOLDS:
-        lines.append(
-            f"a hand notices {100 * one.low:.0f} to {100 * one.high:.0f} % of {one.quantity}"
-            f" ({one.source})"
-        )
-    return "\n".join(lines)
+    lines += [
+        f"a hand notices {100 * limit.low:.0f} to {100 * limit.high:.0f} % of {limit.quantity}"
+        f" ({limit.source})"
+        for limit in THRESHOLDS
+    ]
+    return "\n".join(lines + ([] if one.rest is None else [one.rest.line]))

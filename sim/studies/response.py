@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import itertools
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
@@ -15,7 +16,10 @@ from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
 from sim.studies.law_looks import law_looks
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
+
+if TYPE_CHECKING:
+    from sim.experiments.rendered import FeltResponse, ZWidth
 
 SHOWN = (1.0, 10.0, 50.0, 100.0)  # frequencies of the printed table [Hz]
 
@@ -33,7 +37,29 @@ class ResponseOptions(LawOptions, DeviceOptions, FileOptions):
     )
 
 
-def response(options: ResponseOptions) -> Answer:
+@dataclass(frozen=True)
+class LawFelt:
+    """What is felt of one law."""
+
+    law: str
+    felt: FeltResponse
+    plane: ZWidth | None  # over gains; None for one gain
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures, those of what is felt at the top level."""
+        return {"law": self.law, **vars(self.felt), "plane": self.plane}
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ResponseFound(Findings):
+    """What is felt of each law over frequency, and its K–B plane over gains."""
+
+    rate_hz: float
+    delay_ticks: float
+    laws: list[LawFelt]
+
+
+def response(options: ResponseOptions) -> ResponseFound:
     """Compute the response of each law at its own gains, and the K–B plane over gains."""
     import numpy as np
 
@@ -58,18 +84,6 @@ def response(options: ResponseOptions) -> Answer:
         planes = [z_width(law, device, gains) for law in chosen] if gains else []
     except ValueError as error:
         raise UsageError(str(error)) from error
-    figures: dict[str, Any] = {
-        "rate_hz": options.rate,
-        "delay_ticks": device.delay,
-        "laws": [
-            {
-                "law": name,
-                **_numbers(asdict(felt)),
-                "plane": _numbers(asdict(planes[i])) if planes else None,
-            }
-            for i, (name, felt) in enumerate(zip(options.law, found, strict=True))
-        ],
-    }
     lines = [
         f"at {options.rate:g} Hz, {device.delay:g} ticks late; felt with the hold, and (of the"
         " law alone)"
@@ -83,23 +97,13 @@ def response(options: ResponseOptions) -> Answer:
                 f" ({felt.law_stiffness_n_per_m[i]:.5g})  {felt.damping_n_s_per_m[i]:10.4g} N s/m"
                 f" ({felt.law_damping_n_s_per_m[i]:.4g})"
             )
-    lines += _plane_lines(options.law, planes)
-    picture = draw(options.out / "response.png", options.law, found, planes, device)
-    return answered(figures, lines, plot=picture)
-
-
-def _numbers(record: dict[str, Any]) -> dict[str, Any]:
-    """Convert arrays to lists, and what is not finite to null."""
-    import numpy as np
-
-    return {
-        key: (
-            [None if not np.isfinite(one) else float(one) for one in value]
-            if isinstance(value, np.ndarray)
-            else value
-        )
-        for key, value in record.items()
-    }
+    return ResponseFound(
+        lines=lines + _plane_lines(options.law, planes),
+        rate_hz=options.rate,
+        delay_ticks=device.delay,
+        laws=[LawFelt(*one) for one in itertools.zip_longest(options.law, found, planes)],
+        picture=draw(options.out / "response.png", options.law, found, planes, device),
+    )
 
 
 def _plane_lines(names: list[str], planes: list[Any]) -> list[str]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sim.studies.notebook_results import Result, bars, new_figure, pandas
 
@@ -85,27 +88,63 @@ def _flat(said: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     return found
 
 
-@dataclass(frozen=True, repr=False)
-class Answer(StudyResult):
-    """Figures and text of a study without a type of its own."""
-
-    answer: dict[str, Any]
-    text: str
-    held: bool = True
-    interrupted: int = 0
+def at_top() -> Any:
+    """Declare a field whose figures stand at the top level of a study's answer."""
+    return field(metadata={"figure": ""})
 
 
-def answered(
-    figures: Mapping[str, Any],
-    lines: str | Sequence[str],
-    *,
-    ledger: Path | None = None,
-    plot: Path | None = None,
-    held: bool = True,
-) -> Answer:
-    """Return an answer of figures and lines; the paths of files come last."""
-    files = {
-        name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None
-    }
-    text = [lines] if isinstance(lines, str) else lines
-    return Answer({**figures, **files}, "\n".join([*text, *files.values()]), held)
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Findings(StudyResult):
+    """Result whose fields are its figures; those declared here are not, and files come last."""
+
+    lines: Sequence[str]  # for the terminal
+    held: bool = True  # whether the verdict is yes
+    interrupted: int = 0  # signal that ended the study early; 0: none
+    ledger: Path | None = None
+    picture: Path | None = None
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name, in plain JSON types."""
+        found: dict[str, Any] = {}
+        for one in fields(self):
+            if one.name not in _BESIDE:
+                value = plain(getattr(self, one.name))
+                found |= {one.name: value} if one.metadata.get("figure", one.name) else value
+        return found | {name: str(path) for name, path in self._files().items()}
+
+    @property
+    def text(self) -> str:
+        """Text for the terminal."""
+        return "\n".join([*self.lines, *map(str, self._files().values())])
+
+    def _files(self) -> dict[str, Path]:
+        named = {"ledger": self.ledger, "plot": self.picture}
+        return {name: path for name, path in named.items() if path is not None}
+
+
+# Fields of `Findings` that are no figures, or come last.
+_BESIDE = frozenset(one.name for one in fields(Findings))
+
+
+def plain(value: Any) -> Any:
+    """Convert figures to JSON types.
+
+    An object's own `as_json` decides first. What is not finite in an array becomes null, because
+    it stands for a missing value there.
+    """
+    if hasattr(value, "as_json"):
+        return plain(value.as_json())
+    if is_dataclass(value):
+        return {one.name: plain(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray):
+        shown = value.astype(object)
+        shown[~np.isfinite(value)] = None
+        return shown.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value) if isinstance(value, Path | StrEnum) else value

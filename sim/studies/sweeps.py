@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from messages.errors import RefusedError, UsageError
 from nodes.parameters.options import FileOptions, Options, ProgressStep, option
 from nodes.parameters.quantities import whole
+from sim.measure.cancelling import StudyCancelledError, check
 from sim.measure.jobs import RETRIES, Job, SweepRow, call, done_by, sweep
 from sim.results import fresh
 
@@ -140,10 +141,9 @@ def swept(
     try:
         with executor(options) as pool:
             return sweep(job, jobs, pool, ledger, chunk, options.progress(len(jobs))), ledger
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"what is done is in {ledger}, and the same command goes on there"
-        ) from None
+    except (KeyboardInterrupt, StudyCancelledError) as error:
+        done = f"what is done is in {ledger}, and the same command goes on there"
+        raise type(error)(done) from None
 
 
 def begun(options: SweepOptions, name: str) -> Path:
@@ -169,6 +169,7 @@ def spread(
     def note(part: range, rows: list[R]) -> None:
         results.update(zip(part, rows, strict=True))
         step(f"{len(results)} of {len(jobs)}", len(rows))
+        check()
 
     if options.cluster is None and not options.workers:
         for i, job in enumerate(jobs):

@@ -1,6 +1,8 @@
 """K_max of a law before a moving world: springs, any world, any hand, tools, devices."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from messages.errors import UsageError
 from nodes.parameters.options import option, quantity
@@ -10,7 +12,7 @@ from nodes.stability.world_limits import Moving, WorldLimits, world_limits, worl
 from nodes.stability.worlds import OtherDevice
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +38,20 @@ class WorldOptions(LawOptions, DeviceOptions):
     )
 
 
-def world(options: WorldOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class WorldFound(Findings):
+    """K_max for each kind of world, and what a stiffness needs."""
+
+    limits: WorldLimits
+    needed: Mapping[str, float | None] | None  # by name with unit; of the asked stiffness
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name."""
+        return {**self.limits.as_json(), "needed": self.needed}
+
+
+def world(options: WorldOptions) -> WorldFound:
     """Compute K_max for each kind of world."""
     device, law = shared.device(options), shared.law(options, options.law, options.gain)
     if options.delay2 is not None and options.device2_damping is None:
@@ -68,7 +83,7 @@ def world(options: WorldOptions) -> Answer:
         )
         shown = "none is enough" if value is None else f"{value:.5g} {unit}"
         lines.append(f"K {options.stiffness:g} needs {what.replace('_', ' ')}: {shown}")
-    return answered({**limits.as_json(), "needed": needs}, lines)
+    return WorldFound(lines=lines, limits=limits, needed=needs)
 
 
 def text(limits: WorldLimits) -> list[str]:

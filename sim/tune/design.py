@@ -8,8 +8,7 @@ limit cycles.
 """
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
@@ -24,7 +23,8 @@ from sim.device.model import DeviceModel, Hand
 from sim.identify.altered import worst_altered
 from sim.identify.identified import Identified
 from sim.play.nonideal import NonidealDevice
-from sim.tune.knocking import KnockedEdge, Plan, knocked, planned, scaled
+from sim.tune.knocking import knocked, planned, scaled
+from sim.tune.record import PlannedKnocks, PredictedStep
 
 
 @dataclass(frozen=True)
@@ -161,45 +161,32 @@ def linear_edge(
 
 def predict(
     law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
-) -> tuple[dict[str, Any], KnockedEdge, Plan]:
-    """Predict a law on the identified device.
-
-    Return the figures, the knocks on the model and the plan of the steps on the device.
-    """
-    plant = plant_of(found)
-    whole = found.plant()
+) -> tuple[PredictedStep, PlannedKnocks]:
+    """Predict a law on the identified device; also return the plan of the steps on the device."""
+    plant, whole = plant_of(found), found.plant()
     rigid = whole.rigid and whole.lag == 0.0
     linear = linear_edge(law, plant) if rigid else linear_edge(law, whole, found.period)
     knock = knock_size(law.taps, linear, found, peak)
     plan, edge = planned(knocked(law, model(found), found.period, knock, peak, slew), linear)
     dropped = drops(law, asked)
-    factor = edge.factor
-    radius = pole_radius(law, plant) if rigid else flexible_radius(law, found.period, whole)
-    figures: dict[str, Any] = {
-        "h1_n_per_m": law.h1,
-        "h_nyquist_n_per_m": law.h_nyquist,
-        "pole_radius": radius,
-    }
-    figures |= {"edge_linear_factor": linear, "edge_linear_h1_n_per_m": linear * law.h1}
-    figures |= {
-        "edge_factor": factor,
-        "edge_h1_n_per_m": None if factor is None else factor * law.h1,
-        "knock_m": knock,
-    }
-    figures |= {"stable_up_to_delay_ticks": latest_delay(law, asked)}
-    figures |= {"drops_settled": sum(dropped.values()), "drops": len(dropped)}
-    figures["grasp"] = asdict(judge_grasps(law, asked, STYLUS, 20_000))
-    figures |= remainder_figures(law, found)
-    return figures | _every_delay(law, asked) | _at_rest(law, found, plant), edge, plan
-
-
-def remainder_figures(law: CompiledLaw, found: Identified) -> dict[str, Any]:
-    """Return the largest pole radius over the altered devices, and the term that causes it.
-
-    Both are None for a device whose residual is noise.
-    """
     radius, cause = worst_altered(law, found.period, found.altered) or (None, None)
-    return {"remainder_pole_radius": radius, "remainder_worst": cause}
+    figures = PredictedStep(
+        h1_n_per_m=law.h1,
+        h_nyquist_n_per_m=law.h_nyquist,
+        pole_radius=pole_radius(law, plant) if rigid else flexible_radius(law, found.period, whole),
+        edge_linear_factor=linear,
+        edge_factor=edge.factor,
+        knock_m=knock,
+        stable_up_to_delay_ticks=latest_delay(law, asked),
+        drops_settled=sum(dropped.values()),
+        drops=len(dropped),
+        grasp=judge_grasps(law, asked, STYLUS, 20_000),
+        remainder_pole_radius=radius,
+        remainder_worst=cause,
+        every_delay=certificate(law, asked),
+        limit_cycle_free=None,
+    )
+    return _at_rest(figures, law, found, plant), PlannedKnocks(tuple(edge.steps), edge.ended, plan)
 
 
 def remainder_refusal(law: CompiledLaw, found: Identified) -> str | None:
@@ -213,31 +200,18 @@ def remainder_refusal(law: CompiledLaw, found: Identified) -> str | None:
     )
 
 
-def _every_delay(law: CompiledLaw, asked: Demand) -> dict[str, Any]:
-    """Certify the law for every sequence of delays if their range is within a tick."""
-    low, high = asked.delay
-    answer = certificate(law, asked)
-    if answer != "too wide":
-        return {"every_delay_stable": answer}
-    return {
-        "every_delay_stable": None,
-        "every_delay_why": f"delays of {low:.3g} to {high:.3g} ticks: over a tick apart",
-    }
-
-
-def _at_rest(law: CompiledLaw, found: Identified, plant: Plant) -> dict[str, Any]:
-    """Compare the friction with the friction needed for rest.
-
-    Above the bound this is a proof, below it an estimate.
-    """
+def _at_rest(
+    figures: PredictedStep, law: CompiledLaw, found: Identified, plant: Plant
+) -> PredictedStep:
+    """Add the friction and what it is enough for; nothing if encoder or friction is unknown."""
     if found.encoder.value is None or found.friction.value is None:
-        return {"limit_cycle_free": None}
-    answer = rest(law, plant, found.encoder.value)
-    friction = found.friction.value
-    return {
-        "friction_n": friction,
-        "friction_for_rest_bound_n": answer.friction_bound_n,
-        "friction_for_rest_estimated_n": answer.friction_estimated_n,
-        "limit_cycle_free": answer.free(friction),
-        "buzz_hz": answer.buzz_hz,
-    }
+        return figures
+    answer, friction = rest(law, plant, found.encoder.value), found.friction.value
+    return replace(
+        figures,
+        friction_n=friction,
+        friction_for_rest_bound_n=answer.friction_bound_n,
+        friction_for_rest_estimated_n=answer.friction_estimated_n,
+        limit_cycle_free=answer.free(friction),
+        buzz_hz=answer.buzz_hz,
+    )

@@ -1,10 +1,7 @@
 """The verdict of the step tests: whether the law holds, where its edge is, how precisely."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
-
 from sim.tune.knocking import STEP, KnockedEdge
+from sim.tune.record import PredictedStep, TuneRecord, VerifiedStep
 from sim.tune.tuning_text import number
 
 # An edge further from the predicted one belongs to another device, and the model's poles do not
@@ -17,7 +14,7 @@ MARGIN = 1.05
 CERTAIN = 1.05
 
 
-def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
+def verified(predicted: PredictedStep, edge: KnockedEdge) -> VerifiedStep:
     """Judge a law by the knocks on its device.
 
     Only a complete climb gives an edge. Knocks find it too low if a motion decays slowly, too high
@@ -25,14 +22,14 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
     damp a mode that the model lacks: such a law is not delivered, even if small knocks come to
     rest.
     """
-    h1, factor, rested = predicted["h1_n_per_m"], edge.factor, edge.rested
-    expected = predicted["edge_factor"]
+    h1, factor, rested = predicted.h1_n_per_m, edge.factor, edge.rested
+    expected = predicted.edge_factor
     agrees = factor is expected is None or (
         factor and expected and abs(factor / expected - 1.0) <= AGREES
     )
     ends = None
-    if factor is not None and rested is not None and agrees:
-        ends = by_poles(factor, expected, predicted["edge_linear_factor"])
+    if factor is not None and expected is not None and rested is not None and agrees:
+        ends = by_poles(factor, expected, predicted.edge_linear_factor)
     certain = ends is not None and ends[1] <= ends[0] * CERTAIN**2
     below_law = [step for step in edge.steps if step.factor <= 1.0 + 1e-12]
     climbed = (
@@ -55,22 +52,24 @@ def verified(predicted: Mapping[str, Any], edge: KnockedEdge) -> dict[str, Any]:
             f"{ended}; a large motion may be unstable from {ends[0]:.3f} times on, and "
             f"{MARGIN:g} is required"
         )
-    return {
-        "holds": holds,
-        "agrees": bool(agrees),
-        "complete": edge.complete,
-        "edge_factor": factor,
-        "edge_h1_n_per_m": None if factor is None else factor * h1,
+    error, words = compared(expected, factor)
+    return VerifiedStep(
+        holds=holds,
+        agrees=bool(agrees),
+        complete=edge.complete,
+        edge_factor=factor,
+        edge_h1_n_per_m=None if factor is None else factor * h1,
         # The lower end: the middle would be above the true edge half of the time.
-        "edge_by_poles_h1_n_per_m": (
+        edge_by_poles_h1_n_per_m=(
             min(ends[0], rested or ends[0]) * h1 if ends and certain else None
         ),
-        "edge_by_poles_between_n_per_m": [end * h1 for end in ends] if ends else None,
-        "stiffest_at_rest_n_per_m": None if rested is None else rested * h1,
-        **compared(predicted["edge_factor"], factor),
-        "ended": ended,
-        "steps": [asdict(step) for step in edge.steps],
-    }
+        edge_by_poles_between_n_per_m=None if ends is None else (ends[0] * h1, ends[1] * h1),
+        stiffest_at_rest_n_per_m=None if rested is None else rested * h1,
+        edge_error=error,
+        edge_compared=words,
+        ended=ended,
+        steps=tuple(edge.steps),
+    )
 
 
 def by_poles(measured: float, expected: float, linear: float) -> tuple[float, float]:
@@ -84,10 +83,10 @@ def by_poles(measured: float, expected: float, linear: float) -> tuple[float, fl
     return min(linear, corrected) / STEP, max(linear, corrected) * STEP
 
 
-def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
+def compared(predicted: float | None, measured: float | None) -> tuple[float | None, str]:
     """Compare the two edges: as a ratio, and in words that respect the steps of 2 %."""
     if predicted is None or measured is None:
-        return {"edge_error": None, "edge_compared": "not both have an edge"}
+        return None, "not both have an edge"
     error = measured / predicted - 1.0
     same = abs(error) < 0.5 * (STEP - 1.0)
     words = (
@@ -95,48 +94,44 @@ def compared(predicted: float | None, measured: float | None) -> dict[str, Any]:
         if same
         else f"{100 * error:+.0f} % from the predicted one"
     )
-    return {"edge_error": error, "edge_compared": words}
+    return error, words
 
 
-def headline(record: Mapping[str, Any]) -> str:
+def headline(record: TuneRecord) -> str:
     """Return the outcome of a tuning in one sentence, the worst first."""
-    designed, after = record.get("designed"), record.get("verified")
-    stopped = record.get("refused") or (
-        f"interrupted during {record['interrupted']}" if record.get("interrupted") else ""
+    designed, after = record.designed, record.verified
+    stopped = record.refused or (
+        f"interrupted during {record.interrupted}" if record.interrupted else ""
     )
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
-    lands = "" if designed["lands"] else "; it fails the drop test"
-    if after is None or not (after["steps"] or after["ended"]):
+    law, lands = number(designed.h1_n_per_m, "N/m"), designed.lands
+    falls = "" if lands else "; it fails the drop test"
+    if after is None or not (after.steps or after.ended):
         why = f" ({stopped})" if stopped else ""
-        law = f"a law of {number(designed['h1_n_per_m'], 'N/m')}"
-        return f"Not tried: {law} was designed, but not tried on the device{why}{lands}."
-    if after["holds"]:
-        tried = (
-            f"{number(designed['h1_n_per_m'], 'N/m')} were tried on the"
-            f" device{f', {stopped}' if stopped else ''}"
-        )
-        return f"The law holds: {tried}, {edge_in_words(after)}{lands}."
-    rested = after["stiffest_at_rest_n_per_m"]
+        return f"Not tried: a law of {law} was designed, but not tried on the device{why}{falls}."
+    if after.holds:
+        tried = f"{law} were tried on the device{f', {stopped}' if stopped else ''}"
+        return f"The law holds: {tried}, {edge_in_words(after)}{falls}."
+    rested = after.stiffest_at_rest_n_per_m
     softer = (
         "nothing softer came to rest either"
         if rested is None
         else f"it came to rest up to {number(rested, 'N/m')}"
     )
-    if not after.get("complete", after["edge_factor"] is not None or not stopped):
-        law = number(designed["h1_n_per_m"], "N/m")
+    if not after.complete:
         return (
-            f"Not verified: {stopped or after['ended']}; {softer}, the law has {law}. Nothing was"
+            f"Not verified: {stopped or after.ended}; {softer}, the law has {law}. Nothing was"
             " delivered."
         )
-    return f"The law does NOT hold: {after['ended']}; {softer}. Nothing was delivered."
+    return f"The law does NOT hold: {after.ended}; {softer}. Nothing was delivered."
 
 
-def edge_in_words(after: Mapping[str, Any]) -> str:
+def edge_in_words(after: VerifiedStep) -> str:
     """Describe the edge: its lower end if the interval is within 5 %, else the interval."""
-    ends, edge = after["edge_by_poles_between_n_per_m"], after["edge_by_poles_h1_n_per_m"]
+    ends, edge = after.edge_by_poles_between_n_per_m, after.edge_by_poles_h1_n_per_m
     if ends is None:
-        return f"no edge was found up to {number(after['stiffest_at_rest_n_per_m'] or 0.0, 'N/m')}"
+        return f"no edge was found up to {number(after.stiffest_at_rest_n_per_m or 0.0, 'N/m')}"
     between = f"between {number(ends[0])} and {number(ends[1], 'N/m')}"
     return (
         f"its edge lies {between}"

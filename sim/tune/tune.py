@@ -7,40 +7,40 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from messages.errors import RefusedError, UsageError
+from messages.errors import RefusedError
 from nodes.client import launches
 from sim.identify.pushing import identify_running
-from sim.studies.result import StudyResult
-from sim.tune.session import Tuning
+from sim.studies.device_options import refuse_taps
+from sim.studies.result import StudyResult, plain
 from sim.tune.tune_options import STEPS, TuneOptions
 
 if TYPE_CHECKING:
     from sim.identify.identified import Identified
+    from sim.tune.record import TuneRecord
 
 
 @dataclass(frozen=True, repr=False)
 class TuneResult(StudyResult):
     """Results of a tuning and its files."""
 
-    record: dict[str, Any]  # result of each step, by name
+    record: TuneRecord  # what each step found
     files: dict[str, str]  # written files
-    came_through: bool  # whether no law was tried, or the law holds
     interrupted: int = 0
 
     @property
     def refused(self) -> str:
         """Return why a step was refused; else empty."""
-        return str(self.record.get("refused", ""))
+        return self.record.refused
 
     @property
     def held(self) -> bool:
-        """Return whether every step was done and the law holds."""
-        return self.came_through and not self.refused
+        """Return whether every step was done and the law holds, if one was tried."""
+        return self.record.came_through() and not self.refused
 
     @property
     def answer(self) -> dict[str, Any]:
         """Return the figures by name."""
-        return self.record | {"files": self.files}
+        return {**plain(self.record), "files": self.files}
 
     @property
     def text(self) -> str:
@@ -53,31 +53,16 @@ class TuneResult(StudyResult):
 def tune(options: TuneOptions) -> TuneResult:
     """Run the steps of a tuning; the device is left safe and results are written in all cases.
 
-    Parameters
-    ----------
-    options : TuneOptions
-        The launch, the steps, the law's length and its demands.
-
-    Returns
-    -------
-    TuneResult
-        The result of each step; a refusal of a step is part of it.
-
-    Raises
-    ------
-    messages.errors.UsageError
-        For incompatible options.
+    The refusal of a step is part of the result; incompatible options raise UsageError.
     """
-    if not 1 <= options.taps <= 12:
-        raise UsageError(
-            f"--taps {options.taps}: between 1 and 12; the search is over each of them"
-        )
+    refuse_taps(options.taps)
     options.excitation()
     options.out.mkdir(parents=True, exist_ok=True)
     from sim.identify.borrowed import PushedLaunch
     from sim.measure.haptic_commands import MeasurementError
     from sim.measure.interrupts import interrupted_once, undisturbed
     from sim.measure.measured_launch import launched
+    from sim.tune.session import Tuning
 
     places, run_name = options.places or [0.0], options.run_name
 
@@ -88,17 +73,12 @@ def tune(options: TuneOptions) -> TuneResult:
 
     steps = [name for name in STEPS if name in options.steps]
     tuning = Tuning(
-        options,
-        lambda: PushedLaunch(launches.find(run_name)),
-        identified,
-        options.say,
-        "identify" in steps,
+        options, lambda: PushedLaunch(launches.find(run_name)), identified, "identify" in steps
     )
-    live = {"identify", "apply", "verify"} & set(steps)
     number, now = 0, ""
     with interrupted_once() as signalled, contextlib.ExitStack() as held:
         try:
-            if live and options.scenario:
+            if options.scenario and {"identify", "apply", "verify"} & set(steps):
                 options.say(f"starting {options.scenario} ...")
                 words = (*options.assignments, "duration:=0")
                 run_name = held.enter_context(launched(options.scenario, *words)).run
@@ -108,10 +88,10 @@ def tune(options: TuneOptions) -> TuneResult:
                 tuning.keep()
             now = ""
         except KeyboardInterrupt:
-            tuning.record["interrupted"] = now or "the start"
+            tuning.record.interrupted = now or "the start"
             number = signalled() or 2
         except (RefusedError, ValueError, MeasurementError) as error:
-            tuning.record["refused"] = str(error)
+            tuning.record.refused = str(error)
         finally:
             with undisturbed():
                 tuning.keep()
@@ -119,4 +99,4 @@ def tune(options: TuneOptions) -> TuneResult:
                 held.close()
                 tuning.write()
     options.say("")
-    return TuneResult(tuning.record, tuning.files, tuning.came_through, number)
+    return TuneResult(tuning.record, tuning.files, number)

@@ -23,12 +23,14 @@ from nodes.recording.figure_style import (
     styled,
     threshold,
 )
-from sim.identify.identified_text import ROWS, from_figures
+from sim.identify.identified_text import ROWS
 from sim.tune.knocking import LEFT
-from sim.tune.tuning_text import SECTIONS, TextRow, number
+from sim.tune.tuning_text import TextRow, number, sections
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from sim.tune.record import TuneRecord
 
 
 STYLE = (
@@ -47,35 +49,30 @@ STYLE = (
 READ_IN = {"m": ("µm", 1e6), "s": ("ms", 1e3)}
 
 
-def page(record: Mapping[str, Any]) -> str:
+def page(record: TuneRecord) -> str:
     """Return a tuning as a self-contained HTML page."""
-    holds = " holds" if record.get("verified", {}).get("holds") else ""
+    holds = " holds" if record.verified is not None and record.verified.holds else ""
     parts = [
         "<h1>From a device to its law</h1><p"
-        f' class="verdict{holds}"><b>{_plain(record["headline"])}</b></p>'
+        f' class="verdict{holds}"><b>{_plain(record.headline)}</b></p>'
     ]
-    by = [
-        ("device", record.get("device")),
-        ("date", record.get("date")),
-        ("command", record.get("command")),
-    ]
+    by = [("device", record.device), ("date", record.date), ("command", record.command)]
     parts.append(
         '<p class="by">'
         + "<br>".join(f"{name}: {_plain(value)}" for name, value in by if value)
         + "</p>"
     )
-    if record.get("interrupted"):
+    if record.interrupted:
         parts.append(
-            f"<p><b>Interrupted during {_plain(record['interrupted'])}</b>: the report covers "
+            f"<p><b>Interrupted during {_plain(record.interrupted)}</b>: the report covers "
             "the steps done.</p>"
         )
-    if record.get("not_put_back"):
-        parts.append(f"<p><b>Not restored</b>: {_plain(record['not_put_back'])}</p>")
-    if "identified" in record:
-        parts += ["<h2>The device</h2>", _device(record["identified"])]
-    for title, key, rows in SECTIONS:
-        if key in record:
-            parts += [f"<h2>{title}</h2>", _table(rows(record[key]))]
+    if record.not_put_back:
+        parts.append(f"<p><b>Not restored</b>: {_plain(record.not_put_back)}</p>")
+    if record.identified is not None:
+        parts += ["<h2>The device</h2>", _device(record.identified.as_json())]
+    for title, rows in sections(record):
+        parts += [f"<h2>{title}</h2>", _table(rows)]
     parts += [
         f'<img alt="{name}" src="data:image/png;base64,{picture}">'
         for name, picture in pictures(record)
@@ -112,7 +109,7 @@ def _device(record: Mapping[str, Any]) -> str:
     lines = ["<tr><th></th><th>value</th><th>95 % interval</th><th></th></tr>"]
     for key, _, name, unit in ROWS:
         one = record.get(key)
-        # Absent in a record of an earlier version; most sensors do not average.
+        # Most sensors do not average.
         if one is None or (key == "sensor_average" and not one["value"]):
             continue
         if one["value"] is None:
@@ -148,7 +145,7 @@ WINDOWS = 8  # windows of the recording in the picture of the fit
 FALL = 0.8  # drawn duration of a fall on the wall [s]
 
 
-def pictures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+def pictures(record: TuneRecord) -> list[tuple[str, str]]:
     """Draw the pictures of a record; return title and base64 PNG of each."""
     drawn = {
         "the model against the recording": _fit,
@@ -166,20 +163,20 @@ def _encoded(figure: Figure) -> str:
 
 
 @styled
-def _fit(record: Mapping[str, Any]) -> Figure | None:
+def _fit(record: TuneRecord) -> Figure | None:
     """Draw the first windows of the recording, the model from each start, and the residual."""
-    identified = record.get("identified")
-    if identified is None or identified["mass_kg"]["value"] is None:
+    identified = record.identified
+    if identified is None or identified.found.mass.value is None:
         return None
     from sim.identify.experiment import read
     from sim.identify.identify import followed
 
     try:
-        experiment = read(Path(identified["recording"]), identified["axis"])
+        experiment = read(Path(identified.recording), identified.found.axis)
     except (HapticError, ValueError, OSError):
         # Removed or moved since: the report covers what still exists.
         return None
-    starts, positions = followed(experiment, from_figures(identified).anyway(), WINDOWS)
+    starts, positions = followed(experiment, identified.found.anyway(), WINDOWS)
     figure = new_figure(8.0, 4.4)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.0, 1.0))
     for k, (start, modelled) in enumerate(zip(starts.tolist(), positions, strict=True)):
@@ -197,7 +194,7 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
         bottom.plot(time, 1e6 * (recorded - modelled), color=COLOURS[1], ls="-", lw=0.8)
     top.set(ylabel="position  [mm]", title="the model against the recording, window by window")
     bottom.set(ylabel="residual  [µm]", xlabel="time  [s]")
-    step = identified["encoder_m"]["value"]
+    step = identified.found.encoder.value
     if step:
         low, high = bottom.get_ylim()
         bottom.set_ylim(min(low, -0.8e6 * step), max(high, 1.2e6 * step))
@@ -208,29 +205,28 @@ def _fit(record: Mapping[str, Any]) -> Figure | None:
 
 
 @styled
-def _felt(record: Mapping[str, Any]) -> Figure | None:
+def _felt(record: TuneRecord) -> Figure | None:
     """Draw force over depth for a drop of the identified device, and the static stiffness."""
-    if "designed" not in record or "identified" not in record:
+    if record.designed is None or record.identified is None:
         return None
     from nodes.laws import CompiledLaw
     from sim.design.fall import fallen
     from sim.design.landing import HEIGHTS
 
-    designed, found = record["designed"], from_figures(record["identified"]).anyway()
+    designed, found = record.designed, record.identified.found.anyway()
     if None in (found.mass.value, found.damping.value, found.delay.value):
         return None
     # The dropped device is not held.
     plant = replace(found.plant(), stiffness=0.0)
     ticks = round(FALL / found.period)
-    position, force = fallen(
-        plant, found.period, CompiledLaw(tuple(designed["taps_n_per_m"])), HEIGHTS[0], ticks
-    )
+    law = CompiledLaw(designed.taps_n_per_m)
+    position, force = fallen(plant, found.period, law, HEIGHTS[0], ticks)
     depth = -1e3 * position
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     axes.plot(depth, force, color=COLOURS[0], ls="-", lw=1.0, label="a fall from 10 mm")
     most = max(float(depth.max()), 0.1)
-    h1 = designed["h1_n_per_m"]
+    h1 = designed.h1_n_per_m
     axes.plot(
         [0.0, most],
         [0.0, 1e-3 * most * h1],
@@ -250,25 +246,25 @@ def _felt(record: Mapping[str, Any]) -> Figure | None:
 
 
 @styled
-def _knocks(record: Mapping[str, Any]) -> Figure | None:
+def _knocks(record: TuneRecord) -> Figure | None:
     """Draw the motion left after each knock over the stiffness; None without knocks."""
-    if "predicted" not in record:
+    if record.predicted is None or record.predicted_steps is None:
         return None
-    h1 = record["predicted"]["h1_n_per_m"]
+    h1 = record.predicted.h1_n_per_m
     figure = new_figure(8.0, 3.6)
     axes = figure.subplots()
     runs = (
-        ("predicted", record["predicted_steps"]["steps"]),
-        ("measured", record.get("verified", {}).get("steps")),
+        ("predicted", record.predicted_steps.steps),
+        ("measured", () if record.verified is None else record.verified.steps),
     )
     for k, (name, steps) in enumerate(runs):
         if steps:
-            stiffness = [h1 * step["factor"] for step in steps]
+            stiffness = [h1 * step.factor for step in steps]
             look: Any = {"color": COLOURS[k], "ls": LINES[k], "marker": MARKERS[k], "label": name}
-            axes.plot(stiffness, [max(step["left"], 1e-3) for step in steps], **look)
+            axes.plot(stiffness, [max(step.left, 1e-3) for step in steps], **look)
     axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="motion left / knock  [1]")
     axes.set_title("motion left after each knock's window")
-    edge = record["predicted"]["edge_linear_h1_n_per_m"]
+    edge = record.predicted.edge_linear_h1_n_per_m
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, 0.8 * h1), 1.25 * max(high, edge))
     threshold(axes, LEFT, f"{LEFT:g}: above, not at rest")

@@ -32,7 +32,8 @@ from sim.measure.haptic_commands import HAPTIC
 from sim.measure.measured_launch import Running, machine, responses_in
 from sim.measure.stopwatch import Progress
 
-BROWSER = [
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chromium-headless-shell")
+OPTIONS = [
     "--no-sandbox",
     "--disable-gpu",
     "--no-first-run",
@@ -222,11 +223,7 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
 @contextlib.contextmanager
 def browsing() -> Iterator[Any]:
     """Run a browser for the length of a with block."""
-    path = (
-        shutil.which("chromium")
-        or shutil.which("chromium-browser")
-        or shutil.which("google-chrome")
-    )
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
@@ -234,7 +231,7 @@ def browsing() -> Iterator[Any]:
     if path is None:
         raise UsageError("bench view: needs a browser; apt install chromium")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=BROWSER)
+        browser = playwright.chromium.launch(executable_path=path, args=OPTIONS)
         try:
             yield browser
         finally:
@@ -244,22 +241,14 @@ def browsing() -> Iterator[Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     if arguments.pictures is not None:
-        idle(
-            arguments,
-            "--pictures measures nothing",
-            "rounds",
-            "seconds",
-            "rate",
-            "picture",
-            "minutes",
-        )
+        unused = ("rounds", "seconds", "rate", "picture", "minutes")
+        idle(arguments, "--pictures measures nothing", *unused)
         with browsing() as browser:
             taken = take(
                 browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True)
             )
-        return report(
-            arguments, {"pictures": [str(path) for path in taken]}, [str(path) for path in taken]
-        )
+        paths = [str(path) for path in taken]
+        return report(arguments, {"pictures": paths}, paths)
     progress, load = Progress(2 * arguments.rounds), [os.getloadavg()[0]]
     figures = loop_cost(
         arguments.rounds, arguments.seconds, arguments.rate, progress, arguments.picture
@@ -270,8 +259,13 @@ def run(arguments: argparse.Namespace) -> int:
         "machine": machine(),
         "load_1min": load,
     }
+    return report(arguments, figures, _text(figures, arguments.minutes))
+
+
+def _text(figures: dict[str, Any], minutes: float) -> list[str]:
+    before, after = figures["load_1min"]
     lines = [
-        f"{figures['machine']}; load {load[0]:.1f} before, {load[1]:.1f} after, this one's own"
+        f"{figures['machine']}; load {before:.1f} before, {after:.1f} after, this one's own"
         " included"
     ]
     for label, text in (
@@ -289,16 +283,14 @@ def run(arguments: argparse.Namespace) -> int:
         f" {figures['p50_spread']:.2f}), p99 {figures['p99_ratio']:.2f}"
         f" ({figures['p99_spread']:.2f}); messages lost by the recording {figures['lost']}"
     )
-    kept, switch, hand = (
-        figures["memory"],
-        figures["switch_s"] * 1e3,
-        figures["hand_to_picture_s"] * 1e3,
+    kept = figures["memory"]
+    switch, hand, force = (
+        1e3 * figures[name] for name in ("switch_s", "hand_to_picture_s", "hand_to_force_s")
     )
-    force = figures["hand_to_force_s"] * 1e3
     lines.append(
         f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the"
         f" force {force:.0f} ms, to the picture {hand:.0f} ms; a switch is shown in {switch:.0f}"
         f" ms; memory {kept['after_one_minute_mb']:.1f} MB after one minute,"
-        f" {kept['at_the_end_mb']:.1f} MB after {arguments.minutes:g}"
+        f" {kept['at_the_end_mb']:.1f} MB after {minutes:g}"
     )
-    return report(arguments, figures, lines)
+    return lines

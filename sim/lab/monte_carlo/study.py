@@ -1,8 +1,9 @@
 """Monte Carlo: identify and tune random devices and compare with the truth."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -93,48 +94,91 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
     return result
 
 
-def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ParameterCoverage:
+    """How often the interval of one parameter contains the truth."""
+
+    told: int  # devices with a value
+    cannot_tell: int
+    coverage: float | None  # fraction of the intervals; None without any
+    median_error: float | None
+    median_relative_error: float | None
+
+
+@dataclass(frozen=True)
+class TunedCoverage:
+    """Laws tuned for the estimates, against those for the true device and tuned PD."""
+
+    laws: int
+    unstable: int  # on the true device
+    of_known_min: float
+    of_known_median: float
+    of_known_at_least_90_percent: float
+    of_pd_min: float
+    of_pd_median: float
+    of_pd_at_least_1_2: float
+
+
+@dataclass(frozen=True)
+class Population:
+    """Counts over identified devices."""
+
+    devices: int
+    refused: int
+    parameters: dict[str, ParameterCoverage]
+    residual_steps_median: float
+    tuned: TunedCoverage | None  # None: no laws were tuned
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> Population:
     """Count the results of a population."""
-    refused = sum(row["refuted"] for row in rows)
-    result: dict[str, Any] = {"devices": len(rows), "refused": refused, "parameters": {}}
-    for name in PARAMETERS:
-        known = [row[name] for row in rows if row[name]["value"] is not None]
-        if name == "stiffness":
-            known = [one for one in known if one["truth"] > 0.0]
-        holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
-        errors = [abs(one["value"] - one["truth"]) for one in known]
-        relative = [
-            e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0
-        ]
-        result["parameters"][name] = {
-            "told": len(known),
-            "cannot_tell": sum(row[name]["value"] is None for row in rows),
-            "coverage": sum(holds) / len(known) if known else None,
-            "median_error": float(np.median(errors)) if errors else None,
-            "median_relative_error": float(np.median(relative)) if relative else None,
-        }
-    result["residual_steps_median"] = float(np.median([row["residual_steps"] for row in rows]))
     laws = [row["tuned"] for row in rows if row.get("tuned") and row["tuned"].get("tuned")]
-    if laws:
-        both = [law for law in laws if law["known"]]
-        share = [law["tuned"]["h1_n_per_m"] / law["known"]["h1_n_per_m"] for law in both]
-        gain = [law["tuned"]["h1_n_per_m"] / law["pd"]["h1_n_per_m"] for law in laws if law["pd"]]
-        result["tuned"] = {
-            "laws": len(laws),
-            "unstable": sum(not law["tuned"]["radius"] < 1.0 for law in laws),
-        }
-        for name, values, beyond, least in (
-            ("known", share, "90_percent", 0.9),
-            ("pd", gain, "1_2", 1.2),
-        ):
-            result["tuned"] |= {
-                f"of_{name}_min": min(values, default=math.nan),
-                f"of_{name}_median": float(np.median(values)),
-            }
-            result["tuned"][f"of_{name}_at_least_{beyond}"] = sum(
-                value >= least for value in values
-            ) / len(values)
-    return result
+    return Population(
+        devices=len(rows),
+        refused=sum(row["refuted"] for row in rows),
+        parameters={name: _covered(rows, name) for name in PARAMETERS},
+        residual_steps_median=float(np.median([row["residual_steps"] for row in rows])),
+        tuned=_compared(laws) if laws else None,
+    )
+
+
+def _covered(rows: Sequence[Mapping[str, Any]], name: str) -> ParameterCoverage:
+    known = [row[name] for row in rows if row[name]["value"] is not None]
+    if name == "stiffness":
+        known = [one for one in known if one["truth"] > 0.0]
+    holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
+    errors = [abs(one["value"] - one["truth"]) for one in known]
+    relative = [
+        e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0
+    ]
+    return ParameterCoverage(
+        told=len(known),
+        cannot_tell=sum(row[name]["value"] is None for row in rows),
+        coverage=sum(holds) / len(known) if known else None,
+        median_error=float(np.median(errors)) if errors else None,
+        median_relative_error=float(np.median(relative)) if relative else None,
+    )
+
+
+def _compared(laws: Sequence[Mapping[str, Any]]) -> TunedCoverage:
+    def over(other: str) -> list[float]:
+        both = [law for law in laws if law[other]]
+        return [law["tuned"]["h1_n_per_m"] / law[other]["h1_n_per_m"] for law in both]
+
+    def least(values: list[float], limit: float) -> float:
+        return sum(value >= limit for value in values) / len(values) if values else math.nan
+
+    known, pd = over("known"), over("pd")
+    return TunedCoverage(
+        laws=len(laws),
+        unstable=sum(not law["tuned"]["radius"] < 1.0 for law in laws),
+        of_known_min=min(known, default=math.nan),
+        of_known_median=float(np.median(known)) if known else math.nan,
+        of_known_at_least_90_percent=least(known, 0.9),
+        of_pd_min=min(pd, default=math.nan),
+        of_pd_median=float(np.median(pd)) if pd else math.nan,
+        of_pd_at_least_1_2=least(pd, 1.2),
+    )
 
 
 # half-widths of a 95 % interval beyond which an estimate is false certainty; by chance this
@@ -261,45 +305,67 @@ def outcome(row: Mapping[str, Any]) -> str:
     return "richer" if set(row["terms"]) - {"sampling jitter"} else "rigid"
 
 
-def summary_outside(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class KindCount:
+    """Outcomes of the devices of one kind, or of all."""
+
+    devices: int
+    rigid: int
+    richer: int
+    reported: int
+    refused: int
+    false: int  # devices with a false result
+    named: int  # identified as their true kind
+    intervals: int
+    missed: int  # intervals that miss the truth
+    false_of: tuple[str, ...]  # quantities with false results
+    good: int  # devices whose fit has K_max within `GOOD`
+    needless: int  # of these, refused
+
+
+@dataclass(frozen=True)
+class OutsidePopulation:
+    """Counts over devices that are not rigid, in total and kind by kind."""
+
+    total: KindCount
+    kinds: dict[str, KindCount]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures, the counts of all kinds at the top level."""
+        figures = asdict(self)
+        total = figures.pop("total")
+        named = ("rigid", "richer", "false_of")
+        return {name: one for name, one in total.items() if name not in named} | figures
+
+
+def summary_outside(rows: Sequence[Mapping[str, Any]]) -> OutsidePopulation:
     """Count the results of a population, kind by kind."""
+    of = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
+    kinds = {kind: _counted(some) for kind, some in of.items() if some}
+    return OutsidePopulation(_counted(rows), kinds)
+
+
+def _counted(of: Sequence[Mapping[str, Any]]) -> KindCount:
     labels = {name: label.strip() for _, name, label, _ in ROWS}
-    result: dict[str, Any] = {"devices": len(rows), "kinds": {}}
-    for kind in [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]:
-        of = [row for row in rows if row["kind"] == kind]
-        offs = [off for row in of for off in row["off"].values()]
-        result["kinds"][kind] = {
-            "devices": len(of),
-            **{
-                word: sum(outcome(row) == word for row in of)
-                for word in ("rigid", "richer", "reported", "refused", "false")
-            },
-            "named": sum(named(row) for row in of),
-            "intervals": len(offs),
-            "missed": sum(off > 1.0 for off in offs),
-            "false_of": sorted(
-                {labels[name] for row in of for name, off in row["off"].items() if off > FAR}
-                | {
-                    "K_max"
-                    for row in of
-                    if not row["refuted"] and (row["k_max_off"] or 0.0) > WRONG
-                }
-            ),
-            "good": sum(_good(row) for row in of),
-            "needless": sum(_good(row) and row["refuted"] for row in of),
-        }
-    for word in (
-        "reported",
-        "refused",
-        "false",
-        "named",
-        "intervals",
-        "missed",
-        "good",
-        "needless",
-    ):
-        result[word] = sum(one[word] for one in result["kinds"].values())
-    return result
+    offs = [(name, off) for row in of for name, off in row["off"].items()]
+    far = {labels[name] for name, off in offs if off > FAR}
+    if any(not row["refuted"] and (row["k_max_off"] or 0.0) > WRONG for row in of):
+        far.add("K_max")
+    words = Counter(map(outcome, of))
+    return KindCount(
+        devices=len(of),
+        rigid=words["rigid"],
+        richer=words["richer"],
+        reported=words["reported"],
+        refused=words["refused"],
+        false=words["false"],
+        named=sum(map(named, of)),
+        intervals=len(offs),
+        missed=sum(off > 1.0 for _, off in offs),
+        false_of=tuple(sorted(far)),
+        good=sum(map(_good, of)),
+        needless=sum(_good(row) and row["refuted"] for row in of),
+    )
 
 
 def _good(row: Mapping[str, Any]) -> bool:

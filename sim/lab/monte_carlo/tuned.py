@@ -6,7 +6,7 @@ The judge knows the device, including joint and lag, and computes the poles of i
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -48,20 +48,21 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
         row["h1_n_per_m"], row["taps_n_per_m"] = compiled.h1, list(compiled.taps)
         if risk := remainder_refusal(compiled, found):
             return row | {"stopped": f"refused: {risk}"}
-        figures, _, plan = predict(compiled, asked, found, PEAK, None)
+        figures, planned = predict(compiled, asked, found, PEAK, None)
     except ValueError as error:
         return row | {"stopped": str(error)}
-    verdict = verified(figures, climb(plan, knocks(device, compiled, figures["knock_m"], period)))
+    trials = knocks(device, compiled, figures.knock_m, period)
+    verdict = verified(figures, climb(planned.plan, trials))
     row |= {
-        "holds": verdict["holds"],
-        "delivered": verdict["holds"],
-        "edge_n_per_m": verdict["edge_by_poles_h1_n_per_m"],
-        "edge_between_n_per_m": verdict["edge_by_poles_between_n_per_m"],
-        "predicted_edge_n_per_m": figures["edge_linear_h1_n_per_m"],
+        "holds": verdict.holds,
+        "delivered": verdict.holds,
+        "edge_n_per_m": verdict.edge_by_poles_h1_n_per_m,
+        "edge_between_n_per_m": verdict.edge_by_poles_between_n_per_m,
+        "predicted_edge_n_per_m": figures.edge_linear_h1_n_per_m,
         "true_radius": true_radius(compiled, device, period),
         "true_edge_n_per_m": true_edge(compiled, device, period),
-        "knocks": len(verdict["steps"]),
-        "ended": verdict["ended"],
+        "knocks": len(verdict.steps),
+        "ended": verdict.ended,
     }
     return row
 
@@ -119,7 +120,31 @@ def true_edge(law: CompiledLaw, device: NonidealDevice, period: float) -> float 
     return low * law.h1
 
 
-def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class TunedPopulation:
+    """Delivered laws of a population, and the wrong ones."""
+
+    devices: int
+    refused: int
+    tried: int  # laws tried
+    unstable_laws_designed: int  # of these, unstable on the true device
+    delivered: int
+    delivered_unstable: int
+    edges: int  # edges reported as one value
+    edge_error_largest: float | None  # relative
+    edges_within_5_percent: int
+    intervals: int  # edges reported as an interval
+    intervals_that_hold_the_edge: int
+
+    @property
+    def held(self) -> bool:
+        """Whether no unstable law was delivered and all reported edges are true."""
+        missed = self.edges - self.edges_within_5_percent
+        missed += self.intervals - self.intervals_that_hold_the_edge
+        return not self.delivered_unstable and not missed
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> TunedPopulation:
     """Count the delivered laws and the wrong ones."""
     tried = [row for row in rows if row["holds"] is not None]
     judged = [row for row in tried if row["edge_between_n_per_m"] and row["true_edge_n_per_m"]]
@@ -133,16 +158,16 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         for row in judged
         for low, high in [row["edge_between_n_per_m"]]
     ]
-    return {
-        "devices": len(rows),
-        "refused": sum(bool(row["refuted"]) for row in rows),
-        "tried": len(tried),
-        "unstable_laws_designed": sum(row["true_radius"] >= 1.0 for row in tried),
-        "delivered": sum(row["delivered"] for row in rows),
-        "delivered_unstable": sum(row["delivered"] and row["true_radius"] >= 1.0 for row in tried),
-        "edges": len(edges),
-        "edge_error_largest": max(map(abs, edges), default=None),
-        "edges_within_5_percent": sum(abs(error) <= 0.05 for error in edges),
-        "intervals": len(inside),
-        "intervals_that_hold_the_edge": sum(inside),
-    }
+    return TunedPopulation(
+        devices=len(rows),
+        refused=sum(bool(row["refuted"]) for row in rows),
+        tried=len(tried),
+        unstable_laws_designed=sum(row["true_radius"] >= 1.0 for row in tried),
+        delivered=sum(row["delivered"] for row in rows),
+        delivered_unstable=sum(row["delivered"] and row["true_radius"] >= 1.0 for row in tried),
+        edges=len(edges),
+        edge_error_largest=max(map(abs, edges), default=None),
+        edges_within_5_percent=sum(abs(error) <= 0.05 for error in edges),
+        intervals=len(inside),
+        intervals_that_hold_the_edge=sum(inside),
+    )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.recording.figure_style import save_figure
 from sim.results import fresh
+from sim.studies.result import Findings, at_top, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,12 +42,32 @@ def table(claims: Sequence[Claim]) -> str:
     )
 
 
+@dataclass(frozen=True, repr=False, kw_only=True)
+class PaperFigure(Findings):
+    """A figure of the paper with its claims, and the files of both."""
+
+    # as they stand in the file of data
+    curves: Mapping[str, Any] = at_top()
+    claims: Sequence[Claim]
+    data: Path
+
+    @property
+    def text(self) -> str:
+        """Text for the terminal."""
+        return "\n".join([*self.lines, str(self.picture), str(self.data)])
+
+
 def save(
-    name: str, figures: Mapping[str, Any], claims: Sequence[Claim], picture: Figure, folder: Path
-) -> dict[str, Any]:
+    name: str,
+    lines: Sequence[str],
+    figures: Mapping[str, Any],
+    claims: Sequence[Claim],
+    picture: Figure,
+    folder: Path,
+) -> PaperFigure:
     """Write a study's data and picture."""
     plot, data = folder / f"{name}.png", fresh(folder / f"{name}.json")
     save_figure(picture, plot, fresh)
-    whole = {**figures, "claims": [asdict(claim) for claim in claims]}
+    whole = plain({**figures, "claims": claims})
     data.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")
-    return {**whole, "plot": str(plot), "data": str(data)}
+    return PaperFigure(lines=lines, curves=figures, claims=claims, data=data, picture=plot)

@@ -16,7 +16,7 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
-from nodes.stability.every_delay import every_delay
+from nodes.stability.every_delay import Certificate, every_delay
 from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
@@ -169,13 +169,13 @@ def jitter() -> BeyondEdge:
         middle = 0.5 * (low + high)
         low, high = (
             (low, middle)
-            if every_delay(_pd(middle, gain), plant, delays).stable is False
+            if every_delay(_pd(middle, gain), plant, delays).stable is Certificate.UNSTABLE
             else (middle, high)
         )
     outer = _pd(high * (1.0 + margin), gain)
     worst = every_delay(outer, plant, delays).growing
     inner = _pd(high * (1.0 - margin), gain)
-    certified = every_delay(inner, plant, delays).stable is True
+    certified = bool(every_delay(inner, plant, delays).stable)
     sides = certified and not _grows(inner, plant, worst), not _grows(outer, plant, worst)
     return BeyondEdge(
         "a delay of 0.5 to 1 ticks",

@@ -13,7 +13,7 @@ from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, ProgressStep, option
 from sim.measure.jobs import Runner
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
@@ -36,14 +36,34 @@ class ChartOptions(SpreadOptions, FileOptions):
     quick: bool = option(action="store_true", help="fewer lengths, rates and rounds: a first look")
 
 
-def chart(options: ChartOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ChartFound(Findings):
+    """Speed against accuracy: groups of points, conclusions and files."""
+
+    groups: list[Group]
+    machine: dict[str, Any]
+    duration_s: float
+    conclusions: list[str]
+    page: Path
+    failures: list[str]  # parts that are missing, and why
+    files: list[Path]
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """Figures by name, all points in one table."""
+        from sim.lab.charts.points import as_json
+
+        return super().answer | as_json(self.groups, self.machine, self.duration_s)
+
+
+def chart(options: ChartOptions) -> ChartFound:
     """Measure, save and draw the chart."""
     parts = [part for part in options.parts.split(",") if part]
     for part in parts:
         if part not in PARTS:
             raise UsageError(f"--parts {part}: no such part; choose from {', '.join(PARTS)}")
     from sim.lab.charts.chart_page import conclusions, draw, page
-    from sim.lab.charts.points import as_json, save
+    from sim.lab.charts.points import save
     from sim.measure.stopwatch import machine
 
     start = time.monotonic()
@@ -63,13 +83,17 @@ def chart(options: ChartOptions) -> Answer:
     read = fresh(options.out / "chart.md")
     read.write_text(page(groups, where, seconds))
     lines = conclusions(groups)
-    figures = as_json(groups, where, seconds) | {
-        "conclusions": lines,
-        "page": str(read),
-        "failures": failures,
-    }
-    figures["files"] = [*map(str, files)]
-    return answered(figures, [*lines, *failures, f"{read} ({seconds:.0f} s)"], held=not failures)
+    return ChartFound(
+        lines=[*lines, *failures, f"{read} ({seconds:.0f} s)"],
+        held=not failures,
+        groups=groups,
+        machine=where,
+        duration_s=round(seconds, 1),
+        conclusions=lines,
+        page=read,
+        failures=failures,
+        files=files,
+    )
 
 
 def _measured(

@@ -1,17 +1,22 @@
 """Identify and tune hundreds of random devices; check intervals and laws."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import COUNT, SECONDS, SEED
 from nodes.recording.figure_style import COLOURS, INK, new_figure, save_figure, styled, threshold
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings, at_top
 from sim.studies.sweeps import SweepOptions, swept
+
+if TYPE_CHECKING:
+    from sim.lab.monte_carlo.study import OutsidePopulation, Population
 
 WANTED = 0.90  # minimum coverage of a 95 % interval
 
@@ -35,7 +40,14 @@ class CoverageOptions(SweepOptions, FileOptions):
     )
 
 
-def coverage(options: CoverageOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class CoverageFound(Findings):
+    """How often the intervals of a population contain the truth, and how good its laws are."""
+
+    found: Population | OutsidePopulation = at_top()
+
+
+def coverage(options: CoverageOptions) -> CoverageFound:
     """Sweep over the devices."""
     from sim.lab.monte_carlo.study import study_device, summary
 
@@ -47,15 +59,17 @@ def coverage(options: CoverageOptions) -> Answer:
     ]
     rows, ledger = swept(options, study_device, jobs, "coverage", 1 if options.tune else 8)
     found = summary(rows)
-    kept = all(
-        _kept(one["coverage"], one["told"]) for one in found["parameters"].values() if one["told"]
+    kept = all(_kept(one.coverage, one.told) for one in found.parameters.values())
+    return CoverageFound(
+        lines=_text(found),
+        held=kept and not (found.tuned and found.tuned.unstable),
+        found=found,
+        ledger=ledger,
+        picture=draw(options.out / "coverage.png", rows),
     )
-    held = kept and not found.get("tuned", {}).get("unstable")
-    picture = draw(options.out / "coverage.png", rows)
-    return answered(found, _text(found), ledger=ledger, plot=picture, held=held)
 
 
-def _outside(options: CoverageOptions) -> Answer:
+def _outside(options: CoverageOptions) -> CoverageFound:
     """Sweep over devices that are not rigid."""
     from scipy.stats import binom
 
@@ -76,21 +90,22 @@ def _outside(options: CoverageOptions) -> Answer:
         f"{'kind':18} {'devices':>7} {'rigid':>6} {'richer':>7} {'reported':>9} {'refused':>8}"
         f" {'needless':>9} {'false':>6} {'named':>6}  intervals missed"
     ]
-    for kind, one in found["kinds"].items():
-        wrong = f"  false: {', '.join(one['false_of'])}" if one["false_of"] else ""
+    for kind, one in found.kinds.items():
+        wrong = f"  false: {', '.join(one.false_of)}" if one.false_of else ""
         lines.append(
-            f"{kind:18} {one['devices']:7d} {one['rigid']:6d} {one['richer']:7d}"
-            f" {one['reported']:9d} {one['refused']:8d} {one['needless']:9d} {one['false']:6d}"
-            f" {one['named']:6d}  {one['missed']} of {one['intervals']}{wrong}"
+            f"{kind:18} {one.devices:7d} {one.rigid:6d} {one.richer:7d}"
+            f" {one.reported:9d} {one.refused:8d} {one.needless:9d} {one.false:6d}"
+            f" {one.named:6d}  {one.missed} of {one.intervals}{wrong}"
         )
+    total = found.total
     lines.append(
-        f"{found['devices']} devices: something false of {found['false']}, {found['refused']}"
-        f" refused, {found['named']} named rightly; {found['missed']} of {found['intervals']} 95 %"
+        f"{total.devices} devices: something false of {total.false}, {total.refused}"
+        f" refused, {total.named} named rightly; {total.missed} of {total.intervals} 95 %"
         " intervals miss"
     )
     lines.append(
-        f"false certainty {_share(found['false'], found['devices'])}, at most {ALLOWED:.0%};"
-        f" needless refusals {_share(found['needless'], found['good'])} of the devices whose fit"
+        f"false certainty {_share(total.false, total.devices)}, at most {ALLOWED:.0%};"
+        f" needless refusals {_share(total.needless, total.good)} of the devices whose fit"
         f" has K_max within 1 %, at most {NEEDLESS:.0%}"
     )
 
@@ -98,48 +113,48 @@ def _outside(options: CoverageOptions) -> Answer:
         # More than allowed, beyond chance.
         return count <= allowed * of or bool(binom.sf(count - 1, of, allowed) >= 0.01)
 
-    held = kept(found["false"], found["devices"], ALLOWED) and kept(
-        found["needless"], found["good"], NEEDLESS
-    )
-    return answered(found, lines, ledger=ledger, held=held)
+    held = kept(total.false, total.devices, ALLOWED) and kept(total.needless, total.good, NEEDLESS)
+    return CoverageFound(lines=lines, held=held, found=found, ledger=ledger)
 
 
 def _share(count: int, of: int) -> str:
     return f"{count} of {of} ({count / of:.1%})" if of else "0 of 0"
 
 
-def _kept(coverage: float, devices: int) -> bool:
-    """Return whether the coverage is high enough.
+def _kept(coverage: float | None, devices: int) -> bool:
+    """Return whether the coverage is high enough; without devices it is.
 
     With few devices it may be low by chance, at most one time in a hundred.
     """
     from scipy.stats import binom
 
-    return coverage >= WANTED or bool(binom.cdf(round(coverage * devices), devices, 0.95) >= 0.01)
+    if coverage is None or coverage >= WANTED:
+        return True
+    return bool(binom.cdf(round(coverage * devices), devices, 0.95) >= 0.01)
 
 
-def _text(found: Mapping[str, Any]) -> list[str]:
+def _text(found: Population) -> list[str]:
     lines = [
         (
-            f"{found['devices']} devices, {found['refused']} refused, residual"
-            f" {found['residual_steps_median']:.3f} encoder steps (rounding: 0.289)"
+            f"{found.devices} devices, {found.refused} refused, residual"
+            f" {found.residual_steps_median:.3f} encoder steps (rounding: 0.289)"
         ),
         f"{'parameter':10} {'told':>5} {'cannot':>7} {'in 95 %':>8} {'median error':>13}",
     ]
-    for name, one in found["parameters"].items():
-        if one["told"]:
-            error = one["median_relative_error"]
+    for name, one in found.parameters.items():
+        if one.coverage is not None:
+            error = one.median_relative_error
             shown = "—" if error is None else f"{100 * error:.2g} %"
             lines.append(
-                f"{name:10} {one['told']:5d} {one['cannot_tell']:7d} {100 * one['coverage']:6.1f} %"
+                f"{name:10} {one.told:5d} {one.cannot_tell:7d} {100 * one.coverage:6.1f} %"
                 f" {shown:>13}"
             )
-    if tuned := found.get("tuned"):
+    if (tuned := found.tuned) is not None:
         lines.append(
-            f"{tuned['laws']} tuned laws, {tuned['unstable']} unstable; H(1) of the law for the"
-            f" true device: median {100 * tuned['of_known_median']:.1f} %, least"
-            f" {100 * tuned['of_known_min']:.1f} %; of PD tuned alike: median x"
-            f" {tuned['of_pd_median']:.2f}, least x {tuned['of_pd_min']:.2f}"
+            f"{tuned.laws} tuned laws, {tuned.unstable} unstable; H(1) of the law for the"
+            f" true device: median {100 * tuned.of_known_median:.1f} %, least"
+            f" {100 * tuned.of_known_min:.1f} %; of PD tuned alike: median x"
+            f" {tuned.of_pd_median:.2f}, least x {tuned.of_pd_min:.2f}"
         )
     return lines
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from argparse import ArgumentTypeError
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
 from nodes.launcher import launch_file
@@ -18,7 +18,7 @@ from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import not_negative, positive
 from nodes.recording import figure_style as style
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
@@ -46,7 +46,43 @@ class CurvedOptions(SpreadOptions, FileOptions):
     )
 
 
-def curved(options: CurvedOptions) -> Answer:
+@dataclass(frozen=True)
+class SlidingLimit:
+    """K_max of a sliding contact."""
+
+    speed_m_per_s: float
+    frame: str
+    k_max_n_per_m: float | None = None
+    over: float | None = None  # over that of one axis
+    beyond: str | None = None  # end of the search without a limit
+    growth_below: float | None = None  # of the ripple, of launches 2 % below and above
+    growth_above: float | None = None
+
+    @property
+    def line(self) -> str:
+        """The figures in one line."""
+        at = f"at {self.speed_m_per_s:g} m/s, {self.frame:8}"
+        if self.beyond is not None:
+            return f"{at} {self.beyond} of it, where the search ends"
+        grown = (
+            ""
+            if self.growth_below is None
+            else f"; launched, the ripple grows {self.growth_below:.3f} times at 0.98 of that,"
+            f" {self.growth_above:.3f} times at 1.02"
+        )
+        return f"{at}{self.k_max_n_per_m:10.5g} N/m, {self.over:.4f} of it{grown}"
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class CurvedFound(Findings):
+    """Laws along curved ways, and K_max of a sliding contact."""
+
+    ways: list[AlongTheWay]
+    one_axis_n_per_m: float
+    edges: list[SlidingLimit]
+
+
+def curved(options: CurvedOptions) -> CurvedFound:
     """Move laws along surfaces, then search the stability limit while sliding."""
     if options.depth > 0.005:
         raise UsageError(f"--depth {options.depth:g}: at most 0.005 m, in a rod of 0.006 m")
@@ -54,12 +90,14 @@ def curved(options: CurvedOptions) -> Answer:
         slides = [not_negative(text) for text in options.slides.split(",") if text]
     except ArgumentTypeError as error:
         raise UsageError(f"--slides {options.slides}: {error}") from error
-    from sim.lab.curved import FRAMES, SEARCHED, along_ways, growth_launched, sliding_k_max, theory
+    from sim.lab.curved import along_ways, theory
 
     period, k, b = 1.0 / options.rate, options.stiffness, options.gain
     alpha = PDAlpha(stiffness=k, damping=b, order=1.2, taps=10, gains="physical")
     laws = [("pd", PD(stiffness=k, damping=b).compile(period)), ("pd_alpha", alpha.compile(period))]
     found = along_ways(laws, period, options.speed, options.depth)
+    one_axis = theory(period)
+    edges = _edges(options, slides, one_axis)
     lines = [
         f"{'surface':26}{'law':10}{'frame':9}{'given out':>12}{'kicks [mN]':>12}"
         f"{'off a spring [mN]':>19}"
@@ -69,48 +107,44 @@ def curved(options: CurvedOptions) -> Answer:
         f" %{1e3 * row.kicks_n:12.3f}{1e3 * row.largest_n:19.3f}"
         for row in found
     ]
-    launch = launch_file.read("sphere_feel", {"rate": options.rate, "pace": "lockstep"})
-    one_axis = theory(period)
     lines += [
         "",
         f"K_max of a contact that slides over a sphere of 35 mm; in one axis {one_axis:.5g} N/m",
+        *(edge.line for edge in edges),
     ]
-    edges: list[dict[str, Any]] = []
-    ways = [(speed, frame) for speed in slides for frame in FRAMES]
-    limits = spread(
-        options, [partial(sliding_k_max, launch, speed, frame) for speed, frame in ways]
+    return CurvedFound(
+        lines=lines,
+        ways=found,
+        one_axis_n_per_m=one_axis,
+        edges=edges,
+        picture=draw(options.out / "curved.png", found, edges),
     )
+
+
+def _edges(options: CurvedOptions, slides: list[float], one_axis: float) -> list[SlidingLimit]:
+    """Search the limit at each speed in both frames."""
+    from sim.lab.curved import FRAMES, SEARCHED, growth_launched, sliding_k_max
+
+    launch = launch_file.read("sphere_feel", {"rate": options.rate, "pace": "lockstep"})
+    ways = [(speed, frame) for speed in slides for frame in FRAMES]
+    limits = spread(options, [partial(sliding_k_max, launch, *way) for way in ways])
+    edges = []
     for (speed, frame), edge in zip(ways, limits, strict=True):
-        row: dict[str, Any] = {
-            "speed_m_per_s": speed,
-            "frame": frame,
-            "k_max_n_per_m": None,
-            "over": None,
-        }
         if edge in (0.0, math.inf):
             end = f"below {SEARCHED[0]:g}" if edge == 0.0 else f"above {SEARCHED[1]:g}"
-            lines.append(f"at {speed:g} m/s, {frame:8} {end} of it, where the search ends")
-            edges.append(row | {"beyond": end})
+            edges.append(SlidingLimit(speed, frame, beyond=end))
             continue
-        row |= {"k_max_n_per_m": edge, "over": edge / one_axis}
-        text = f"at {speed:g} m/s, {frame:8}{edge:10.5g} N/m, {edge / one_axis:.4f} of it"
+        grown: tuple[float, ...] = ()
         if options.launched:
-            below, above = (
+            grown = tuple(
                 growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02)
             )
-            row["growth_below"], row["growth_above"] = below, above
-            text += (
-                f"; launched, the ripple grows {below:.3f} times at 0.98 of that, {above:.3f} times"
-                " at 1.02"
-            )
-        lines.append(text)
-        edges.append(row)
-    figures = {"ways": [asdict(row) for row in found], "one_axis_n_per_m": one_axis, "edges": edges}
-    return answered(figures, lines, plot=draw(options.out / "curved.png", found, edges))
+        edges.append(SlidingLimit(speed, frame, edge, edge / one_axis, None, *grown))
+    return edges
 
 
 @style.styled
-def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[Mapping[str, Any]]) -> Path:
+def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[SlidingLimit]) -> Path:
     """Plot the energy along closed paths and the shift of the limit while sliding.
 
     Both in world axes and in turning axes.
@@ -148,10 +182,14 @@ def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[Mapping[str, A
     return style.save_figure(figure, path, fresh)
 
 
-def _draw_edges(limit: Axes, edges: Sequence[Mapping[str, Any]]) -> None:
-    for number, frame in enumerate(dict.fromkeys(row["frame"] for row in edges)):
-        mine = [row for row in edges if row["frame"] == frame and row["over"] is not None]
-        places = [row["speed_m_per_s"] for row in mine], [row["over"] for row in mine]
+def _draw_edges(limit: Axes, edges: Sequence[SlidingLimit]) -> None:
+    for number, frame in enumerate(dict.fromkeys(row.frame for row in edges)):
+        found = [
+            (row.speed_m_per_s, row.over)
+            for row in edges
+            if row.frame == frame and row.over is not None
+        ]
+        places = [speed for speed, _ in found], [over for _, over in found]
         limit.plot(*places, marker=style.MARKERS[number], label=f"axes of the {frame}")
     limit.set_xlabel("speed of a slide over a sphere of 35 mm  [m/s]")
     limit.set_ylabel(r"$K_\mathrm{max}$ over that of one axis  [1]")

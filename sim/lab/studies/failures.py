@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.options import FileOptions
 from nodes.recording.figure_style import COLOURS, GREY, new_figure, styled, threshold
-from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from sim.lab.paper.claims import PaperFigure
     from sim.lab.paper.failures import FailureEdge
 
 
@@ -22,7 +22,7 @@ class FailuresOptions(SpreadOptions, FileOptions):
     """Options of `failures`."""
 
 
-def failures(options: FailuresOptions) -> Answer:
+def failures(options: FailuresOptions) -> PaperFigure:
     """Check all boundaries and reproduce all traps."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.failures import MARGIN, both_sides, boundaries, euler_bias, traps
@@ -46,7 +46,6 @@ def failures(options: FailuresOptions) -> Answer:
         "beyond": [asdict(edge) | {"agreed": edge.agreed} for edge in beyond],
         "euler_bias": [{"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()],
     }
-    saved = save("failures", figures, claims, _draw(found, bias), options.out)
     lines = [
         f"{'boundary':64} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"
     ]
@@ -76,7 +75,8 @@ def failures(options: FailuresOptions) -> Answer:
             f"{'' if one.agreed else '   DISAGREE'}"
         )
     held = all(edge.agreed for edge in found) and all(edge.agreed for edge in beyond)
-    return answered(saved, [*lines, "", table(claims), saved["plot"]], held=held)
+    picture, lines = _draw(found, bias), [*lines, "", table(claims)]
+    return replace(save("failures", lines, figures, claims, picture, options.out), held=held)
 
 
 @styled

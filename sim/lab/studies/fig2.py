@@ -1,11 +1,16 @@
 """Plot the paper's figure 2, f(ω) of single fractional terms, and judge its claims."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, quantity
 from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, OMEGA, new_figure, styled
-from sim.studies.result import Answer, answered
+
+if TYPE_CHECKING:
+    from sim.lab.paper.claims import PaperFigure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +21,7 @@ class Fig2Options(FileOptions):
 
 
 @styled
-def fig2(options: Fig2Options) -> Answer:
+def fig2(options: Fig2Options) -> PaperFigure:
     """Plot the figure and check the claims."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.fig2_fig3 import claims_2, figure_2
@@ -41,20 +46,13 @@ def fig2(options: Fig2Options) -> Answer:
         )
         axes.legend()
     curves = [
-        {
-            "figure": name,
-            "order": t.order,
-            "zero": t.zero,
-            "f": t.curve.tolist(),
-            "f_unlimited": t.unlimited.tolist(),
-        }
+        {"figure": name, "order": t.order, "zero": t.zero, "f": t.curve, "f_unlimited": t.unlimited}
         for name, terms in (("a", low), ("b", high))
         for t in terms
     ]
-    figures = {"taps": options.taps, "frequency_nyquist": share.tolist(), "curves": curves}
-    saved = save("fig2", figures, claims, figure, options.out)
+    figures = {"taps": options.taps, "frequency_nyquist": share, "curves": curves}
     head = (
         f"figure 2: f of one term, f(ω_N) = 1; {options.taps} taps (the paper prints no n), and"
         " unlimited memory"
     )
-    return answered(saved, [head, table(claims), saved["plot"], saved["data"]])
+    return save("fig2", [head, table(claims)], figures, claims, figure, options.out)

@@ -1,12 +1,17 @@
 """Plot the paper's figure 3, f(ω) of its two-term law beside PD, and judge its claims."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, quantity
 from nodes.recording.figure_style import GREY, OMEGA, label_ends, new_figure, styled
 from sim.studies.law_looks import law_looks
-from sim.studies.result import Answer, answered
+
+if TYPE_CHECKING:
+    from sim.lab.paper.claims import PaperFigure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +23,7 @@ class Fig3Options(FileOptions):
 
 
 @styled
-def fig3(options: Fig3Options) -> Answer:
+def fig3(options: Fig3Options) -> PaperFigure:
     """Plot the figure and check the claims."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.fig2_fig3 import claims_3, figure_3
@@ -44,11 +49,10 @@ def fig3(options: Fig3Options) -> Answer:
     axes.set_title(f"f of the paper's optimum, {options.taps} taps per term")
     axes.set_xlim(0.0, 1.0)
     label_ends(axes)
-    figures = {"taps": options.taps, "frequency_nyquist": share.tolist()}
-    figures |= {f"f_{name}": curves[name].tolist() for name in ("optimum", "pd", "terms")}
-    saved = save("fig3", figures, claims, figure, options.out)
+    figures = {"taps": options.taps, "frequency_nyquist": share}
+    figures |= {f"f_{name}": curves[name] for name in ("optimum", "pd", "terms")}
     head = (
         f"figure 3: f of the paper's optimum beside PD, {options.taps} taps per term; seconds as"
         f" at {options.rate:g} Hz"
     )
-    return answered(saved, [head, table(claims), saved["plot"], saved["data"]])
+    return save("fig3", [head, table(claims)], figures, claims, figure, options.out)

@@ -12,12 +12,12 @@ from nodes.parameters.quantities import Interval, not_negative, positive, whole
 from nodes.recording.figure_style import GREY, PAGE_WIDTH, new_figure, styled, threshold
 from sim.measure.jobs import SweepRow, read_ledger, sweep
 from sim.studies.law_looks import law_looks
-from sim.studies.result import Answer, answered
 from sim.studies.sweeps import SweepOptions, begun, executor
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from sim.lab.paper.claims import PaperFigure
     from sim.lab.paper.fig4 import Curve, Setting
 
 
@@ -59,7 +59,7 @@ def _setting(options: Fig4Options) -> Setting:
     return Setting(*device, gains, options.resolution, options.friction, criterion)
 
 
-def fig4(options: Fig4Options) -> Answer:
+def fig4(options: Fig4Options) -> PaperFigure:
     """Run the drops, plot, and check the claims."""
     from sim.lab.paper.claims import save, table
     from sim.lab.paper.fig4 import as_json, curves_of, designs, drops, point, spread_of_conventions
@@ -92,7 +92,6 @@ def fig4(options: Fig4Options) -> Answer:
                 f" judge the claims ({error}); give a longer horizon or more points"
             ) from error
     figures = as_json(setting, curves) | {"complete": complete, "ledger": str(ledger)}
-    saved = save("fig4", figures, claims, _draw(setting, curves), options.out)
     text = (
         table(claims)
         if claims
@@ -103,8 +102,8 @@ def fig4(options: Fig4Options) -> Answer:
         f" {options.points} gains B of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m,"
         f" {setting.criterion.ticks} ticks"
     )
-    lines = [head, text, saved["plot"], saved["data"]]
-    return replace(answered(saved, lines), interrupted=0 if complete else signal.SIGINT)
+    found = save("fig4", [head, text], figures, claims, _draw(setting, curves), options.out)
+    return replace(found, interrupted=0 if complete else signal.SIGINT)
 
 
 @styled

@@ -11,9 +11,10 @@ from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import not_negative, positive
 from nodes.recording.figure_style import BAD, new_figure, save_figure, styled
+from sim.measure.jobs import SweepRow
 from sim.results import fresh
-from sim.studies.device_options import DeviceOptions
-from sim.studies.result import Answer, answered
+from sim.studies.device_options import DeviceOptions, refuse_taps
+from sim.studies.result import Findings
 from sim.studies.sweeps import SweepOptions, swept
 
 # relative uncertainty of the joint's parameters, in either direction [%]
@@ -106,7 +107,7 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
         "h1_n_per_m": found.h1_n_per_m,
         "radius": max(flexible_radius(found.law, period, plant) for plant in plants),
         "drops_settled": f"{sum(settled.values())} of {len(settled)}",
-        "certified": certificate(found.law, real) is True,
+        "certified": bool(certificate(found.law, real)),
         "taps_n_per_m": found.taps.tolist(),
     }
 
@@ -160,27 +161,21 @@ def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
     return rows
 
 
-def price(options: PriceOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class PriceFound(Findings):
+    """H(1) of laws designed with less and less knowledge."""
+
+    rows: list[SweepRow]  # job and figures, as in the ledger
+    worlds: list[dict[str, Any]]  # figures of the laws for any world, and for any hand
+    yaml: Path | None  # of all laws; None without a law
+
+
+def price(options: PriceOptions) -> PriceFound:
     """Design with less and less knowledge."""
-    if not 1 <= options.taps <= 12:
-        raise UsageError(
-            f"--taps {options.taps}: between 1 and 12; the search is over each of them"
-        )
+    refuse_taps(options.taps)
     if options.share >= 1.0:
         raise UsageError(f"--share {options.share:g}: expected a part of the mass, below 1")
-    names = (
-        "mass",
-        "damping",
-        "delay",
-        "jitter",
-        "share",
-        "frequency",
-        "loss",
-        "taps",
-        "rate",
-        "vary",
-    )
-    device = options.chosen(*names)
+    device = options.chosen("mass", "damping", "delay", "jitter", *VARIED, "taps", "rate", "vary")
     jobs: list[dict[str, Any]] = [
         {**device, "hand": hand, "spread": spread, "lands": lands}
         for lands in ((False, True) if options.land is None else (options.land,))
@@ -208,8 +203,8 @@ def price(options: PriceOptions) -> Answer:
         else [f"haptic param load coupling {laws}   # then: haptic law switch NAME"]
     )
     picture = draw(options.out / "price.png", priced)
-    figures = {"rows": priced, "worlds": worlds, "yaml": None if laws is None else str(laws)}
-    return answered(figures, lines, ledger=ledger, plot=picture)
+    found = PriceFound(lines=lines, rows=priced, worlds=worlds, yaml=laws)
+    return replace(found, ledger=ledger, picture=picture)
 
 
 def _name(row: Mapping[str, Any]) -> str:

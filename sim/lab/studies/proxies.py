@@ -1,6 +1,8 @@
 """Compare proxies on analytic shapes: force error, noise, drag, thin plate, call time."""
 
-from dataclasses import asdict, dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +22,7 @@ from nodes.recording.figure_style import (
 )
 from sim.axes import name_points, plain_log
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
@@ -52,7 +54,25 @@ class ProxiesOptions(SpreadOptions, FileOptions):
     seed: int = option(default=0, type=SEED, help="of the random steps (default: 0)")
 
 
-def proxies(options: ProxiesOptions) -> Answer:
+@dataclass(frozen=True)
+class PlateCrossed:
+    """Random steps through a thin plate."""
+
+    steps: int
+    step_m: float  # longest step
+    wrong_side: int  # ticks with the proxy on the wrong side
+    aside_max_m: float  # largest distance of the proxy beside the device
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ProxiesFound(Findings):
+    """Errors of the proxies on each shape."""
+
+    rows: list[ProxyError]
+    plate: PlateCrossed
+
+
+def proxies(options: ProxiesOptions) -> ProxiesFound:
     """Compare the proxies; fail if a proxy changed sides."""
     if options.depth > 0.01:
         raise UsageError(f"--depth {options.depth}: at most 0.01 m, in a sphere of 0.05 m")
@@ -88,14 +108,13 @@ def proxies(options: ProxiesOptions) -> Answer:
         f"plate of {1e3 * PLATE[2]:g} mm, {options.steps} random steps of up to {1e3 * step:g}"
         f" mm: {wrong} on the wrong side, at most {1e6 * aside:.3g} µm beside the device"
     )
-    plate = {"steps": options.steps, "step_m": step, "wrong_side": wrong, "aside_max_m": aside}
-    figures = {"rows": [asdict(row) for row in found], "plate": plate}
-    plot = _draw(options.out / "proxies.png", found)
-    return answered(figures, lines, plot=plot, held=not wrong)
+    plate = PlateCrossed(options.steps, step, wrong, aside)
+    picture = _draw(options.out / "proxies.png", found)
+    return ProxiesFound(lines=lines, picture=picture, held=not wrong, rows=found, plate=plate)
 
 
 @styled
-def _draw(path: Path, found: list["ProxyError"]) -> Path:
+def _draw(path: Path, found: list[ProxyError]) -> Path:
     """Plot the largest error and the noise of the force over the time of a call."""
     figure = new_figure(PAGE_WIDTH, 3.4)
     panels = figure.subplots(1, 2)

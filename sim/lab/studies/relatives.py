@@ -13,9 +13,10 @@ from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, positive
 from nodes.recording.figure_style import GREY, name_rows, new_figure, save_figure, styled, threshold
 from nodes.stability.plant import Plant
+from sim.measure.jobs import SweepRow
 from sim.results import fresh
 from sim.studies import device_options as shared
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 from sim.studies.sweeps import SweepOptions, swept
 
 ORDERS = (0.3, 0.5, 0.7, 0.9, 1.0)
@@ -226,7 +227,16 @@ def _stiffest_spring(
     return float(low)
 
 
-def relatives(options: RelativesOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class RelativesFound(Findings):
+    """The stiffest law of each family at one demand."""
+
+    delay_ticks: float
+    rate_hz: float
+    rows: list[SweepRow]  # of the ledger, one per family
+
+
+def relatives(options: RelativesOptions) -> RelativesFound:
     """Tune every family and compare them."""
     if not 2 <= options.taps <= 32:
         raise UsageError(f"--taps {options.taps}: between 2 and 32")
@@ -259,8 +269,8 @@ def relatives(options: RelativesOptions) -> Answer:
         ),
     ]
     picture = draw(options.out / "relatives.png", lines[0], options.damping, rows)
-    figures = {"delay_ticks": options.delay, "rate_hz": options.rate, "rows": rows}
-    return answered(figures, lines, ledger=ledger, plot=picture)
+    found = RelativesFound(lines=lines, delay_ticks=options.delay, rate_hz=options.rate, rows=rows)
+    return replace(found, ledger=ledger, picture=picture)
 
 
 def _line(row: Mapping[str, Any]) -> str:

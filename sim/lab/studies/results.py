@@ -7,7 +7,7 @@ from pathlib import Path
 
 from messages.errors import UsageError
 from nodes.parameters.options import Options, argument, option
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,22 @@ class ResultsOptions(Options):
     page: Path | None = option(type=Path, help="where the page goes (default: sim/RESULTS.md)")
 
 
-def results(options: ResultsOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class SectionsFound(Findings):
+    """When each section was measured: date and commit, earlier or never."""
+
+    sections: dict[str, str]
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class PageWritten(Findings):
+    """The page, and the sections that failed."""
+
+    failed: dict[str, str]  # reason by section
+    page: Path
+
+
+def results(options: ResultsOptions) -> SectionsFound | PageWritten:
     """Measure the requested sections, write the page, and report failed sections."""
     from sim.lab.result_page import (
         PAGE,
@@ -51,7 +66,7 @@ def results(options: ResultsOptions) -> Answer:
             f"{name:15} {one.minutes:4g} min  {when[name]:30}  {one.command}"
             for name, one in SECTIONS.items()
         ]
-        return answered({"sections": when}, lines)
+        return SectionsFound(lines=lines, sections=when)
     target = options.page or PAGE
     if options.page is None and not PAGE.exists():
         raise UsageError(f"{PAGE}: this is no checkout of haptic-nodes; name a file with --page")
@@ -67,4 +82,4 @@ def results(options: ResultsOptions) -> Answer:
         target.write_text(page(), encoding="utf-8")
     target.write_text(page(), encoding="utf-8")
     lines = [f"{len(names) - len(failed)} of {len(names)} measured", *failed.values(), str(target)]
-    return answered({"failed": failed, "page": str(target)}, lines, held=not failed)
+    return PageWritten(lines=lines, held=not failed, failed=failed, page=target)

@@ -1,9 +1,11 @@
 """Tune many random devices end to end and check that no unstable law is delivered."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import COUNT, SECONDS, SEED, positive
@@ -18,8 +20,12 @@ from nodes.recording.figure_style import (
     threshold,
 )
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings, at_top
 from sim.studies.sweeps import SweepOptions, swept
+
+if TYPE_CHECKING:
+    from sim.lab.monte_carlo.tuned import TunedPopulation
+    from sim.measure.jobs import SweepRow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +54,15 @@ class TunedOptions(SweepOptions, FileOptions):
     )
 
 
-def tuned(options: TunedOptions) -> Answer:
+@dataclass(frozen=True, repr=False, kw_only=True)
+class TunedFound(Findings):
+    """Laws tuned for random devices, judged by their true poles."""
+
+    found: TunedPopulation = at_top()
+    rows: list[SweepRow]  # of the ledger, one per device
+
+
+def tuned(options: TunedOptions) -> TunedFound:
     """Sweep over the devices."""
     from sim.lab.monte_carlo.tuned import INSIDE, summary, tune_device
     from sim.lab.monte_carlo.virtual import KINDS
@@ -62,24 +76,17 @@ def tuned(options: TunedOptions) -> Answer:
     jobs = [{"number": number, "kind": one, **told} for number, one in enumerate(kind)]
     rows, ledger = swept(options, tune_device, jobs, "tuned")
     found = summary(rows)
-    picture = draw(options.out / "tuned.png", rows)
-    return answered(
-        found | {"rows": rows}, _text(found, rows), ledger=ledger, plot=picture, held=held(found)
+    return TunedFound(
+        lines=_text(found, rows),
+        held=found.held,
+        found=found,
+        rows=rows,
+        ledger=ledger,
+        picture=draw(options.out / "tuned.png", rows),
     )
 
 
-def held(found: Mapping[str, Any]) -> bool:
-    """Return whether no unstable law was delivered and all reported limits are true."""
-    missed = (
-        found["edges"]
-        - found["edges_within_5_percent"]
-        + found["intervals"]
-        - found["intervals_that_hold_the_edge"]
-    )
-    return not found["delivered_unstable"] and not missed
-
-
-def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _text(found: TunedPopulation, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     lines = [
         f"{'device':20} {'law [N/m]':>10} {'edge told':>22} {'true edge':>10} {'true radius':>11} "
         " outcome"
@@ -93,15 +100,14 @@ def _text(found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> list[s
             f"{row['kind']:20} {row['h1_n_per_m']:10.0f} {_outcome(row):>22}"
             f" {_shown(row['true_edge_n_per_m'])} {row['true_radius']:11.4f}  {outcome}"
         )
-    worst = found["edge_error_largest"]
+    worst = found.edge_error_largest
     lines.append(
-        f"{found['devices']} devices: {found['refused']} refuted, {found['tried']} laws tried"
-        f" ({found['unstable_laws_designed']} of them unstable on the true device),"
-        f" {found['delivered']} delivered, {found['delivered_unstable']} of these unstable;"
-        f" {found['edges_within_5_percent']} of {found['edges']} edges within 5 %"
+        f"{found.devices} devices: {found.refused} refuted, {found.tried} laws tried"
+        f" ({found.unstable_laws_designed} of them unstable on the true device),"
+        f" {found.delivered} delivered, {found.delivered_unstable} of these unstable;"
+        f" {found.edges_within_5_percent} of {found.edges} edges within 5 %"
         + ("" if worst is None else f", the worst {100 * worst:.1f} % off")
-        + f"; {found['intervals_that_hold_the_edge']} of {found['intervals']} intervals hold the"
-        " edge"
+        + f"; {found.intervals_that_hold_the_edge} of {found.intervals} intervals hold the edge"
     )
     return lines
 

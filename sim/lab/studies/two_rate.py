@@ -1,17 +1,16 @@
 """Compute how stiff a wall can be if the device's servo damps it at a higher rate."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from nodes.laws import CompiledLaw
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import not_negative, whole
 from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
 from sim.results import fresh
-from sim.studies.result import Answer, answered
+from sim.studies.result import Findings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,56 +29,67 @@ class TwoRateOptions(FileOptions):
     )
 
 
-def two_rate(options: TwoRateOptions) -> Answer:
+@dataclass(frozen=True)
+class ServoRate:
+    """K_max with a servo of one rate."""
+
+    ratio: int  # servo ticks a tick of the loop
+    servo_hz: float
+    delay_ticks: float
+    k_max_n_per_m: float | None  # None: no limit was found, or none is stable
+    at_least_n_per_m: float | None  # where the search ended without a limit
+    heavy_limit_n_per_m: float  # of a heavy device
+
+    @property
+    def line(self) -> str:
+        """The figures in one line."""
+        k, least = self.k_max_n_per_m, self.at_least_n_per_m
+        found = "none" if k is None else f"{k:.5g} N/m"
+        if least is not None:
+            found = f"above {least:.5g} N/m, where the search ends"
+        return (
+            f"  servo {self.servo_hz:6g} Hz, delay {self.delay_ticks:.3g} ticks: K_max {found},"
+            f" heavy device {self.heavy_limit_n_per_m:.5g} N/m"
+        )
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class TwoRateFound(Findings):
+    """K_max at each servo rate."""
+
+    rate_hz: float
+    rows: list[ServoRate]
+
+
+def two_rate(options: TwoRateOptions) -> TwoRateFound:
     """Compare servo rates."""
     from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max
 
-    period = 1.0 / options.rate
-    rows = []
+    period, rows = 1.0 / options.rate, []
     for ratio in options.ratios:
-        device = TwoRate(
-            options.mass,
-            options.damping,
-            options.servo,
-            ratio,
-            math.ceil(options.delay * ratio - 1e-9),
+        late = math.ceil(options.delay * ratio - 1e-9)
+        device = TwoRate(options.mass, options.damping, options.servo, ratio, late)
+        found, heavy = (
+            two_rate_k_max(CompiledLaw((0.0,)), period, device),
+            heavy_limit(device, period),
         )
-        found = two_rate_k_max(CompiledLaw((0.0,)), period, device)
-        rows.append(
-            {
-                "ratio": ratio,
-                "servo_hz": ratio * options.rate,
-                "delay_ticks": device.delay / ratio,
-                "k_max_n_per_m": None if found == math.inf else found,
-                "at_least_n_per_m": (
-                    heavy_limit(device, period) * 1e3 if found == math.inf else None
-                ),
-                "heavy_limit_n_per_m": heavy_limit(device, period),
-            }
-        )
-    lines = [
+        endless = found == math.inf
+        k, least = (None, 1e3 * heavy) if endless else (found, None)
+        rows.append(ServoRate(ratio, ratio * options.rate, late / ratio, k, least, heavy))
+    head = (
         f"spring; {options.mass:g} kg, {options.damping:g} N s/m, servo damper"
         f" {options.servo:g} N s/m"
-    ]
-    for row in rows:
-        k, least = row["k_max_n_per_m"], row["at_least_n_per_m"]
-        lines.append(
-            f"  servo {row['servo_hz']:6g} Hz, delay {row['delay_ticks']:.3g} ticks: K_max "
-            + (
-                f"above {least:.5g} N/m, where the search ends"
-                if least
-                else "none"
-                if k is None
-                else f"{k:.5g} N/m"
-            )
-            + f", heavy device {row['heavy_limit_n_per_m']:.5g} N/m"
-        )
-    picture = draw(options.out / "two_rate.png", lines[0], rows)
-    return answered({"rate_hz": options.rate, "rows": rows}, lines, plot=picture)
+    )
+    return TwoRateFound(
+        lines=[head, *(row.line for row in rows)],
+        rate_hz=options.rate,
+        rows=rows,
+        picture=draw(options.out / "two_rate.png", head, rows),
+    )
 
 
 @styled
-def draw(path: Path, title: str, rows: Sequence[Mapping[str, Any]]) -> Path:
+def draw(path: Path, title: str, rows: Sequence[ServoRate]) -> Path:
     """Plot the largest stiffness over the servo's rate."""
     figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(
@@ -88,12 +98,12 @@ def draw(path: Path, title: str, rows: Sequence[Mapping[str, Any]]) -> Path:
         title=title,
         xscale="log",
     )
-    rates = [row["servo_hz"] for row in rows]
+    rates = [row.servo_hz for row in rows]
     for key, label, mark in (
         ("k_max_n_per_m", "$K_\\mathrm{max}$", "o"),
         ("heavy_limit_n_per_m", "of a heavy device", "s"),
     ):
-        values = [float("nan") if row[key] is None else row[key] for row in rows]
+        values = [math.nan if getattr(row, key) is None else getattr(row, key) for row in rows]
         axes.plot(rates, values, marker=mark, label=label)
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)
     axes.minorticks_off()

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from sim.api.responses import bode, response, z_width
     from sim.api.run_summary import LaunchWarning, RunSummary
     from sim.api.verbs import design, identify, lab, study, tune
+    from sim.measure.cancelling import StudyCancelledError
 
 __all__ = [
     "FIR",
@@ -49,6 +50,7 @@ __all__ = [
     "RecursiveSection",
     "Run",
     "RunSummary",
+    "StudyCancelledError",
     "Term",
     "bode",
     "connect",
@@ -90,6 +92,7 @@ _NAMES = {
     "sim.api.run_summary": ("LaunchWarning", "RunSummary"),
     "sim.api.responses": ("bode", "response", "z_width"),
     "sim.api.verbs": ("design", "identify", "lab", "study", "tune"),
+    "sim.measure.cancelling": ("StudyCancelledError",),
 }
 _HOME = {name: module for module, names in _NAMES.items() for name in names}
 

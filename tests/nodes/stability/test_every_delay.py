@@ -11,7 +11,7 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.every_delay import _Ticks, every_delay
+from nodes.stability.every_delay import Certificate, _Ticks, every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
@@ -73,11 +73,11 @@ def test_just_inside_is_certified_and_just_outside_grows(
     name: str, delays: tuple[float, float]
 ) -> None:
     inside = every_delay(law(name, 0.97, delays), Plant(T, M, B), delays)
-    assert inside.stable is True
+    assert inside.stable is Certificate.CERTIFIED
     assert inside.rate is not None
     assert inside.growth <= inside.rate < 1.0
     outside = every_delay(law(name, 1.01, delays), Plant(T, M, B), delays)
-    assert outside.stable is False
+    assert outside.stable is Certificate.UNSTABLE
     assert outside.growth > 1.0
     assert all(delays[0] <= d <= delays[1] for d in outside.growing)
 
@@ -108,8 +108,14 @@ def test_replays_agree_with_the_certificate_and_with_the_counterexample(
 def test_a_rate_can_be_demanded() -> None:
     some = law("pd", 0.5, (0.0, 0.5))
     radius = max(pole_radius(some, Plant(T, M, B, d)) for d in (0.0, 0.5))
-    assert every_delay(some, Plant(T, M, B), (0.0, 0.5), rate=0.5 * (1.0 + radius)).stable is True
-    assert every_delay(some, Plant(T, M, B), (0.0, 0.5), rate=radius - 1e-3).stable is False
+    assert (
+        every_delay(some, Plant(T, M, B), (0.0, 0.5), rate=0.5 * (1.0 + radius)).stable
+        is Certificate.CERTIFIED
+    )
+    assert (
+        every_delay(some, Plant(T, M, B), (0.0, 0.5), rate=radius - 1e-3).stable
+        is Certificate.UNSTABLE
+    )
 
 
 def test_what_cannot_be_certified_is_refused() -> None:
@@ -155,10 +161,10 @@ def test_a_joint_and_a_lag_are_certified_too(
         # Eigenvalues of a matrix with two close to 1: the square root of the machine epsilon.
         assert poles == pytest.approx(radius(inside, delay), abs=1e-7)
     found = every_delay(inside, plant, delays, period=T)
-    assert found.stable is True
+    assert found.stable is Certificate.CERTIFIED
     assert found.rate is not None
     assert found.growth <= found.rate < 1.0
-    assert every_delay(scaled(1.01 * low), plant, delays, period=T).stable is False
+    assert every_delay(scaled(1.01 * low), plant, delays, period=T).stable is Certificate.UNSTABLE
     # Nothing is left out between the corners: every matrix is as near to the hull as is said, in
     # the identity's norm.
     hull = ticks.hull()

@@ -10,7 +10,7 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.rest import absolute_sum, rest, stiffest_at_rest
+from nodes.stability.rest import ComesToRest, absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
 from sim.play.one_axis import Scene, SceneSurface, run
@@ -111,10 +111,10 @@ def test_only_the_bound_says_that_no_limit_cycle_is_left() -> None:
     assert found.friction_estimated_n is not None
     beyond = 1.4 * found.friction_estimated_n
     assert swings_on(law, plant, beyond)
-    assert found.free(beyond) == "estimated"
+    assert found.free(beyond) is ComesToRest.ESTIMATED
     assert not swings_on(law, plant, found.friction_bound_n)
-    assert found.free(found.friction_bound_n) is True
-    assert found.free(0.99 * found.friction_estimated_n) is False
+    assert found.free(found.friction_bound_n) is ComesToRest.PROVEN
+    assert found.free(0.99 * found.friction_estimated_n) is ComesToRest.NOT_PROVEN
     assert "no bound" in found.text()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nodes.laws import CompiledLaw
+from nodes.stability.every_delay import Certificate
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, cases_of
 from sim.design.families import certificate, certified, designed, latest_delay
@@ -39,8 +40,8 @@ def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> 
     assert known.found.h1_n_per_m < blind.found.h1_n_per_m
     # Constant delay, but every mass: the certificate asks no more, and is refused where a device is
     # unstable.
-    assert certificate(known.found.law, asked) is True
-    assert certificate(blind.found.law, asked) is False
+    assert certificate(known.found.law, asked) is Certificate.CERTIFIED
+    assert certificate(blind.found.law, asked) is Certificate.UNSTABLE
 
 
 def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands() -> None:
@@ -55,7 +56,7 @@ def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands()
     )
     law = certified(lambda wanted: designed(wanted, 2), asked)
     assert law.found is not None
-    assert certificate(law.found.law, asked) is True
+    assert certificate(law.found.law, asked) is Certificate.CERTIFIED
     assert all(drops(law.found.law, asked).values())
     for hand in (0.0, 100.0, 300.0):
         for beyond in JOINT:

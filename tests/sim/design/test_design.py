@@ -26,6 +26,7 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.writer import RecordError, RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
+from nodes.stability.every_delay import Certificate
 from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, Robust, cases_of
 from sim.design.evolution import _within, evolved
@@ -539,8 +540,11 @@ def test_design_can_demand_a_certificate_and_rest() -> None:
     wanted = Demand((0.1, 0.1), 1.0, (1.0, 1.4), 0.002, 0.99, 5e3)
     law = certified(best_pd, wanted)
     assert law.found is not None
-    assert certificate(law.found.law, wanted) is True
-    assert certificate(CompiledLaw(tuple((3.0 * law.found.taps).tolist())), wanted) is False
-    assert certificate(law.found.law, replace(wanted, delay=(0.0, 1.5))) == "too wide"
+    assert certificate(law.found.law, wanted) is Certificate.CERTIFIED
+    assert (
+        certificate(CompiledLaw(tuple((3.0 * law.found.taps).tolist())), wanted)
+        is Certificate.UNSTABLE
+    )
+    assert certificate(law.found.law, replace(wanted, delay=(0.0, 1.5))) is Certificate.TOO_WIDE
     with pytest.raises(ValueError, match="a certificate takes at most one tick"):
         certified(best_pd, replace(wanted, delay=(0.0, 1.5)))

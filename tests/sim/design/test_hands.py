@@ -15,6 +15,7 @@ from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.every_delay import Certificate
 from nodes.stability.flexible import flexible_radius
 from nodes.stability.grasp import Grasp
 from nodes.stability.k_max import with_spring, without_spring
@@ -85,7 +86,7 @@ def test_no_grasp_of_a_certified_box_is_unstable(delay: float) -> None:
     plant, box = Plant(T, 0.1, 1.0, delay), HandBox((0.02, 0.022), (400.0, 450.0), (1.0, 1.1))
     law = pd(300.0, 1.0)
     proven, cells = certify_box(law, plant, box)
-    assert proven is True
+    assert proven is Certificate.CERTIFIED
     assert cells > 1
     rng = np.random.default_rng(2)
     for _ in range(100):
@@ -100,16 +101,20 @@ def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if alone(plant, grasp, pd(middle, 1.0)) < 1.0 else (low, middle)
     box = HandBox((0.05, 0.0501), (500.0, 501.0), (1.0, 1.002))
-    assert certify_box(pd(0.99 * low, 1.0), plant, box)[0] is True
-    assert certify_box(pd(1.01 * low, 1.0), plant, box, 500)[0] is None
-    assert worst_grasp(pd(1.01 * low, 1.0), plant, box, certify=True).certified is False
+    assert certify_box(pd(0.99 * low, 1.0), plant, box)[0] is Certificate.CERTIFIED
+    assert certify_box(pd(1.01 * low, 1.0), plant, box, 500)[0] is Certificate.UNDECIDED
+    assert (
+        worst_grasp(pd(1.01 * low, 1.0), plant, box, certify=True).certified is Certificate.UNSTABLE
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.37, 1.5])
 def test_a_stiff_grasp_of_next_to_no_mass_has_no_proof(delay: float) -> None:
     """(21.2) grows as e^|A|: too large for doubles with 3 mg behind 30 kN/m."""
     box = HandBox((3e-6, 3.1e-6), (3e4, 9e4), (7.0, 21.0))
-    assert certify_box(pd(500.0, 1.0), Plant(T, 0.1, 1.0, delay), box, 50)[0] is None
+    assert (
+        certify_box(pd(500.0, 1.0), Plant(T, 0.1, 1.0, delay), box, 50)[0] is Certificate.UNDECIDED
+    )
 
 
 @pytest.mark.parametrize("side", ["mass", "stiffness", "damping"])
@@ -132,7 +137,7 @@ def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
     )
     ends = [alone(plant, grasp, pd(low, 1.0)) for grasp in box.corners()]
     assert min(ends) < 1.0 < max(ends) < 1.01
-    assert certify_box(pd(low, 1.0), plant, box, 3000)[0] is None
+    assert certify_box(pd(low, 1.0), plant, box, 3000)[0] is Certificate.UNDECIDED
 
 
 def test_k_max_of_one_grasp_is_its_edge() -> None:
@@ -159,7 +164,7 @@ def test_a_law_for_any_hand_is_stable_in_every_grasp_of_a_wide_box() -> None:
         worst_grasp(parse_law("any_hand_d1").compile(T), Plant(T, 0.1, 1.0, 1.0), box).radius < 1.0
     )
     judged = judge_grasps(pd(800.0), demand, box, 1)
-    assert judged.worst.certified is False
+    assert judged.worst.certified is Certificate.UNSTABLE
     assert "NOT every one stable" in judged.text()
 
 
@@ -199,7 +204,7 @@ def test_no_certificate_of_a_thousand_boxes_is_broken_by_a_grasp() -> None:
 def test_designed_preset_is_certified_in_the_grasp_of_a_stylus() -> None:
     demand = Demand((0.1, 0.1), 1.0, (1.0, 1.0), T, 0.99, 1e4)
     judged = judge_grasps(parse_law("designed_d1").compile(T), demand, STYLUS)
-    assert judged.worst.certified is True
+    assert judged.worst.certified is Certificate.CERTIFIED
     for grasp in STYLUS.corners():
         assert alone(Plant(T, 0.1, 1.0, 1.0), grasp, parse_law("designed_d1").compile(T)) < 1.0
 

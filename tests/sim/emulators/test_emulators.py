@@ -120,6 +120,8 @@ def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_
         )
         stand.world.state.nan = 0
         wait_for(lambda: stand.world.force()[2] > 0.0, "the force comes back")
+        refused = launch.haptic("device", "recentre", code=1).stderr
+        assert "re-centre while no force acts" in refused
         # Unplugged in mid-run it ends, and says why.
         stand.world.state.unplugged = 1
         launch.finish(code=1)

@@ -15,7 +15,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
-from nodes.stability.every_delay import every_delay
+from nodes.stability.every_delay import Certificate, every_delay
 from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest
@@ -70,9 +70,9 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
     derivative = without_spring(parse_law({"kind": "paper_optimum", "damping": 3.0}), T)
     limit = min(k_max(derivative, Plant(T, 0.1, 1.0, d)).k_max_n_per_m or math.inf for d in delays)
     inside, outside = with_spring(derivative, 0.97 * limit), with_spring(derivative, 1.02 * limit)
-    assert every_delay(inside, Plant(T, 0.1, 1.0), delays).stable is True
+    assert every_delay(inside, Plant(T, 0.1, 1.0), delays).stable is Certificate.CERTIFIED
     found = every_delay(outside, Plant(T, 0.1, 1.0), delays)
-    assert found.stable is False
+    assert found.stable is Certificate.UNSTABLE
     ticks = 1200 // len(found.growing) * len(found.growing)
     repeated = list(found.growing) * (ticks // len(found.growing))
     for name, law in (("inside", inside), ("outside", outside)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
+from sim.drill.given_law import given_prediction
 from sim.identify.altered import AlteredDevice, as_record, from_record, worst_altered
 from sim.identify.identify import identify
 from sim.lab.monte_carlo.tuned import true_edge
 from sim.lab.monte_carlo.virtual import excite_outside
 from sim.play.nonideal import NonidealDevice
-from sim.tune.design import linear_edge, remainder_figures, remainder_refusal
+from sim.tune.design import linear_edge, remainder_refusal
 from sim.tune.knocking import scaled
 from sim.tune.tuning_text import predicted_rows
 
@@ -76,8 +78,8 @@ def test_a_law_that_what_is_left_open_makes_unstable_is_refused(odd: dict[str, A
     assert why is not None
     assert "(limit: < 1) on a device with" in why
     assert remainder_refusal(far, found) is None
-    figures = remainder_figures(far, found)
-    assert flexible_radius(far, T, found.plant()) <= figures["remainder_pole_radius"] < 1.0
+    radius, _ = worst_altered(far, T, found.altered) or (0.0, "")
+    assert flexible_radius(far, T, found.plant()) <= radius < 1.0
     # What is refused first lies below the true edge.
     truth = true_edge(LAW, device, T)
     assert truth is not None
@@ -94,22 +96,12 @@ def test_a_device_whose_residual_is_noise_leaves_nothing_open() -> None:
     rigid = NonidealDevice(RIGID)
     found = identify(excite_outside(rigid, T, 4.0, seed=1))
     assert found.altered == ()
-    assert remainder_figures(LAW, found) == {"remainder_pole_radius": None, "remainder_worst": None}
+    assert worst_altered(LAW, T, found.altered) is None
     assert remainder_refusal(scaled(LAW, 100.0), found) is None
 
 
 def test_it_is_told_beside_the_prediction() -> None:
-    record = dict.fromkeys(
-        [
-            "edge_h1_n_per_m",
-            "limit_cycle_free",
-            "stable_up_to_delay_ticks",
-            "every_delay_stable",
-            "drops_settled",
-            "drops",
-        ]
-    )
-    record |= {"edge_linear_h1_n_per_m": 1.0, "pole_radius": 0.9}
-    told = dict(predicted_rows(record | {"remainder_pole_radius": 0.97, "remainder_worst": "X"}))
+    found = given_prediction(1.0)
+    told = dict(predicted_rows(replace(found, remainder_pole_radius=0.97, remainder_worst="X")))
     assert told["on what the recording leaves open"] == "stable; pole radius 0.9700 with X"
-    assert "on what the recording leaves open" not in dict(predicted_rows(record))
+    assert "on what the recording leaves open" not in dict(predicted_rows(found))

@@ -193,6 +193,7 @@ def test_both_errors_are_counted() -> None:
     ]
     assert [named(one) for one in rows] == [False, True, True, False, False, False, False]
     found = summary_outside(rows)
-    assert (found["false"], found["refused"], found["good"], found["needless"]) == (2, 3, 4, 1)
-    assert found["kinds"]["cogging"]["false_of"] == ["K_max", "moving mass"]
+    total = found.total
+    assert (total.false, total.refused, total.good, total.needless) == (2, 3, 4, 1)
+    assert found.kinds["cogging"].false_of == ("K_max", "moving mass")
     assert "cogging" in NAMED

@@ -6,8 +6,10 @@ import doctest
 import functools
 import importlib
 import io
+import json
 import pkgutil
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +20,12 @@ import pytest
 import sim.api
 from messages.errors import UsageError
 from nodes.parameters.options import options_of
+from nodes.stability.every_delay import Certificate
 from sim.studies.design import design
 from sim.studies.design_options import DesignOptions
-from sim.studies.kmax import KMaxFound
+from sim.studies.kmax import KMaxBoundary, KMaxFound
 from sim.studies.notebook_results import Result
-from sim.studies.result import Answer, StudyResult
+from sim.studies.result import Findings, StudyResult, at_top
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
 MODULES = [
@@ -64,20 +67,21 @@ MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     "ZWidthResult": lambda _: haptic.z_width(LAW, PLANT, gains=[0.0, 3.0]),
     "Recorded": lambda run: run.recording,
     "RunSummary": lambda run: run.summary,
-    "Answer": lambda _: studied(),
+    KMaxBoundary.__name__: lambda _: studied(),
     KMaxFound.__name__: lambda _: haptic.study("kmax", law="pd", gain=3),
 }
 
-LAUNCHED = {"IdentifiedPlaces", "IdentifiedRecording", "SwingFound", "TuneResult"}
+LAUNCHED = {"IdentifiedPlaces", "IdentifiedRecording", "KMaxLaunched", "SwingFound", "TuneResult"}
 """Made of launches, which tests of identification and tuning start."""
 
 
 def kinds() -> set[type[Result]]:
+    """Return the results with code of their own; those of fields alone behave alike."""
     found, left = set(), [Result]
     while left:
         left += (mine := left.pop().__subclasses__())
         found.update(mine)
-    return found
+    return {kind for kind in found if Findings not in kind.__mro__} | {KMaxBoundary}
 
 
 def test_every_result_is_looked_at() -> None:
@@ -99,7 +103,7 @@ def test_a_result_shows_draws_and_tabulates_itself(name: str, run: haptic.Run) -
     drawn = figure.axes[0]
     assert drawn.lines or drawn.patches or drawn.images
     table = result.to_pandas()
-    assert len(table) == max([1, *map(len, result.columns().values())]) or name == "Answer"
+    assert len(table) == max([1, *map(len, result.columns().values())]) or name == "KMaxBoundary"
     assert str(result).startswith(name)
     assert repr(result) == str(result)
 
@@ -144,8 +148,48 @@ def test_options_are_read_as_the_command_line_reads_them() -> None:
         options.of(world="moon")
 
 
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Shown(Findings):
+    """Figures of each type."""
+
+    a: dict[str, float]
+    c: int
+    d: str
+    e: bool
+    f: None
+
+
+@dataclass(frozen=True)
+class Part:
+    """Figures that stand at the top level."""
+
+    g: Any
+    h: Path
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Nested(Findings):
+    """Figures of figures."""
+
+    part: Part = at_top()
+    kind: Certificate
+    parts: tuple[Part, ...]
+
+
+def test_fields_are_figures_of_json_types() -> None:
+    part = Part(np.array([1.0, np.nan]), Path("a.yaml"))
+    found = Nested(
+        lines=("said",), part=part, kind=Certificate.UNDECIDED, parts=(part,), ledger=Path("l")
+    )
+    told = {"g": [1.0, None], "h": "a.yaml"}
+    assert found.answer == {**told, "kind": "undecided", "parts": [told], "ledger": "l"}
+    assert json.loads(json.dumps(found.answer)) == found.answer
+    assert found.text == "said\nl"
+    assert not found.kind
+
+
 def test_figures_without_a_picture_are_bars() -> None:
-    drawn = Answer({"a": {"b": 1.0}, "c": 2, "d": "text", "e": True, "f": None}, "").plot()
+    drawn = Shown(lines=(), a={"b": 1.0}, c=2, d="text", e=True, f=None).plot()
     (axes,) = drawn.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a.b", "c"]
     np.testing.assert_array_equal([bar.get_bbox().width for bar in axes.patches], [1.0, 2.0])  # type: ignore[attr-defined]

@@ -23,7 +23,6 @@ from sim.lab.monte_carlo.study import summary_outside
 from sim.lab.monte_carlo.tuned import summary, true_edge, true_radius
 from sim.lab.monte_carlo.virtual import KINDS, draw
 from sim.lab.studies.price import possible_joints
-from sim.lab.studies.tuned import held
 from sim.measure.jobs import program, read_ledger
 from sim.play.nonideal import NonidealDevice
 from sim.tune.knocking import scaled
@@ -219,8 +218,8 @@ def test_what_is_refused_is_never_false() -> None:
     kinds = list(KINDS)
     told = summary_outside(
         [outside(kinds[0], refuted=True), outside(kinds[0], 2.5), outside(kinds[1], 0.5)]
-    )
-    assert (told["refused"], told["false"], told["intervals"], told["missed"]) == (1, 1, 2, 1)
+    ).total
+    assert (told.refused, told.false, told.intervals, told.missed) == (1, 1, 2, 1)
 
 
 def test_a_ledger_of_another_version_is_not_gone_on_with(
@@ -340,7 +339,7 @@ def device_row(**told: Any) -> dict[str, Any]:
 def test_an_unstable_delivery_and_a_false_edge_are_failures(
     told: dict[str, Any], holds: bool
 ) -> None:
-    assert held(summary([device_row(**told)])) == holds
+    assert summary([device_row(**told)]).held == holds
 
 
 @pytest.mark.slow
@@ -384,8 +383,8 @@ def test_the_verb_draws_and_fails_as_the_devices_say(
 def test_an_edge_is_within_5_percent_or_counted_as_off() -> None:
     rows = [device_row(), device_row(true_edge_n_per_m=1590.0), device_row(edge_n_per_m=None)]
     found = summary(rows)
-    assert (found["edges"], found["edges_within_5_percent"]) == (2, 1)
-    assert (found["intervals"], found["intervals_that_hold_the_edge"]) == (3, 2)
+    assert (found.edges, found.edges_within_5_percent) == (2, 1)
+    assert (found.intervals, found.intervals_that_hold_the_edge) == (3, 2)
 
 
 def test_all_three_numbers_of_a_joint_are_varied() -> None:

@@ -15,6 +15,7 @@ from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
+from sim.drill.given_law import given_design, given_prediction
 from sim.tune.design import linear_edge
 from sim.tune.knocking import (
     BEYOND,
@@ -37,6 +38,7 @@ from sim.tune.knocking import (
     planned,
 )
 from sim.tune.outcome import MARGIN, compared, headline, verified
+from sim.tune.record import PredictedStep, TuneRecord
 from sim.tune.tuning_text import number
 
 T = 0.002
@@ -118,8 +120,11 @@ def test_a_device_that_never_rests_is_left_alone() -> None:
     assert "nothing came to rest" in found.ended
 
 
-def predicted(edge: float, linear: float) -> dict[str, float]:
-    return {"h1_n_per_m": 1000.0, "edge_factor": edge, "edge_linear_factor": linear}
+def predicted(edge: float, linear: float) -> PredictedStep:
+    return given_prediction(1000.0, linear, edge_factor=edge)
+
+
+LAW = given_design([1000.0], 0.002, lands=True)
 
 
 def climbed(edge: int) -> KnockedEdge:
@@ -129,26 +134,25 @@ def climbed(edge: int) -> KnockedEdge:
 @pytest.mark.parametrize("edge", [1, 0, -20])
 def test_a_law_that_does_not_rest_does_not_hold(edge: int) -> None:
     told = verified(predicted(1.27, 1.25), climbed(edge))
-    assert not told["holds"]
-    assert "NOT hold" in headline(
-        {"designed": {"h1_n_per_m": 1000.0, "lands": True}, "verified": told}
-    )
+    assert not told.holds
+    assert "NOT hold" in headline(TuneRecord(designed=LAW, verified=told))
 
 
 def test_a_law_that_only_friction_holds_does_not_hold() -> None:
     # Knocks on the model see the edge at 1.32 where its poles have it at 1.1: friction. So 1.2 by
     # knocks is 1.0 by poles.
-    assert verified(predicted(1.27, 1.25), climbed(round(math.log(1.2) / math.log(STEP))))["holds"]
+    assert verified(predicted(1.27, 1.25), climbed(round(math.log(1.2) / math.log(STEP)))).holds
     told = verified(predicted(1.32, 1.1), climbed(round(math.log(1.2) / math.log(STEP))))
-    low, high = told["edge_by_poles_between_n_per_m"]
+    assert told.edge_by_poles_between_n_per_m is not None
+    low, high = told.edge_by_poles_between_n_per_m
     # A step on either side of what knocks and model say, 1000 and 1100 N/m; too far apart for one
     # figure.
     assert low == pytest.approx(1000.0 / STEP, rel=STEP - 1.0)
     assert high == pytest.approx(1100.0 * STEP)
-    assert told["edge_by_poles_h1_n_per_m"] is None
+    assert told.edge_by_poles_h1_n_per_m is None
     assert low < 1000.0 * MARGIN
-    assert not told["holds"]
-    assert f"a large motion may be unstable from {low / 1000.0:.3f} times on" in told["ended"]
+    assert not told.holds
+    assert f"a large motion may be unstable from {low / 1000.0:.3f} times on" in told.ended
 
 
 @pytest.mark.parametrize(
@@ -161,15 +165,18 @@ def test_an_edge_that_is_not_known_to_5_percent_is_told_as_an_interval(
     # them.
     expected = round(math.log(1.3) / math.log(STEP))
     told = verified(predicted(factor_of(expected), 1.25), climbed(expected + steps))
-    low, high = told["edge_by_poles_between_n_per_m"]
+    assert told.edge_by_poles_between_n_per_m is not None
+    low, high = told.edge_by_poles_between_n_per_m
     truths = (1250.0, 1250.0 * STEP**steps)
     assert all(low < truth < high for truth in truths)
-    point = told["edge_by_poles_h1_n_per_m"]
+    point = told.edge_by_poles_h1_n_per_m
     assert (point is not None) is told_as_one
-    assert not told_as_one or abs(point / min(truths) - 1.0) < 0.05
-    words = headline({"designed": {"h1_n_per_m": 1000.0, "lands": True}, "verified": told})
+    assert point is None or abs(point / min(truths) - 1.0) < 0.05
+    words = headline(TuneRecord(designed=LAW, verified=told))
     # Never above the truth: the lower end of what was measured, which also came to rest.
-    assert not told_as_one or point <= min(*truths, told["stiffest_at_rest_n_per_m"])
+    rested = told.stiffest_at_rest_n_per_m
+    assert rested is not None
+    assert point is None or point <= min(*truths, rested)
     assert ("or above" in words) is told_as_one
     assert f"between {number(low)} and {number(high)} N/m" in words
 
@@ -183,22 +190,22 @@ def test_a_device_whose_edge_is_elsewhere_is_not_the_one_that_was_identified(
     # A joint that dry friction holds while knocks are small: its edge by poles may be anywhere
     # below.
     told = verified(predicted(1.27, 1.25), climbed(round(math.log(measured) / math.log(STEP))))
-    assert told["holds"] is told["agrees"] is agrees
-    assert (told["edge_by_poles_between_n_per_m"] is not None) is agrees
-    assert ("differs from the identified one" in told["ended"]) is not agrees
+    assert told.holds is told.agrees is agrees
+    assert (told.edge_by_poles_between_n_per_m is not None) is agrees
+    assert ("differs from the identified one" in told.ended) is not agrees
 
 
 def test_an_edge_that_was_not_found_is_not_compared_and_nothing_is_delivered() -> None:
     told = verified(predicted(1.27, 1.25), climbed(100))
-    assert not told["holds"]
-    assert told["edge_factor"] is None
-    assert told["edge_error"] is None
+    assert not told.holds
+    assert told.edge_factor is None
+    assert told.edge_error is None
 
 
 def test_two_grids_of_two_per_cent_are_told_as_what_they_are() -> None:
-    assert compared(1.27, 1.27)["edge_compared"] == "the same step of 2 %"
-    assert compared(1.27, 1.27 * STEP)["edge_compared"] == "+2 % from the predicted one"
-    assert compared(None, 1.27)["edge_error"] is None
+    assert compared(1.27, 1.27)[1] == "the same step of 2 %"
+    assert compared(1.27, 1.27 * STEP)[1] == "+2 % from the predicted one"
+    assert compared(None, 1.27)[0] is None
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,20 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from messages.errors import RefusedError
-from sim.tune.knocking import LOWEST, KnockedEdge, KnockVerdict, Plan, climb, factor_of
+from messages.errors import RefusedError, UsageError
+from nodes.stability.rest import ComesToRest
+from sim.drill.given_law import given_design, given_prediction
+from sim.studies.result import plain
+from sim.tune.knocking import LOWEST, STEP, KnockedEdge, KnockVerdict, Plan, climb, factor_of
 from sim.tune.live_trial import STOPPED, Cut, Trials
 from sim.tune.outcome import headline, verified
+from sim.tune.record import AppliedStep, ForceLimits, PlannedKnocks, TuneRecord
 from sim.tune.session import Tuning
 from sim.tune.tune_options import TuneOptions
 
-DESIGNED = {
-    "taps_n_per_m": [900.0, -800.0],
-    "h1_n_per_m": 100.0,
-    "lands": True,
-    "demand": {"period": 0.002},
-}
-PREDICTED = {"h1_n_per_m": 100.0, "edge_factor": None, "edge_linear_factor": 1.3}
+DESIGNED = given_design([900.0, -800.0], 0.002, lands=True)
+PREDICTED = given_prediction(100.0, 1.3)
+PLANNED = PlannedKnocks((), "", Plan(0, 0, 1))
+HELD = verified(PREDICTED, climb(Plan(LOWEST, 20, 25), lambda n: KnockVerdict(STEP**n, 0.0, True)))
+
+WHOLE = TuneRecord(designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD)
 
 
 def refuse() -> Any:
@@ -32,7 +36,7 @@ def refuse() -> Any:
 
 
 def tuning(folder: Path, running: Callable[[], Any] = refuse, fresh: bool = False) -> Tuning:
-    return Tuning(TuneOptions(out=folder), running, refuse, lambda _: None, fresh)
+    return Tuning(TuneOptions(out=folder), running, refuse, fresh)
 
 
 def resting(step: int) -> KnockVerdict:
@@ -44,24 +48,21 @@ def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_
     step: str, fresh: bool, tmp_path: Path
 ) -> None:
     """The refusal overwrote its result and deleted its law."""
-    known = {
-        "designed": DESIGNED,
-        "predicted": PREDICTED,
-        "predicted_steps": {"plan": {}},
-        "verified": {"holds": True},
-    }
-    names = {"tune.json": json.dumps(known), "tuned.yaml": "a law", "tune.html": "a page"}
+    known = TuneRecord(
+        designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD
+    )
+    names = {"tune.json": json.dumps(plain(known)), "tuned.yaml": "a law", "tune.html": "a page"}
     for name, text in names.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     again = tuning(tmp_path, fresh=fresh)
     with pytest.raises(RefusedError, match="let go first"):
         again.do(step)
-    again.record["refused"] = "let go first"
+    again.record.refused = "let go first"
     again.keep()
     again.write()
     assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == names
     assert (
-        again.record["headline"]
+        again.record.headline
         == f"Nothing new: let go first. {tmp_path / 'tune.json'} is as it was."
     )
     assert again.files == {}
@@ -69,13 +70,9 @@ def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_
 
 @pytest.mark.parametrize("step", ["verify", "apply"])
 def test_a_launch_of_another_rate_gets_no_law(step: str, tmp_path: Path) -> None:
-    known = {
-        "designed": DESIGNED,
-        "predicted": PREDICTED,
-        "predicted_steps": {"plan": {}},
-        "verified": {"holds": True},
-    }
-    (tmp_path / "tune.json").write_text(json.dumps(known), encoding="utf-8")
+    TuneRecord(
+        designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD
+    ).write(tmp_path / "tune.json")
     loop = SimpleNamespace(period=0.001, run=SimpleNamespace(run="fast"), read_limits=lambda: None)
     with pytest.raises(
         RefusedError, match="fast: runs at 1000 Hz, and the law was designed for 500 Hz"
@@ -90,8 +87,7 @@ def test_a_law_that_renders_is_faded_from_and_stays(
     active: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second tuning's law replaced the active first one within a tick."""
-    known = {"designed": DESIGNED, "verified": {"holds": True}}
-    (tmp_path / "tune.json").write_text(json.dumps(known), encoding="utf-8")
+    TuneRecord(designed=DESIGNED, verified=HELD).write(tmp_path / "tune.json")
     asked: list[tuple[str, dict[str, Any]]] = []
 
     def ask(_: Any, __: Any, operation: str, **given: Any) -> dict[str, Any]:
@@ -107,13 +103,14 @@ def test_a_law_that_renders_is_faded_from_and_stays(
     (_, put), (switched, to) = asked[-2:]
     assert list(put["values"]) == [f"laws.{name}"]
     assert (switched, to["law"], to["ramp"]) == ("law.switch", name, 250)
-    assert (done.record["applied"]["law"], done.record["applied"]["before"]) == (name, active)
+    assert done.record.applied is not None
+    assert (done.record.applied.law, done.record.applied.before) == (name, active)
 
 
 def test_a_climb_that_was_cut_short_verifies_nothing() -> None:
     """Without a limit in the model either, everything tried so far counted as verified."""
     whole = climb(Plan(LOWEST, 20, 25), resting)
-    assert verified(PREDICTED, whole)["holds"]
+    assert verified(PREDICTED, whole).holds
     # From before the law itself, at it, and after all of it: a refusal may come at the very end.
     for steps in (
         whole.steps[:5],
@@ -121,20 +118,37 @@ def test_a_climb_that_was_cut_short_verifies_nothing() -> None:
         whole.steps,
     ):
         told = verified(PREDICTED, KnockedEdge(steps, "the machine stalled"))
-        assert not told["holds"]
-        assert headline(
-            {"designed": DESIGNED, "verified": told, "refused": "the machine stalled"}
-        ).startswith("Not verified: ")
+        assert not told.holds
+        record = TuneRecord(designed=DESIGNED, verified=told, refused="the machine stalled")
+        assert headline(record).startswith("Not verified: ")
 
 
 def test_a_law_that_holds_ends_the_command_with_0_whether_or_not_an_edge_was_found(
     tmp_path: Path,
 ) -> None:
-    held = tuning(tmp_path)
-    assert held.came_through
+    record = tuning(tmp_path).record
+    assert record.came_through()
     for holds in (True, False):
-        held.record["verified"] = {"holds": holds, "edge_factor": None}
-        assert held.came_through is holds
+        record.verified = replace(HELD, holds=holds)
+        assert record.came_through() is holds
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
+    whole = TuneRecord(
+        limits=ForceLimits(3.3, None),
+        designed=DESIGNED,
+        predicted=replace(PREDICTED, limit_cycle_free=ComesToRest.ESTIMATED),
+        predicted_steps=PLANNED,
+        verified=HELD,
+        applied=AppliedStep(7, 250, 0.0, "tuned", "pd"),
+        date="now",
+    )
+    whole.write(tmp_path / "tune.json")
+    assert TuneRecord.read(tmp_path / "tune.json") == whole
+    for damaged in ("[]", "{", '{"designed": {}}', '{"verified": {"holds": 3}}'):
+        (tmp_path / "tune.json").write_text(damaged, encoding="utf-8")
+        with pytest.raises(UsageError, match="is not what haptic tune wrote"):
+            TuneRecord.read(tmp_path / "tune.json")
 
 
 def stand_in(ready: Callable[[], Any], safety: list[str]) -> Any:

@@ -19,8 +19,9 @@ from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
 from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
+from sim.drill.given_law import given_design, given_prediction, given_record
 from sim.identify.borrowed import PushedLaunch, borrowed
-from sim.tune.knocking import STRIDE, factor_of
+from sim.tune.knocking import STRIDE, Plan, factor_of
 from tests.support.launching import running, typed, wait_for
 
 T = 0.002
@@ -62,42 +63,12 @@ def designed(
     last: int = 60,
 ) -> None:
     """Write a design and a prediction: trials from `first` to `last`, large steps to `near`."""
-    h1 = sum(taps)
-    known = None if edge is None else edge * h1
-    edges = {
-        "edge_h1_n_per_m": known,
-        "edge_factor": edge,
-        "edge_linear_h1_n_per_m": h1,
-        "edge_linear_factor": 1.0,
-    }
-    told: dict[str, Any] = {
-        "designed": {
-            "taps_n_per_m": taps,
-            "law": {"kind": "fir", "taps": taps, "period": T},
-            "h1_n_per_m": h1,
-            "gain_over_pd": None,
-            "lands": False,
-            "demand": {"mass": [0.1, 0.1], "delay": [1.0, 1.0], "radius": 1.0, "period": T},
-        },
-        "predicted": {
-            **edges,
-            "h1_n_per_m": h1,
-            "knock_m": 2e-3,
-            "pole_radius": 1.0,
-            "drops_settled": 0,
-            "drops": 0,
-            "stable_up_to_delay_ticks": None,
-            "every_delay_stable": None,
-            "limit_cycle_free": None,
-        },
-        "predicted_steps": {
-            "steps": [],
-            "ended": "",
-            "plan": {"first": first, "near": near, "last": last},
-        },
-    }
+    law, predicted = (
+        given_design(taps, T),
+        given_prediction(sum(taps), edge_factor=edge, knock_m=2e-3),
+    )
     (folder / "tuning").mkdir()
-    (folder / "tuning" / "tune.json").write_text(json.dumps(told))
+    given_record(law, predicted, Plan(first, near, last)).write(folder / "tuning" / "tune.json")
 
 
 @pytest.mark.slow
