@@ -184,4 +184,4 @@ def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
     return keys.new_identity()
 
 
-pytest_plugins = ("tests.support.process_audit",)
+pytest_plugins = ("tests.support.process_audit", "tests.support.examples")
