@@ -19,14 +19,13 @@ from tests.support import ROOT
 from tests.support.mutations.mutation import Mutation
 
 ROOMS: Final = {
-    "nodes/driver": ("tests/nodes/driver", "tests/nodes/compiled"),
-    "nodes/laws": ("tests/nodes/laws", "tests/nodes/stability"),
-    "nodes/stability": ("tests/nodes/stability", "tests/nodes/coupling"),
-    "nodes/coupling": ("tests/nodes/coupling", "tests/nodes/compiled"),
-    "nodes/recording": ("tests/nodes/recording",),
-    "sim/identify": ("tests/sim/identify", "tests/sim/design"),
+    room: (f"tests/{room}",)
+    for room in (
+        *("nodes/driver", "nodes/laws", "nodes/stability", "nodes/coupling", "nodes/recording"),
+        "sim/identify",
+    )
 }
-"""Mutated files, and the tests that must notice."""
+"""Rooms whose files are changed, and the folder of tests that must notice: the one that mirrors."""
 
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
     ast.Lt: ("<", "<="),
