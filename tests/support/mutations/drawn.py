@@ -27,6 +27,9 @@ ROOMS: Final = {
 }
 """Rooms whose files are changed, and the folder of tests that must notice: the one that mirrors."""
 
+COMPILED: Final = frozenset({"kernel", "compiled_tick"})
+"""Files of a room that only the compiled ticks run, whose tests are in tests/nodes/compiled."""
+
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
     ast.Lt: ("<", "<="),
     ast.LtE: ("<=", "<"),
@@ -165,7 +168,10 @@ def _tests(room: str, file: Path) -> tuple[str, ...]:
     """Return the tests of a file: those with its name, those that import it, its room's."""
     module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
     package, _, name = module.rpartition(".")
-    tests = [path for folder in ROOMS[room] for path in sorted((ROOT / folder).glob("test_*.py"))]
+    folders = ROOMS[room]
+    if file.stem in COMPILED:
+        folders = ("tests/nodes/compiled", *folders)
+    tests = [path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))]
 
     def imports(test: Path) -> bool:
         text = test.read_text(encoding="utf-8")
@@ -174,4 +180,4 @@ def _tests(room: str, file: Path) -> tuple[str, ...]:
     named = [path for path in tests if path.stem.startswith(f"test_{file.stem}")]
     importing = [path for path in tests if path not in named and imports(path)]
     first = [str(path.relative_to(ROOT)) for path in (*named, *importing)]
-    return (*first, *ROOMS[room])
+    return (*first, *folders)
