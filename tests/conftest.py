@@ -93,6 +93,8 @@ def pytest_configure(config: pytest.Config) -> None:
             )
 
 
+# Last: what is not selected is gone by then, and its file needs no machine of its own.
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run the longest files first, browser tests apart, and real-time tests last.
 
@@ -184,4 +186,4 @@ def me(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Identity:
     return keys.new_identity()
 
 
-pytest_plugins = ("tests.support.process_audit",)
+pytest_plugins = ("tests.support.process_audit", "tests.support.examples")

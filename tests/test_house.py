@@ -36,6 +36,12 @@ def tree_of(path: Path) -> ast.Module:
 
 
 @cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    """Return all nodes of a file's tree, walked once: a dozen tests read them."""
+    return tuple(ast.walk(tree_of(path)))
+
+
+@cache
 def imported(module: str) -> tuple[tuple[str, str], ...]:
     """Return each own module that this one imports, and the importing line."""
     return tuple(_imported(module))
@@ -43,7 +49,7 @@ def imported(module: str) -> tuple[tuple[str, str], ...]:
 
 def _imported(module: str) -> Iterator[tuple[str, str]]:
     path = MODULES[module]
-    for found in ast.walk(tree_of(path)):
+    for found in nodes_of(path):
         if isinstance(found, ast.Import):
             names = [name.name for name in found.names]
         elif isinstance(found, ast.ImportFrom):
@@ -313,7 +319,7 @@ def test_verbs_are_in_one_place() -> None:
         assert not [name for name in names if name.startswith(("nodes.cli.", "sim.cli."))], module
         reads = any(
             isinstance(node, ast.Import) and node.names[0].name == "argparse"
-            for node in ast.walk(tree)
+            for node in nodes_of(path)
         )
         assert reads == (module in WITH_ARGUMENTS), f"{module}: reads a command line"
 
@@ -330,7 +336,7 @@ OTHER_QUANTITIES = {
 def declared(calls: str) -> Iterator[tuple[str, str, ast.Call]]:
     """Return verbs' arguments and functions' options: module, name and declaring call."""
     for module, path in MODULES.items():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
                 if node.func.attr == "add_argument" and calls == "argument":
                     for one in node.args:
@@ -451,7 +457,7 @@ def test_long_functions_say_why() -> None:
 def test_wide_classes_say_why() -> None:
     wide = set()
     for module, path in MODULES.items():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.ClassDef) and len(attributes(node)) > 20:
                 wide.add(f"{module}.{node.name}")
     assert wide == set(WIDE)
@@ -462,7 +468,7 @@ def test_state_is_typed() -> None:
     untyped = [
         f"{module}.{node.name}"
         for module, path in MODULES.items()
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.FunctionDef)
         for argument in node.args.args
         if argument.arg in ("s", "d")
@@ -482,7 +488,7 @@ NOT_OF_THE_FIELD = frozenset(
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """Return line and text of every docstring of a file, those of attributes included."""
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         if (
             isinstance(node, ast.Expr)
             and isinstance(node.value, ast.Constant)

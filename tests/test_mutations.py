@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 
 from tests.support import ROOT
-from tests.support.mutations.drawn import ROOMS, all_of, draw
-from tests.support.mutations.mutation import copy_sources, mutated, survives
+from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of
+from tests.support.mutations.mutation import copy_sources, mutated, stages, survives
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
+from tests.support.mutations.score import Tried, as_lines, as_record, counts, wilson
 
 NAMED = (*SAFETY_RULES, *NAMED_RULES)
 
@@ -33,6 +34,7 @@ def test_what_is_drawn_is_another_program(room: str) -> None:
         assert changed != text
         assert len(changed) == len(text) + len(mutation.new) - len(mutation.old)
         compile(changed, mutation.file, "exec")
+        assert room_of(mutation) == room
     assert drawn == draw(40, "one", [room]) != draw(40, "two", [room])
 
 
@@ -43,7 +45,7 @@ def test_comparisons_signs_numbers_conditions_and_statements_are_changed(tmp_pat
         '    assert x * 2.0\n    raise ValueError(f"{x + 1}")\n',
         encoding="utf-8",
     )
-    found = {(one.old, one.new) for one in all_of(file, (), tmp_path)}
+    found = {(one.old, one.new) for one in all_of(file, tmp_path)}
     assert found == {
         ("3", "4"),
         ("x < 2 and x", "(not (x < 2 and x))"),
@@ -55,6 +57,47 @@ def test_comparisons_signs_numbers_conditions_and_statements_are_changed(tmp_pat
         ("*", "/"),
         ("2.0", "4.0"),
     }
+
+
+def test_files_are_tried_before_the_rest_of_their_folders() -> None:
+    (law,) = (one for one in draw(400, "one", ["nodes/laws"])[:1])
+    tests = (*("tests/a/test_b.py", "tests/c/test_d.py"), "tests/a", "tests/c")
+    assert stages(tests) == [
+        tests[:2],
+        ("tests/a", "tests/c", "--ignore=tests/a/test_b.py", "--ignore=tests/c/test_d.py"),
+    ]
+    assert stages(tests[:2]) == [tests[:2]]
+    assert stages(law.tests)[-1][:1] == ROOMS["nodes/laws"]
+
+
+@pytest.mark.parametrize(("noticed", "tried"), [(0, 7), (7, 7), (27, 30), (1, 1), (90, 180)])
+def test_wilson_bounds_are_the_shares_that_lie_a_quantile_away(noticed: int, tried: int) -> None:
+    """Each bound p solves (k/n - p)² = z² p (1 - p) / n, which is how Wilson derived them."""
+    share = noticed / tried
+    low, high = wilson(noticed, tried)
+    assert 0.0 <= low <= share <= high <= 1.0
+    for bound in (low, high):
+        spread = 1.959963984540054**2 * bound * (1.0 - bound) / tried
+        assert (share - bound) ** 2 == pytest.approx(spread, abs=1e-12)
+    assert (low == 0.0) == (noticed == 0)
+    assert (high == 1.0) == (noticed == tried)
+
+
+def test_the_score_counts_rooms_and_all_that_were_drawn() -> None:
+    some = draw(12, "one")
+    tried = [Tried(room_of(one), one, survives=i < 3) for i, one in enumerate(some)]
+    tried.append(Tried("named", NAMED_RULES[0], survives=False))
+    found = counts(tried)
+    assert found["all drawn"] == (9, 12)
+    assert found["named"] == (1, 1)
+    assert {room: found[room] for room in ROOMS} == {
+        room: (1 if i < 3 else 2, 2) for i, room in enumerate(ROOMS)
+    }
+    record = as_record(tried)
+    assert record["survive"] == [one.name for one in some[:3]]
+    lines = as_lines(tried)
+    assert lines[-4].split()[:5] == ["all", "drawn", "12", "9", "75"]
+    assert lines[-3:] == [f"survives: {one.name}" for one in some[:3]]
 
 
 @pytest.mark.slow

@@ -6,7 +6,11 @@ import ast
 from functools import cache
 from pathlib import Path
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from tests.support import ROOT
+from tests.support.examples import multiply
 
 FILES = sorted((ROOT / "tests").rglob("test_*.py"))
 OF_NO_ROOM = {"tests/benchmarks"}
@@ -75,3 +79,19 @@ def test_what_is_smoke_starts_a_process() -> None:
             if is_smoke and "pytest.mark.process" not in marks:
                 alone.append(f"{path}:{getattr(node, 'lineno', 0)}")
     assert alone == []
+
+
+def test_a_property_test_tries_as_many_examples_as_asked_for() -> None:
+    tried = []
+
+    @settings(max_examples=10, database=None)
+    @given(number=st.integers())
+    def a_property(number: int) -> None:
+        tried.append(number)
+
+    for times, wanted in ((1.0, 10), (3.0, 30), (0.01, 1)):
+        multiply(a_property, times)
+        tried.clear()
+        a_property()
+        assert len(tried) == wanted
+        multiply(a_property, 10.0 / wanted)

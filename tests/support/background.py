@@ -16,3 +16,13 @@ def background(base: Path) -> dict[int, str]:
                 if "nodes.compiled.build --idle" in line:
                     found[int(process.name)] = line
     return found
+
+
+def parent_of(process: int) -> int:
+    """Return the parent of a process; 0 if the process has ended."""
+    try:
+        text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8")
+    except OSError:
+        return 0
+    # The second field is the name, in parentheses.
+    return int(text.rpartition(")")[2].split()[1])

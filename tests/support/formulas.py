@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import cache
 
 from tests.support import ROOT
 
@@ -16,8 +17,9 @@ FUNCTIONS = {r"\cos": "cos", r"\sin": "sin", r"\tan": "tan", r"\sqrt": "sqrt"}
 CLOSING = {"(": ")", "[": "]", "{": "}", "|": "|"}
 
 
+@cache
 def formulas() -> dict[str, list[str]]:
-    """Return the statements of each formula in Python, by number."""
+    """Return the statements of each formula in Python, by number; the page is read once."""
     return {
         number: [python(part) for part in re.split(r",\s*\\quad", text) if part.strip()]
         for text, number in DISPLAYED.findall(PAGE)

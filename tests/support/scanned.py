@@ -8,26 +8,38 @@ from functools import cache
 from typing import Any
 
 import msgspec
-import numba
 import numpy as np
 
 from messages.codec import Decoder
 from messages.types import Message
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.message_fields import FLAG, TEXT, VECTOR, WHOLE, fields_of
+from sim.play.compiled import compiled
+
+
+def kept(function: Callable[..., Any], name: str) -> Any:
+    """Compile a function once per machine: its machine code stays in the cache, by its sources.
+
+    The cache knows a function by its module and its name.
+    """
+    function.__qualname__ = name
+    return compiled()(function)
 
 
 @cache
 def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
+    """Return a compiled reader of payloads."""
     scan: Any = make_scan(message)
-    compiled = numba.njit(lambda at, end, reals, wholes: scan(at, end, reals, wholes))
+    compiled_scan = kept(
+        lambda at, end, reals, wholes: scan(at, end, reals, wholes), f"scan_{message.__name__}"
+    )
 
     def read(payload: bytes) -> dict[str, Any] | None:
         # What stood there before must not be taken for what was read.
         reals, wholes = np.full(32, 77.0), np.full(16, 77)
         at = ctypes.create_string_buffer(payload, len(payload) + 16)
         begin = ctypes.addressof(at)
-        if not compiled(begin, begin + len(payload), reals, wholes):
+        if not compiled_scan(begin, begin + len(payload), reals, wholes):
             return None
         found: dict[str, Any] = {}
         for field in fields_of(message):

@@ -11,7 +11,6 @@ from typing import Any
 
 import msgpack
 import msgspec
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,7 +28,7 @@ from nodes.compiled.message_fields import (
     fields_of,
     key_blocks,
 )
-from tests.support.scanned import assert_read_alike, scanner
+from tests.support.scanned import assert_read_alike, kept, scanner
 
 TYPES = (DeviceState, Proxy, Force)
 
@@ -77,8 +76,9 @@ def test_what_the_nodes_send_is_read(message: Message) -> None:
 @cache
 def encoder(message: type[Message]) -> Callable[[Message], bytes]:
     write: Any = make_encode(message)
-    compiled = numba.njit(
-        lambda at, keys, reals, wholes, text, size: write(at, keys, reals, wholes, text, size)
+    compiled = kept(
+        lambda at, keys, reals, wholes, text, size: write(at, keys, reals, wholes, text, size),
+        f"write_{message.__name__}",
     )
     keys = ctypes.create_string_buffer(key_blocks(message))
 

@@ -6,7 +6,6 @@ import ctypes
 from typing import Annotated, Any
 
 import msgspec
-import numba
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,6 +21,7 @@ from nodes.compiled.published import Published, payload_of, published
 from nodes.coupling import state as coupling
 from nodes.driver import state as driver
 from nodes.environment import state as environment
+from tests.support.scanned import kept
 
 HOPS: dict[str, tuple[Published, type[Any]]] = {
     "driver": (driver.PUBLISHED, driver.DriverState),
@@ -51,7 +51,7 @@ COUNTS = st.integers(0, MAX_COUNT)
 def test_both_ticks_send_what_stands_in_the_state(hop: str) -> None:
     table, kind = HOPS[hop]
     look, write = record_at(record_of(kind)), make_write(table)
-    compiled = numba.njit(lambda address, at: write(look(address), at))
+    compiled = kept(lambda address, at: write(look(address), at), f"publish_{hop}")
     plain = payload_of(table)
     keys = ctypes.create_string_buffer(key_blocks(table.message))
     room = ctypes.create_string_buffer(LONGEST_OUT + 16)

@@ -28,8 +28,7 @@ from tests.support.recorded import drop
 from tests.support.whole import Whole
 
 MAGIC = b"\x89MCAP0\r\n"
-# HAPTIC_FUZZ=50 makes a long run of it.
-FUZZ = settings(max_examples=60 * int(os.environ.get("HAPTIC_FUZZ", "1")))
+FUZZ = settings(max_examples=60)
 
 
 def read(path: Path) -> list[tuple[str, Message]]:

@@ -22,6 +22,7 @@ from sim.experiments.term_scene import term_scene, with_parameters
 from sim.experiments.terms import TERMS, NeedTerm
 from sim.studies.needs import _text
 from tests.support import slowly
+from tests.support.launches import every_launch
 
 
 def judge(name: str, **arguments: Any) -> Needs:
@@ -40,7 +41,7 @@ def changed(tmp_path: Path, name: str, edit: Any) -> str:
     return str(path)
 
 
-LAUNCHES = {name: launch_file.read(name, {}) for name in sorted(launch_file.scenarios())}
+LAUNCHES = every_launch()
 
 
 def kinds(name: str) -> list[str]:

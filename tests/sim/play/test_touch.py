@@ -10,8 +10,9 @@ from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from sim.play.player import play
 from sim.play.touch import touch
+from tests.support.launches import every_launch
 
-LAUNCHES = {name: launch_file.read(name, {}) for name in launch_file.scenarios()}
+LAUNCHES = every_launch()
 SHAPES = [
     name
     for name, one in LAUNCHES.items()

@@ -1,4 +1,4 @@
-"""Try mutations and count survivors; the exit code is 1 if a named one survives."""
+"""Try mutations and print the score of each room; the exit code is 1 if a named one survives."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import tempfile
 from pathlib import Path
 
 from tests.support.commit import commit
-from tests.support.mutations.drawn import ROOMS, draw
+from tests.support.mutations.drawn import ROOMS, draw, room_of
 from tests.support.mutations.mutation import Mutation, copy_sources, survives
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
+from tests.support.mutations.score import Tried, as_lines, as_record
 
 
 def part_of(mutations: tuple[Mutation, ...], part: str) -> list[Mutation]:
@@ -29,28 +30,23 @@ def main() -> int:
     parser.add_argument("--only-drawn", action="store_true", help="leave out the named ones")
     parser.add_argument("--room", action="append", choices=list(ROOMS), help="draw from this room")
     parser.add_argument("--seed", help="what they are drawn by (default: the commit)")
-    parser.add_argument("--json", type=Path, help="file for the score and what survives")
+    parser.add_argument("--json", type=Path, help="file for the score, written after each")
     arguments = parser.parse_args()
     named = [] if arguments.only_drawn else part_of((*SAFETY_RULES, *NAMED_RULES), arguments.part)
     drawn = draw(arguments.drawn, arguments.seed or commit(), arguments.room)
-    left: list[Mutation] = []
+    groups = [("named", one) for one in named] + [(room_of(one), one) for one in drawn]
+    tried: list[Tried] = []
     with tempfile.TemporaryDirectory(prefix="haptic-mutations-") as folder:
         copy_sources(Path(folder))
-        for mutation in (*named, *drawn):
-            lives = survives(mutation, Path(folder))
-            print(f"{'SURVIVES' if lives else 'noticed':9}{mutation.name}", flush=True)
-            left += [mutation] if lives else []
-    score = {
-        "named": {"tried": len(named), "noticed": len([one for one in named if one not in left])},
-        "drawn": {"tried": len(drawn), "noticed": len([one for one in drawn if one not in left])},
-        "survive": [one.name for one in left],
-    }
-    print(json.dumps(score, ensure_ascii=False))
-    if arguments.json:
-        arguments.json.write_text(
-            json.dumps(score, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
-        )
-    return int(any(one in left for one in named))
+        for group, mutation in groups:
+            tried.append(Tried(group, mutation, survives(mutation, Path(folder))))
+            said = "SURVIVES" if tried[-1].survives else "noticed"
+            print(f"{said:9}{mutation.name}", file=sys.stderr, flush=True)
+            if arguments.json:
+                text = json.dumps(as_record(tried), indent=2, ensure_ascii=False)
+                arguments.json.write_text(f"{text}\n", encoding="utf-8")
+    print("\n".join(as_lines(tried)))
+    return int(any(one.survives for one in tried if one.group == "named"))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import ast
 import random
+import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -17,14 +19,16 @@ from tests.support import ROOT
 from tests.support.mutations.mutation import Mutation
 
 ROOMS: Final = {
-    "nodes/driver": ("tests/nodes/driver", "tests/nodes/compiled"),
-    "nodes/laws": ("tests/nodes/laws", "tests/nodes/stability"),
-    "nodes/stability": ("tests/nodes/stability", "tests/nodes/coupling"),
-    "nodes/coupling": ("tests/nodes/coupling", "tests/nodes/compiled"),
-    "nodes/recording": ("tests/nodes/recording",),
-    "sim/identify": ("tests/sim/identify", "tests/sim/design"),
+    room: (f"tests/{room}",)
+    for room in (
+        *("nodes/driver", "nodes/laws", "nodes/stability", "nodes/coupling", "nodes/recording"),
+        "sim/identify",
+    )
 }
-"""Mutated files, and the tests that must notice."""
+"""Rooms whose files are changed, and the folder of tests that must notice: the one that mirrors."""
+
+COMPILED: Final = frozenset({"kernel", "compiled_tick"})
+"""Files of a room that only the compiled ticks run, whose tests are in tests/nodes/compiled."""
 
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
     ast.Lt: ("<", "<="),
@@ -106,22 +110,26 @@ def _is_text(node: ast.BinOp) -> bool:
     )
 
 
-def _of_code(node: ast.AST) -> Iterator[ast.AST]:
+def _of_code(tree: ast.AST) -> Iterator[ast.AST]:
     """Yield executable nodes: no annotations, decorators, error texts or checker-only code."""
-    for name, value in ast.iter_fields(node):
-        if name in {"annotation", "returns", "decorator_list"}:
-            continue
-        for child in value if isinstance(value, list) else [value]:
-            if not isinstance(child, ast.AST) or isinstance(child, (ast.Raise, ast.JoinedStr)):
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        for name in node._fields:
+            if name in {"annotation", "returns", "decorator_list", "ctx"}:
                 continue
-            if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
-                continue
-            yield child
-            yield from _of_code(child)
+            value = getattr(node, name, None)
+            for child in value if isinstance(value, list) else (value,):
+                if not isinstance(child, ast.AST) or isinstance(child, (ast.Raise, ast.JoinedStr)):
+                    continue
+                if isinstance(child, ast.If) and getattr(child.test, "id", "") == "TYPE_CHECKING":
+                    continue
+                yield child
+                waiting.append(child)
 
 
-def all_of(file: Path, tests: tuple[str, ...], root: Path = ROOT) -> list[Mutation]:
-    """Return every mutation of a file, in the order of its text."""
+def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
+    """Return every mutation of a file, in the order of its text; their tests are not named yet."""
     text = file.read_text(encoding="utf-8")
     places, name = _Places(text), str(file.relative_to(root))
     found = []
@@ -129,27 +137,47 @@ def all_of(file: Path, tests: tuple[str, ...], root: Path = ROOT) -> list[Mutati
         for place, old, new in places.changes(node):
             line = text.count("\n", 0, place) + 1
             said = f"{name}:{line}: {' '.join(old.split())} → {' '.join(new.split())}"
-            found.append(Mutation(said, name, old, new, tests, place))
+            found.append(Mutation(said, name, old, new, (), place))
     return sorted(found, key=lambda one: one.place or 0)
 
 
 def draw(number: int, seed: str, rooms: list[str] | None = None) -> list[Mutation]:
     """Draw mutations from the rooms in turn; files are weighted by their number of places."""
     chance = random.Random(seed)  # noqa: S311  # which are tried is no secret
-    pools = []
-    for room in rooms or list(ROOMS):
-        files = sorted((ROOT / room).rglob("*.py"))
-        pools.append([one for file in files for one in all_of(file, _tests(room, file))])
+    pools = [list(_pool(room)) for room in rooms or list(ROOMS)]
     for pool in pools:
         chance.shuffle(pool)
-    return [pools[i % len(pools)][i // len(pools)] for i in range(number)]
+    drawn = [pools[i % len(pools)][i // len(pools)] for i in range(number)]
+    return [one._replace(tests=_tests(room_of(one), ROOT / one.file)) for one in drawn]
 
 
+@cache
+def _pool(room: str) -> tuple[Mutation, ...]:
+    """Return every mutation of a room's files."""
+    files = sorted((ROOT / room).rglob("*.py"))
+    return tuple(one for file in files for one in all_of(file))
+
+
+def room_of(mutation: Mutation) -> str:
+    """Return the room that a mutation was drawn from."""
+    return next(room for room in ROOMS if mutation.file.startswith(f"{room}/"))
+
+
+@cache
 def _tests(room: str, file: Path) -> tuple[str, ...]:
-    """Return the tests of a file, those with its name first so that most runs end early."""
-    own = sorted(
-        str(path.relative_to(ROOT))
-        for folder in ROOMS[room]
-        for path in (ROOT / folder).glob(f"test_{file.stem}*.py")
-    )
-    return (*own, *ROOMS[room])
+    """Return the tests of a file: those with its name, those that import it, its room's."""
+    module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+    package, _, name = module.rpartition(".")
+    folders = ROOMS[room]
+    if file.stem in COMPILED:
+        folders = ("tests/nodes/compiled", *folders)
+    tests = [path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))]
+
+    def imports(test: Path) -> bool:
+        text = test.read_text(encoding="utf-8")
+        return module in text or re.search(rf"from {package} import .*\b{name}\b", text) is not None
+
+    named = [path for path in tests if path.stem.startswith(f"test_{file.stem}")]
+    importing = [path for path in tests if path not in named and imports(path)]
+    first = [str(path.relative_to(ROOT)) for path in (*named, *importing)]
+    return (*first, *folders)
