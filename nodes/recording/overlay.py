@@ -1,9 +1,12 @@
-"""Figures of several runs: position and force over time, or force over position."""
+"""Figures of several runs: position and force over time, or force over position.
+
+A run is drawn along its own axes only: along another it would be a line that nobody measured.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +15,13 @@ import numpy as np
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.base.printable import printable
+from nodes.recording.difference import difference
 from nodes.recording.figure_style import COLOURS, LINES
-from nodes.recording.plot import COLORS, form_of, head, new_figure, render, style
+from nodes.recording.plot import COLORS, end_of, form_of, head, new_figure, render, style
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
 from nodes.recording.summary import summarise
+from nodes.recording.table import rows
 from nodes.recording.writer import RecordError, save
 
 if TYPE_CHECKING:
@@ -54,11 +59,18 @@ def _look(number: int, count: int) -> dict[str, Any]:
     }
 
 
-def _legend(figure: Figure, axes: Axes, labels: Sequence[str]) -> None:
-    handles = axes.get_legend_handles_labels()[0][: len(labels)]
-    columns = 2 if len(labels) > 1 and max(map(len, labels)) <= 60 else 1
+def _legend(figure: Figure, panels: Iterable[Axes], labels: Sequence[str]) -> None:
+    """Draw one entry per run, whichever panel it is in."""
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        drawn, names = axes.get_legend_handles_labels()
+        handles |= dict(zip(names, drawn, strict=True))
+    shown = [label for label in labels if label in handles]
+    columns = 2 if len(shown) > 1 and max(map(len, shown)) <= 60 else 1
     place: Any = {"loc": "outside lower left", "ncols": columns, "borderaxespad": 0.5}
-    legend = figure.legend(handles, list(labels), fontsize=9, frameon=False, **place)
+    legend = figure.legend(
+        [handles[label] for label in shown], shown, fontsize=9, frameon=False, **place
+    )
     legend.set_in_layout(True)
     for text in legend.get_texts():
         text.set_parse_math(False)
@@ -82,38 +94,73 @@ def overlay(
         rest = 1.25 * max(one.rest() for one in lines)
         if 0.0 < rest < 0.5 * max(one.stop - one.begin for one in lines):
             lines = [Lines(recording, 0.0, rest) for recording in recordings]
-    axis = lines[0].axis
-    figure = new_figure(6.6 + 0.12 * len(recordings))
-    panels = list(figure.subplots(2, 1, sharex=True))
+    drawn = sorted({axis for one in lines for axis in one.axes})
+    compared = [n for n in range(1, len(lines)) if set(lines[n].axes) & set(lines[0].axes)]
+    rows = 3 if compared else 2
+    figure = new_figure(3.3 * rows + 0.12 * len(recordings))
+    grid = figure.subplots(rows, len(drawn), sharex=True, squeeze=False)
     labels = _labels(recordings, lines)
+    for column, axis in enumerate(drawn):
+        _draw_runs(list(grid[:, column]), lines, labels, axis)
+    for number in compared:
+        _draw_difference(grid[2], recordings, lines, number, drawn)
+    for panels in grid.T:
+        for axes in panels:
+            style(axes)
+        panels[-1].set_xlabel("time from the first tick [s]")
+    figure.align_ylabels(list(grid[:, 0]))
+    _legend(figure, grid[0], labels)
+    levels = _levels(lines, drawn[0]) if len(drawn) == 1 else []
+    head(grid[0][0], f"{len(recordings)} runs", _facts(levels), 7)
+    return figure
+
+
+def _draw_runs(
+    panels: Sequence[Axes], lines: Sequence[Lines], labels: Sequence[str], axis: int
+) -> None:
+    """Draw position and force along one axis, of the runs that have it."""
     for number, (one, label) in enumerate(zip(lines, labels, strict=True)):
+        if axis not in one.axes:
+            continue
         for axes, line, scale in ((panels[0], one.position, 1e3), (panels[1], one.force, 1.0)):
             time, values = line.arrays()
             axes.plot(
                 time - one.begin, values[:, axis] * scale, label=label, **_look(number, len(lines))
             )
-    level = _surface(lines[0], axis)
-    if level is not None:
+    for level in _levels(lines, axis):
         panels[0].axhline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
-    for axes, name in zip(panels, ("position {} [mm]", "force {} [N]"), strict=True):
-        axes.set_ylabel(name.format("xyz"[axis]))
-        style(axes)
-    panels[-1].set_xlabel("time from the first tick [s]")
-    figure.align_ylabels(panels)
-    _legend(figure, panels[0], labels)
-    head(panels[0], f"{len(recordings)} runs", _facts(level), 7)
-    return figure
+    panels[0].set_ylabel(f"position {'xyz'[axis]} [mm]")
+    panels[1].set_ylabel(f"force {'xyz'[axis]} [N]")
 
 
-def _surface(lines: Lines, axis: int) -> float | None:
-    """Return the first recorded position of the surface [mm]; None without one."""
-    values = lines.proxy.arrays()[1][:, 3 + axis]
-    seen = values[~np.isnan(values)]
-    return float(seen[0]) * 1e3 if len(seen) else None
+def _draw_difference(
+    panels: Sequence[Axes],
+    recordings: Sequence[Recording],
+    lines: Sequence[Lines],
+    number: int,
+    drawn: Sequence[int],
+) -> None:
+    """Draw how far a run is from the first, along the axes of both."""
+    time, values = difference(recordings[number], lines[number], recordings[0]).arrays()
+    for axes, axis in zip(panels, drawn, strict=True):
+        axes.set_ylabel(f"{'xyz'[axis]} minus the first [µm]")
+        if axis in lines[0].axes and axis in lines[number].axes:
+            axes.plot(
+                time - lines[number].begin, values[:, axis] * 1e6, **_look(number, len(lines))
+            )
 
 
-def _facts(level: float | None) -> str:
-    return "" if level is None else f"dashed: the surface, at {level:.4g} mm".replace("-", "−")
+def _levels(lines: Sequence[Lines], axis: int) -> list[float]:
+    """Return the positions of flat surfaces across an axis [mm], each once."""
+    found = [one.level(axis) for one in lines if axis in one.axes]
+    return sorted({round(level * 1e3, 6) for level in found if level is not None})
+
+
+def _facts(levels: Sequence[float]) -> str:
+    if not levels:
+        return ""
+    places = ", ".join(f"{level:.4g}" for level in levels)
+    return f"dashed: the surface, at {places} mm".replace("-", "−")
 
 
 def _pairs(
@@ -177,25 +224,62 @@ def force_over_position(
     _checked(recordings)
     ends = start or 0.0, math.inf if stop is None else stop
     lines = [Lines(recording, *ends) for recording in recordings]
-    axis = lines[0].axis
-    figure = new_figure(6.6 + 0.12 * len(recordings))
-    axes = figure.subplots()
     labels = _labels(recordings, lines)
-    for number, (recording, one, label) in enumerate(zip(recordings, lines, labels, strict=True)):
-        axes.plot(*_trace(recording, one, axis, *ends), label=label, **_look(number, len(lines)))
-    level = _surface(lines[0], axis)
-    if level is not None:
-        axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
-    axes.set_xlabel(f"position {'xyz'[axis]} [mm]")
-    axes.set_ylabel(f"force {'xyz'[axis]} [N]")
-    style(axes)
-    _legend(figure, axes, labels)
-    facts = [_facts(level)] if level is not None else []
-    if len(recordings) == 1:
-        end = summarise(recordings[0])
-        facts.append(f"ends at {end.position_m[axis] * 1e3:.3f} mm, {end.force_n[axis]:.3f} N")
-    head(axes, "Force over position", "  ·  ".join(facts).replace("-", "−"), 7)
+    figure = new_figure(6.6 + 0.12 * len(recordings))
+    drawn = sorted({axis for one in lines for axis in one.axes})
+    if any(len(one.axes) > 1 for one in lines) and all(any(one.normal) for one in lines):
+        grid = [figure.subplots()]
+        for number, (recording, one) in enumerate(zip(recordings, lines, strict=True)):
+            x, y = _along_the_normal(recording, *ends, one.begin)
+            grid[0].plot(x, y, label=labels[number], **_look(number, len(lines)))
+        grid[0].axvline(0.0, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
+        grid[0].set_xlabel("distance along the normal [mm]")
+        grid[0].set_ylabel("force along the normal [N]")
+        facts = ["dashed: the surface", "only ticks at which a surface was near"]
+    else:
+        grid = list(figure.subplots(1, len(drawn), squeeze=False)[0])
+        for axes, axis in zip(grid, drawn, strict=True):
+            for number, (recording, one) in enumerate(zip(recordings, lines, strict=True)):
+                if axis in one.axes:
+                    axes.plot(
+                        *_trace(recording, one, axis, *ends),
+                        label=labels[number],
+                        **_look(number, len(lines)),
+                    )
+            for level in _levels(lines, axis):
+                axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
+            axes.set_xlabel(f"position {'xyz'[axis]} [mm]")
+            axes.set_ylabel(f"force {'xyz'[axis]} [N]")
+        levels = _levels(lines, drawn[0]) if len(drawn) == 1 else []
+        facts = [_facts(levels)] if levels else []
+        if len(recordings) == len(drawn) == 1:
+            facts.append(end_of(summarise(recordings[0]), drawn))
+    for axes in grid:
+        style(axes)
+    _legend(figure, grid, labels)
+    head(grid[0], "Force over position", "  ·  ".join(facts), 7)
     return figure
+
+
+def _along_the_normal(
+    recording: Recording, start: float, stop: float, begin: float
+) -> tuple[list[float], list[float]]:
+    """Return distance [mm] and force [N] along the normal of each tick, NaN without one."""
+    x: list[float] = []
+    y: list[float] = []
+    for state, following, proxy, _ in rows(recording):
+        if not start <= state.stamp - begin <= stop:
+            continue
+        if following is None or proxy is None or not any(proxy.normal):
+            point = (math.nan, math.nan)
+        else:
+            force = math.fsum(f * n for f, n in zip(following.force, proxy.normal, strict=True))
+            point = (proxy.distance * 1e3, force)
+        # At rest, and off any surface, every tick is the same point.
+        if not x or (point != (x[-1], y[-1]) and not (math.isnan(point[0]) and math.isnan(x[-1]))):
+            x.append(point[0])
+            y.append(point[1])
+    return x, y
 
 
 def plot_several(

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.base.printable import printable
 from nodes.recording.accounts import completeness
-from nodes.recording.figure_style import settle_layout
+from nodes.recording.figure_style import COLOURS, settle_layout
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
 from nodes.recording.summary import Summary, summarise
@@ -71,12 +72,13 @@ def _line(
 
 
 def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
-    """Draw position, proxy and surface."""
+    """Draw position, proxy and surface of one axis; nothing of them lies beyond the frame."""
     import numpy as np
 
     time, proxy = lines.proxy.arrays()
     position = lines.position.arrays()[1][:, axis] * 1e3
-    low, high = float(position.min()), float(position.max())
+    shown = np.concatenate((position, proxy[:, axis] * 1e3))
+    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
     if len(time):
         surface = proxy[:, 3 + axis] * 1e3
         faced = ~np.isnan(surface)
@@ -92,6 +94,32 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
     axes.set_ylabel(f"position {'xyz'[axis]} [mm]")
 
 
+def _draw_positions(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
+    """Draw position and proxy of several axes; a curved surface has no place in such a panel."""
+    for axis in drawn:
+        color, name = COLOURS[axis], "xyz"[axis]
+        _line(axes, lines.proxy, axis, lines.begin, 1e3, color, f"proxy {name}", ls="--", lw=0.9)
+        _line(axes, lines.position, axis, lines.begin, 1e3, color, f"device {name}")
+    axes.set_ylabel("position [mm]")
+
+
+def _draw_forces(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
+    """Draw the force handed over along several axes."""
+    for axis in drawn:
+        _line(
+            axes,
+            lines.force,
+            axis,
+            lines.begin,
+            1.0,
+            COLOURS[axis],
+            f"after limits {'xyz'[axis]}",
+            drawstyle="steps-post",
+        )
+    axes.set_ylabel("force [N]")
+    _draw_safety(axes, lines)
+
+
 def _draw_force(axes: Axes, lines: Lines, axis: int) -> None:
     _line(axes, lines.asked, axis, lines.begin, 1.0, COLORS["asked"], "law", lw=0.9)
     _line(
@@ -105,6 +133,10 @@ def _draw_force(axes: Axes, lines: Lines, axis: int) -> None:
         drawstyle="steps-post",
     )
     axes.set_ylabel(f"force {'xyz'[axis]} [N]")
+    _draw_safety(axes, lines)
+
+
+def _draw_safety(axes: Axes, lines: Lines) -> None:
     named: set[str] = set()
     for kind, low, high in lines.safety.spans():
         label = None if kind in named else f"safety: {kind}"
@@ -208,7 +240,19 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
         )
 
 
-def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, shown: str) -> str:
+def end_of(summary: Summary, axes: Sequence[int]) -> str:
+    """Return where the device ends, and under which force."""
+    place, force = (
+        ", ".join(f"{values[axis] * scale:.3f}" for axis in axes)
+        for values, scale in ((summary.position_m, 1e3), (summary.force_n, 1.0))
+    )
+    several = f" ({', '.join('xyz'[axis] for axis in axes)})" if len(axes) > 1 else ""
+    return f"ends at {place} mm, {force} N{several}".replace("-", "−")
+
+
+def _subtitle(
+    recording: Recording, summary: Summary, lines: Lines, axes: Sequence[int], shown: str
+) -> str:
     """Return two lines of facts: how the run went, and its result."""
     pace = recording.manifest.get("pace", "")
     share = 100.0 * (summary.missed or 0) / summary.ticks if summary.ticks else 0.0
@@ -220,9 +264,7 @@ def _subtitle(recording: Recording, summary: Summary, lines: Lines, axis: int, s
     ]
     what_came_of_it = [
         *(["law " + ", ".join(lines.laws)[:50]] if lines.laws else []),
-        f"ends at {summary.position_m[axis] * 1e3:.3f} mm, {summary.force_n[axis]:.3f} N".replace(
-            "-", "−"
-        ),
+        end_of(summary, axes),
         *([shown] if shown else []),
     ]
     return "\n".join("  ·  ".join(parts) for parts in (how_it_went, what_came_of_it))
@@ -287,8 +329,12 @@ def figure_of(
         axes.sharex(shared[0])
     for axes in shared[:-1]:
         axes.tick_params(labelbottom=False)
-    draw_position(panels[0], lines, axis)
-    _draw_force(panels[1], lines, axis)
+    if len(drawn := whole.axes) > 1:
+        _draw_positions(panels[0], lines, drawn)
+        _draw_forces(panels[1], lines, drawn)
+    else:
+        draw_position(panels[0], lines, axis)
+        _draw_force(panels[1], lines, axis)
     if energy:
         _draw_energy(panels[2], lines, guard)
     realtime = recording.manifest.get("pace") != "lockstep"
@@ -310,7 +356,7 @@ def figure_of(
         axes.set_xlabel("time [s]" if realtime else "simulated time [s]")
     figure.align_ylabels(panels)
     scenario = recording.manifest.get("scenario", recording.path.stem)
-    head(panels[0], scenario, _subtitle(recording, summary, lines, axis, shown))
+    head(panels[0], scenario, _subtitle(recording, summary, lines, drawn, shown))
     return figure
 
 

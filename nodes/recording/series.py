@@ -23,6 +23,7 @@ AnyArray = np.ndarray[Any, Any]
 POINTS = 4000  # longest line stored unreduced
 BINS = POINTS // 2  # time intervals of a longer line; about two per pixel
 _BLOCK = 8192
+_FLAT = 1e-9  # spread of a flat surface's positions by rounding [m]
 _MOST = 200  # changes, and marks, that are drawn
 
 
@@ -109,6 +110,7 @@ class Lines:
             )
         # Stamp of the recording's first state: time 0 of the figure [s].
         self.begin = figures.first_stamp
+        self._declared = recording.manifest.get("axes", "").split(",")
         # Interval drawn, as stamps [s].
         self.start = max(self.begin + start, self.begin)
         self.stop = min(self.begin + stop, figures.last_stamp)
@@ -206,6 +208,26 @@ class Lines:
         for axis, part in enumerate(message.normal):
             if abs(part) > abs(self.normal[axis]):
                 self.normal[axis] = part
+
+    @property
+    def axes(self) -> list[int]:
+        """Return the axes to draw: the only one of a scene of one axis, else those that moved."""
+        if len(self._declared) == 1:
+            return [self.axis]
+        motion = np.ptp(self.position.arrays()[1], axis=0) > 0.0
+        force = self.force.arrays()[1]
+        pushed = np.ptp(force, axis=0) > 0.0 if len(force) else motion
+        found = [axis for axis in range(3) if motion[axis] or pushed[axis]]
+        return found if len(found) > 1 else [self.axis]
+
+    def level(self, axis: int) -> float | None:
+        """Return where a flat surface across an axis is [m]; None without one."""
+        values = self.proxy.arrays()[1][:, 3 + axis]
+        seen = values[~np.isnan(values)]
+        # A reduced line holds extremes of a bin; of a curved surface they differ.
+        if not len(seen) or np.ptp(seen) > _FLAT * max(1.0, float(np.abs(seen).max())):
+            return None
+        return float(seen[0])
 
     @property
     def axis(self) -> int:

@@ -160,9 +160,14 @@ class Feed:
         """Return the present state of the scene, 22 numbers; NaN if unknown."""
         nowhere = (math.nan, math.nan, math.nan)
         state, proxy, force = self.state, self.proxy, self.force
+        position = state.position if state else nowhere
+        if state and proxy and 0 <= state.seq - proxy.seq <= self._grace * self.per_bin:
+            # Of the same tick as the proxy: a tick later the device is elsewhere, and a surface at
+            # the proxy's distance from there would be, too.
+            position = proxy.position
         return (
             state.seq * self._period if state else math.nan,
-            *(state.position if state else nowhere),
+            *position,
             *(proxy.proxy if proxy else nowhere),
             *(proxy.normal if proxy else nowhere),
             *(force.force if force else nowhere),

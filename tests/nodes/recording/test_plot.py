@@ -267,7 +267,7 @@ def test_runs_lie_over_each_other(several: list[Path], capsys: pytest.CaptureFix
     out = Path(json.loads(capsys.readouterr().out)["plot"])
     assert out == several[0].with_name("run0_overlay.png")
     recordings = [Recording(path) for path in several]
-    position, force = overlay(recordings, 0.0, 1.0).axes
+    position, force, _ = overlay(recordings, 0.0, 1.0).axes
     for axes, scale, field in ((position, 1e3, "position"), (force, 1.0, "force")):
         drawn = [line for line in axes.lines if np.size(line.get_xdata()) > 2]
         assert len(drawn) == 3
