@@ -21,11 +21,11 @@ from nodes.driver.state import SAFETY
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import chains_of
+from nodes.laws.law_fields import all_law_fields
 from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError, convert
 from nodes.view.bundle import bundle
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.law_fields import all_law_fields
 from nodes.view.live import HISTORY
 from nodes.view.shape import shape_of
 from nodes.view.stability_map import plant_of
