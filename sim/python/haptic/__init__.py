@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from nodes.laws.pd_filtered import PDFiltered
     from nodes.laws.pd_windowed import PDWindowed
     from nodes.stability.plant import Plant
+    from sim.api.compared_laws import LawTable, compare
     from sim.api.laws import law, laws, scenarios
+    from sim.api.linear import OpenLoop, loop
     from sim.api.loops import k_max, poles
     from sim.api.played import drop, play
     from sim.api.python_runs import LaunchError, Run, connect, launch
@@ -41,7 +43,9 @@ __all__ = [
     "LaunchError",
     "LaunchWarning",
     "LawRefusedError",
+    "LawTable",
     "MultiTerm",
+    "OpenLoop",
     "PDAlpha",
     "PDFiltered",
     "PDWindowed",
@@ -51,6 +55,7 @@ __all__ = [
     "RunSummary",
     "Term",
     "bode",
+    "compare",
     "connect",
     "design",
     "drop",
@@ -60,6 +65,7 @@ __all__ = [
     "launch",
     "law",
     "laws",
+    "loop",
     "play",
     "plot",
     "poles",
@@ -82,6 +88,8 @@ _NAMES = {
     "nodes.laws.pd_filtered": ("PDFiltered",),
     "nodes.laws.pd_windowed": ("PDWindowed",),
     "nodes.stability.plant": ("Plant",),
+    "sim.api.compared_laws": ("LawTable", "compare"),
+    "sim.api.linear": ("OpenLoop", "loop"),
     "sim.api.laws": ("law", "laws", "scenarios"),
     "sim.api.loops": ("k_max", "poles"),
     "sim.api.played": ("drop", "play"),
