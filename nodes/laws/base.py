@@ -246,6 +246,51 @@ class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True,
         """
         return RESULTS.load("bode")(self, plant, ax=ax, **options)
 
+    def loop(self, plant: Any = None) -> Any:
+        """Return the loop of this law and a device, broken at the force.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            The device; by default 0.1 kg and 1 N s/m at 500 Hz.
+
+        Returns
+        -------
+        haptic.OpenLoop
+            Margins, Bode and Nyquist plot, root locus; L for scipy and python-control.
+        """
+        return RESULTS.load("loop")(self, plant)
+
+    def to_scipy(self, plant: Any = None) -> Any:
+        """Return this law as a discrete-time system of scipy, from deflection to force.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            Source of the period [s]; by default 2 ms.
+
+        Returns
+        -------
+        scipy.signal.dlti
+            A transfer function; a state space if the law has recursive sections.
+        """
+        return RESULTS.load("to_scipy")(self, plant)
+
+    def to_control(self, plant: Any = None) -> Any:
+        """Return this law as a system of python-control, from deflection to force.
+
+        Parameters
+        ----------
+        plant : Plant, optional
+            Source of the period [s]; by default 2 ms.
+
+        Returns
+        -------
+        control.TransferFunction or control.StateSpace
+            As `to_scipy`.
+        """
+        return RESULTS.load("to_control")(self, plant)
+
     def z_width(self, plant: Any = None, **options: Any) -> Any:
         """Return the K–B plane: the largest stable stiffness for each damping gain.
 

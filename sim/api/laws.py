@@ -140,3 +140,12 @@ def law(kind: LawLike, **parameters: Any) -> Law:
 def compiled(kind: LawLike, period: float) -> CompiledLaw:
     """Compile a law for the sampling period T [s]; raises LawRefusedError as `law` does."""
     return kind if isinstance(kind, CompiledLaw) else compile_law(law(kind), period)
+
+
+def law_name(law: Any) -> str:
+    """Return a law's name for a legend: its preset or kind, or ``taps``."""
+    if isinstance(law, str):
+        return law
+    if isinstance(law, Mapping) and "kind" in law:
+        return str(law["kind"])
+    return str(getattr(law, "kind", "")) or "taps"

@@ -15,9 +15,10 @@ from sim.api.laws import LawLike, compiled
 from sim.api.laws import law as made
 from sim.api.named_worlds import read_world
 from sim.arrays import Array
-from sim.studies.notebook_results import Result, new_figure
+from sim.studies.notebook_results import Result, figure_of, new_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -36,9 +37,12 @@ class KMaxResult(Result):
     about: str  # the worlds and hands for which it holds
     _derivative: Any
 
-    def plot(self) -> Figure:
-        """Plot the pole radius over the nominal stiffness; stable below 1."""
-        figure, (axes,) = new_figure()
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Plot the pole radius over the nominal stiffness, in the axes `ax` if given.
+
+        The loop is stable below 1.
+        """
+        axes = new_figure()[1][0] if ax is None else ax
         top = 1.3 * (self.k_max_n_per_m or 1000.0)
         if not np.isfinite(top):
             top = 1e5
@@ -59,7 +63,7 @@ class KMaxResult(Result):
             )
         axes.set(xlabel="nominal stiffness K [N/m]", ylabel="pole radius")
         axes.legend(frameon=False)
-        return figure
+        return figure_of(axes)
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,16 +75,16 @@ class Poles(Result):
     real: Array  # real parts of all poles, the largest pole first
     imaginary: Array
 
-    def plot(self) -> Figure:
-        """Plot the poles in the z plane, with the unit circle."""
-        figure, (axes,) = new_figure(width=4.2, height=4.2)
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Plot the poles in the z plane, with the unit circle, in the axes `ax` if given."""
+        axes = new_figure(width=4.2, height=4.2)[1][0] if ax is None else ax
         angle = np.linspace(0.0, 2.0 * np.pi, 361)
         axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8)
-        axes.plot(self.real, self.imaginary, "x")
+        axes.plot(self.real, self.imaginary, "x", ls="none")
         axes.set(
             xlabel="Re z", ylabel="Im z", aspect="equal", title=f"pole radius {self.radius:.5g}"
         )
-        return figure
+        return figure_of(axes)
 
 
 def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KMaxResult:

@@ -15,9 +15,10 @@ from sim.api.launch_arguments import launch_arguments
 from sim.api.laws import LawLike, compiled
 from sim.api.python_words import speaking_python
 from sim.arrays import Array
-from sim.studies.notebook_results import Result, new_figure
+from sim.studies.notebook_results import Result, figure_of, two_axes
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from nodes.launcher.launch_spec import Launch
@@ -74,21 +75,22 @@ class Played(Result):
                 found |= {f"{name}_q{part}": body.turn[:, i] for i, part in enumerate("wxyz")}
         return found
 
-    def plot(self) -> Figure:
-        """Plot position and force over time, one line per axis."""
-        figure, (top, below) = new_figure(2, height=2.2)
+    def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
+        """Plot position and force over time, one line per axis, in the two axes `ax` if given."""
+        top, below = two_axes(ax, height=2.2)
         several = len(self.axes) > 1
         for i, axis in enumerate(self.axes):
             position, force = (
                 values[:, i] if several else values for values in (self.position_m, self.force_n)
             )
-            top.plot(self.time_s, position * 1e3, label=axis)
-            below.step(self.time_s, force, where="post", label=axis)
-        top.set(ylabel="position [mm]", title=self.name)
+            name = axis if ax is None else f"{self.name} {axis}"
+            top.plot(self.time_s, position * 1e3, label=name)
+            below.step(self.time_s, force, where="post", label=name)
+        top.set(ylabel="position [mm]", title=self.name if ax is None else "")
         below.set(ylabel="force [N]", xlabel="time [s]")
-        if several:
+        if several or ax is not None:
             below.legend(frameon=False)
-        return figure
+        return figure_of(top)
 
 
 def drop(

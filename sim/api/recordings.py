@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from sim.studies.notebook_results import Result, new_figure
+from sim.studies.notebook_results import Result, figure_of, overlay, two_axes
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -38,23 +40,25 @@ class TickTable(Result):
     def _ipython_key_completions_(self) -> list[str]:
         return list(self._table)
 
-    def plot(self) -> Figure:
+    def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Plot position, proxy and force of the axis that moves most.
 
-        ``haptic bag plot`` plots more.
+        In the two axes `ax` if given, without the proxy. ``haptic bag plot`` plots more.
         """
         time, position, proxy, force = (
             self._table[name] for name in ("time", "position", "proxy", "force")
         )
         axis = int((position.max(axis=0) - position.min(axis=0)).argmax()) if len(position) else 0
-        figure, (top, below) = new_figure(2, height=2.2)
-        top.plot(time, position[:, axis] * 1e3, label="device")
-        top.plot(time, proxy[:, axis] * 1e3, "--", label="proxy")
-        top.set(ylabel=f"position {'xyz'[axis]} [mm]", title=self.scenario)
+        top, below = two_axes(ax, height=2.2)
+        name = "device" if ax is None else f"{self.path.stem} {'xyz'[axis]}"
+        top.plot(time, position[:, axis] * 1e3, label=name)
+        if ax is None:
+            top.plot(time, proxy[:, axis] * 1e3, ls="--", label="proxy")
+        top.set(ylabel=f"position {'xyz'[axis]} [mm]", title=self.scenario if ax is None else "")
         top.legend(frameon=False)
-        below.step(time, force[:, axis], where="post")
+        below.step(time, force[:, axis], where="post", label=name)
         below.set(ylabel=f"force {'xyz'[axis]} [N]", xlabel="time [s]")
-        return figure
+        return figure_of(top)
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,22 +126,41 @@ def read(recording: str | Path, **options: Any) -> Recorded:
         )
 
 
-def plot(what: Result | str | Path) -> Figure:
-    """Plot a result, or a recording given by path.
+def plot(
+    what: Result | str | Path | Sequence[Result | str | Path] | Mapping[str, Result | str | Path],
+) -> Figure:
+    """Plot a result, or a recording given by path; several of one kind over each other.
 
     Parameters
     ----------
-    what : Result, str or Path
-        Any result of `haptic`, or the file of a recording.
+    what : Result, str, Path, or a list or mapping of them
+        Any result of `haptic`, or the file of a recording. Several are drawn in one figure: plays
+        and recordings together, else results of one kind; a mapping names them in the legend.
 
     Returns
     -------
     matplotlib.figure.Figure
         The figure; a notebook shows it.
 
+    Raises
+    ------
+    TypeError
+        If results of a list have no common axes.
+
     Examples
     --------
     >>> from sim.api.played import play
     >>> plot(play("floor_drop")).savefig("drop.pdf")
+    >>> softer, stiffer = (play("floor_drop", stiffness=k, duration=0.5) for k in (800, 1600))
+    >>> len(plot([softer, stiffer]).axes)
+    2
     """
-    return what.plot() if isinstance(what, Result) else read(what).plot()
+    if isinstance(what, Mapping):
+        return overlay(
+            {name: one if isinstance(one, Result) else read(one) for name, one in what.items()}
+        )
+    if isinstance(what, list | tuple):
+        return overlay([one if isinstance(one, Result) else read(one) for one in what])
+    one: Any = what
+    found: Figure = (one if isinstance(one, Result) else read(one)).plot()
+    return found

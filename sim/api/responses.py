@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from nodes.stability.plant import Plant
-from sim.api.laws import LawLike, compiled
+from sim.api.laws import LawLike, compiled, law_name
 from sim.api.laws import law as made
 from sim.arrays import Array
 from sim.experiments.rendered import LOWEST, POINTS, ZWidth, frequencies, rendered
 from sim.experiments.rendered import z_width as plane
 from sim.studies.law_looks import law_looks
-from sim.studies.notebook_results import Result, new_figure
+from sim.studies.notebook_results import Result, figure_of, new_figure, two_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ class Response(Result):
 
     def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Plot stiffness and damping over frequency, in the two axes `ax` if given."""
-        top, below = _axes(ax)
+        top, below = two_axes(ax)
         for axes, key, unit in (
             (top, "stiffness_n_per_m", "N/m"),
             (below, "damping_n_s_per_m", "N s/m"),
@@ -57,7 +57,7 @@ class Response(Result):
             axes.set_ylabel(f"{key.partition('_')[0]} [{unit}]")
         top.legend(frameon=False)
         below.set_xlabel("frequency [Hz]")
-        return _figure(top)
+        return figure_of(top)
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,23 +94,7 @@ class ZWidthResult(Result):
             axes.plot(one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive")
         axes.set(xlabel="gain B of the damper", ylabel="stiffness [N/m]", title="Z-width")
         axes.legend(frameon=False)
-        return _figure(axes)
-
-
-def _axes(ax: Sequence[Axes] | None) -> tuple[Axes, Axes]:
-    if ax is None:
-        top, below = new_figure(2, height=2.4)[1]
-        return top, below
-    if len(ax) != 2:
-        raise ValueError(f"ax: {len(ax)} axes, expected two, one under the other")
-    return ax[0], ax[1]
-
-
-def _figure(axes: Axes) -> Figure:
-    figure = axes.get_figure(root=True)
-    if figure is None:
-        raise ValueError("ax: belongs to no figure")
-    return figure
+        return figure_of(axes)
 
 
 def response(
@@ -156,7 +140,7 @@ def response(
     )
     found = rendered(compiled(law, device.period), device.period, device.delay, at)
     columns = [getattr(found, field.name) for field in fields(found)]
-    return Response(_name(law), 1.0 / device.period, device.delay, *columns)
+    return Response(law_name(law), 1.0 / device.period, device.delay, *columns)
 
 
 def bode(
@@ -191,13 +175,13 @@ def bode(
     2
     """
     found = response(law, plant, **options)
-    top, below = _axes(ax)
+    top, below = two_axes(ax)
     top.loglog(found.frequency_hz, found.magnitude_n_per_m, label=found.name)
     below.semilogx(found.frequency_hz, found.phase_deg, label=found.name)
     top.set_ylabel("magnitude [N/m]")
     below.set(xlabel="frequency [Hz]", ylabel="phase [deg]")
     top.legend(frameon=False)
-    return _figure(top)
+    return figure_of(top)
 
 
 def z_width(
@@ -238,7 +222,7 @@ def z_width(
     top = 2.0 * device.mass / device.period / (1.0 + 2.0 * device.delay)
     at = np.linspace(0.0, top, 41) if gains is None else np.asarray(gains, dtype=np.float64)
     planes = tuple(plane(one, device, at.tolist()) for one in chosen)
-    return ZWidthResult(tuple(_name(one) for one in several), device, planes)
+    return ZWidthResult(tuple(law_name(one) for one in several), device, planes)
 
 
 def _several(laws: object) -> bool:
@@ -249,11 +233,3 @@ def _several(laws: object) -> bool:
 def _missing(law: LawLike) -> dict[str, float]:
     """Return stiffness and damping for a law given by name alone; the search replaces both."""
     return {"stiffness": 1.0, "damping": 1.0} if isinstance(law, str) else {}
-
-
-def _name(law: Any) -> str:
-    if isinstance(law, str):
-        return law
-    if isinstance(law, dict) and "kind" in law:
-        return str(law["kind"])
-    return str(getattr(law, "kind", "")) or "taps"

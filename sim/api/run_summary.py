@@ -12,6 +12,9 @@ from sim.api.recordings import read
 from sim.studies.notebook_results import Result, bars
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Events that a program must not overlook; the rest are in the recording.
@@ -72,10 +75,12 @@ class RunSummary(Result):
             if name not in ("all", "warnings") and (value or name not in empty)
         } | ({"warnings": len(self.warnings)} if self.warnings else {})
 
-    def plot(self) -> Figure:
+    def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Plot position and force of its recording; without a recording, the response times."""
+        if ax is not None and self.recording is None:
+            raise ValueError(f"{self.scenario}: no recording to draw beside others")
         if self.recording is not None and Path(self.recording).exists():
-            return read(self.recording).plot()
+            return read(self.recording).plot(ax)
         return bars(self.response_us, "response time [µs]", self.scenario)
 
 

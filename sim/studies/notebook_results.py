@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import html
 import importlib
+import inspect
 import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.recording.figure_style import styled
+
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -124,8 +130,12 @@ def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
     return figure
 
 
+@styled
 def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
-    """Return a figure of stacked panels, with sizes in inches; a notebook shows it."""
+    """Return a figure of stacked panels in the project's style; sizes in inches.
+
+    A notebook shows it.
+    """
     from matplotlib.figure import Figure
 
     class Picture(Figure):
@@ -137,3 +147,83 @@ def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[
     figure = Picture(figsize=(width, height * rows), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False, sharex=True)
     return figure, [row[0] for row in axes]
+
+
+def two_axes(ax: Sequence[Axes] | None, height: float = 2.4) -> tuple[Axes, Axes]:
+    """Return two axes, one under the other: those given, or new ones."""
+    if ax is None:
+        top, below = new_figure(2, height=height)[1]
+        return top, below
+    if len(ax) != 2:
+        raise ValueError(f"ax: {len(ax)} axes, expected two, one under the other")
+    return ax[0], ax[1]
+
+
+def figure_of(axes: Axes) -> Figure:
+    """Return the figure of some axes."""
+    figure = axes.get_figure(root=True)
+    if figure is None:
+        raise ValueError("ax: belongs to no figure")
+    return figure
+
+
+def overlay(
+    results: Sequence[Result] | Mapping[str, Result], ax: Sequence[Axes] | None = None
+) -> Figure:
+    """Plot several results in common axes, each under its name.
+
+    Parameters
+    ----------
+    results : sequence of Result, or mapping of str to Result
+        Results whose plots show the same quantities; a mapping names them in the legend.
+    ax : sequence of matplotlib.axes.Axes, optional
+        Axes to draw in; by default those of a new figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    TypeError
+        If the results have no axes in common, or there are none.
+    """
+    named: dict[Any, Result] = dict(results if isinstance(results, Mapping) else enumerate(results))
+    if not named:
+        raise TypeError("nothing to plot: an empty list")
+    for one in named.values():
+        if "ax" not in inspect.signature(one.plot).parameters:
+            raise TypeError(f"{type(one).__name__} has no plot that others can be drawn over")
+    kinds = {type(one): one for one in named.values()}
+    panels = {_panels(one.plot()) for one in kinds.values()}
+    if len(panels) > 1:
+        raise TypeError(
+            f"{', '.join(kind.__name__ for kind in kinds)}: no axes in common; plot results of one"
+            " kind together"
+        )
+    count = len(panels.pop())
+    axes = list(ax) if ax is not None else new_figure(count, height=2.4 if count > 1 else 3.2)[1]
+    for name, one in named.items():
+        before = [len(panel.lines) for panel in axes]
+        drawn: Any = one
+        drawn.plot(ax=axes if count > 1 else axes[0])
+        for panel, seen in zip(axes, before, strict=True):
+            _name_lines(panel.lines[seen:], name)
+    axes[0].set_title("")
+    for panel in axes:
+        if panel.get_legend() is not None:
+            panel.legend(frameon=False)
+    return figure_of(axes[0])
+
+
+def _name_lines(lines: Sequence[Any], name: Any) -> None:
+    """Label new lines by the result's name; a result of a list keeps its own labels."""
+    shown = [line for line in lines if not str(line.get_label()).startswith("_")]
+    for line in shown if isinstance(name, str) else ():
+        line.set_label(name if line is shown[0] else "_" + name)
+
+
+def _panels(figure: Figure) -> tuple[str, ...]:
+    """Return what the panels of a figure show: the first words of their axes' labels."""
+    return tuple(axes.get_ylabel().partition(" ")[0] for axes in figure.axes)

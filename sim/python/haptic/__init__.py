@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from nodes.laws.pd_filtered import PDFiltered
     from nodes.laws.pd_windowed import PDWindowed
     from nodes.stability.plant import Plant
+    from sim.api.compared_laws import LawTable, compare
     from sim.api.laws import law, laws, scenarios
+    from sim.api.linear import OpenLoop, loop
     from sim.api.loops import k_max, poles
     from sim.api.played import drop, play
     from sim.api.python_runs import LaunchError, Run, connect, launch
@@ -42,7 +44,9 @@ __all__ = [
     "LaunchError",
     "LaunchWarning",
     "LawRefusedError",
+    "LawTable",
     "MultiTerm",
+    "OpenLoop",
     "PDAlpha",
     "PDFiltered",
     "PDWindowed",
@@ -53,6 +57,7 @@ __all__ = [
     "StudyCancelledError",
     "Term",
     "bode",
+    "compare",
     "connect",
     "design",
     "drop",
@@ -62,6 +67,7 @@ __all__ = [
     "launch",
     "law",
     "laws",
+    "loop",
     "play",
     "plot",
     "poles",
@@ -84,6 +90,8 @@ _NAMES = {
     "nodes.laws.pd_filtered": ("PDFiltered",),
     "nodes.laws.pd_windowed": ("PDWindowed",),
     "nodes.stability.plant": ("Plant",),
+    "sim.api.compared_laws": ("LawTable", "compare"),
+    "sim.api.linear": ("OpenLoop", "loop"),
     "sim.api.laws": ("law", "laws", "scenarios"),
     "sim.api.loops": ("k_max", "poles"),
     "sim.api.played": ("drop", "play"),
