@@ -18,6 +18,8 @@ from nodes.stability.closed_loop import tick_matrix
 
 Matrix = NDArray[np.float64]
 
+_EXPECTED = {"mass": " and positive", "stiffness": ""}
+
 
 @dataclass(frozen=True)
 class FlexiblePlant:
@@ -26,7 +28,9 @@ class FlexiblePlant:
     mass: float  # moving mass on both sides of the joint [kg]
     damping: float  # viscous damping to ground on the motor's side [N s/m]
     delay: float = 0.0  # from the sample to the force that answers it, without the lag [ticks]
-    stiffness: float = 0.0  # stiffness of a hand on the motor's side [N/m]
+    # stiffness of a hand or of the device's own spring on the motor's side; below 0 for one that
+    # pushes away, as a motor's poles do between two rests [N/m]
+    stiffness: float = 0.0
     # time constant of the actuator, first order [s]; 0 for an immediate force
     lag: float = 0.0
     # share of the mass beyond the joint, in [0, 1); 0 for a rigid device
@@ -37,10 +41,13 @@ class FlexiblePlant:
     def __post_init__(self) -> None:
         for name in ("mass", "damping", "delay", "stiffness", "lag", "share", "loss"):
             value = getattr(self, name)
-            if not math.isfinite(value) or value < 0.0 or (name == "mass" and value == 0.0):
+            if (
+                not math.isfinite(value)
+                or (value < 0.0 and name != "stiffness")
+                or (name == "mass" and value == 0.0)
+            ):
                 raise ValueError(
-                    f"{name} = {value!r}: must be finite and"
-                    f" {'positive' if name == 'mass' else 'at least 0'}"
+                    f"{name} = {value!r}: must be finite{_EXPECTED.get(name, ' and at least 0')}"
                 )
         if self.share >= 1.0 or not self.frequency > 0.0:
             raise ValueError(

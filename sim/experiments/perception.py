@@ -17,25 +17,28 @@ class Threshold:
     outcomes: tuple[str, ...]  # outcomes of a scene to which it applies
 
 
-# From abstracts: 7 % (Pang et al.); 22 % (Tan et al. 1995, without work and final-force cues); 8
-# % with these cues (Tan, Pang & Durlach 1992, as quoted in their paper "Manual resolution of
-# compliance when work and force cues are minimized"). The upper ends are from memory.
+# Every value stands in an abstract that was read: 7 % of 2.5 to 10 N between thumb and finger; 8,
+# 11 and 13 % at shoulder, wrist and elbow; 22 % without cues of work and final force. 8 % with
+# these cues is their authors' own, as their paper "Manual resolution of compliance when work and
+# force cues are minimized" quotes it. Often cited beside them and not read: Jones, Perception 18
+# (1989) 681, for force (10 %, elsewhere quoted as 7 %); Jones & Hunter, Experimental Brain Research
+# 79 (1990) 150, for stiffness (23 %).
 THRESHOLDS = (
     Threshold(
         "force",
         0.07,
-        0.10,
-        "7 %: Pang, Tan & Durlach, Perception & Psychophysics 49 (1991) 531; 10 %: Jones,"
-        " Perception 18 (1989) 681, quoted from memory, not re-read",
+        0.13,
+        "7 %: Pang, Tan & Durlach, Perception & Psychophysics 49 (1991) 531; 8 to 13 %: Feyzabadi"
+        " et al., IEEE Trans. Haptics 6 (2013) 309, doi:10.1109/TOH.2013.4",
         ("peak_force", "rest_force", "force"),
     ),
     Threshold(
         "stiffness",
         0.08,
-        0.23,
+        0.22,
         "8 %: Tan, Pang & Durlach (1992), as quoted by its authors; 22 %: Tan et al., Perception &"
-        " Psychophysics 57 (1995) 495; 23 %: Jones & Hunter, Experimental Brain Research 79 (1990)"
-        " 150, quoted from memory, not re-read",
+        " Psychophysics 57 (1995) 495; not read: 23 %, Jones & Hunter, Experimental Brain Research"
+        " 79 (1990) 150",
         ("k_max",),
     ),
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,9 @@ class AlteredDevice:
     # stiffness that the term adds to the law's own, or subtracts [N/m]
     spring: float = 0.0
     gain: float = 1.0  # largest factor of the law, its inverse being the least [1]
+    # stiffness of a spring in the device itself, or its negative: it acts at once, whatever the
+    # delay of the law [N/m]
+    own_spring: float = 0.0
 
     def radius(self, law: CompiledLaw, period: float) -> float:
         """Return the largest pole of a law on the device, the worst sign of spring and gain.
@@ -42,17 +45,40 @@ class AlteredDevice:
         """
         springs = {self.spring, -self.spring}
         gains = {self.gain, 1.0 / self.gain}
-        return max(self._radius(law, period, spring, gain) for spring in springs for gain in gains)
+        return max(
+            _radius(law, period, plant, self.average, spring, gain)
+            for plant in self.plants
+            for spring in springs
+            for gain in gains
+        )
 
-    def _radius(self, law: CompiledLaw, period: float, spring: float, gain: float) -> float:
-        taps = np.array(law.taps) * gain
-        taps[0] += spring
-        sections = tuple((gain * b0, gain * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
-        plant = self.plant
-        if self.average and not law.sections:
-            taps = np.convolve(taps, [1.0 - self.average, self.average])
-            plant = FlexiblePlant(**asdict(plant) | {"delay": max(plant.delay - self.average, 0.0)})
-        return flexible_radius(CompiledLaw(tuple(taps.tolist()), sections), period, plant)
+    @property
+    def plants(self) -> tuple[FlexiblePlant, ...]:
+        """The linear device with its own spring of either sign."""
+        if not self.own_spring:
+            return (self.plant,)
+        return tuple(
+            replace(self.plant, stiffness=self.plant.stiffness + sign * self.own_spring)
+            for sign in (1.0, -1.0)
+        )
+
+
+def _radius(
+    law: CompiledLaw,
+    period: float,
+    plant: FlexiblePlant,
+    average: float,
+    spring: float,
+    gain: float,
+) -> float:
+    """Return the largest pole of a law that is amplified, beside a spring of its own [N/m]."""
+    taps = np.array(law.taps) * gain
+    taps[0] += spring
+    sections = tuple((gain * b0, gain * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
+    if average and not law.sections:
+        taps = np.convolve(taps, [1.0 - average, average])
+        plant = replace(plant, delay=max(plant.delay - average, 0.0))
+    return flexible_radius(CompiledLaw(tuple(taps.tolist()), sections), period, plant)
 
 
 def worst_altered(

@@ -137,8 +137,9 @@ def stiffest(
     cuts = np.append(
         curve.real[turns] + part * (curve.real[turns + 1] - curve.real[turns]), curve.real[-1]
     )
-    low = 0.0
-    for cut in np.sort(cuts[cuts > 0.0]).tolist():
+    # A spring that pushes away has to be held first.
+    low = max(0.0, -plant.stiffness)
+    for cut in np.sort(cuts[cuts > low]).tolist():
         if flexible_radius(_pd(0.5 * (low + cut), gain, period, average), period, plant) < 1.0:
             return float(cut)
         low = cut
@@ -213,31 +214,42 @@ def _by_parts(
 ) -> tuple[float, Array, list[AlteredDevice]]:
     """Return how K_max and the unknowns differ between quarters of a run and of its range.
 
-    K_max as a relative change, with the devices of the parts.
+    K_max as a relative change, with the devices of the parts. Quarters of windows dealt out in turn
+    differ by chance alone; of that the fit, their mean, has half.
     """
-    devices = []
+    windows = np.arange(len(found.starts))
     place = experiment.position[found.starts + found.length // 2]
-    change, moved = 0.0, np.zeros(len(found.free))
-    for order in (np.arange(len(place)), np.argsort(place)):
-        for part in np.array_split(order, PARTS):
-            step = np.linalg.lstsq(
-                found.matrices[part].sum(axis=0), found.sides[part].sum(axis=0), rcond=None
-            )[0]
-            theta = found.theta.copy()
-            theta[found.free] += step
-            theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
-            average = float(np.clip(theta[motion.AVERAGE], 0.0, 0.5))
-            devices.append(AlteredDevice("a part of the run", _plant(experiment, theta), average))
-            there = stiffest(
-                _averaging(devices[-1].plant, average), experiment.period, gain, average
-            )
-            if here is None or there is None:
-                change = change if here is there else math.inf
-            else:
-                change = max(change, abs(there / here - 1.0))
-            # The fit is the mean of the parts, so half of the difference counts.
-            moved = np.maximum(moved, 0.5 * np.abs(step))
-    return change, moved, devices
+    ordered = [
+        part for order in (windows, np.argsort(place)) for part in np.array_split(order, PARTS)
+    ]
+    dealt = [windows[(windows // times) % PARTS == n] for times in (1, 2) for n in range(PARTS)]
+    steps = [_step_of(found, part) for part in ordered]
+    devices = [_part_of_the_run(experiment, found, step) for step in steps]
+    # The fit is the mean of the parts, so half of the difference counts.
+    moved = 0.5 * np.abs(steps).max(axis=0)
+    most = max(_change(experiment, device, here, gain) for device in devices)
+    chance = max(
+        _change(experiment, _part_of_the_run(experiment, found, _step_of(found, part)), here, gain)
+        for part in dealt
+    )
+    if not (math.isfinite(most) and math.isfinite(chance)):
+        return most, moved, devices
+    return max(math.sqrt(max(most**2 - chance**2, 0.0)), 0.5 * chance), moved, devices
+
+
+def _step_of(found: Fit, windows: Array) -> Array:
+    """Return how far the unknowns of some windows are from those of the fit."""
+    matrix, side = found.matrices[windows].sum(axis=0), found.sides[windows].sum(axis=0)
+    return np.asarray(np.linalg.lstsq(matrix, side, rcond=None)[0], dtype=np.float64)
+
+
+def _part_of_the_run(experiment: Experiment, found: Fit, step: Array) -> AlteredDevice:
+    """Return the device of a fit moved by a step of its unknowns."""
+    theta = found.theta.copy()
+    theta[found.free] += step
+    theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
+    average = float(np.clip(theta[motion.AVERAGE], 0.0, 0.5))
+    return AlteredDevice("a part of the run", _plant(experiment, theta), average)
 
 
 def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
@@ -264,24 +276,28 @@ def altered(experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0
     theta[found.free] += one.moves * size
     theta[motion.MOBILITY] = max(theta[motion.MOBILITY], 1e-3)
     own = float(theta[motion.AVERAGE])
-    plant, average, softer, stronger = _with(
+    plant, average, softer, stronger, own_spring = _with(
         experiment, _plant(experiment, theta), one, size, own, step
     )
     cause = describe(one.suspect.term, one.suspect.size)
-    return AlteredDevice(cause, plant, average, softer, stronger)
+    return AlteredDevice(cause, plant, average, softer, stronger, own_spring)
 
 
 def _change(
     experiment: Experiment, device: AlteredDevice, here: float | None, gain: float
 ) -> float:
     """Return the relative change of K_max by a term; infinite if nothing is stable."""
-    average = device.average
-    there = stiffest(_averaging(device.plant, average), experiment.period, gain, average)
-    if here is None or there is None:
-        return 0.0 if here is there else math.inf
-    # Springs beside the law's own and a gain before it act at once, at any K.
-    lowest = (there - device.spring) / device.gain
-    return max(abs(there / here - 1.0), 1.0 - lowest / here)
+    changes = []
+    for plant in device.plants:
+        averaged = _averaging(plant, device.average)
+        there = stiffest(averaged, experiment.period, gain, device.average)
+        if here is None or there is None:
+            changes.append(0.0 if here is there else math.inf)
+            continue
+        # Springs beside the law's own and a gain before it act at once, at any K.
+        lowest = (there - device.spring) / device.gain
+        changes.append(max(abs(there / here - 1.0), 1.0 - lowest / here))
+    return max(changes)
 
 
 def _with(
@@ -291,11 +307,11 @@ def _with(
     size: float,
     own: float,
     step: float,
-) -> tuple[FlexiblePlant, float, float, float]:
+) -> tuple[FlexiblePlant, float, float, float, float]:
     """Return a device with a term.
 
-    The values are the plant, the sensor's weight of the previous sample, the spring to ground [N/m]
-    and the gain [1].
+    The values are the plant, the sensor's weight of the previous sample, a spring beside the law's
+    [N/m], the gain [1] and a spring of the device itself [N/m].
     """
     term, factor, period, mass = (
         one.suspect.term,
@@ -304,7 +320,7 @@ def _with(
         plant.mass,
     )
     factors = np.abs(one.factors) * size
-    average, spring, gain = own, 0.0, 1.0
+    average, spring, gain, own_spring = own, 0.0, 1.0, 0.0
     if term == "flexible mode" and factor > 0.0 and plant.rigid:
         share = min(factor / (1.0 + factor), 0.95)
         plant = replace(
@@ -338,12 +354,12 @@ def _with(
             factors @ np.array([1.0, 2.0 * reach, 3.0 * reach**2])[: len(factors)]
         )
     elif term == "cogging":
-        spring = mass * float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
+        own_spring = mass * float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
     elif term == "encoder ripple":
         gain = 1.0 + float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
     elif term == "presliding" and one.suspect.size > step:
         # Below one encoder step it equals the friction of the model.
-        spring = mass * factors[0] / one.suspect.size
+        own_spring = mass * float(factors[0]) / one.suspect.size
     elif term == "gain by sign":
         gain = 1.0 + factors[0]
     elif term == "deadband":
@@ -354,4 +370,4 @@ def _with(
         )
     elif term == "drift":
         plant = replace(plant, damping=max(plant.damping - 0.5 * mass * factors[0], 0.0))
-    return plant, average, float(spring), float(gain)
+    return plant, average, float(spring), float(gain), own_spring

@@ -332,7 +332,8 @@ class MovingScene:
 
     def stiffness(self) -> list[PairStiffness]:
         """Return the stiffness of the tool's contacts (`nodes.environment.bodies.contacts`)."""
-        return measure_contacts(self._mujoco, self.model, self._geoms(), self.mass)
+        damping = float(self.model.dof_damping[self._speeds].max())
+        return measure_contacts(self._mujoco, self.model, self._geoms(), self.mass, damping)
 
     def response(self) -> ToolResponse:
         """Return the tool's response to a push (`nodes.environment.bodies.tool`)."""

@@ -42,6 +42,16 @@ def test_a_spring_and_a_gain_act_on_the_law_with_either_sign() -> None:
     assert found > radius(1.0, 0.0)
 
 
+def test_a_spring_of_the_device_acts_without_the_delay_of_the_law() -> None:
+    found = AlteredDevice("own", FlexiblePlant(0.1, 1.0, 1.2), own_spring=40.0).radius(LAW, T)
+    ways = [
+        flexible_radius(LAW, T, FlexiblePlant(0.1, 1.0, 1.2, stiffness=sign * 40.0))
+        for sign in (1.0, -1.0)
+    ]
+    assert found == pytest.approx(max(ways), abs=1e-12)
+    assert found < AlteredDevice("law's", FlexiblePlant(0.1, 1.0, 1.2), spring=40.0).radius(LAW, T)
+
+
 def test_a_sensor_that_averages_stands_in_the_taps_and_a_section_in_its_place() -> None:
     device = AlteredDevice("average", FlexiblePlant(0.1, 1.0, 1.5), average=0.5)
     averaged = CompiledLaw(tuple(np.convolve(LAW.taps, [0.5, 0.5]).tolist()))

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.device.model import DeviceModel
+from sim.identify import identified_motion as motion
 from sim.identify.choose_model import _simplest
+from sim.identify.experiment import lockstep
 from sim.identify.identified import Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text, verdict
 from sim.identify.identify import identify
-from sim.identify.remainder import REFUSED, reference_gain, stiffest
+from sim.identify.output_error import Fit
+from sim.identify.remainder import REFUSED, _by_parts, plant_of, reference_gain, stiffest
 from sim.lab.monte_carlo.study import FAR, NAMED, k_max_off, named, outcome, summary_outside
 from sim.lab.monte_carlo.virtual import draw_outside, excite_outside
 from sim.play.nonideal import NonidealDevice
+from sim.play.nonideal import pushed as play_pushed
 from tests.support import slowly
 
 T = 0.002
@@ -156,6 +162,70 @@ def test_k_max_behind_a_sensor_that_averages_is_the_edge_of_the_poles(average: f
     for share, stable in ((0.9999, True), (1.0001, False)):
         taps = np.convolve([share * edge + gain / T, -gain / T], [1.0 - average, average])
         assert (flexible_radius(CompiledLaw(tuple(taps.tolist())), T, plant) < 1.0) is stable
+
+
+@pytest.mark.parametrize("spring", [-150.0, 150.0])
+def test_k_max_beside_a_spring_of_the_device_is_the_edge_of_the_poles(spring: float) -> None:
+    """Of either sign, acting without the loop's delay; what pushes away has to be held first."""
+    plant = FlexiblePlant(0.1, 1.0, 0.7, stiffness=spring)
+    gain = reference_gain(plant, T)
+    edge = stiffest(plant, T, gain)
+    assert edge is not None
+    shares = [(0.9999, True), (1.0001, False)]
+    if spring < 0.0:
+        shares.append((0.99 * -spring / edge, False))
+    for share, stable in shares:
+        law = CompiledLaw((share * edge + gain / T, -gain / T))
+        assert (flexible_radius(law, T, plant) < 1.0) is stable
+
+
+def test_friction_that_builds_up_is_a_spring_of_the_device_and_not_of_the_law() -> None:
+    """It was refused for 14 % of K_max; played, the device rests at 0.97 of the fit's K_max."""
+    device = draw_outside("presliding", 5, 6)
+    found = identify(excite_outside(device, T, 4.0, seed=5))
+    assert not found.refuted
+    assert "presliding" in found.remainder
+    plant = found.plant()
+    gain = reference_gain(plant, T)
+    edge = stiffest(plant, T, gain)
+    assert edge is not None
+    fine = replace(device, rigid=msgspec.structs.replace(device.rigid, resolution=1e-12))
+    law = np.array([0.97 * edge + gain / T, -gain / T])
+    for start in (0.2, 3.0, 30.0):
+        seen, _ = play_pushed(
+            fine, T, np.zeros(4000), law, (0.0, 1e9, 1e6, start * device.presliding), 1
+        )
+        assert float(np.ptp(seen[-500:])) < 1e-3 * device.presliding
+
+
+@pytest.mark.parametrize(("drift", "part"), [(0.0, 0.5), (1.0, 0.9)])
+def test_of_what_quarters_differ_by_chance_the_fit_has_half(drift: float, part: float) -> None:
+    """White votes count half of their spread between quarters; a change in time counts in full."""
+    rng, windows = np.random.default_rng(3), 400
+    free = np.array([motion.MOBILITY, motion.DAMPING])
+    theta = np.zeros(12)
+    theta[free] = 10.0, 10.0
+    sides = rng.normal(0.0, 1.0, (windows, 2))
+    sides += drift * np.linspace(-3.0, 3.0, windows)[:, None]
+    found = Fit(
+        theta,
+        free,
+        np.zeros((windows, 4)),
+        np.ones(windows),
+        np.repeat(np.eye(2)[None], windows, axis=0),
+        sides,
+        np.arange(windows) * 5,
+        5,
+    )
+    experiment = lockstep(T, rng.normal(size=5 * windows), np.zeros(5 * windows))
+    plant = plant_of(experiment, found)
+    gain = reference_gain(plant, T)
+    here = stiffest(plant, T, gain)
+    assert here is not None
+    change, _, devices = _by_parts(experiment, found, here, gain)
+    alone = [stiffest(device.plant, T, gain) for device in devices]
+    most = max(abs((there or 0.0) / here - 1.0) for there in alone)
+    assert change == pytest.approx(part * most, rel=0.4 if drift == 0.0 else 0.12)
 
 
 def row(**changes: Any) -> dict[str, Any]:
