@@ -61,10 +61,10 @@ def test_comparisons_signs_numbers_conditions_and_statements_are_changed(tmp_pat
 
 def test_files_are_tried_before_the_rest_of_their_folders() -> None:
     (law,) = (one for one in draw(400, "one", ["nodes/laws"])[:1])
-    tests = (*("tests/a/test_b.py", "tests/c/test_d.py"), "tests/a", "tests/c")
+    tests = (*("tests/test_house.py", "tests/test_imports.py"), "tests/a", "tests/c")
     assert stages(tests) == [
         tests[:2],
-        ("tests/a", "tests/c", "--ignore=tests/a/test_b.py", "--ignore=tests/c/test_d.py"),
+        ("tests/a", "tests/c", "--ignore=tests/test_house.py", "--ignore=tests/test_imports.py"),
     ]
     assert stages(tests[:2]) == [tests[:2]]
     assert stages(law.tests)[-1][:1] == ROOMS["nodes/laws"]

@@ -94,12 +94,17 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="duration of the cross-fade (default: the coupling's parameter)",
     )
     switch.add_argument("--force", action="store_true", help=FORCE)
-    show = declare(
-        "show",
-        _show,
-        "Show what a law really renders in the running loop, in a launch file (--launch), or in a"
-        " loop described by options.",
+    _declare_show(
+        declare(
+            "show",
+            _show,
+            "Show what a law really renders in the running loop, in a launch file (--launch), or"
+            " in a loop described by options.",
+        )
     )
+
+
+def _declare_show(show: argparse.ArgumentParser) -> None:
     show.add_argument(
         "law",
         nargs="?",

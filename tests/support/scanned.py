@@ -18,7 +18,7 @@ from sim.play.compiled import compiled
 
 
 def kept(function: Callable[..., Any], name: str) -> Any:
-    """Compile a function once per machine: its machine code stays in the cache, by its sources.
+    """Compile a function once a machine: its code stays in the cache, by its sources.
 
     The cache knows a function by its module and its name.
     """

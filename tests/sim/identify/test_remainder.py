@@ -200,7 +200,7 @@ def test_friction_that_builds_up_is_a_spring_of_the_device_and_not_of_the_law() 
 
 @pytest.mark.parametrize(("drift", "part"), [(0.0, 0.5), (1.0, 0.9)])
 def test_of_what_quarters_differ_by_chance_the_fit_has_half(drift: float, part: float) -> None:
-    """White votes count half of their spread between quarters; a change in time counts in full."""
+    """White votes count half of their spread between quarters, a change in time in full."""
     rng, windows = np.random.default_rng(3), 400
     free = np.array([motion.MOBILITY, motion.DAMPING])
     theta = np.zeros(12)

@@ -1,4 +1,4 @@
-"""Try mutations and print the score of each room; the exit code is 1 if a named one survives."""
+"""Try mutations, print the score of each room, and exit with 1 if a named one survives."""
 
 from __future__ import annotations
 

@@ -25,10 +25,10 @@ ROOMS: Final = {
         "sim/identify",
     )
 }
-"""Rooms whose files are changed, and the folder of tests that must notice: the one that mirrors."""
+"""Rooms whose files are changed, and the mirroring folder of tests, which must notice."""
 
 COMPILED: Final = frozenset({"kernel", "compiled_tick"})
-"""Files of a room that only the compiled ticks run, whose tests are in tests/nodes/compiled."""
+"""Files of a room that only compiled ticks run; their tests are in tests/nodes/compiled."""
 
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
     ast.Lt: ("<", "<="),
@@ -129,7 +129,7 @@ def _of_code(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
-    """Return every mutation of a file, in the order of its text; their tests are not named yet."""
+    """Return every mutation of a file in the order of its text, without tests yet."""
     text = file.read_text(encoding="utf-8")
     places, name = _Places(text), str(file.relative_to(root))
     found = []

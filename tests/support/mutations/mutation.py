@@ -70,7 +70,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def stages(tests: tuple[str, ...]) -> list[tuple[str, ...]]:
-    """Return what is run one after the other: files, which fail most, then the rest of folders."""
+    """Return what runs one after the other: files, which fail most, then their folders."""
     files = tuple(test for test in tests if test.endswith(".py"))
     folders = tuple(test for test in tests if not test.endswith(".py"))
     rest = (*folders, *(f"--ignore={file}" for file in files)) if folders else ()

@@ -1,4 +1,4 @@
-"""Score of a mutation run: what was noticed in each room, with a 95 % interval (Wilson 1927)."""
+"""Score of a mutation run: what each room noticed, with a 95 % interval (Wilson 1927)."""
 
 from __future__ import annotations
 
