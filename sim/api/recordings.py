@@ -26,6 +26,11 @@ class TickTable(Result):
     scenario: str
     _table: dict[str, NDArray[Any]]
 
+    @property
+    def label(self) -> str:
+        """Name of its curves beside those of others."""
+        return self.scenario
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of nodes/recording/table.py, e.g. ``time`` [s], ``position`` [m]."""
         return self._table
@@ -50,7 +55,7 @@ class TickTable(Result):
         )
         axis = int((position.max(axis=0) - position.min(axis=0)).argmax()) if len(position) else 0
         top, below = two_axes(ax, height=2.2)
-        name = "device" if ax is None else f"{self.path.stem} {'xyz'[axis]}"
+        name = "device" if ax is None else f"{self.label} {'xyz'[axis]}"
         top.plot(time, position[:, axis] * 1e3, label=name)
         if ax is None:
             top.plot(time, proxy[:, axis] * 1e3, ls="--", label="proxy")
@@ -73,6 +78,11 @@ class Recorded(TickTable):
     marks: tuple[tuple[float, str], ...]  # marks of ``run.mark``: time [s] and text
     not_read: tuple[str, ...]  # topics of other programs
     _table: dict[str, NDArray[Any]]
+
+    @property
+    def label(self) -> str:
+        """Name of its curves beside those of others: its file's."""
+        return self.path.stem
 
 
 def read(recording: str | Path, **options: Any) -> Recorded:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
@@ -237,7 +238,7 @@ def _by_parts(
     return max(math.sqrt(max(most**2 - chance**2, 0.0)), 0.5 * chance), moved, devices
 
 
-def _step_of(found: Fit, windows: Array) -> Array:
+def _step_of(found: Fit, windows: NDArray[np.intp]) -> Array:
     """Return how far the unknowns of some windows are from those of the fit."""
     matrix, side = found.matrices[windows].sum(axis=0), found.sides[windows].sum(axis=0)
     return np.asarray(np.linalg.lstsq(matrix, side, rcond=None)[0], dtype=np.float64)

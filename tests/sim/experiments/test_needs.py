@@ -20,7 +20,7 @@ from nodes.parameters.store import ParameterError
 from sim.experiments.needs import Needs, Outcome, measured_outcome, movement, needs
 from sim.experiments.term_scene import term_scene, with_parameters
 from sim.experiments.terms import TERMS, NeedTerm
-from sim.studies.needs import _text
+from sim.studies.needs import ChainNeeds, _text
 from tests.support import slowly
 from tests.support.launches import every_launch
 
@@ -302,7 +302,7 @@ def test_what_is_left_out_although_it_matters_is_said() -> None:
     found = needs(launch, rounds=0)
     assert found.missing == ()
     assert "friction" in [finding.term for finding in found.left_out]
-    lines = _text(launch.scenario, launch.model, found, felt=False).splitlines()
+    lines = _text(ChainNeeds(launch.scenario, launch.model, False, found, None)).splitlines()
     assert any(
         line.startswith("left out on purpose although it matters: friction (settling by 21 %)")
         for line in lines
