@@ -110,6 +110,67 @@ def test_drops_are_counted_law_by_law(capsys: pytest.CaptureFixture[str]) -> Non
     told = counted([missed, held, DroppedSwing("pd", 0.9, 100.0)])
     assert (told.drops, told.told, told.hold) == (3, 2, 1)
     assert told.worst_miss == pytest.approx(0.02)
+    assert exit_code("study", "edge", "--drops", "0") == 2
+
+
+@pytest.mark.parametrize(("theta", "decay"), [(0.2, 0.98), (1.0, 0.999), (0.4, 1.01)])
+def test_a_swing_is_fitted_exactly(theta: float, decay: float) -> None:
+    k = np.arange(120)
+    fit = ringing(-1e-3 + 1e-4 * decay**k * np.cos(theta * k + 0.3))
+    # The signal obeys the model: what is left is the tolerance of the search.
+    assert (fit.theta, fit.decay) == pytest.approx((theta, decay), rel=1e-6)
+    assert fit.residual < 1e-6
+
+
+def test_what_does_not_swing_is_refused() -> None:
+    k = np.arange(200)
+    with pytest.raises(CannotTellError, match="nothing swings"):
+        ringing(np.zeros(200))
+    with pytest.raises(CannotTellError, match="creeps to rest"):
+        ringing(1e-3 * 0.9**k + 5e-4 * 0.8**k)
+
+
+def test_what_grows_is_refused() -> None:
+    derivative = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 3.0}), T)
+    plant = Plant(T, 0.1, 1.0)
+    whole = with_spring(derivative, 1.02 * (k_max(derivative, plant).k_max_n_per_m or 0.0))
+    trace = run(free_scene(DeviceModel(mass=0.1, damping=1.0), T), whole, 400)
+    with pytest.raises(CannotTellError, match="does not decay"):
+        windows(trace.measured)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "law", "why"),
+    [
+        ("law:=pd stiffness:=2500", "{schedule: [{at: 0.3, law: multi_term}]}", "the law changed"),
+        (
+            "",
+            (
+                "{laws: {w: {kind: pd_windowed, stiffness: 1500.0, damping: 3.0, resolution:"
+                " 2.3e-5}}, law: w}"
+            ),
+            "own code|code of its own",
+        ),
+    ],
+)
+def test_off_the_ringing_pole_it_cannot_tell(
+    tmp_path: Path, words: str, law: str, why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = recorded(tmp_path, words, law)
+    with pytest.raises(CannotTellError, match=why):
+        recorded_swing(path)
+    assert main(["study", "edge", str(path)]) == 1
+    assert capsys.readouterr().out.startswith("unknown: ")
+
+
+def test_where_nothing_was_touched_nothing_swings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(
+            ["study", "edge", str(recorded(tmp_path, "stiffness:=1000 height:=0.3 duration:=0.2"))]
+        )
         == 1
     )
     assert capsys.readouterr().out.startswith("unknown: nothing was touched")
