@@ -100,6 +100,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         "Show what a law really renders in the running loop, in a launch file (--launch), or in a"
         " loop described by options.",
     )
+    _add_show(show)
+
+
+def _add_show(show: argparse.ArgumentParser) -> None:
     show.add_argument(
         "law",
         nargs="?",
