@@ -295,7 +295,8 @@ def _kmax(groups: Sequence[Group]) -> str:
         parts.append(
             f"{group.title.rpartition(', ')[2]}: pole radius {_figure(pole.cost)} ms and"
             f" {100 * pole.error:.1g} % off, best formula {_figure(formula.cost)} ms and"
-            f" {100 * formula.error:.0f} % off, {longest.name} {_figure(longest.cost)} ms and {100 * longest.error:.0f} % off"
+            f" {100 * formula.error:.0f} % off, {longest.name} {_figure(longest.cost)} ms and"
+            f" {100 * longest.error:.0f} % off"
         )
     return "K_max: " + "; ".join(parts) + "."
 
