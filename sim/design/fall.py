@@ -4,6 +4,10 @@ The device is one matrix per tick (`nodes.stability.flexible`), exact for a held
 history and clamping are the kernels of the nodes, and the verdict is that of
 `sim.experiments.drop`. In quick mode, for searches, a drop that has stayed close to its rest counts
 as settled; the result of a search is then played to the end.
+
+This is no scene of the player, because a search drops a hundred thousand laws inside one compiled
+function, on devices with a joint and a lag, and gives up at the first rise. A rigid device falls as
+in the player (tests/sim/design/test_fall.py).
 """
 
 import itertools

@@ -11,7 +11,7 @@ from messages.types import DeviceState
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.safety import RETURN_SPEED
 from sim.drill.drill import RATE, Fault, kill
-from sim.drill.given_records import given_design, given_prediction, given_record
+from sim.drill.given_design import given_design, given_prediction, given_record
 from sim.measure.haptic_commands import MeasurementError, wait_for
 from sim.measure.rig import Rig
 from sim.tune.knocking import Plan

@@ -5,6 +5,10 @@ optionally a passivity guard (nodes/driver/passivity.py) whose credit travels: e
 absorbed beyond what its law can store is sent to the other side, which may release it (energy
 tanks: Franken et al. 2011; observers at both ends: Ryu, Artigas & Preusche 2010). Cumulative sums
 are sent, so delay and loss only delay energy and never generate any.
+
+This is no scene of the player, which plays one launch, whose nodes share a tick: two launches over
+a network share none, and their messages are late, swapped and lost. The guard's rules are the
+driver's own (`nodes.driver.passivity`).
 """
 
 from __future__ import annotations

@@ -2,6 +2,10 @@
 
 It is integrated in 64 small steps per tick (midpoint rule, Coulomb friction exact within a step),
 because no closed form covers all defects. `sim.device.model` is the exact rigid device.
+
+This is no scene of the player: it is the truth that identification and tuning are judged by, so it
+shares no integrator with the device that they assume, and one push is half a million small steps.
+Without defects it moves as the player's device (tests/sim/play/test_nonideal.py).
 """
 
 import math

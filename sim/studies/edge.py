@@ -283,7 +283,7 @@ def _draw(options: EdgeOptions, rows: list[RingingLoop], damping: float, period:
     left.set(
         xlabel=r"$f(\omega_c)$  [N s/m]",
         ylabel=r"$K_\mathrm{max}$  [N/m]",
-        title="the smaller f where it rings, the stiffer",
+        title="each loop where it rings",
     )
     right.set(
         xlabel=r"$\omega_c/2\pi$  [Hz]",

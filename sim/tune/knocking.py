@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-import msgspec
 import numpy as np
 
 from nodes.laws import CompiledLaw
@@ -21,7 +20,6 @@ from nodes.laws.knock import Knock
 from sim.arrays import Array
 from sim.device.model import DeviceModel
 from sim.play.nonideal import NonidealDevice, pushed
-from sim.play.one_axis import Scene, SceneSurface, run
 
 WINDOW = 400  # ticks a knock is watched
 LONGEST_WINDOW = 4 * WINDOW  # ticks a slowly decaying knock is watched
@@ -186,44 +184,21 @@ def knocked(
     slew: float | None,
     starts: Sequence[float] = STARTS,
 ) -> Callable[[int], KnockVerdict]:
-    """Return a function that knocks on a model, from several places in an encoder step."""
-    if isinstance(model, NonidealDevice):
-        richer = model
-        strongest, change = (math.inf if limit is None else limit for limit in (peak, slew))
+    """Return a function that knocks on a model, from several places in an encoder step.
 
-        def on_richer(step: int) -> KnockVerdict:
-            factor = factor_of(step)
-            told = (period, np.zeros(LONGEST_WINDOW), np.array(scaled(law, factor).taps))
-            places = [
-                (knock, math.inf, strongest, start * (richer.rigid.resolution or 0.0))
-                for start in starts
-            ]
-            return worst(
-                judge(pushed(richer, *told, place, 0, change)[0], knock, factor) for place in places
-            )
+    The history begins at zero, as that of `nodes.laws.knock`: the law feels the whole step.
+    """
+    device = model if isinstance(model, NonidealDevice) else NonidealDevice(model)
+    strongest, change = (math.inf if limit is None else limit for limit in (peak, slew))
+    step = device.rigid.resolution or 0.0
+    places = [(knock, math.inf, strongest, start * step) for start in starts]
 
-        return on_richer
-
-    def begun(start: float) -> Scene:
-        place = start * (model.resolution or 0.0) - knock
-        device = msgspec.structs.replace(model, position=place, velocity=0.0, gravity=None)
-        return Scene(
-            device=device,
-            surface=SceneSurface("anchor"),
-            period=period,
-            raw=False,
-            clamp=False,
-            peak=peak,
-            slew=slew,
-        )
-
-    scenes = [begun(start) for start in (starts if model.resolution else starts[:1])]
-
-    def once(step: int) -> KnockVerdict:
-        factor = factor_of(step)
-        tried = scaled(law, factor)
+    def once(number: int) -> KnockVerdict:
+        factor = factor_of(number)
+        told = (period, np.zeros(LONGEST_WINDOW), np.array(scaled(law, factor).taps))
         return worst(
-            judge(run(scene, tried, LONGEST_WINDOW).measured, knock, factor) for scene in scenes
+            judge(pushed(device, *told, place, 0, change)[0], knock, factor)
+            for place in (places if step else places[:1])
         )
 
     return once

@@ -224,8 +224,8 @@ def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
             "the smaller f at the frequency that occurs, the stiffer the wall",
             verdict(all(pairs) and exact < 1e-6),
             f"K_max = 2(bR − f(ω_c))/T to {exact:.0e} at {len(edges)} points of PD and optimum;"
-            f" without R: ratio {min(simple):.3f} … {max(simple):.3f}, always low; the law with the"
-            f" smaller f(ω_c) is the stiffer one at {sum(pairs)} of {len(pairs)} gains",
+            f" without R: ratio {min(simple):.3f} … {max(simple):.3f}; the law with the smaller"
+            f" f(ω_c) is the stiffer one at {sum(pairs)} of {len(pairs)} gains",
         ),
         Claim(
             "paper, introduction",

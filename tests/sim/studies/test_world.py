@@ -7,9 +7,11 @@ import math
 from typing import Any
 
 import haptic
+import numpy as np
 import pytest
 
 from nodes.cli.main import main
+from nodes.stability.occurring import position_over_force
 
 PD = (
     "--law",
@@ -55,7 +57,10 @@ def test_options_add_their_figures(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--tool-damping", "1", "--tool-mass", "0.1", "--spring-range", "100..1000"]
     words += ["--device2-damping", "1", "--delay2", "1"]
     found = answered(capsys, "study", "world", *device, *words)
-    assert found["k_max_two_hands_n_per_m"] == pytest.approx(236.068, abs=1e-3)
+    # (b − κ)(b − 3κ) = (2κ)², κ = KT/2, with delays of 0 and 1 tick: κ = √5 − 2.
+    assert found["k_max_two_hands_n_per_m"] == pytest.approx(
+        1000.0 * (math.sqrt(5.0) - 2.0), rel=1e-6
+    )
     assert found["k_max_any_hand_tool_any_world_n_per_m"] == pytest.approx(500.0, rel=1e-9)
     assert found["k_max_tool_any_world_n_per_m"] > 500.0
     assert found["k_max_euler_tool_any_world_n_per_m"] < found["k_max_any_world_n_per_m"]
@@ -117,6 +122,29 @@ def test_law_show_takes_the_least_over_a_devices_masses(capsys: pytest.CaptureFi
     assert both == pytest.approx(min(one, other), rel=0.05)
 
 
+def worst_spring() -> float:
+    """Return the least K of an edge before a massless spring of any stiffness k [N/m].
+
+    In series with the law H = K + D(z), 1 + P H/(1 + H/k) = 0 on the unit circle.
+    """
+    z = np.exp(1j * np.linspace(1e-3, np.pi - 1e-3, 40001))
+    over = position_over_force(z, haptic.Plant(0.002, 0.1, 1.0))
+    damper = 3.0 / 0.002 * (1.0 - 1.0 / z)
+
+    def edge(k: float) -> float:
+        found = -1.0 / (over + 1.0 / k) - damper
+        turn = np.flatnonzero(np.diff(np.sign(found.imag)))
+        share = found.imag[turn] / (found.imag[turn] - found.imag[turn + 1])
+        real = found.real[turn] + share * (found.real[turn + 1] - found.real[turn])
+        return float(min(real[real > 0.0], default=np.inf))
+
+    springs = np.geomspace(300.0, 3e6, 201)
+    for _ in range(3):
+        at = int(np.argmin([edge(k) for k in springs.tolist()]))
+        springs = np.geomspace(springs[max(at - 1, 0)], springs[min(at + 1, 200)], 201)
+    return edge(float(springs[100]))
+
+
 def test_k_max_from_python() -> None:
     plant, pd = haptic.Plant(0.002, 0.1, 1.0), {"kind": "pd", "stiffness": 1.0, "damping": 3.0}
     any_world = haptic.k_max(pd, plant, world="any")
@@ -140,7 +168,7 @@ def test_k_max_from_python() -> None:
     ) < 1000.0
     assert haptic.k_max(
         pd, plant, world="spring", springs=(1e-3, float("inf"))
-    ).k_max_n_per_m == pytest.approx(3363.336, abs=1e-3)
+    ).k_max_n_per_m == pytest.approx(worst_spring(), rel=1e-6)
     assert haptic.k_max(pd, plant).k_max_n_per_m == pytest.approx(3781.866, abs=1e-3)
     with pytest.raises(ValueError, match="expected one of wall"):
         haptic.k_max(pd, plant, world="nowhere")

@@ -15,7 +15,7 @@ from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
-from sim.drill.given_records import given_design, given_prediction
+from sim.drill.given_design import given_design, given_prediction
 from sim.tune.design import linear_edge
 from sim.tune.knocking import (
     BEYOND,

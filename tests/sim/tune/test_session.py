@@ -14,7 +14,7 @@ import pytest
 
 from messages.errors import RefusedError, UsageError
 from nodes.stability.rest import ComesToRest
-from sim.drill.given_records import given_design, given_prediction
+from sim.drill.given_design import given_design, given_prediction
 from sim.studies.result import plain
 from sim.tune.knocking import LOWEST, STEP, KnockedEdge, KnockVerdict, Plan, climb, factor_of
 from sim.tune.live_trial import STOPPED, Cut, Trials

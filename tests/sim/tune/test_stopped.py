@@ -19,7 +19,7 @@ from nodes.driver.limits import SafetyParameters
 from nodes.recording.reader import Recording
 from sim.drill.faults import SteppedClock
 from sim.drill.faulty_device import LATE, SCALE
-from sim.drill.given_records import given_design, given_prediction, given_record
+from sim.drill.given_design import given_design, given_prediction, given_record
 from sim.identify.borrowed import PushedLaunch, borrowed
 from sim.tune.knocking import STRIDE, Plan, factor_of
 from tests.support.launching import running, typed, wait_for

@@ -416,7 +416,6 @@ def test_the_best_gain_at_equal_demand_is_not_lost_between_two_tries() -> None:
     for gain in np.geomspace(0.7 * at, 1.4 * at, 61).tolist():
         assert not keeps(way(1.002 * best, gain), RADII["stable"])
     assert keeps(way(best, at), RADII["stable"])
-    assert best == pytest.approx(1966.5, rel=2e-3)
 
 
 @pytest.mark.slow
