@@ -168,7 +168,7 @@ def _tests(room: str, file: Path) -> tuple[str, ...]:
     """Return the tests of a file: those with its name, those that import it, its room's."""
     module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
     package, _, name = module.rpartition(".")
-    folders = ROOMS[room]
+    folders: tuple[str, ...] = ROOMS[room]
     if file.stem in COMPILED:
         folders = ("tests/nodes/compiled", *folders)
     tests = [path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))]
