@@ -135,8 +135,8 @@ def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
     found = []
     for node in _of_code(ast.parse(text)):
         for place, old, new in places.changes(node):
-            line = text.count("\n", 0, place) + 1
-            said = f"{name}:{line}: {' '.join(old.split())} → {' '.join(new.split())}"
+            line, column = text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place)
+            said = f"{name}:{line}:{column}: {' '.join(old.split())} → {' '.join(new.split())}"
             found.append(Mutation(said, name, old, new, (), place))
     return sorted(found, key=lambda one: one.place or 0)
 
