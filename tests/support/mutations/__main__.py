@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.support.commit import commit
 from tests.support.mutations.drawn import ROOMS, draw, room_of
-from tests.support.mutations.mutation import Mutation, copy_sources, stages, survives
+from tests.support.mutations.mutation import Mutation, copy_sources, near, survives
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
 from tests.support.mutations.score import Tried, as_lines, as_record
@@ -30,7 +30,7 @@ def main() -> int:
     parser.add_argument("--only-drawn", action="store_true", help="leave out the named ones")
     parser.add_argument("--room", action="append", choices=list(ROOMS), help="draw from this room")
     parser.add_argument(
-        "--near", action="store_true", help="only tests that name or import the file, if any do"
+        "--near", action="store_true", help="only tests that name or import the file, if several do"
     )
     parser.add_argument("--seed", help="what they are drawn by (default: the commit)")
     parser.add_argument("--json", type=Path, help="file for the score, written after each")
@@ -38,7 +38,7 @@ def main() -> int:
     named = [] if arguments.only_drawn else part_of((*SAFETY_RULES, *NAMED_RULES), arguments.part)
     drawn = draw(arguments.drawn, arguments.seed or commit(), arguments.room)
     if arguments.near:
-        drawn = [one._replace(tests=stages(one.tests)[0]) for one in drawn]
+        drawn = [one._replace(tests=near(one.tests)) for one in drawn]
     groups = [("named", one) for one in named] + [(room_of(one), one) for one in drawn]
     tried: list[Tried] = []
     with tempfile.TemporaryDirectory(prefix="haptic-mutations-") as folder:
