@@ -8,7 +8,7 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of
-from tests.support.mutations.mutation import copy_sources, mutated, stages, survives
+from tests.support.mutations.mutation import copy_sources, mutated, near, stages, survives
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
 from tests.support.mutations.score import Tried, as_lines, as_record, counts, wilson
@@ -67,6 +67,8 @@ def test_files_are_tried_before_the_rest_of_their_folders() -> None:
         ("tests/a", "tests/c", "--ignore=tests/test_house.py", "--ignore=tests/test_imports.py"),
     ]
     assert stages(tests[:2]) == [tests[:2]]
+    assert near(tests) == tests
+    assert near(("a/test_e.py", *tests)) == ("a/test_e.py", *tests[:2])
     assert stages(law.tests)[-1][:1] == ROOMS["nodes/laws"]
 
 

@@ -141,6 +141,12 @@ SECTIONS: Final[dict[str, ResultSection]] = {
         "haptic drill soak",
         10.0,
     ),
+    "mutations": ResultSection(
+        "Mutations",
+        "How many changes of a line, drawn from the code of each room, its own tests notice.",
+        "python -m tests.support.mutations --only-drawn --near --drawn 180 --seed 1",
+        90.0,
+    ),
 }
 
 
@@ -216,7 +222,7 @@ def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="results-") as place:
         done = subprocess.run(
-            [sys.executable, "-m", "nodes.cli.command", *shlex.split(line)[1:]],
+            [sys.executable, *_program(line)],
             cwd=place,
             stdout=subprocess.PIPE,
             text=True,
@@ -239,6 +245,12 @@ def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
     (folder / f"{name}.json").write_bytes(text)
     (folder / f"{name}.md").unlink(missing_ok=True)
     return record
+
+
+def _program(line: str) -> list[str]:
+    """Return what the interpreter runs for a command line: `haptic`, or `python` itself."""
+    program, *words = shlex.split(line)
+    return words if program == "python" else ["-m", "nodes.cli.command", *words]
 
 
 def recorded(name: str, folder: Path = MEASURED) -> MeasuredOutput | str | None:

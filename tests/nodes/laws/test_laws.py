@@ -273,6 +273,17 @@ def test_just_inside_and_just_outside_a_positive_h1() -> None:
         compile_law(parse_law({**data, "stiffness": leak * (1.0 - 1e-9)}), T)
 
 
+def test_a_sum_of_taps_within_its_rounding_is_no_stiffness() -> None:
+    """0.1 + 0.2 - 0.3 is 2.8e-17 in doubles, less than the rounding of its own summands."""
+    taps = [0.1, 0.2, -0.3]
+    rounding = 2.0**-52 * sum(map(abs, taps))
+    assert 0.0 < sum(taps) < rounding
+    with pytest.raises(LawRefusedError, match=r"H\(1\) = 2\.77556e-17 N/m .*limit: > 1\.3e-16"):
+        compile_law(parse_law({"kind": "fir", "taps": taps}), T)
+    taps[2] += 2.0 * rounding
+    assert rounding < compile_law(parse_law({"kind": "fir", "taps": taps}), T).h1 < 4.0 * rounding
+
+
 def test_sections_that_do_not_decay_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     class Ringing(Law, frozen=True, kw_only=True):
         a2: float = 1.0

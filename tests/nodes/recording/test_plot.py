@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from matplotlib import colors, image
 
 from messages import topics
-from messages.types import DeviceState, Force, Message, NodeStatus, Receipt
+from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
 from nodes.cli import main
 from nodes.recording import plot
 from nodes.recording.overlay import RUNS, force_over_position, overlay
@@ -130,6 +130,37 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
     # The switch is a dotted line through all panels.
     switch = near(picture, plot.COLORS["switch"]).sum(axis=0)
     assert switch.max() > 0.2 * height
+
+
+def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(bag: Path) -> None:
+    """Each point of each curve is a message's value at its tick; missed ticks have no response."""
+    recording = Recording(bag)
+    states: list[DeviceState] = recording.messages(topics.DEVICE_STATE)
+    forces: list[Force] = recording.messages(topics.FORCE)
+    proxies: list[Proxy] = recording.messages(topics.PROXY)
+    answered = {state.seq - 1: state for state in states[1:]}
+    known = {
+        "device": {state.seq: 1e3 * state.position[2] for state in states},
+        "proxy": {one.seq: 1e3 * one.proxy[2] for one in proxies},
+        "law": {one.seq: one.force[2] for one in forces},
+        "after limits": {seq: state.force[2] for seq, state in answered.items()},
+        "given out by the virtual side": {state.seq: 1e3 * state.energy for state in states},
+        "p50": {seq: 1e6 * one.response for seq, one in answered.items() if one.response > 0.0},
+    }
+    found = set()
+    for line in (line for axes in plot.figure_of(recording).axes for line in axes.lines):
+        label = str(line.get_label())
+        name = "p50" if label.startswith("p50") else label
+        if name not in known:
+            continue
+        found.add(name)
+        ticks = [round(at / PERIOD) for at in np.asarray(line.get_xdata())]
+        drawn = np.asarray(line.get_ydata()).tolist()
+        # One product and one difference of doubles.
+        assert drawn == pytest.approx([known[name][tick] for tick in ticks], rel=1e-14), name
+        shown = [known[name][tick] for tick in range(min(ticks), max(ticks)) if tick in known[name]]
+        assert (min(drawn), max(drawn)) == pytest.approx((min(shown), max(shown)), rel=1e-14), name
+    assert found == set(known)
 
 
 @pytest.mark.slow

@@ -52,6 +52,14 @@ def test_a_section_names_command_machine_load_and_commit(tmp_path: Path) -> None
     assert max(map(len, text.splitlines())) <= 100
 
 
+def test_a_command_is_one_of_haptic_or_of_the_interpreter() -> None:
+    for told in SECTIONS.values():
+        program, *words = told.command.split()
+        haptic = ["-m", "nodes.cli.command"] if program == "haptic" else []
+        assert result_page._program(told.command) == [*haptic, *words]
+        assert program in ("haptic", "python")
+
+
 @pytest.mark.process
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="names its commit: needs a checkout")
 def test_a_measured_section_replaces_what_was_measured_before(

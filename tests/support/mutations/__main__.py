@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tests.support.commit import commit
 from tests.support.mutations.drawn import ROOMS, draw, room_of
-from tests.support.mutations.mutation import Mutation, copy_sources, survives
+from tests.support.mutations.mutation import Mutation, copy_sources, near, survives
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
 from tests.support.mutations.score import Tried, as_lines, as_record
@@ -29,11 +29,16 @@ def main() -> int:
     parser.add_argument("--drawn", type=int, default=0, help="how many to draw from the syntax")
     parser.add_argument("--only-drawn", action="store_true", help="leave out the named ones")
     parser.add_argument("--room", action="append", choices=list(ROOMS), help="draw from this room")
+    parser.add_argument(
+        "--near", action="store_true", help="only tests that name or import the file, if several do"
+    )
     parser.add_argument("--seed", help="what they are drawn by (default: the commit)")
     parser.add_argument("--json", type=Path, help="file for the score, written after each")
     arguments = parser.parse_args()
     named = [] if arguments.only_drawn else part_of((*SAFETY_RULES, *NAMED_RULES), arguments.part)
     drawn = draw(arguments.drawn, arguments.seed or commit(), arguments.room)
+    if arguments.near:
+        drawn = [one._replace(tests=near(one.tests)) for one in drawn]
     groups = [("named", one) for one in named] + [(room_of(one), one) for one in drawn]
     tried: list[Tried] = []
     with tempfile.TemporaryDirectory(prefix="haptic-mutations-") as folder:

@@ -27,6 +27,7 @@ ROOMS: Final = {
 }
 """Rooms whose files are changed, and the mirroring folder of tests, which must notice."""
 
+SUPPORT: Final = ROOT / "tests" / "support"
 COMPILED: Final = frozenset({"kernel", "compiled_tick"})
 """Files of a room that only compiled ticks run; their tests are in tests/nodes/compiled."""
 
@@ -135,8 +136,8 @@ def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
     found = []
     for node in _of_code(ast.parse(text)):
         for place, old, new in places.changes(node):
-            line = text.count("\n", 0, place) + 1
-            said = f"{name}:{line}: {' '.join(old.split())} → {' '.join(new.split())}"
+            line, column = text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place)
+            said = f"{name}:{line}:{column}: {' '.join(old.split())} → {' '.join(new.split())}"
             found.append(Mutation(said, name, old, new, (), place))
     return sorted(found, key=lambda one: one.place or 0)
 
@@ -164,18 +165,28 @@ def room_of(mutation: Mutation) -> str:
 
 
 @cache
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@cache
 def _tests(room: str, file: Path) -> tuple[str, ...]:
     """Return the tests of a file: those with its name, those that import it, its room's."""
     module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
     package, _, name = module.rpartition(".")
-    folders = ROOMS[room]
+    folders: tuple[str, ...] = ROOMS[room]
     if file.stem in COMPILED:
         folders = ("tests/nodes/compiled", *folders)
     tests = [path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))]
 
+    own = re.compile(rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b")
+    # What drives a node in many tests stands in tests/support.
+    through = [path.stem for path in SUPPORT.glob("*.py") if own.search(_text(path))]
+    shared = re.compile(rf"tests\.support\.(?:{'|'.join(through) or '-'})\b")
+
     def imports(test: Path) -> bool:
-        text = test.read_text(encoding="utf-8")
-        return module in text or re.search(rf"from {package} import .*\b{name}\b", text) is not None
+        text = _text(test)
+        return own.search(text) is not None or shared.search(text) is not None
 
     named = [path for path in tests if path.stem.startswith(f"test_{file.stem}")]
     importing = [path for path in tests if path not in named and imports(path)]

@@ -77,6 +77,12 @@ def stages(tests: tuple[str, ...]) -> list[tuple[str, ...]]:
     return [stage for stage in (files, rest) if stage]
 
 
+def near(tests: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the files among tests if they are more than two, else all tests."""
+    files = stages(tests)[0]
+    return files if len(files) > 2 else tests
+
+
 def _passes(folder: Path, tests: tuple[str, ...]) -> bool:
     return all(_stage_passes(folder, stage) for stage in stages(tests))
 
