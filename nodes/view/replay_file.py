@@ -1,4 +1,4 @@
-"""The page of a recording as one HTML file that holds its data: to mail, and to open anywhere."""
+"""The page of a recording as one HTML file with its data, to mail and open anywhere."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def page_of(pages: ReplayPages) -> str:
 
 
 def recorded(pages: ReplayPages) -> bytes:
-    """Return the data of a page: a header as JSON, then arrays, each from a multiple of 8 bytes."""
+    """Return the data of a page: a JSON header, then arrays aligned to 8 bytes."""
     feed = pages.live.feed
     first, end = feed.oldest(), feed.head
     frame = feed.frame(first, end)

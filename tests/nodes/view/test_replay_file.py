@@ -63,7 +63,7 @@ def test_it_holds_every_tick_of_the_recording(page: Path, recording: Path) -> No
     at = -(-(4 + size) // 8) * 8 + 8 * head["scenes"] * 23
     times = np.frombuffer(data, "<f8", bins, at)
     values = np.frombuffer(data, "<f4", bins * len(series), at + 8 * bins).reshape(-1, bins)
-    states = [each for _, each in drop(TICKS) if isinstance(each, DeviceState)]
+    states = [each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)]
     assert bins == TICKS
     assert times.tolist() == [k * PERIOD for k in range(TICKS)]
     heights = np.array([state.position[2] for state in states], dtype="<f4")
@@ -108,7 +108,7 @@ def test_its_script_gives_the_page_the_scene_of_any_time(page: Path, tmp_path: P
         [node(), str(script), str(page)], capture_output=True, text=True, check=True
     )
     found = json.loads(done.stdout)
-    states = [each for _, each in drop(TICKS) if isinstance(each, DeviceState)]
+    states = [each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)]
     assert {"hello", "reset", "log", "status", "answer"} <= set(found["types"])
     assert found["at"] == 3.2
     # A scene is stored every 60th of a second.
