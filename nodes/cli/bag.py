@@ -98,11 +98,12 @@ _OUT = {
 def _add_formats(own: argparse.ArgumentParser) -> None:
     own.add_argument(
         "--format",
-        choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove"),
+        choices=("csv", "npz", "mat", "parquet", "ros2", "foxglove", "html"),
         help=(
             "csv: a directory, also with a file per topic (default); npz: numpy; mat: MATLAB;"
             " parquet: ticks only; ros2: a directory for ros2 bag play; foxglove: the"
-            " recording with its scene in 3D (default: from the suffix of --out)"
+            " recording with its scene in 3D; html: its page in one file, which opens without a"
+            " server (default: from the suffix of --out)"
         ),
     )
 
@@ -510,8 +511,9 @@ def _export(arguments: argparse.Namespace) -> int:
     from nodes.recording.export import FORMATS as TABLES
     from nodes.recording.export_ros2 import export_ros2
     from nodes.view.foxglove_scene import export_foxglove
+    from nodes.view.replay_file import export_html
 
-    formats = {**TABLES, "ros2": export_ros2, "foxglove": export_foxglove}
+    formats = {**TABLES, "ros2": export_ros2, "foxglove": export_foxglove, "html": export_html}
     source: Path = arguments.file
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
     form = arguments.format or ending or "csv"

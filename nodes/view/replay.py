@@ -10,7 +10,7 @@ import asyncio
 import math
 import time
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -103,6 +103,7 @@ class ReplayPages:
         path: Path,
         over: Path | None = None,
         progress: Callable[[float], None] = lambda _: None,
+        most_bins: float = BIN_LIMIT,
     ) -> None:
         recording = Recording(path)
         recording.require_ticks()
@@ -113,7 +114,8 @@ class ReplayPages:
         self.begin = span.first_seq * self._facts.period
         self.duration = (ticks - 1) * self._facts.period
         self._scene_period = max(1.0 / SCENES, self.duration / SCENE_LIMIT)
-        self.live = LiveRun(self._facts, self.duration + 10.0, BIN_LIMIT / max(self.duration, 1.0))
+        per_second = most_bins / max(self.duration, 1.0)
+        self.live = LiveRun(self._facts, self.duration + 10.0, per_second)
         self.scenes, self.statuses, self.log, self.laws = (
             Timeline(),
             Timeline(),
@@ -293,7 +295,7 @@ class ReplayPages:
                 await asyncio.sleep(IDLE)
         finally:
             await self.server.stop()
-            self._mapping.shutdown(cancel_futures=True)
+            self.close()
 
     def map_of(self, laws: dict[str, Any], tell: Callable[[str], None]) -> None:
         """Start drawing the map of the active law; pass it to `tell` when ready."""
@@ -306,8 +308,7 @@ class ReplayPages:
 
         async def draw() -> None:
             if key not in self._maps:
-                plant, driver = self._with(later)
-                work = partial(drawn_map, described, self._facts.period, plant, driver, self._delay)
+                work = partial(drawn_map, *self.map_inputs(described, later))
                 self._maps[key] = await asyncio.get_running_loop().run_in_executor(
                     self._mapping, work
                 )
@@ -318,6 +319,17 @@ class ReplayPages:
             )
 
         self._job = asyncio.get_running_loop().create_task(draw())
+
+    def map_inputs(
+        self, described: Mapping[str, Any], later: float | None
+    ) -> tuple[Mapping[str, Any], float, Any, Mapping[str, Any], float]:
+        """Return the arguments of `drawn_map` for a law and a delay of the device [ticks]."""
+        plant, driver = self._with(later)
+        return described, self._facts.period, plant, driver, self._delay
+
+    def close(self) -> None:
+        """End the thread that draws maps."""
+        self._mapping.shutdown(cancel_futures=True)
 
     def _with(self, later: float | None) -> tuple[Any, dict[str, Any]]:
         """Return plant and driver parameters with another delay of the device [ticks]."""

@@ -106,8 +106,14 @@ const link = new Link({
     $("stop").hidden = found.replay || found.ends === false;
     status.measures = found.measures !== false;
     page.start(found);
+    // What cannot act on a recording is not there.
+    $("tour-begin").hidden = $("dial").closest(".ask").hidden = found.replay;
     $("replay").hidden = !found.replay;
     replay.start(found);
+    if (found.replay && Number.isFinite(wanted.time ?? NaN)) {
+      replay.stay(wanted.time);
+      wanted.time = null;
+    }
     if (found.notice) status.tell(found.notice);
     document.body.dataset.ready = found.run;
   },
@@ -221,7 +227,7 @@ async function open() {
 }
 
 $("share").addEventListener("click", async () => {
-  const link = linkOf({ law: laws.state?.active, stiffness: dial.stiffness, delay: delay.ticks, beside: beside.law, lab: $("lab").open, scenario: page.scenario });
+  const link = linkOf({ law: hello.replay ? null : laws.state?.active, stiffness: hello.replay ? null : dial.stiffness, delay: delay.ticks, beside: beside.law, lab: $("lab").open, scenario: page.scenario, time: hello.replay ? scene.now?.t ?? null : null });
   history.replaceState(null, "", link);
   await navigator.clipboard?.writeText(link).catch(() => {});
   $("share").textContent = "Copied";

@@ -23,6 +23,12 @@ export class Replay {
     this.show(true);
   }
 
+  // Pause at a time, for a link that carries it.
+  stay(t) {
+    this.set(false);
+    this.go(t);
+  }
+
   async set(playing) {
     const answer = await this.ask({ op: playing ? "play" : "pause" });
     if (answer.ok) this.show(playing);
