@@ -186,7 +186,7 @@ def test_a_refused_law_names_its_place(tmp_path: Path) -> None:
     told = typed_in(tmp_path, *words, code=2).stderr
     assert re.search(r"floor_drop\.yaml:\d+: coupling\.law\.dampig: .*given as law:=", told)
     told = typed_in(tmp_path, "launch", "floor_drop", "law:={stiffness: 9}", code=2).stderr
-    assert re.search(r"floor_drop\.yaml:\d+: arguments\.law: expected text, got {", told)
+    assert re.search(r"floor_drop\.yaml:\d+: arguments\.law: expected text, got a mapping", told)
 
 
 def test_every_preset_describes_its_kind() -> None:
