@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from sim.api.recordings import plot, read
     from sim.api.responses import bode, response, z_width
     from sim.api.run_summary import LaunchWarning, RunSummary
+    from sim.api.staircase import Staircase
+    from sim.api.trials import TrialTable, trials
     from sim.api.verbs import design, identify, lab, study, tune
     from sim.measure.cancelling import StudyCancelledError
 
@@ -54,8 +56,10 @@ __all__ = [
     "RecursiveSection",
     "Run",
     "RunSummary",
+    "Staircase",
     "StudyCancelledError",
     "Term",
+    "TrialTable",
     "bode",
     "compare",
     "connect",
@@ -75,6 +79,7 @@ __all__ = [
     "response",
     "scenarios",
     "study",
+    "trials",
     "tune",
     "z_width",
 ]
@@ -99,6 +104,8 @@ _NAMES = {
     "sim.api.recordings": ("plot", "read"),
     "sim.api.run_summary": ("LaunchWarning", "RunSummary"),
     "sim.api.responses": ("bode", "response", "z_width"),
+    "sim.api.staircase": ("Staircase",),
+    "sim.api.trials": ("TrialTable", "trials"),
     "sim.api.verbs": ("design", "identify", "lab", "study", "tune"),
     "sim.measure.cancelling": ("StudyCancelledError",),
 }
