@@ -233,11 +233,11 @@ class ControlServer(threading.Thread):
         operation = self._operations.get(op)
         if operation is None:
             known = ", ".join(sorted(self._operations))
-            raise ParameterError(f"{name}: unknown operation {op!r}; known: {known}")
+            raise ParameterError(f"unknown operation {op!r}; known: {known}", path=name)
         try:
             inspect.signature(operation).bind(**args)
         except TypeError as error:
-            raise ParameterError(f"{name}: {op}: {error}") from error
+            raise ParameterError(f"{op}: {error}", path=name) from error
         return operation(**args)
 
     def _await_turn(self) -> None:

@@ -52,8 +52,8 @@ class Clock:
             and error >= 0.0
         ):
             raise ParameterError(
-                f"{self._name}: clock.set {offset!r} {error!r}: expected two finite numbers of"
-                " seconds"
+                f"clock.set {offset!r} {error!r}: expected two finite numbers of seconds",
+                path=self._name,
             )
         self.offset, self.error = offset, error
 

@@ -103,8 +103,9 @@ class Changes:
                     change.applied.wait()
                 else:
                     raise ParameterError(
-                        f"{self._setup.name}: not applied by the loop within {timeout:g} s;"
-                        " nothing was changed; is the node stopping?"
+                        f"not applied by the loop within {timeout:g} s;"
+                        " nothing was changed; is the node stopping?",
+                        path=self._setup.name,
                     )
             return change.result()
         finally:

@@ -82,18 +82,19 @@ class Leases:
     ) -> dict[str, Any]:
         if not (isinstance(seconds, int | float) and 0.0 < seconds <= MAX_LEASE):
             raise ParameterError(
-                f"{self._node}: lease {name!r} of {seconds!r} s, expected more than 0, at most"
-                f" {MAX_LEASE:g} s"
+                f"lease {name!r} of {seconds!r} s, expected more than 0, at most {MAX_LEASE:g} s",
+                path=self._node,
             )
         if name in self._held:
             agreed = self._held[name].seconds
             raise ParameterError(
-                f"{self._node}: lease {name!r} is held by another client; it ends when "
-                f"released, or {agreed:g} s after its last renewal: try again then"
+                f"lease {name!r} is held by another client; it ends when "
+                f"released, or {agreed:g} s after its last renewal: try again then",
+                path=self._node,
             )
         if len(self._held) >= MAX_LEASES:
             raise ParameterError(
-                f"{self._node}: {MAX_LEASES} leases are held already; end one first"
+                f"{MAX_LEASES} leases are held already; end one first", path=self._node
             )
         lease = _Lease(name, float(seconds), holder, then, dict(args))
         lease.renew()
@@ -119,9 +120,10 @@ class Leases:
         """Perform an operation under a lease; refuse it if the lease has expired."""
         if not self._is_held(name, holder):
             raise ParameterError(
-                f"{self._node}: {operation} refused: its lease {name!r} has run out, because"
+                f"{operation} refused: its lease {name!r} has run out, because"
                 " nothing renewed it in time; the node has reverted what was changed under it."
-                " Start again"
+                " Start again",
+                path=self._node,
             )
         return self._perform(operation, args)
 

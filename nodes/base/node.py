@@ -361,7 +361,7 @@ class Node:
         """
         del parameters
         raise ParameterError(
-            f"{self.setup.name}: parameters of a {self.setup.kind} are fixed while it runs"
+            f"parameters of a {self.setup.kind} are fixed while it runs", path=self.setup.name
         )
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:

@@ -31,12 +31,13 @@ def load(factory: str) -> type[Node]:
     # another package's module may raise anything on import
     except (Exception, SystemExit) as error:
         raise ParameterError(
-            f"{factory}: cannot be imported: {type(error).__name__}: {error}"
+            f"cannot be imported: {type(error).__name__}: {error}", path=factory
         ) from error
     if not (isinstance(found, type) and issubclass(found, Node)):
         raise ParameterError(
-            f"{factory}: {found!r} is registered as a kind of node, but is not a subclass of"
-            " nodes.base.node.Node"
+            f"{found!r} is registered as a kind of node, but is not a subclass of"
+            " nodes.base.node.Node",
+            path=factory,
         )
     return found
 

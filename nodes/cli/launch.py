@@ -328,9 +328,8 @@ def run(arguments: argparse.Namespace) -> int:
         _check_places(launch)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except ParameterError as error:
-        raise UsageError(
-            launch.origins.located(str(error)) if launch is not None else str(error)
-        ) from error
+        text = str(error) if launch is None else launch.origins.located(error)
+        raise UsageError(text) from error
 
 
 def _places(launch: Launch) -> Iterator[tuple[str, Path]]:

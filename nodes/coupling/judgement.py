@@ -81,9 +81,10 @@ class Judgement:
                 continue
             where, unit = f"{self._node}.plant.{field}", _UNITS[field]
             raise ParameterError(
-                f"{where}: {_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')}"
+                f"{_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')}"
                 f" {limit} {unit}: laws would be judged on another device. Leave {where} out, which"
-                f" fills it in, or set {self._node}.stability to warn"
+                f" fills it in, or set {self._node}.stability to warn",
+                path=where,
             )
 
     def verdict(
@@ -180,21 +181,21 @@ class Judgement:
         accepted = reason is StartAnyway.ACCEPTED_BEFORE
         if parameters.stability == "refuse" and parameters.plant is None and not accepted:
             raise ParameterError(
-                f"{self._node}.stability: refuse needs {self._node}.plant, the device that a law is"
-                " judged with; declare its mass and damping, or set stability to warn"
+                f"refuse needs {self._node}.plant, the device that a law is"
+                " judged with; declare its mass and damping, or set stability to warn",
+                path=f"{self._node}.stability",
             )
         warnings = []
         for name in _rendering(parameters):
             verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
             if verdict is not None and not verdict.stable:
-                warnings.append(
-                    f"{self._complaint(f'laws.{name}', verdict)};"
-                    f" {self._remedy(None, parameters, name, verdict)}"
-                )
+                complaint = self._complaint(f"laws.{name}", verdict)
+                remedy = self._remedy(None, parameters, name, verdict)
+                warnings.append(complaint.continued(f"; {remedy}"))
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
         if warnings and refuses_start(policy, reason):
-            raise ParameterError(f"{warnings[0]}, or set {self._node}.stability to warn")
+            raise warnings[0].continued(f", or set {self._node}.stability to warn")
         why = (
             reason.value
             if policy in ("changes", "refuse")
@@ -202,13 +203,14 @@ class Judgement:
         )
         return [f"{warning}; started anyway: {why}" for warning in warnings]
 
-    def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[str]:
+    def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[ParameterError]:
         if not parameters.fallback.damping:
             return []
         verdict = self.verdict(parameters, parameters.fallback.compile(self._period), delay)
         if verdict is None or verdict.stable:
             return []
-        return [f"{self._complaint('fallback', verdict)}; lower {self._node}.fallback.damping"]
+        complaint = self._complaint("fallback", verdict)
+        return [complaint.continued(f"; lower {self._node}.fallback.damping")]
 
     def of_change(
         self,
@@ -223,12 +225,12 @@ class Judgement:
         verdict = self.verdict(wanted, law, delay)
         if verdict is None or verdict.stable:
             return verdict, ""
-        text = self._complaint(f"laws.{name}", verdict)
+        complaint = self._complaint(f"laws.{name}", verdict)
         if force or wanted.stability == "warn":
-            return verdict, text
+            return verdict, str(complaint)
         remedy = self._remedy(now, wanted, name, verdict)
-        raise ParameterError(
-            f"{text}; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it "
+        raise complaint.continued(
+            f"; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it "
             f"anyway, use --force, or set {self._node}.stability to warn"
         )
 
@@ -237,20 +239,22 @@ class Judgement:
     ) -> None:
         """Reject a changed fallback that would be unstable."""
         if now.fallback != wanted.fallback and not force and wanted.stability != "warn":
-            for text in self._of_fallback(wanted, delay):
-                raise ParameterError(f"{text}; nothing was changed")
+            for complaint in self._of_fallback(wanted, delay):
+                raise complaint.continued("; nothing was changed")
 
-    def _complaint(self, what: str, verdict: Verdict) -> str:
+    def _complaint(self, what: str, verdict: Verdict) -> ParameterError:
+        """Return the error about an unstable loop; `what`: path of the law in the parameters."""
         plant = verdict.plant
         hand = f", hand {plant.stiffness:g} N/m" if plant.stiffness else ""
         if plant.partner is not None:
             other = plant.partner
             held = f" on a spring of {other.stiffness:g} N/m" if other.stiffness else ""
             hand += f", coupled to {other.mass:g} kg, {other.damping:g} N s/m{held}"
-        return (
-            f"{self._node}.{what}: pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass"
-            f" {plant.mass:g} kg, damping {plant.damping:g} N s/m{hand} at a delay of"
-            f" {plant.delay:.3g} ticks: the loop is unstable"
+        return ParameterError(
+            f"pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg,"
+            f" damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the"
+            " loop is unstable",
+            path=f"{self._node}.{what}",
         )
 
     def _remedy(

@@ -60,7 +60,8 @@ class LawBook:
                 **{key: value for key, value in parameters.usual.items() if key in fields},
             }
         raise ParameterError(
-            f"{self._node}.law: no law is named {name!r}; {choices(name, self.names(parameters))}"
+            f"no law is named {name!r}; {choices(name, self.names(parameters))}",
+            path=f"{self._node}.law",
         )
 
     def _usual(self, parameters: CouplingParameters, kind: str) -> bool:
@@ -78,8 +79,9 @@ class LawBook:
         compiled = compile_law(parse_law(self._find(parameters, name), where), self._period, where)
         if len(compiled.taps) > parameters.memory:
             raise ParameterError(
-                f"{where}: {len(compiled.taps)} taps, but {self._node}.memory is"
-                f" {parameters.memory}; shorten the law, or start with a longer memory"
+                f"{len(compiled.taps)} taps, but {self._node}.memory is"
+                f" {parameters.memory}; shorten the law, or start with a longer memory",
+                path=where,
             )
         return compiled
 
@@ -114,13 +116,14 @@ class LawBook:
             where = f"{self._node}.schedule[{i}]"
             if swap.law not in [*parameters.laws, *PRESETS, *law_names()]:
                 there = choices(swap.law, self.names(parameters))
-                raise ParameterError(f"{where}.law: no law is named {swap.law!r}; {there}")
+                raise ParameterError(f"no law is named {swap.law!r}; {there}", path=f"{where}.law")
             self.compile(parameters, swap.law)
             tick = round(swap.at / self._period)
             if tick < taken_until:
                 raise ParameterError(
-                    f"{where}.at: {swap.at:g} s is tick {tick}, but the swap before it ends at "
-                    f"tick {taken_until}; schedule it later or shorten that one's ramp"
+                    f"{swap.at:g} s is tick {tick}, but the swap before it ends at "
+                    f"tick {taken_until}; schedule it later or shorten that one's ramp",
+                    path=f"{where}.at",
                 )
             taken_until = tick + max(swap.ramp, 1)
 
@@ -129,7 +132,8 @@ class LawBook:
         for name in FIXED:
             if getattr(now, name) != getattr(wanted, name):
                 raise ParameterError(
-                    f"{self._node}.{name}: is fixed while the node runs; set it in the launch file"
+                    "is fixed while the node runs; set it in the launch file",
+                    path=f"{self._node}.{name}",
                 )
 
 

@@ -53,8 +53,9 @@ def _least_delay(setup: Setup) -> float:
 def _check_frame(parameters: CouplingParameters, setup: Setup) -> None:
     if parameters.frame == "surface" and len(setup.axes) < 3:
         raise ParameterError(
-            f"{setup.name}.frame: surface turns the history in space, but run.axes is"
-            f" [{', '.join(setup.axes)}]; take world, or name all three axes"
+            "surface turns the history in space, but run.axes is"
+            f" [{', '.join(setup.axes)}]; take world, or name all three axes",
+            path=f"{setup.name}.frame",
         )
 
 

@@ -35,8 +35,9 @@ def give(
     """Apply a force from the next tick on, until it is renewed or expires (control thread)."""
     if allowed is None:
         raise ParameterError(
-            f"{where}.external: no force from outside is taken; allow it in the launch file with "
-            "external: {peak: 1.0, age: 0.1}"
+            "no force from outside is taken; allow it in the launch file with "
+            "external: {peak: 1.0, age: 0.1}",
+            path=f"{where}.external",
         )
     x, y, z = convert(force, Vector, f"{where}.external.force")
     computed = list(s.axis[: s.axes])
@@ -44,8 +45,9 @@ def give(
         if part != 0.0 and i not in computed:
             named = ", ".join("xyz"[n] for n in computed)
             raise ParameterError(
-                f"{where}.external.force: {part:g} N along {'xyz'[i]}, but run.axes is [{named}]:"
-                " nothing would be felt there; leave it 0, or name all axes"
+                f"{part:g} N along {'xyz'[i]}, but run.axes is [{named}]:"
+                " nothing would be felt there; leave it 0, or name all axes",
+                path=f"{where}.external.force",
             )
     norm = math.hypot(x, y, z)
     share = min(1.0, allowed.peak / norm) if norm > 0.0 else 1.0

@@ -169,7 +169,7 @@ class Driver(Node):
         limits = self._device.limits
         if not self._virtual and (refusal := undeclared(parameters.safety, limits)):
             self._device.close()
-            raise ParameterError(f"{self.setup.name}: {refusal}")
+            raise ParameterError(f"{refusal}", path=self.setup.name)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
         s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self._virtual
         s.next_tick = self.setup.apply == "next_tick"
@@ -312,12 +312,14 @@ class Driver(Node):
             self.store.current, passivity=None
         ):
             raise ParameterError(
-                f"{self.setup.name}: while it runs, parameters of a {self.setup.kind} are "
-                f"fixed, except {self.movable}"
+                f"while it runs, parameters of a {self.setup.kind} are "
+                f"fixed, except {self.movable}",
+                path=self.setup.name,
             )
         if self._report.own_guard:
             raise ParameterError(
-                f"{self.setup.name}.passivity: the launch file's own guard is fixed while it runs"
+                "the launch file's own guard is fixed while it runs",
+                path=f"{self.setup.name}.passivity",
             )
 
         def apply(seq: int) -> dict[str, Any]:
@@ -367,13 +369,14 @@ class Driver(Node):
         name = self.setup.name
         if not (self._virtual or beside):
             raise ParameterError(
-                f"{name}: the driver of a real device has stopped an unstable loop; choose a "
-                "softer law, stand beside the device, then: haptic node rearm"
+                "the driver of a real device has stopped an unstable loop; choose a "
+                "softer law, stand beside the device, then: haptic node rearm",
+                path=name,
             )
 
         def apply(seq: int) -> dict[str, Any]:
             if not rearm(self.driving, seq):
-                raise ParameterError(f"{name}: has not stopped the loop; nothing was changed")
+                raise ParameterError("has not stopped the loop; nothing was changed", path=name)
             return {"seq": seq}
 
         receipt: dict[str, Any] = self.changes.hand_over(apply)
@@ -384,11 +387,11 @@ class Driver(Node):
         name = self.setup.name
         if self.driving.realtime:
             raise ParameterError(
-                f"{name}: only a lockstep loop can pause; a device in real time cannot wait"
+                "only a lockstep loop can pause; a device in real time cannot wait", path=name
             )
         if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
             raise ParameterError(
-                f"{name}: a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s"
+                f"a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s", path=name
             )
         self._paused_until = time.monotonic() + seconds
         self.events.notify()

@@ -32,12 +32,13 @@ def check(setup: Setup, parameters: Any, virtual: bool) -> None:
     """Check pace and workspace."""
     if setup.pace == "lockstep" and not virtual:
         raise ParameterError(
-            f"{setup.name}: pace lockstep waits for each force, however long, which no device but a"
-            " virtual one can; use realtime"
+            "pace lockstep waits for each force, however long, which no device but a"
+            " virtual one can; use realtime",
+            path=setup.name,
         )
     for axis, (low, high) in enumerate(parameters.safety.workspace or ()):
         if not low < high:
             raise ParameterError(
-                f"{setup.name}.safety.workspace[{axis}]: {low:g} to {high:g} m, expected low to"
-                " high: outside it there is no force"
+                f"{low:g} to {high:g} m, expected low to high: outside it there is no force",
+                path=f"{setup.name}.safety.workspace[{axis}]",
             )

@@ -135,8 +135,9 @@ class PartnerEnvironment(Node):
         """Reject lockstep: each of the two drivers would wait in its own simulated time."""
         if setup.pace == "lockstep":
             raise ParameterError(
-                f"{setup.name}: a partner is heard in real time, but run.pace is lockstep; "
-                "use pace:=realtime, or haptic study hands, which plays both in one process"
+                "a partner is heard in real time, but run.pace is lockstep; "
+                "use pace:=realtime, or haptic study hands, which plays both in one process",
+                path=setup.name,
             )
 
     @classmethod

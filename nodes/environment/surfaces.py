@@ -269,11 +269,13 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
         If the kind is unknown or a field is invalid.
     """
     if not isinstance(data, Mapping):
-        raise ParameterError(f"{where}: expected a mapping with kind and parameters, got {data!r}")
+        raise ParameterError(
+            f"expected a mapping with kind and parameters, got {data!r}", path=where
+        )
     try:
         kind = SURFACES.load(data.get("kind", ""))
     except NotInstalledError as error:
-        raise ParameterError(f"{where}.kind: {error}") from error
+        raise ParameterError(str(error), path=f"{where}.kind") from error
     made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made
 
@@ -322,7 +324,8 @@ def meet_axes(surface: Surface, axes: Sequence[str], where: str) -> None:
     left_out = [axis for axis in surface.pushes() or () if axis not in axes]
     if left_out:
         raise ParameterError(
-            f"{where}: a {surface.kind} that pushes along {', '.join(left_out)}, but run.axes is"
+            f"a {surface.kind} that pushes along {', '.join(left_out)}, but run.axes is"
             f" [{', '.join(axes)}]: nothing would be felt there; name all axes, or leave axes out"
-            " and they are taken from the surface"
+            " and they are taken from the surface",
+            path=where,
         )

@@ -29,11 +29,13 @@ class _Places:
                 other = taken.setdefault(place, name)
                 if other != name:
                     raise ParameterError(
-                        f"{launch.scenario}.nodes.{name}.port: {place[1]} is taken by {other}"
+                        f"{place[1]} is taken by {other}",
+                        path=f"{launch.scenario}.nodes.{name}.port",
                     )
             if spec.open_port and spec.host:
                 raise ParameterError(
-                    f"{launch.scenario}.nodes.{name}.open_port: only for a node on this machine"
+                    "only for a node on this machine",
+                    path=f"{launch.scenario}.nodes.{name}.open_port",
                 )
 
     def _tcp(self, host: str, port: int, key: str, where: str) -> str:
@@ -43,7 +45,7 @@ class _Places:
         except KeyRefusedError as error:
             others = "other machines" if is_remote(bare) else "all users of this machine"
             raise ParameterError(
-                f"{self._launch.scenario}.{where}: {others} can reach {host}: {error}"
+                f"{others} can reach {host}: {error}", path=f"{self._launch.scenario}.{where}"
             ) from error
 
     def far(self, name: str, offset: int = 0) -> str:
@@ -62,8 +64,8 @@ class _Places:
         if not address:
             if any(is_remote(f"tcp://{host}:1") for host in hosts):
                 raise ParameterError(
-                    f"{self._launch.scenario}.run.host: needed, the address under which {hosts[0]}"
-                    " reaches this machine"
+                    f"needed, the address under which {hosts[0]} reaches this machine",
+                    path=f"{self._launch.scenario}.run.host",
                 )
             address = "127.0.0.1"
         return self._tcp(address, self._ports[name] + offset, "", "run.host")

@@ -41,7 +41,7 @@ def start_here(run: runs.RunInfo, name: str) -> int:
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
         raise ParameterError(
-            f"{name}: the launch does not wait for it here; set by_hand: true in its launch file"
+            "the launch does not wait for it here; set by_hand: true in its launch file", path=name
         )
     _claim(setup)
     return live(load(setup.factory)(setup), load_kernel)
@@ -56,8 +56,8 @@ def _claim(setup: Setup) -> None:
         other = os.read(held, 32).decode("ascii", errors="replace")
         os.close(held)
         raise ParameterError(
-            f"{setup.name}: process {other} is already this node; end it first: kill {other}; kill"
-            f" -CONT {other}"
+            f"process {other} is already this node; end it first: kill {other}; kill -CONT {other}",
+            path=setup.name,
         ) from error
     os.ftruncate(held, 0)
     os.write(held, str(os.getpid()).encode("ascii"))
@@ -74,8 +74,9 @@ class Starter:
         kinds = node_kinds()
         if self._kind not in kinds:
             raise ParameterError(
-                f"{name}: no kind of node is named {self._kind!r}; choose one with --kind:"
-                f" {', '.join(sorted(kinds))}"
+                f"no kind of node is named {self._kind!r}; choose one with --kind:"
+                f" {', '.join(sorted(kinds))}",
+                path=name,
             )
         self._factory = kinds[self._kind]
         self._allow_paths = [folder.resolve() for folder in allow_paths]
@@ -146,25 +147,31 @@ class Starter:
         """Check a setup from another machine and adapt it to this one."""
         setup: Setup = convert(data, Setup, "setup")
         if setup.name != self._name:
-            raise ParameterError(f"setup.name: {setup.name!r}, but {self._name!r} was started here")
+            raise ParameterError(
+                f"{setup.name!r}, but {self._name!r} was started here", path="setup.name"
+            )
         for field, own in (("publish", self.publish), ("control", self.control)):
             if getattr(setup, field) != own:
                 raise ParameterError(
-                    f"setup.{field}: {getattr(setup, field)}, but this node binds {own}"
+                    f"{getattr(setup, field)}, but this node binds {own}", path=f"setup.{field}"
                 )
         beyond = (setup.reach, setup.listen, setup.listen_reach, setup.watch)
         if any(beyond) or setup.lease <= 0.0:
             raise ParameterError(
-                "setup: reach, listen, listen_reach and watch must be empty and lease positive on"
-                " another machine"
+                "reach, listen, listen_reach and watch must be empty and lease positive on"
+                " another machine",
+                path="setup",
             )
         for topic, source in setup.sources.items():
             if not split(source)[0].startswith("tcp://"):
-                raise ParameterError(f"setup.sources.{topic}: {source} is not on the network")
+                raise ParameterError(
+                    f"{source} is not on the network", path=f"setup.sources.{topic}"
+                )
         if setup.kind != self._kind:
             raise ParameterError(
-                f"setup.kind: {setup.kind!r}, but a {self._kind} was started here; use: haptic"
-                f" node start {self._name} --kind {setup.kind}"
+                f"{setup.kind!r}, but a {self._kind} was started here; use: haptic"
+                f" node start {self._name} --kind {setup.kind}",
+                path="setup.kind",
             )
         allowed = [str(folder) for folder in self._allow_paths]
         made = msgspec.structs.replace(
@@ -199,7 +206,7 @@ def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
 def _plain(run: str) -> str:
     """Return the run's name if it is valid as a directory name; it came over the network."""
     if not run or "/" in run or run.startswith(".") or not run.isprintable() or len(run) > 100:
-        raise ParameterError(f"setup.run: {run!r} is not the name of a run")
+        raise ParameterError(f"{run!r} is not the name of a run", path="setup.run")
     return run
 
 

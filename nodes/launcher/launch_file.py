@@ -107,17 +107,16 @@ def find(name: str) -> Path:
             name.encode()
             if path.is_file():
                 return path
-            raise ParameterError(
-                f"{name}:"
-                f" {'is a directory, expected a launch file' if path.is_dir() else 'no such file'}"
-            )
+            if path.is_dir():
+                raise ParameterError("is a directory, expected a launch file", path=name)
+            raise ParameterError("no such file", path=name)
         except UnicodeEncodeError as error:
             raise ParameterError(
                 f"{name!r}: not UTF-8, as a launch file's name has to be; rename it"
             ) from error
         except OSError as error:
             # The name is too long, or its folder is not readable.
-            raise ParameterError(f"{name}: {error.strerror}") from error
+            raise ParameterError(f"{error.strerror}", path=name) from error
     raise ParameterError(f"no launch file is named {name!r}; {choices(name, known)}")
 
 
@@ -178,7 +177,7 @@ def _fill_in(
             remedy = f"{_RUN}{name}:={given[name]} sets it in any launch file"
             if name not in RunSpec.__struct_fields__:
                 remedy = f"{choices(name, arguments)} (haptic launch --show-args {path.stem})"
-            raise ParameterError(f"{path.name}: no argument {name!r}; {remedy}")
+            raise ParameterError(f"no argument {name!r}; {remedy}", path=path.name)
     for name, argument in arguments.items():
         value = given.get(name, argument.default)
         where = f"{path.name}.arguments.{name}"
@@ -189,7 +188,7 @@ def _fill_in(
             value = str(value)
         if type(value) is not kind and not (kind is str and _is_law(value)):
             raise ParameterError(
-                f"{where}: expected {_KINDS.get(kind, kind.__name__)}, got {value!r}"
+                f"expected {_KINDS.get(kind, kind.__name__)}, got {value!r}", path=where
             )
         unit = f" {argument.unit}" if argument.unit else ""
         if (
@@ -198,17 +197,19 @@ def _fill_in(
             and not value >= argument.min
         ):
             raise ParameterError(
-                f"{where}: {value!r}{unit}, limit: at least {argument.min:g}{unit}"
+                f"{value!r}{unit}, limit: at least {argument.min:g}{unit}", path=where
             )
         if (
             argument.max is not None
             and isinstance(value, (int, float))
             and not value <= argument.max
         ):
-            raise ParameterError(f"{where}: {value!r}{unit}, limit: at most {argument.max:g}{unit}")
+            raise ParameterError(
+                f"{value!r}{unit}, limit: at most {argument.max:g}{unit}", path=where
+            )
         if argument.choices and value not in argument.choices:
             raise ParameterError(
-                f"{where}: {value!r}, expected one of {', '.join(argument.choices)}"
+                f"{value!r}, expected one of {', '.join(argument.choices)}", path=where
             )
         values[name] = value
     return values
@@ -225,7 +226,8 @@ def _bound(text: str, instead: Mapping[str, str], where: str) -> None:
     )
     if length > MAX_FILLED_IN and not _WHOLE.match(text):
         raise ParameterError(
-            f"{where}: {length} characters once its arguments are filled in, limit {MAX_FILLED_IN}"
+            f"{length} characters once its arguments are filled in, limit {MAX_FILLED_IN}",
+            path=where,
         )
 
 
@@ -252,7 +254,7 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
         for name in _WITHIN.findall(data):
             if name not in values:
                 raise ParameterError(
-                    f"{where}: $(var {name}) is not an argument; {choices(name, values)}"
+                    f"$(var {name}) is not an argument; {choices(name, values)}", path=where
                 )
             origins.filled_in(where, name)
         whole = _WHOLE.match(data)
@@ -294,7 +296,7 @@ def read(
         # An including file may still change the device, so only the outermost fills in plants.
         return with_plants(launch) if outermost else launch
     except ParameterError as error:
-        raise ParameterError(origins.located(str(error))) from error
+        raise ParameterError(origins.located(error)) from error
 
 
 def _read(
@@ -377,7 +379,7 @@ def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict
             found[name] = msgspec.structs.replace(spec, parameters=parameters)
     if not plants:
         raise ParameterError(
-            f"{where}: {DEVICE}:={device}: no node of it has a virtual device; leave it out"
+            f"{DEVICE}:={device}: no node of it has a virtual device; leave it out", path=where
         )
     for name, spec in found.items():
         plant = plants.get(name.rpartition("/")[0])
@@ -407,33 +409,38 @@ def _nodes(
                     if full in nodes
                     else "is longer than 32 letters"
                 )
-                raise ParameterError(f"{path.name}.include: {launch.scenario}: node {full!r} {why}")
+                raise ParameterError(
+                    f"{launch.scenario}: node {full!r} {why}", path=f"{path.name}.include"
+                )
             remap = {topic: within(namespace, instead) for topic, instead in spec.remap.items()}
             nodes[full] = msgspec.structs.replace(spec, remap=remap)
     for node, spec in file.nodes.items():
         where = f"{path.name}.nodes.{node}"
         if not _NAME.fullmatch(node):
             raise ParameterError(
-                f"{where}: a node's name has lower-case letters, digits and _, with namespace and /"
-                " before it, at most 32"
+                "a node's name has lower-case letters, digits and _, with namespace and /"
+                " before it, at most 32",
+                path=where,
             )
         if node == LISTED:
             raise ParameterError(
-                f"{where}: {LISTED!r} is reserved for the list of a run's nodes; choose another"
-                " name, or a namespace"
+                f"{LISTED!r} is reserved for the list of a run's nodes; choose another"
+                " name, or a namespace",
+                path=where,
             )
         if node in nodes:
             raise ParameterError(
-                f"{where}: an included launch file has a node of that name; give it a namespace"
+                "an included launch file has a node of that name; give it a namespace", path=where
             )
         nodes[node] = made = convert(_substitute(spec, values, where, origins), NodeSpec, where)
         if made.kind not in kinds:
             raise ParameterError(
-                f"{where}.kind: {made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}"
+                f"{made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}",
+                path=f"{where}.kind",
             )
     if not nodes:
         raise ParameterError(
-            f"{path.name}: no nodes: add them under nodes, or other launch files under include"
+            "no nodes: add them under nodes, or other launch files under include", path=path.name
         )
     return nodes
 
@@ -445,8 +452,8 @@ def _include(
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
     if made.namespace and not _NAME.fullmatch(made.namespace):
         raise ParameterError(
-            f"{where}.namespace: {made.namespace!r}: lower-case letters, digits and _, without a /"
-            " around, at most 32"
+            f"{made.namespace!r}: lower-case letters, digits and _, without a / around, at most 32",
+            path=f"{where}.namespace",
         )
     try:
         launch = without(
@@ -454,11 +461,13 @@ def _include(
             made.without,
         )
     except ParameterError as error:
-        raise ParameterError(f"{where}: {error}") from error
+        raise ParameterError(str(error), path=where) from error
     nodes = dict(launch.nodes)
     for node, over in made.parameters.items():
         if node not in nodes:
-            raise ParameterError(f"{where}.parameters: no node {node!r}; {choices(node, nodes)}")
+            raise ParameterError(
+                f"no node {node!r}; {choices(node, nodes)}", path=f"{where}.parameters"
+            )
         nodes[node] = msgspec.structs.replace(
             nodes[node], parameters=merge(nodes[node].parameters, over)
         )
@@ -475,8 +484,8 @@ def _common_run(
             value = getattr(launch.run, name)
             if found.setdefault(name, value) != value:
                 raise ParameterError(
-                    f"{where}.run.{name}: the included files differ: {found[name]} and {value}; set"
-                    " it in this file"
+                    f"the included files differ: {found[name]} and {value}; set it in this file",
+                    path=f"{where}.run.{name}",
                 )
     return found
 
@@ -496,7 +505,9 @@ def _axes(
 ) -> tuple[RunSpec, dict[str, list[Axis]]]:
     """Return ``run`` with the first chain's axes, and the axes of other chains by namespace."""
     if len(set(run.axes)) < len(run.axes):
-        raise ParameterError(f"{where}.run.axes: [{', '.join(run.axes)}]: an axis is given twice")
+        raise ParameterError(
+            f"[{', '.join(run.axes)}]: an axis is given twice", path=f"{where}.run.axes"
+        )
     if run.axes:
         return run, {}
     kinds, axes = node_kinds(), {}
@@ -525,7 +536,7 @@ def without(launch: Launch, left_out: list[str]) -> Launch:
     for name in left_out:
         if name not in launch.nodes:
             raise ParameterError(
-                f"{launch.scenario}.nodes: no node {name!r}; {choices(name, launch.nodes)}"
+                f"no node {name!r}; {choices(name, launch.nodes)}", path=f"{launch.scenario}.nodes"
             )
     return msgspec.structs.replace(
         launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
@@ -536,14 +547,18 @@ def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, A
     tree = read_yaml(written)
     if not isinstance(tree, dict) or not tree:
         raise ParameterError(
-            f"{written}: expected a mapping from node to parameters, got {str(tree)[:100]!r}"
+            f"expected a mapping from node to parameters, got {str(tree)[:100]!r}",
+            path=str(written),
         )
     for node, parameters in tree.items():
         if node not in nodes:
-            raise ParameterError(f"{written}: {where} has no node {node!r}; {choices(node, nodes)}")
+            raise ParameterError(
+                f"{where} has no node {node!r}; {choices(node, nodes)}", path=str(written)
+            )
         if not isinstance(parameters, dict):
             raise ParameterError(
-                f"{written}.{node}: expected a mapping of parameters, got {str(parameters)[:100]!r}"
+                f"expected a mapping of parameters, got {str(parameters)[:100]!r}",
+                path=f"{written}.{node}",
             )
     return tree
 
@@ -551,7 +566,8 @@ def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, A
 def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
     if not Path(spec.watch).is_file():
         raise ParameterError(
-            f"{where}.watch: {spec.watch}: no such file; write one with haptic param dump {node}"
+            f"{spec.watch}: no such file; write one with haptic param dump {node}",
+            path=f"{where}.watch",
         )
     merged: dict[str, Any] = merge(spec.parameters, of_node(read_yaml(spec.watch), node))
     return merged

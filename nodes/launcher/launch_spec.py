@@ -172,10 +172,10 @@ class Including:
     def another(self, path: Path, name: str) -> Including:
         """Return the stack with one more file; refuse cycles and too many files."""
         if path.resolve() in self.files:
-            raise ParameterError(f"{name}: includes itself")
+            raise ParameterError("includes itself", path=name)
         if next(self.count) >= MAX_FILES:
             raise ParameterError(
-                f"{name}: more than {MAX_FILES} included launch files, counted with repetition"
+                f"more than {MAX_FILES} included launch files, counted with repetition", path=name
             )
         return Including((*self.files, path.resolve()), self.count)
 

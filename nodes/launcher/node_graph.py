@@ -92,9 +92,10 @@ class NodeGraph:
             for topic in full_names(name, kind.publishes):
                 if topic in publisher:
                     raise ParameterError(
-                        f"{self._where(name)}: {topic} is already published by"
+                        f"{topic} is already published by"
                         f" {publisher[topic]}; a second chain needs a namespace of its own, as in"
-                        " right/driver"
+                        " right/driver",
+                        path=self._where(name),
                     )
                 publisher[topic] = name
         return publisher
@@ -106,7 +107,7 @@ class NodeGraph:
             for topic in full_names(name, kind.relays):
                 if topic in relays:
                     raise ParameterError(
-                        f"{self._where(name)}: {topic} is already relayed by {relays[topic]}"
+                        f"{topic} is already relayed by {relays[topic]}", path=self._where(name)
                     )
                 relays[topic] = name
         return relays
@@ -118,15 +119,16 @@ class NodeGraph:
             if topic not in kind.listens_to:
                 if kind.listens_to in ((), ("*",)):
                     raise ParameterError(
-                        f"{where}: a {spec.kind} listens to no single topic that could be another"
+                        f"a {spec.kind} listens to no single topic that could be another",
+                        path=where,
                     )
                 raise ParameterError(
-                    f"{where}: the node does not listen to {topic!r};"
-                    f" {choices(topic, kind.listens_to)}"
+                    f"the node does not listen to {topic!r}; {choices(topic, kind.listens_to)}",
+                    path=where,
                 )
             if topics.message_type(topic) is not topics.message_type(instead):
                 raise ParameterError(
-                    f"{where}.{topic}: {instead!r} does not carry the same messages"
+                    f"{instead!r} does not carry the same messages", path=f"{where}.{topic}"
                 )
 
     def _check_sources(self, name: str, kind: type[Node]) -> None:
@@ -136,8 +138,8 @@ class NodeGraph:
             full = _followed(self._launch, name, topic)
             if full not in self._publisher:
                 raise ParameterError(
-                    f"{self._where(name)}: listens to {full}, which no node publishes;"
-                    f" {choices(full, self._publisher)}"
+                    f"listens to {full}, which no node publishes; {choices(full, self._publisher)}",
+                    path=self._where(name),
                 )
 
 

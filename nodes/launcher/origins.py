@@ -6,9 +6,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import lines_of
 
-_PATH = re.compile(r"^(?P<path>[^\s:\[\]]+(?:\[\d+\][^\s:\[\]]*)*): ")
+# last step of a path: a name, or an index
 _LAST = re.compile(r"(?:^|\.)[^.\[\]]*$|\[\d+\]$")
 
 
@@ -43,6 +44,7 @@ class Origins:
         """Record that `argument` was substituted at `place`."""
         self._arguments[place.removeprefix(f"{self._name}.")] = argument
 
+<<<<<<< HEAD
     def _argument_of(self, place: str) -> str | None:
         """Return the argument substituted at a place, or at one above it; None without any."""
         while place not in self._arguments:
@@ -57,6 +59,12 @@ class Origins:
         if match is None:
             return text
         place = match["path"].removeprefix(f"{self._name}.")
+=======
+    def located(self, error: ParameterError) -> str:
+        """Return an error's text with file, line and argument of the value it names."""
+        path = error.path.removeprefix(f"{self._name}.")
+        place = path
+>>>>>>> 8c0ddc71 (Errors carry their path as data: no regular expression reads msgspec's, argparse's or our own sentences)
         node, dot, rest = place.partition(".")
         if node in self._nodes:
             place = f"nodes.{node}.parameters{dot}{rest}"
@@ -74,6 +82,6 @@ class Origins:
         while place not in self._lines:
             place, whole = _LAST.sub("", place, count=1), place
             if place == whole:
-                return text
+                return str(error)
         file, line = self._lines[place]
-        return f"{file}:{line}: {text.removeprefix(f'{self._name}.')}{behind}"
+        return f"{file}:{line}: {path}: {error.text}{behind}"

@@ -78,9 +78,10 @@ def with_plants(launch: Launch) -> Launch:
         known = known_plant(launch, name.rpartition("/")[0])
         if (late := known.get("device_delay", 0.0)) > LONGEST_DELAY:
             raise ParameterError(
-                f"{name}.plant.device_delay: the device answers {late:g} ticks late, limit"
+                f"the device answers {late:g} ticks late, limit"
                 f" {LONGEST_DELAY:g}; laws cannot be judged beyond it. Shorten the device's delay,"
-                f" or set {name}.plant to null"
+                f" or set {name}.plant to null",
+                path=f"{name}.plant.device_delay",
             )
         telling = {field: value for field, value in known.items() if value != _USUAL.get(field)}
         whole = {**telling, **written}

@@ -61,7 +61,7 @@ def _cores(launch: Launch) -> dict[str, int | None]:
     if cpu in available:
         return dict.fromkeys(chains, cpu)
     raise ParameterError(
-        f"{launch.scenario}.run.cpu: {cpu}, available: {', '.join(map(str, available))}"
+        f"{cpu}, available: {', '.join(map(str, available))}", path=f"{launch.scenario}.run.cpu"
     )
 
 
@@ -162,8 +162,9 @@ def _check_respawn(launch: Launch, name: str, kind: type[Node]) -> None:
     spec, listens_only = launch.nodes[name], kind.listens_to == ("*",)
     if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not listens_only:
         raise ParameterError(
-            f"{launch.scenario}.nodes.{name}.respawn: a respawned node has lost its state, so a"
-            " lockstep run would no longer be deterministic; use pace realtime"
+            "a respawned node has lost its state, so a"
+            " lockstep run would no longer be deterministic; use pace realtime",
+            path=f"{launch.scenario}.nodes.{name}.respawn",
         )
 
 

@@ -11,6 +11,7 @@ import msgspec
 
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.fields import MAX_TAPS
+from nodes.parameters.store import ParameterError
 
 
 class RecursiveSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -44,10 +45,11 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Return taps and sections as given."""
         if self.period is not None and abs(period / self.period - 1.0) > 1e-6:
-            raise ValueError(
-                f"period: these taps were made for T = {self.period:g} s and the loop runs at T ="
+            raise ParameterError(
+                f"these taps were made for T = {self.period:g} s and the loop runs at T ="
                 f" {period:g} s; run at rate {1.0 / self.period:g} Hz or design the law again for"
-                " this period"
+                " this period",
+                path="period",
             )
         return CompiledLaw(
             self.taps, tuple((part.b0, part.b1, part.a1, part.a2) for part in self.recursive or ())

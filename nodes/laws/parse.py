@@ -7,7 +7,6 @@ all reject the same laws.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,7 +32,7 @@ def parse_law(data: object, path: str = "law") -> Law:
         data = {"kind": data}
     if not isinstance(data, Mapping):
         raise LawRefusedError(
-            f"{path}: expected a mapping with kind and parameters, got {short(data)}"
+            f"expected a mapping with kind and parameters, got {short(data)}", path=path
         )
     named = data.get("kind")
     whole = expand(data)
@@ -41,29 +40,29 @@ def parse_law(data: object, path: str = "law") -> Law:
     if not isinstance(kind, str) or kind not in law_names():
         known = [*law_names(), *preset_names()]
         raise LawRefusedError(
-            f"{path}.kind: {short(named)} is not an installed law or preset;"
-            f" {choices(named, known)}"
+            f"{short(named)} is not an installed law or preset; {choices(named, known)}",
+            path=f"{path}.kind",
         )
     try:
         law = load_law(kind)
     except NotInstalledError as error:
-        raise LawRefusedError(f"{path}.kind: {error}") from error
+        raise LawRefusedError(str(error), path=f"{path}.kind") from error
     parameters = law.__struct_fields__
     whole = with_gain(law, whole)
     unknown = [key for key in whole if key not in parameters]
     if unknown:
         raise LawRefusedError(
-            f"{path}.{unknown[0]}: law kind {kind} has no such parameter; it takes"
-            f" {', '.join(parameters)}"
+            f"law kind {kind} has no such parameter; it takes {', '.join(parameters)}",
+            path=f"{path}.{unknown[0]}",
         )
     try:
         made: Law = convert(whole, law, path)
         return made
     except ParameterError as error:
-        raise LawRefusedError(f"{error} (law kind {kind})") from error
+        raise LawRefusedError(f"{error.text} (law kind {kind})", path=error.path) from error
     except Exception as error:  # a law of another package may raise anything
         raise LawRefusedError(
-            f"{path}: cannot be made: {type(error).__name__}: {error} (law kind {kind})"
+            f"cannot be made: {type(error).__name__}: {error} (law kind {kind})", path=path
         ) from error
 
 
@@ -86,52 +85,56 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     H(1) ≤ 0.
     """
     if not (math.isfinite(period) and period > 0.0):
-        raise LawRefusedError(f"{path}: sampling period {period!r} s is not a positive number")
+        raise LawRefusedError(f"sampling period {period!r} s is not a positive number", path=path)
     try:
         compiled = law.compile(period)
     except OverflowError as error:
         raise LawRefusedError(
-            f"{path}: taps overflow at T = {period:g} s; lower the gains or the order"
+            f"taps overflow at T = {period:g} s; lower the gains or the order", path=path
         ) from error
+    except ParameterError as error:
+        where = f"{path}.{error.path}" if error.path else path
+        raise LawRefusedError(error.text, path=where) from error
     except ValueError as error:
-        text = str(error)
-        raise LawRefusedError(
-            f"{path}.{text}" if re.match(r"[a-z_]+[.:\[]", text) else f"{path}: {text}"
-        ) from error
+        raise LawRefusedError(str(error), path=path) from error
     except Exception as error:  # a law of another package may raise anything
         raise LawRefusedError(
-            f"{path}: cannot be compiled: {type(error).__name__}: {error}"
+            f"cannot be compiled: {type(error).__name__}: {error}", path=path
         ) from error
     if not isinstance(compiled, CompiledLaw):
         raise LawRefusedError(
-            f"{path}: compiles to {type(compiled).__name__}, expected CompiledLaw (law kind"
-            f" {law.kind})"
+            f"compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})",
+            path=path,
         )
     # The sum of the taps is exact to rounding only; below that its sign is undefined.
     rounding = 2.0**-52 * sum(map(abs, compiled.taps))
     if not (compiled.finite and math.isfinite(rounding)):
         raise LawRefusedError(
-            f"{path}: taps or their sum are not finite at T = {period:g} s (limit: below 1.8e308);"
-            " lower the gains or the order"
+            f"taps or their sum are not finite at T = {period:g} s (limit: below 1.8e308);"
+            " lower the gains or the order",
+            path=path,
         )
     if not compiled.stable_sections():
         raise LawRefusedError(
-            f"{path}: a recursive section has a pole on or outside the unit circle (limit: radius <"
-            " 1); choose another derivative or order"
+            "a recursive section has a pole on or outside the unit circle (limit: radius <"
+            " 1); choose another derivative or order",
+            path=path,
         )
     if compiled.evaluate is not None:
         try:
             compiled.own_code()
         except Exception as error:  # as above
             raise LawRefusedError(
-                f"{path}: its own code cannot be made for an axis: {type(error).__name__}: {error}"
+                f"its own code cannot be made for an axis: {type(error).__name__}: {error}",
+                path=path,
             ) from error
         # its force appears in no transfer function; the coupling monitors it at run time
         return compiled
     h1 = compiled.h1
     if not h1 > rounding:
         raise LawRefusedError(
-            f"{path}: renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}),"
-            " it would pull into the wall; raise the stiffness, lower the damping or use more taps"
+            f"renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}),"
+            " it would pull into the wall; raise the stiffness, lower the damping or use more taps",
+            path=path,
         )
     return compiled

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import inspect
 
 from messages.schema import attributes
-from nodes.parameters.refusals import STEP, choices, look_up
+from nodes.parameters.refusals import STEP, choices
 from nodes.parameters.store import ParameterError
 
 _UNIT = re.compile(r"\[([^\]]+)\]")
@@ -68,7 +68,9 @@ def described(
                     meaning="What it is: one of the kinds that are installed.",
                 )
             if name not in fields:
-                raise ParameterError(f"{done}{step}: no such parameter; {choices(name, fields)}")
+                raise ParameterError(
+                    f"no such parameter; {choices(name, fields)}", path=f"{done}{step}"
+                )
             found = _field(info.cls, fields[name])
             info = fields[name].type
         elif name and isinstance(info, inspect.DictType):
@@ -79,11 +81,19 @@ def described(
             found = Description(type=_words(info), meaning=found.meaning)
         elif not isinstance(info, inspect.AnyType):
             raise ParameterError(
-                f"{done}{step}: there is nothing below {done or 'it'}, which is {_words(info)}"
+                f"there is nothing below {done or 'it'}, which is {_words(info)}",
+                path=f"{done}{step}",
             )
-        values, _ = look_up(values, name or step)
+        values = _below(values, name, index)
         done += step
     return found
+
+
+def _below(values: Any, name: str, index: str) -> Any:
+    """Return the value at a name or an index; None if there is none."""
+    if name:
+        return values.get(name) if isinstance(values, dict) else None
+    return values[int(index)] if isinstance(values, list) and int(index) < len(values) else None
 
 
 def _kind(values: Any) -> str:

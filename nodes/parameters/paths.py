@@ -42,8 +42,9 @@ def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str)
         if refused:
             folder = Path(value).parent if isinstance(value, str) else "DIR"
             raise ParameterError(
-                f"{path}: {value!r} comes from another machine and is not allowed here; where the"
-                f" node is started: haptic node start ... --allow-path {folder}"
+                f"{value!r} comes from another machine and is not allowed here; where the"
+                f" node is started: haptic node start ... --allow-path {folder}",
+                path=path,
             )
 
 

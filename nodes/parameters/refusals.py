@@ -1,58 +1,69 @@
-"""Rewords msgspec's errors: parameter, value, what is allowed, and the probable intention.
+"""Errors about values of the wrong type: parameter, value and what is expected there.
 
-Only path and field names are taken from msgspec's text; the rest comes from the type and the value
-at that path.
+msgspec refuses a value with a sentence. It is not read here: the data are walked beside the types
+that msgspec describes, up to the first value that does not fit.
 """
 
 import operator
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
+import msgspec
 from msgspec import inspect
 
 from nodes.parameters.nearest import did_you_mean
 
-_AT = re.compile(
-    r"^(?P<reason>.*?)(?: - at (?:`key(?:\[\.\.\.\])?` in )?`\$(?P<path>.*)`)?$", re.DOTALL
-)
-STEP = re.compile(r"([^.\[\]]+)|\[(\d+|\.\.\.)\]")
-_UNKNOWN = re.compile(r"Object contains unknown field `(?P<name>.*)`", re.DOTALL)
-_MISSING = re.compile(r"Object missing required field `(?P<name>.*)`", re.DOTALL)
+# a step of a path: a name, or an index
+STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
-# names of types, in the order in which alternatives are listed
-_NAMES: dict[type[inspect.Type], str] = {
-    inspect.BoolType: "true or false",
-    inspect.IntType: "a whole number",
-    inspect.FloatType: "a number",
-    inspect.StrType: "text",
-    inspect.ListType: "a list",
-    inspect.VarTupleType: "a list",
-    inspect.TupleType: "a list",
-    inspect.DictType: "a mapping",
-    inspect.StructType: "a mapping",
-    inspect.NoneType: "nothing",
+
+class _Kind(NamedTuple):
+    """Name of a type in errors, and the Python types of its values."""
+
+    name: str
+    values: tuple[type, ...]
+
+
+# in the order in which alternatives are listed
+_KINDS: dict[type[inspect.Type], _Kind] = {
+    inspect.BoolType: _Kind("true or false", (bool,)),
+    inspect.IntType: _Kind("a whole number", (int,)),
+    inspect.FloatType: _Kind("a number", (int, float)),
+    inspect.StrType: _Kind("text", (str,)),
+    inspect.ListType: _Kind("a list", (list, tuple)),
+    inspect.VarTupleType: _Kind("a list", (list, tuple)),
+    inspect.TupleType: _Kind("a list", (list, tuple)),
+    inspect.DictType: _Kind("a mapping", (Mapping,)),
+    inspect.StructType: _Kind("a mapping", (Mapping,)),
+    inspect.NoneType: _Kind("nothing", (type(None),)),
 }
 
-# Python types of the values whose bounds are checked
-_KINDS: dict[type[inspect.Type], tuple[type, ...]] = {
-    inspect.IntType: (int,),
-    inspect.FloatType: (int, float),
-    inspect.StrType: (str,),
-    inspect.ListType: (list, tuple),
-    inspect.VarTupleType: (list, tuple),
-    inspect.DictType: (dict,),
-}
 
-_BOUNDS: tuple[tuple[str, str, Callable[[Any, Any], bool]], ...] = (
-    ("gt", "above", operator.gt),
-    ("ge", "of at least", operator.ge),
-    ("lt", "below", operator.lt),
-    ("le", "of at most", operator.le),
-    ("min_length", "of length at least", lambda value, limit: len(value) >= limit),
-    ("max_length", "of length at most", lambda value, limit: len(value) <= limit),
+class _Bound(NamedTuple):
+    """A bound of a type: its attribute, its wording, and whether a value keeps it."""
+
+    attribute: str
+    words: str
+    is_kept: Callable[[Any, Any], bool]
+
+
+_BOUNDS = (
+    _Bound("gt", "above", operator.gt),
+    _Bound("ge", "of at least", operator.ge),
+    _Bound("lt", "below", operator.lt),
+    _Bound("le", "of at most", operator.le),
+    _Bound("min_length", "of length at least", lambda value, limit: len(value) >= limit),
+    _Bound("max_length", "of length at most", lambda value, limit: len(value) <= limit),
 )
-"""Attribute of a bound, its wording, and whether a value keeps it."""
+
+
+class Misfit(NamedTuple):
+    """A value that a type does not accept: its path, and why."""
+
+    path: str
+    text: str
 
 
 def choices(given: object, known: Iterable[str]) -> str:
@@ -61,126 +72,79 @@ def choices(given: object, known: Iterable[str]) -> str:
     return f"available: {', '.join(names) or 'nothing yet'}{did_you_mean(given, names)}"
 
 
-def missing_words(names: Sequence[str]) -> str:
-    """Return the text about missing parameters; the path before it ends with the first."""
-    others = f"; also missing: {', '.join(names[1:])}" if len(names) > 1 else ""
-    return f"is missing, and has no default{others}"
-
-
 def short(value: object) -> str:
     """Return a value's repr, cut to 80 characters."""
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def worded(refusal: str, data: Any, target: Any) -> tuple[str, str]:
-    """Return path and text of a refusal by msgspec."""
-    match = _AT.match(refusal)
-    reason, path = (match["reason"], match["path"] or "") if match else (refusal, "")
-    if unknown := _UNKNOWN.fullmatch(reason):
-        fields = [
-            field.encode_name
-            for info in _types_at(target, path)
-            for field in getattr(info, "fields", ())
-        ]
-        return f"{path}.{unknown['name']}", f"no such parameter; {choices(unknown['name'], fields)}"
-    if missing := _MISSING.fullmatch(reason):
-        names = [missing["name"], *_also_missing(missing["name"], data, target, path)]
-        return f"{path}.{names[0]}", missing_words(names)
-    value, known = look_up(data, path)
-    shown = f", got {_called(value)}" if known else ""
-    # errors raised by a type's own checks are passed on
-    types = (
-        _types_at(target, path) if reason.startswith(("Expected ", "Invalid enum value ")) else []
-    )
-    for info in types:
-        if isinstance(info, inspect.DictType) and isinstance(value, dict):
-            for key in value:
-                if words := "".join(_broken(inner, key) for inner in _members(info.key_type)):
-                    return path, f"expected {words}, got {short(key)}"
-        if words := _broken(info, value):
-            length = f" of length {len(value)}" if isinstance(value, list | tuple) else ""
-            return path, f"expected {words}{shown}{length}"
-    if choice := [str(one) for info in types for one in getattr(info, "values", ())]:
-        hint = did_you_mean(str(value), choice)
-        return path, f"expected one of {', '.join(choice)}{shown}{hint}"
-    if words := " or ".join(
-        dict.fromkeys(name for kind, name in _NAMES.items() for info in types if type(info) is kind)
-    ):
-        return path, f"expected {words}{shown}"
-    scalar = isinstance(value, str | int | float)
-    return path, f"{reason.replace('`', '')}{shown if scalar else ''}"
+def find_fault(data: Any, target: Any) -> Misfit | None:
+    """Return the first value in `data` that `target`, a type, does not accept at its place."""
+    return _fault("", data, inspect.type_info(target))
 
 
-def _also_missing(first: str, data: Any, target: Any, path: str) -> list[str]:
-    """Return the other required fields that are missing at a path, if all there is one struct."""
-    value, known = look_up(data, path)
-    structs = [info for info in _types_at(target, path) if isinstance(info, inspect.StructType)]
-    if not known or len(structs) != 1 or not isinstance(value, dict):
-        return []
-    return [
-        field.encode_name
-        for field in structs[0].fields
-        if field.required and field.encode_name not in value and field.encode_name != first
-    ]
+def _fault(path: str, value: Any, declared: inspect.Type) -> Misfit | None:
+    """Return the first fault at or below a path."""
+    types = list(_members(declared))
+    # 5 is a whole number first, and a number where only numbers are accepted
+    fitting = sorted((one for one in types if _fits(one, value)), key=_is_float)
+    if not fitting:
+        return Misfit(path, _refused(types, value))
+    info = fitting[0]
+    if words := _broken(info, value):
+        length = f" of length {len(value)}" if isinstance(value, list | tuple) else ""
+        return Misfit(path, f"expected {words}, got {_named(value)}{length}")
+    if isinstance(info, inspect.StructType):
+        return _fault_in_struct(path, value, info)
+    if isinstance(info, inspect.DictType):
+        return _fault_in_mapping(path, value, info)
+    if isinstance(info, inspect.TupleType):
+        return _fault_in_list(path, value, info.item_types)
+    if isinstance(info, inspect.CollectionType):
+        return _fault_in_list(path, value, [info.item_type] * len(value))
+    return None
 
 
-def _broken(info: inspect.Type, value: Any) -> str:
-    """Return the bound that a value breaks, as text; empty if of another type or valid."""
-    if (
-        isinstance(info, inspect.TupleType)
-        and isinstance(value, list | tuple)
-        and len(value) != len(info.item_types)
-    ):
-        return f"a list of length {len(info.item_types)}"
-    if isinstance(value, bool) or not isinstance(value, _KINDS.get(type(info), ())):
-        return ""
-    for name, words, kept in _BOUNDS:
-        limit = getattr(info, name, None)
-        if limit is not None and not kept(value, limit):
-            return f"{_NAMES[type(info)]} {words} {limit:.12g}"
-    pattern = info.pattern if isinstance(info, inspect.StrType) else None
-    return (
-        ""
-        if pattern is None or re.search(pattern, str(value))
-        else f"a name that matches {pattern!r}"
-    )
+def _fault_in_struct(
+    path: str, value: Mapping[Any, Any], info: inspect.StructType
+) -> Misfit | None:
+    fields = {field.encode_name: field for field in info.fields}
+    for name, inner in value.items():
+        if name in fields:
+            if fault := _fault(f"{path}.{name}", inner, fields[name].type):
+                return fault
+        elif info.forbid_unknown_fields and name != info.tag_field:
+            return Misfit(f"{path}.{name}", f"no such parameter; {choices(name, fields)}")
+    for name, field in fields.items():
+        if field.required and name not in value:
+            return Misfit(f"{path}.{name}", "is missing, and has no default")
+    try:
+        msgspec.convert(value, info.cls)
+    except (msgspec.ValidationError, OverflowError) as error:
+        # the struct's own check raised the cause
+        return Misfit(path, str(error.__cause__ or error))
+    return None
 
 
-def _called(value: Any) -> str:
-    if isinstance(value, str | int | float):
-        return short(value)
-    kinds = {dict: "a mapping", list: "a list", tuple: "a list", type(None): "nothing"}
-    return kinds.get(type(value), type(value).__name__)
+def _fault_in_mapping(path: str, value: Mapping[Any, Any], info: inspect.DictType) -> Misfit | None:
+    for key, inner in value.items():
+        fault = _fault(path, key, info.key_type) or _fault(f"{path}.{key}", inner, info.value_type)
+        if fault:
+            return fault
+    return None
 
 
-def look_up(data: Any, path: str) -> tuple[Any, bool]:
-    """Return the value at a path, and whether it is known.
-
-    It is unknown below a mapping whose key msgspec does not name.
-    """
-    for name, index in STEP.findall(path):
-        try:
-            data = data[name] if name else data[int(index)]
-        except (KeyError, IndexError, TypeError, ValueError):
-            return None, False
-    return data, True
-
-
-def _types_at(target: Any, path: str) -> list[inspect.Type]:
-    """Return all types that a value may have at a path."""
-    found = list(_members(inspect.type_info(target)))
-    for name, index in STEP.findall(path):
-        found = [
-            inner
-            for info in found
-            for below in _below(info, name, index)
-            for inner in _members(below)
-        ]
-    return found
+def _fault_in_list(
+    path: str, value: Sequence[Any], item_types: Sequence[inspect.Type]
+) -> Misfit | None:
+    for i, (inner, item_type) in enumerate(zip(value, item_types, strict=True)):
+        if fault := _fault(f"{path}[{i}]", inner, item_type):
+            return fault
+    return None
 
 
 def _members(info: inspect.Type) -> Iterator[inspect.Type]:
+    """Return the alternatives of a type."""
     if isinstance(info, inspect.UnionType):
         for one in info.types:
             yield from _members(one)
@@ -190,12 +154,53 @@ def _members(info: inspect.Type) -> Iterator[inspect.Type]:
         yield info
 
 
-def _below(info: inspect.Type, name: str, index: str) -> Iterator[inspect.Type]:
-    if isinstance(info, inspect.StructType) and name:
-        yield from (field.type for field in info.fields if field.encode_name == name)
-    elif isinstance(info, inspect.DictType):
-        yield info.value_type
-    elif isinstance(info, inspect.TupleType) and index.isdigit():
-        yield from info.item_types[int(index) : int(index) + 1]
-    elif isinstance(info, inspect.CollectionType):
-        yield info.item_type
+def _is_float(info: inspect.Type) -> bool:
+    return isinstance(info, inspect.FloatType)
+
+
+def _fits(info: inspect.Type, value: Any) -> bool:
+    """Return whether a value is of a type, whatever its bounds and its contents."""
+    if isinstance(info, inspect.LiteralType):
+        return any(type(value) is type(choice) and value == choice for choice in info.values)
+    if type(info) not in _KINDS:
+        return True
+    if isinstance(value, bool):
+        return isinstance(info, inspect.BoolType)
+    return isinstance(value, _KINDS[type(info)].values)
+
+
+def _refused(types: Sequence[inspect.Type], value: Any) -> str:
+    """Return what is expected in place of a value that fits none of the types."""
+    known = {type(info) for info in types}
+    names = dict.fromkeys(kind.name for info, kind in _KINDS.items() if info in known)
+    choice = [str(one) for info in types for one in getattr(info, "values", ())]
+    hint = did_you_mean(value, choice)
+    if not names:
+        return f"expected one of {', '.join(choice)}, got {_named(value)}{hint}"
+    return f"expected {' or '.join([*names, *choice])}, got {_named(value)}{hint}"
+
+
+def _broken(info: inspect.Type, value: Any) -> str:
+    """Return what is expected of a value that breaks a bound of its type, or ""."""
+    if isinstance(info, inspect.TupleType) and len(value) != len(info.item_types):
+        return f"a list of length {len(info.item_types)}"
+    for bound in _BOUNDS:
+        limit = getattr(info, bound.attribute, None)
+        if limit is not None and not bound.is_kept(value, limit):
+            return f"{_KINDS[type(info)].name} {bound.words} {limit:.12g}"
+    if isinstance(info, inspect.FloatType) and abs(value) > sys.float_info.max:
+        return f"a number of at most {sys.float_info.max:.12g}"
+    pattern = info.pattern if isinstance(info, inspect.StrType) else None
+    if pattern is not None and not re.search(pattern, value):
+        return f"a name that matches {pattern!r}"
+    return ""
+
+
+def _named(value: Any) -> str:
+    """Return how an error shows a value: scalars as they are, others by their kind."""
+    if isinstance(value, str | int | float):
+        return short(value)
+    for info in (inspect.ListType, inspect.DictType, inspect.NoneType):
+        if isinstance(value, _KINDS[info].values):
+            return _KINDS[info].name
+    return type(value).__name__

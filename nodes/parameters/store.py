@@ -8,12 +8,12 @@ so an error always has path, value and limit.
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import msgspec
 
 from messages.errors import HapticError
-from nodes.parameters.refusals import STEP, choices, worded
+from nodes.parameters.refusals import STEP, choices, find_fault
 
 __all__ = [
     "ParameterError",
@@ -30,7 +30,33 @@ _PATH = re.compile(r"[^.\[\]]+(?:\.[^.\[\]]+|\[\d+\])*")
 
 
 class ParameterError(HapticError, ValueError):
-    """An invalid parameter; the text has node, path, value, limit and remedy."""
+    """An invalid parameter; the text has node, path, value, limit and remedy.
+
+    Parameters
+    ----------
+    text : str
+        The value, its limit and the remedy.
+    path : str, optional
+        The parameter, e.g. ``coupling.laws.pd.stiffness``; the error's text begins with it.
+    """
+
+    def __init__(self, text: str, path: str = "") -> None:
+        super().__init__(text, path)
+        self.text = text
+        self.path = path
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.text}" if self.path else self.text
+
+    def continued(self, more: str) -> Self:
+        """Return the same error with `more` at the end of its text.
+
+        Returns
+        -------
+        ParameterError
+            Of the same class.
+        """
+        return type(self)(self.text + more, self.path)
 
 
 def convert(data: Any, target: Any, where: str) -> Any:
@@ -59,8 +85,10 @@ def convert(data: Any, target: Any, where: str) -> Any:
     try:
         return msgspec.convert(data, target)
     except (msgspec.ValidationError, OverflowError) as error:
-        path, text = worded(str(error), data, target)
-        raise ParameterError(f"{where}{path}: {text}") from error
+        fault = find_fault(data, target)
+        if fault is None:  # a rule of msgspec's that the walk does not know
+            raise ParameterError(f"{error}", path=where) from error
+        raise ParameterError(f"{fault.text}", path=f"{where}{fault.path}") from error
 
 
 MAX_ENTRIES: Final = 100_000  # longest list, and largest mapping, in any parameter
@@ -69,9 +97,9 @@ MAX_ENTRIES: Final = 100_000  # longest list, and largest mapping, in any parame
 def _refuse_unbounded(data: Any, where: str) -> None:
     """Reject numbers that are not finite, and lists and mappings that are too long."""
     if isinstance(data, float) and not math.isfinite(data):
-        raise ParameterError(f"{where}: {data} is not a finite number")
+        raise ParameterError(f"{data} is not a finite number", path=where)
     if isinstance(data, Mapping | list | tuple) and len(data) > MAX_ENTRIES:
-        raise ParameterError(f"{where}: {len(data)} entries, limit {MAX_ENTRIES}")
+        raise ParameterError(f"{len(data)} entries, limit {MAX_ENTRIES}", path=where)
     if isinstance(data, Mapping):
         for key, value in data.items():
             _refuse_unbounded(value, f"{where}.{key}")
@@ -117,7 +145,9 @@ def of_node(tree: Any, node: str) -> Any:
     if isinstance(tree, Mapping) and set(tree) == {node}:
         tree = tree[node]
     if not isinstance(tree, Mapping):
-        raise ParameterError(f"{node}: expected a mapping of parameters, got {str(tree)[:100]!r}")
+        raise ParameterError(
+            f"expected a mapping of parameters, got {str(tree)[:100]!r}", path=node
+        )
     return dict(tree)
 
 
@@ -231,8 +261,8 @@ class ParameterStore:
     def _steps(self, name: str) -> list[str | int]:
         if not (isinstance(name, str) and _PATH.fullmatch(name)):
             raise ParameterError(
-                f"{self._node}: {name!r} is not a parameter's name, e.g. laws.pd.stiffness or"
-                " axes[0]"
+                f"{name!r} is not a parameter's name, e.g. laws.pd.stiffness or axes[0]",
+                path=self._node,
             )
         return [key if key else int(index) for key, index in STEP.findall(name)]
 
@@ -257,7 +287,9 @@ class ParameterStore:
         elif isinstance(value, list):
             there = f"it has {len(value)} entries from [0]"
         path = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in (*done, step))
-        raise ParameterError(f"{self._node}.{path.removeprefix('.')}: no such parameter; {there}")
+        raise ParameterError(
+            f"no such parameter; {there}", path=f"{self._node}.{path.removeprefix('.')}"
+        )
 
     def changed(self, values: Mapping[str, Any]) -> Any:
         """Return the parameters with `values`, a mapping of path to new value, set.
@@ -276,7 +308,7 @@ class ParameterStore:
             If a name is unknown or a value is invalid; then nothing has changed.
         """
         if not isinstance(values, Mapping) or not values:
-            raise ParameterError(f"{self._node}: expected names and values, got {values!r}")
+            raise ParameterError(f"expected names and values, got {values!r}", path=self._node)
         data = self.dump()
         for name, new in values.items():
             *upper, last = self._steps(name)

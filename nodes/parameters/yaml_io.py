@@ -120,7 +120,7 @@ _NAMELESS = ' in "<unicode string>"'
 def parse_yaml(text: str, source: str) -> Any:
     """Return the content of a YAML document, bounded in size and depth."""
     if len(text) > MAX_CHARACTERS:
-        raise ParameterError(f"{source}: {len(text)} characters, limit {MAX_CHARACTERS}")
+        raise ParameterError(f"{len(text)} characters, limit {MAX_CHARACTERS}", path=source)
     try:
         # _Loader is a SafeLoader and constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
@@ -130,7 +130,7 @@ def parse_yaml(text: str, source: str) -> Any:
             .replace(_TAB, "a tab, where YAML takes spaces")
             .replace(_NAMELESS, "")
         )
-        raise ParameterError(f"{source}: not valid YAML: {reason}") from error
+        raise ParameterError(f"not valid YAML: {reason}", path=source) from error
 
 
 def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:
@@ -183,13 +183,14 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
             content = file.read(4 * MAX_CHARACTERS + 1)
         if len(content) > 4 * MAX_CHARACTERS:
             raise ParameterError(
-                f"{path}: more than {4 * MAX_CHARACTERS} bytes, limit {MAX_CHARACTERS} characters"
+                f"more than {4 * MAX_CHARACTERS} bytes, limit {MAX_CHARACTERS} characters",
+                path=str(path),
             )
         return parse_yaml(content.decode("utf-8"), str(path))
     except OSError as error:
-        raise ParameterError(f"{path}: {error.strerror}") from error
+        raise ParameterError(f"{error.strerror}", path=str(path)) from error
     except UnicodeDecodeError as error:
-        raise ParameterError(f"{path}: not UTF-8: {error}") from error
+        raise ParameterError(f"not UTF-8: {error}", path=str(path)) from error
 
 
 class WatchedFile:
@@ -241,7 +242,7 @@ class WatchedFile:
             text = content.decode("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             self.applied = self._seen
-            raise ParameterError(f"{self.path}: {error}") from error
+            raise ParameterError(f"{error}", path=self.path) from error
         return parse_yaml(text, self.path)
 
     @staticmethod

@@ -173,8 +173,8 @@ class Logger(Node):
             if kind is None or (inside not in FIXED and topic[1:].rpartition("/")[0] not in nodes):
                 known = [*FIXED, *(f"/{node}/{{status,event}}" for node in sorted(nodes))]
                 raise ParameterError(
-                    f"{setup.name}.topics[{number}]: nothing publishes {topic!r}; there are"
-                    f" {', '.join(known)}"
+                    f"nothing publishes {topic!r}; there are {', '.join(known)}",
+                    path=f"{setup.name}.topics[{number}]",
                 )
 
     def configure(self) -> None:

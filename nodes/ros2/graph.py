@@ -48,13 +48,15 @@ def choose(backend: Backend, where: str) -> str:
             return name
     if backend == "rclpy":
         raise ParameterError(
-            f"{where}.backend: rclpy is not importable; source the setup file of your ROS 2 "
-            "(source /opt/ros/DISTRO/setup.bash), with the Python that it was built for"
+            "rclpy is not importable; source the setup file of your ROS 2 "
+            "(source /opt/ros/DISTRO/setup.bash), with the Python that it was built for",
+            path=f"{where}.backend",
         )
     raise ParameterError(
-        f"{where}: neither rclpy nor cyclonedds is there: pip install 'haptic-nodes[ros2]' brings"
+        "neither rclpy nor cyclonedds is there: pip install 'haptic-nodes[ros2]' brings"
         " Cyclone DDS; rclpy comes with a sourced ROS 2 (source /opt/ros/DISTRO/setup.bash), for"
-        " tests pip install 'haptic-nodes[rclpy]'"
+        " tests pip install 'haptic-nodes[rclpy]'",
+        path=where,
     )
 
 

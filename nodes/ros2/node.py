@@ -79,8 +79,9 @@ class Ros2(Node):
         for name in ("wrench", "target"):
             if getattr(parameters, name) and setup.pace == "lockstep":
                 raise ParameterError(
-                    f"{setup.name}.{name}: lockstep is deterministic, so nothing from outside is"
-                    f" taken; use pace realtime, or leave {name} out"
+                    "lockstep is deterministic, so nothing from outside is"
+                    f" taken; use pace realtime, or leave {name} out",
+                    path=f"{setup.name}.{name}",
                 )
 
     def __init__(self, setup: Setup) -> None:
@@ -278,23 +279,24 @@ class Ros2(Node):
         if parameters.wrench:
             if not driver or not self._run.nodes[driver].parameters.get("external"):
                 raise ParameterError(
-                    f"{self.setup.name}.wrench: the driver takes no force from outside; allow it"
-                    " with external: {peak: 1.0, age: 0.1}"
+                    "the driver takes no force from outside; allow it"
+                    " with external: {peak: 1.0, age: 0.1}",
+                    path=f"{self.setup.name}.wrench",
                 )
             self._graph.listen(self._namespace + parameters.wrench, WRENCH, self._take_wrench)
         if parameters.target:
-            none = (
-                f"{self.setup.name}.target: no hand can be dragged; a sim_driver has one with"
-                " device.hand and pointer: {}"
+            no_hand = ParameterError(
+                "no hand can be dragged; a sim_driver has one with device.hand and pointer: {}",
+                path=f"{self.setup.name}.target",
             )
             if not driver:
-                raise ParameterError(none)
+                raise no_hand
             try:
                 self._hand = PointerWriter(
                     awaited_pointer(self._run.nodes[driver], lambda: self.stopping)
                 )
             except FileNotFoundError as error:
-                raise ParameterError(none) from error
+                raise no_hand from error
             self._graph.listen(self._namespace + parameters.target, POSE, self._take_target)
         self._graph.serve(self._parameters(), self._change)
 

@@ -18,8 +18,9 @@ def check_address(address: str, port: int) -> None:
 
     shown = port or 8080
     raise ParameterError(
-        f"view.address: {address} is refused: anyone who reaches the page can command the loop, so"
+        f"{address} is refused: anyone who reaches the page can command the loop, so"
         f" it is served on {ADDRESS} only. From another machine, set view.port to {shown}, run ssh"
         f" -L {shown}:{ADDRESS}:{shown} {getpass.getuser()}@{socket.gethostname()} there, and open"
-        " the printed URL"
+        " the printed URL",
+        path="view.address",
     )

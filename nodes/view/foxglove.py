@@ -33,7 +33,7 @@ def load() -> Any:
         import foxglove
     except ImportError as error:
         raise ParameterError(
-            f"view.foxglove: {error}; install it with: pip install 'haptic-nodes[foxglove]'"
+            f"{error}; install it with: pip install 'haptic-nodes[foxglove]'", path="view.foxglove"
         ) from error
     return foxglove
 
@@ -95,7 +95,7 @@ class Bridge:
                 session_id=run.run,
             )
         except Exception as error:  # the library raises its own types
-            raise ParameterError(f"view.foxglove: port {port}: {error}") from error
+            raise ParameterError(f"port {port}: {error}", path="view.foxglove") from error
         self.port: int = self._server.port  # where it is served
 
     def subscribed(self, topic: str) -> None:

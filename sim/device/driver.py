@@ -285,18 +285,21 @@ class SimDriver(Driver):
             if not low <= device.position <= high:
                 field = "position" if axis == setup.axes[0] else f"axes.{axis}.position"
                 raise ParameterError(
-                    f"{setup.name}.device.{field}: {device.position:g} m, expected {low:g} to"
-                    f" {high:g} m, as safety.workspace says"
+                    f"{device.position:g} m, expected {low:g} to"
+                    f" {high:g} m, as safety.workspace says",
+                    path=f"{setup.name}.device.{field}",
                 )
         if missing := sorted(set(parameters.device.axes) - set(setup.axes)):
             raise ParameterError(
-                f"{setup.name}.device.axes.{missing[0]}: the scene computes {', '.join(setup.axes)}"
-                " only; add it to run.axes, or remove it here"
+                f"the scene computes {', '.join(setup.axes)}"
+                " only; add it to run.axes, or remove it here",
+                path=f"{setup.name}.device.axes.{missing[0]}",
             )
         if parameters.pointer is not None and parameters.device.hand is None:
             raise ParameterError(
-                f"{setup.name}.pointer: needs {setup.name}.device.hand, whose target a page can"
-                " drag; declare its stiffness and path, or remove the pointer"
+                f"needs {setup.name}.device.hand, whose target a page can"
+                " drag; declare its stiffness and path, or remove the pointer",
+                path=f"{setup.name}.pointer",
             )
 
     def make_device(self) -> Device:
@@ -318,8 +321,8 @@ class SimDriver(Driver):
             return super().prepare(parameters)
         if self.setup.pace == "lockstep":
             raise ParameterError(
-                f"{self.setup.name}.device.delay: is fixed in lockstep; launch again, or use pace:"
-                " realtime"
+                "is fixed in lockstep; launch again, or use pace: realtime",
+                path=f"{self.setup.name}.device.delay",
             )
 
         def apply(seq: int) -> dict[str, Any]:

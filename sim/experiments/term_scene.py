@@ -265,8 +265,8 @@ def one_face(scene: TermScene) -> TermScene:
     deepest = int(np.argmax(depth))
     if depth[deepest] < 0.0:
         raise ParameterError(
-            f"{scene.launch.scenario}: the device touches nothing, so nothing can be said of what"
-            " it needs"
+            "the device touches nothing, so nothing can be said of what it needs",
+            path=scene.launch.scenario,
         )
     normal = found.normal[deepest]
     point = found.proxy[deepest] - tool_radius(scene) * normal

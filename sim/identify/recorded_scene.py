@@ -114,7 +114,8 @@ def _launch(recording: Recording) -> Launch:
     arguments = recording.manifest.get("arguments")
     if text is None or arguments is None:
         raise ParameterError(
-            f"{recording.path}: was recorded without its launch file, so its scene is not known"
+            "was recorded without its launch file, so its scene is not known",
+            path=str(recording.path),
         )
     # The launch file comes from elsewhere: it must not name a file to be read or written here.
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:

@@ -81,8 +81,9 @@ class ChainNodes:
         self._given = given.along(self.axes, ticks, launch.scenario)
         if self._given.any and list(self.parts) != [""]:
             raise ParameterError(
-                f"{hops.driver}: forces, targets and nudges are given to one virtual device, not"
-                f" to a {self.driver.setup.kind}"
+                "forces, targets and nudges are given to one virtual device, not"
+                f" to a {self.driver.setup.kind}",
+                path=hops.driver,
             )
         self._changes = sorted(instead.environment, key=lambda change: change[0])
         self._proxies, self._forces = Decoder(Proxy), Decoder(Force)
@@ -163,7 +164,7 @@ def answer(node: Any, message: Any) -> bytes:
     counters.seq = message.seq
     payload: bytes | None = node.respond(message)
     if payload is None:
-        raise ParameterError(f"{node.setup.name}: no answer to tick {message.seq}")
+        raise ParameterError(f"no answer to tick {message.seq}", path=node.setup.name)
     counters.answered = message.seq
     counters.ticks += 1
     return payload

@@ -45,8 +45,8 @@ class Given:
         """
         if self.arrivals is not None or self.read is not None:
             raise ParameterError(
-                f"{where}: arrivals in real time and readings are given to one rigid device on one"
-                " axis only"
+                "arrivals in real time and readings are given to one rigid device on one axis only",
+                path=where,
             )
         return Given(
             force=_spread(self.force, axes, ticks, 2, f"{where}: given.force"),
@@ -69,6 +69,6 @@ def _spread(
     shape = (3,) * (dimensions - 1)
     if values.ndim != dimensions or values.shape[1:] != shape or len(values) < ticks:
         raise ParameterError(
-            f"{where}: shape {values.shape}, expected at least {ticks} rows of {shape}"
+            f"shape {values.shape}, expected at least {ticks} rows of {shape}", path=where
         )
     return values

@@ -51,8 +51,9 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
         if len(those) != 1:
             where = f"{launch.scenario}.nodes" + (f" of chain {namespace}" if namespace else "")
             raise ParameterError(
-                f"{where}: {len(those)} nodes publish {topic}; one process plays a chain in which"
-                f" exactly one {what}"
+                f"{len(those)} nodes publish {topic}; one process plays a chain in which"
+                f" exactly one {what}",
+                path=where,
             )
         found += those
     driver, environment, coupling = found
@@ -60,19 +61,22 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
         launch.nodes[driver].parameters, driver
     ):
         raise ParameterError(
-            f"{driver}: {launch.nodes[driver].kind} drives a real device, which one process does"
-            " not play; name a virtual one (kind: sim_driver), or launch it"
+            f"{launch.nodes[driver].kind} drives a real device, which one process does"
+            " not play; name a virtual one (kind: sim_driver), or launch it",
+            path=driver,
         )
     if topics.PARTNER in classes[environment].listens_to:
         raise ParameterError(
-            f"{environment}: hears a partner over a network in real time, which one process does"
-            " not play; haptic study hands plays two hands and a network, or launch it"
+            "hears a partner over a network in real time, which one process does"
+            " not play; haptic study hands plays two hands and a network, or launch it",
+            path=environment,
         )
     for name in (environment, coupling):
         if classes[name].respond is Node.respond:
             raise ParameterError(
-                f"{name}: kind {launch.nodes[name].kind} answers ticks in a loop of its own, which"
-                " one process does not play; launch it"
+                f"kind {launch.nodes[name].kind} answers ticks in a loop of its own, which"
+                " one process does not play; launch it",
+                path=name,
             )
     return Hops(driver, environment, coupling)
 

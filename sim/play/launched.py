@@ -165,12 +165,13 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
     )
     device = along(driver.device, axes)[0]
     if device.mass_by_position:
-        raise NotOneAxisError(f"{hops.driver}.device.mass_by_position: not one mass")
+        raise NotOneAxisError("not one mass", path=f"{hops.driver}.device.mass_by_position")
     surface = parse_surface(environment.surface, f"{hops.environment}.surface")
     reduced = surface.on_axis(axis)
     if reduced is None:
         raise NotOneAxisError(
-            f"{hops.environment}.surface.kind: {surface.kind!r} has no form on one axis (on_axis)"
+            f"{surface.kind!r} has no form on one axis (on_axis)",
+            path=f"{hops.environment}.surface.kind",
         )
     laws = laws_of(launch, hops)
     limits = lower(driver.safety, DeviceLimits(), period)
@@ -218,12 +219,14 @@ def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
 def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
     """Raise NotOneAxisError for a chain that the loop of one axis cannot play."""
     if len(axes) != 1:
-        raise NotOneAxisError(f"{launch.scenario}.run.axes: {axes}, not one axis")
+        raise NotOneAxisError(f"{axes}, not one axis", path=f"{launch.scenario}.run.axes")
     for name, kind in ((hops.driver, "sim_driver"), (hops.environment, "environment")):
         if launch.nodes[name].kind != kind:
-            raise NotOneAxisError(f"{name}: {launch.nodes[name].kind}, not {kind}")
+            raise NotOneAxisError(f"{launch.nodes[name].kind}, not {kind}", path=name)
     if launch.nodes[hops.coupling].kind != "coupling":
-        raise NotOneAxisError(f"{hops.coupling}: {launch.nodes[hops.coupling].kind}, not coupling")
+        raise NotOneAxisError(
+            f"{launch.nodes[hops.coupling].kind}, not coupling", path=hops.coupling
+        )
 
 
 def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
@@ -231,7 +234,8 @@ def parameters_of(launch: Launch, kind: str, target: type) -> tuple[str, Any]:
     found = [(name, spec) for name, spec in launch.nodes.items() if spec.kind == kind]
     if len(found) != 1:
         raise ParameterError(
-            f"{launch.scenario}.nodes: {len(found)} nodes of kind {kind}, expected exactly one"
+            f"{len(found)} nodes of kind {kind}, expected exactly one",
+            path=f"{launch.scenario}.nodes",
         )
     name, spec = found[0]
     return name, convert(spec.parameters, target, name)

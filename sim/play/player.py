@@ -89,8 +89,9 @@ def prepare(
     wanted = ticks or launch.run.ticks or round(10.0 / launch.run.period)
     if wanted > MAX_TICKS:
         raise ParameterError(
-            f"run.duration: {wanted} ticks, limit {MAX_TICKS} in one process, which keeps all of a"
-            " run; launch a longer one"
+            f"{wanted} ticks, limit {MAX_TICKS} in one process, which keeps all of a"
+            " run; launch a longer one",
+            path="run.duration",
         )
     check_chain(launch, hops_of(launch, chain))
     by_nodes = partial(play_chain, launch, chain, wanted, instead, given)
@@ -109,10 +110,8 @@ def prepare(
 def _only_chain(launch: Launch) -> str:
     chains = chains_of(launch)
     if len(chains) != 1:
-        raise ParameterError(
-            f"{launch.scenario}: {len(chains)} chains"
-            + (f" ({', '.join(chains)}); name one of them" if chains else "; nothing to play")
-        )
+        remedy = f" ({', '.join(chains)}); name one of them" if chains else "; nothing to play"
+        raise ParameterError(f"{len(chains)} chains{remedy}", path=launch.scenario)
     return chains[0]
 
 

@@ -52,7 +52,7 @@ def needs(options: NeedsOptions) -> Answer:
     launch = launch_file.read(options.scenario, launch_file.parse_assignments(options.assignments))
     judged = {chain: _judge(options, launch, chain) for chain in chains_of(launch)}
     if not judged:
-        raise ParameterError(f"{launch.scenario}: no chain, so nothing to play")
+        raise ParameterError("no chain, so nothing to play", path=launch.scenario)
     figures = [found for found, _ in judged.values()]
     answer = figures[0]
     if len(figures) > 1:

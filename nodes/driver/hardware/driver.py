@@ -114,8 +114,8 @@ class HardwareDriver(Driver):
             del seq
             if any(self.driving.handed):
                 raise ParameterError(
-                    f"{self.setup.name}: re-centre while no force acts: move the device out of the"
-                    " wall first"
+                    "re-centre while no force acts: move the device out of the wall first",
+                    path=self.setup.name,
                 )
             moved = self.held.recentre()
             set_workspace(

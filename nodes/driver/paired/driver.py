@@ -292,7 +292,7 @@ class PairedDriver(Driver):
             own, peak_force=peak, without=[*own.without, *pair.without]
         )
         if not driver.virtual and (refusal := undeclared(declared, device.limits)):
-            raise ParameterError(f"{name}: {refusal}")
+            raise ParameterError(f"{refusal}", path=name)
         found = lower(own, device.limits, period, f"{name}.safety")
         for text in found.overruled:
             self.events.emit_each("limit", text)
@@ -353,10 +353,12 @@ def _kind_of(member: PairedMember, where: str) -> tuple[str, type[Driver]]:
     """Return factory and class of a device's driver."""
     factory = node_kinds().get(member.kind)
     if factory is None:
-        raise ParameterError(f"{where}.kind: {member.kind!r} is no installed kind of driver")
+        raise ParameterError(
+            f"{member.kind!r} is no installed kind of driver", path=f"{where}.kind"
+        )
     kind = load(factory)
     if not issubclass(kind, Driver) or issubclass(kind, PairedDriver):
-        raise ParameterError(f"{where}.kind: {member.kind!r} drives no single device")
+        raise ParameterError(f"{member.kind!r} drives no single device", path=f"{where}.kind")
     return factory, kind
 
 

@@ -54,7 +54,7 @@ def load_mujoco(where: str) -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise ParameterError(f"{where}: {error}; install it with: {EXTRA}") from error
+        raise ParameterError(f"{error}; install it with: {EXTRA}", path=where) from error
     return mujoco
 
 
@@ -79,30 +79,33 @@ class MovingScene:
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
         if file.exists() and not (file.is_file() or file.is_dir()):
             # Reading a pipe would block, and a device has no end.
-            raise ParameterError(f"{where}.scene: {file} is not a regular file")
+            raise ParameterError(f"{file} is not a regular file", path=f"{where}.scene")
         try:
             # Opened here because the operating system's message is clearer than MuJoCo's.
             with open(file, "rb") as opened:
                 size = opened.seek(0, os.SEEK_END)
         except OSError as error:
             raise ParameterError(
-                f"{where}.scene: {file} cannot be read: {error.strerror}"
+                f"{file} cannot be read: {error.strerror}", path=f"{where}.scene"
             ) from error
         if size > LARGEST:
             raise ParameterError(
-                f"{where}.scene: {file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f};"
-                " meshes and textures belong in files of their own"
+                f"{file} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f};"
+                " meshes and textures belong in files of their own",
+                path=f"{where}.scene",
             )
         try:
             with _heard(mujoco) as warnings:
                 self.model = _model(mujoco, file, wanted, held, where)
         except ValueError as error:
             raise ParameterError(
-                f"{where}.scene: {file}: {' '.join(str(error).split())}"
+                f"{file}: {' '.join(str(error).split())}", path=f"{where}.scene"
             ) from error
         if warnings:
             # MuJoCo would continue without the value: a mass of NaN becomes that of water.
-            raise ParameterError(f"{where}.scene: {file}: {' '.join(' '.join(warnings).split())}")
+            raise ParameterError(
+                f"{file}: {' '.join(' '.join(warnings).split())}", path=f"{where}.scene"
+            )
         self._refuse_odd_numbers(file, where)
         self.data = mujoco.MjData(self.model)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
@@ -112,8 +115,8 @@ class MovingScene:
         self.mass = float(self.model.body_subtreemass[self.tool])
         if self.mass < _LIGHTEST:
             raise ParameterError(
-                f"{where}.tool: body {tool!r} weighs {self.mass:g} kg, expected at least"
-                f" {_LIGHTEST:g} kg"
+                f"body {tool!r} weighs {self.mass:g} kg, expected at least {_LIGHTEST:g} kg",
+                path=f"{where}.tool",
             )
         widest = max(
             (float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)),
@@ -121,8 +124,9 @@ class MovingScene:
         )
         if widest > WIDEST:
             raise ParameterError(
-                f"{where}.scene: {file}: a geom of body {tool!r} reaches {widest:.4g} m, expected"
-                f" at most {WIDEST:g} m; MJCF is in metres"
+                f"{file}: a geom of body {tool!r} reaches {widest:.4g} m, expected"
+                f" at most {WIDEST:g} m; MJCF is in metres",
+                path=f"{where}.scene",
             )
         # Its own step, if all behind the tool is solved within it [s]; else None.
         self.euler_step = euler_step(mujoco, self.model)
@@ -130,8 +134,9 @@ class MovingScene:
         self.steps = max(1, math.ceil(period / float(self.model.opt.timestep) - 1e-9))
         if self.steps > _MOST_STEPS:
             raise ParameterError(
-                f"{where}.scene: {file}: a step of {self.model.opt.timestep:g} s is {self.steps} a"
-                f" tick, at most {_MOST_STEPS}; raise option timestep"
+                f"{file}: a step of {self.model.opt.timestep:g} s is {self.steps} a"
+                f" tick, at most {_MOST_STEPS}; raise option timestep",
+                path=f"{where}.scene",
             )
         self.model.opt.timestep = period / self.steps
         self._most = max(1, round(GAP / period)) * self.steps
@@ -154,22 +159,24 @@ class MovingScene:
         step = float(model.opt.timestep)
         if not (math.isfinite(step) and step > 0.0):
             raise ParameterError(
-                f"{where}.scene: {file}: option timestep is {step:g} s, expected a time above 0"
+                f"{file}: option timestep is {step:g} s, expected a time above 0",
+                path=f"{where}.scene",
             )
         for i in range(1, model.nbody):
             mass = float(model.body_mass[i])
             if not mass <= HEAVIEST:
                 raise ParameterError(
-                    f"{where}.scene: {file}: body {model.body(i).name!r} weighs {mass:g} kg,"
-                    f" expected at most {HEAVIEST:g} kg"
+                    f"{file}: body {model.body(i).name!r} weighs {mass:g} kg,"
+                    f" expected at most {HEAVIEST:g} kg",
+                    path=f"{where}.scene",
                 )
         for name in _NUMBERS:
             values = getattr(model.opt if name == "gravity" else model, name).ravel().tolist()
             odd = next((value for value in values if not abs(value) <= LARGEST_NUMBER), None)
             if odd is not None:
                 raise ParameterError(
-                    f"{where}.scene: {file}: a number of {name} is {odd:g}, expected at most"
-                    f" {LARGEST_NUMBER:g}"
+                    f"{file}: a number of {name} is {odd:g}, expected at most {LARGEST_NUMBER:g}",
+                    path=f"{where}.scene",
                 )
 
     def _find_tool(self, tool: str, file: Path, where: str) -> tuple[int, list[int]]:
@@ -178,9 +185,10 @@ class MovingScene:
         if body < 0:
             names = [model.body(i).name for i in range(1, model.nbody)]
             raise ParameterError(
-                f"{where}.tool: no body {tool!r} in {file}; its bodies are"
+                f"no body {tool!r} in {file}; its bodies are"
                 f" {', '.join(names) or 'none'}; {where}.tool: {{mass: 0.05, radius: 0.005}}"
-                " adds one"
+                " adds one",
+                path=f"{where}.tool",
             )
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         kind = mujoco.mjtJoint.mjJNT_SLIDE
@@ -192,9 +200,10 @@ class MovingScene:
         axes = [tuple(model.jnt_axis[i].tolist()) for i in slides]
         if count != 3 or axes != list(AXES) or model.body_parentid[body] != 0:
             raise ParameterError(
-                f"{where}.tool: body {tool!r} must be a child of the world with three slide joints"
+                f"body {tool!r} must be a child of the world with three slide joints"
                 " without limits, along x, y and z: the device has three axes, and its own"
-                f" workspace; or {where}.tool: {{body: NAME, mass: 0.05}} adds one"
+                f" workspace; or {where}.tool: {{body: NAME, mass: 0.05}} adds one",
+                path=f"{where}.tool",
             )
         return body, [int(model.jnt_qposadr[i]) for i in slides]
 

@@ -60,8 +60,9 @@ class MujocoEnvironment(Node):
         )
         if list(setup.axes) != ["x", "y", "z"]:
             raise ParameterError(
-                f"{setup.name}.tool: the tool moves in three axes, but run.axes is"
-                f" [{', '.join(setup.axes)}]; name all three, or leave axes out"
+                "the tool moves in three axes, but run.axes is"
+                f" [{', '.join(setup.axes)}]; name all three, or leave axes out",
+                path=f"{setup.name}.tool",
             )
 
     @classmethod

@@ -71,8 +71,9 @@ def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
     if tool.mass is not None:
         if body is not None:
             raise ParameterError(
-                f"{where}.mass: the scene has a body {tool.body!r} already; leave mass out to use"
-                f" it, or give another {where}.body"
+                f"the scene has a body {tool.body!r} already; leave mass out to use"
+                f" it, or give another {where}.body",
+                path=f"{where}.mass",
             )
         body = spec.worldbody.add_body(name=tool.body, pos=list(tool.position), gravcomp=1.0)
         for axis in AXES:

@@ -152,7 +152,7 @@ class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True
     def solids(self, where: str) -> list[Solid]:
         """Return the half space."""
         if math.hypot(*self.normal) < 1e-6:
-            raise ParameterError(f"{where}.normal: {list(self.normal)} has no direction")
+            raise ParameterError(f"{list(self.normal)} has no direction", path=f"{where}.normal")
         return [scene.plane(self.position, self.normal, self.coefficients)]
 
 
@@ -210,8 +210,8 @@ class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Return the solid between the two ends."""
         if math.dist(self.start, self.end) < 1e-6:
             raise ParameterError(
-                f"{where}.end: {list(self.end)} is the start: the axis has no direction; a ball is"
-                " a sphere"
+                f"{list(self.end)} is the start: the axis has no direction; a ball is a sphere",
+                path=f"{where}.end",
             )
         make = scene.capsule if type(self).kind == "capsule" else scene.cylinder
         return [make(self.start, self.end, self.radius, self.coefficients)]
@@ -312,11 +312,11 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
             shape = parse_surface(data, at)
             if not isinstance(shape, Shape):
                 raise ParameterError(
-                    f"{at}.kind: {shape.kind!r} is no shape that can be part of a union"
+                    f"{shape.kind!r} is no shape that can be part of a union", path=f"{at}.kind"
                 )
             if "tool_radius" in data:
                 raise ParameterError(
-                    f"{at}.tool_radius: the tool has one radius; set it on the union"
+                    "the tool has one radius; set it on the union", path=f"{at}.tool_radius"
                 )
             found += shape.solids(at)
         return found

@@ -75,22 +75,22 @@ def repaired_triangles(corners: Corners, where: str) -> Repaired:
     """
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
-        raise ParameterError(f"{where}: triangle {bad} has a coordinate that is not finite")
+        raise ParameterError(f"triangle {bad} has a coordinate that is not finite", path=where)
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         small = "its scale is too small, or its unit is not m"
         hint = "a file in millimetres takes scale: 0.001" if extent > LARGEST else small
         raise ParameterError(
-            f"{where}: the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m;"
-            f" {hint}"
+            f"the mesh is {extent:.4g} m wide, expected {SMALLEST:g} to {LARGEST:g} m; {hint}",
+            path=where,
         )
     # Corners at the same place are merged: STL repeats them per triangle, in single precision.
     try:
         found = repair(corners)
     except ValueError as error:
-        raise ParameterError(f"{where}: the mesh {error}") from error
+        raise ParameterError(f"the mesh {error}", path=where) from error
     if not len(found.ids):
-        raise ParameterError(f"{where}: no triangle has an area")
+        raise ParameterError("no triangle has an area", path=where)
     return found
 
 
@@ -101,16 +101,19 @@ def refuse_open(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
     lonely = int((found.partner < 0).sum())
     if found.disagreeing:
         raise ParameterError(
-            f"{where}: {found.disagreeing} surfaces have one side only, as a Möbius strip: their"
-            " faces disagree about where outside is; set sides: both to feel the mesh as a sheet"
+            f"{found.disagreeing} surfaces have one side only, as a Möbius strip: their"
+            " faces disagree about where outside is; set sides: both to feel the mesh as a sheet",
+            path=where,
         )
     rim = holes(found.points, found.ids, rims(found.partner))
-    raise ParameterError(
-        f"{where}: the mesh is open: {lonely} edges have one triangle only, so it has no inside"
+    error = ParameterError(
+        f"the mesh is open: {lonely} edges have one triangle only, so it has no inside"
         f" ({len(rim)} holes, the largest of {rim[0].edges} edges, {rim[0].width:.3g} m wide);"
         " close it (haptic mesh FILE --close OUT fills small holes), or set sides: both to feel it"
-        " as a sheet" + "".join(f"; {note}" for note in notes)
+        " as a sheet",
+        path=where,
     )
+    raise error.continued("".join(f"; {note}" for note in notes))
 
 
 def _order(corners: Corners) -> tuple[NDArray[np.int64], int]:

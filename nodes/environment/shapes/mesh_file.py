@@ -58,21 +58,21 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
     kind = path.suffix.lower()
     if kind not in readers:
         raise ParameterError(
-            f"{where}: {path} is neither an .stl, .obj, .ply nor .off file; export the mesh as one"
-            " of these"
+            f"{path} is neither an .stl, .obj, .ply nor .off file; export the mesh as one of these",
+            path=where,
         )
     try:
         size = path.stat().st_size
         if not path.is_file():
-            raise ParameterError(f"{where}: {path} is not a file")
+            raise ParameterError(f"{path} is not a file", path=where)
         if size > LARGEST:
             raise ParameterError(
-                f"{where}: {path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate"
-                " the mesh"
+                f"{path} has {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}; decimate the mesh",
+                path=where,
             )
         data = path.read_bytes()
     except OSError as error:
-        raise ParameterError(f"{where}: {path} cannot be read: {error.strerror}") from error
+        raise ParameterError(f"{path} cannot be read: {error.strerror}", path=where) from error
     try:
         if not data:
             raise ValueError("is empty (0 bytes); export the mesh again")
@@ -82,7 +82,7 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
         with np.errstate(all="ignore"):  # coordinates that are not finite are refused later
             ids, cut, crossed = cut_faces(points, groups)
     except (ValueError, IndexError, OverflowError) as error:
-        raise ParameterError(f"{where}: {path}: {error}") from error
+        raise ParameterError(f"{path}: {error}", path=where) from error
     more = []
     if cut:
         more.append(f"{cut} faces that are not convex cut into triangles")

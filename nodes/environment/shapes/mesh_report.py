@@ -70,12 +70,16 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
     """
     read = read_mesh(path, where)
     if not np.isfinite(read.corners).all():
-        raise ParameterError(f"{where}: {path}: a coordinate is not finite; export the mesh again")
+        raise ParameterError(
+            f"{path}: a coordinate is not finite; export the mesh again", path=where
+        )
     with np.errstate(over="ignore"):
         size = np.ptp(read.corners.reshape(-1, 3), axis=0)
     width = float(size.max())
     if not width < _WIDEST:
-        raise ParameterError(f"{where}: {path}: is {width:.3g} units wide; export the mesh again")
+        raise ParameterError(
+            f"{path}: is {width:.3g} units wide; export the mesh again", path=where
+        )
     units = unit_candidates(width)
     if scale is None:
         likely = [one.scale for one in units if one.is_likely] or [one.scale for one in units]
@@ -83,9 +87,9 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
     try:
         repaired = repair(read.corners, height=SLIVER / scale)
     except ValueError as error:
-        raise ParameterError(f"{where}: {path}: {error}") from error
+        raise ParameterError(f"{path}: {error}", path=where) from error
     if not len(repaired.ids):
-        raise ParameterError(f"{where}: {path}: no triangle has an area; export its surface")
+        raise ParameterError(f"{path}: no triangle has an area; export its surface", path=where)
     crossings, probes = count_crossings(repaired, width) if repaired.is_solid else (0, 0)
     x, y, z = size.tolist()
     return MeshReport(
@@ -135,11 +139,11 @@ def _refusals(corners: Coordinates) -> tuple[str, str]:
     try:
         found = repaired_triangles(corners, "")
     except ParameterError as error:
-        return (str(error).removeprefix(": "),) * 2
+        return error.text, error.text
     try:
         refuse_open(found, "", ())
     except ParameterError as error:
-        return str(error).removeprefix(": "), ""
+        return error.text, ""
     return "", ""
 
 

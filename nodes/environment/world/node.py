@@ -70,21 +70,23 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
     mass, damping, stiffness = parameters.body
     if not math.isfinite(mass + damping + stiffness):
         raise ParameterError(
-            f"{name}: mass, damping and stiffness must be finite, got {mass}, {damping},"
-            f" {stiffness}"
+            f"mass, damping and stiffness must be finite, got {mass}, {damping}, {stiffness}",
+            path=name,
         )
     if parameters.integrator in ("implicit", "lossless"):
         held = mass / period**2 + damping / period + stiffness
         if held < SOFTEST:
             raise ParameterError(
-                f"{name}: a force of {held:g} N moves this body by 1 m within one tick, expected at"
-                f" least {SOFTEST:g} N; raise {name}.mass, stiffness or damping"
+                f"a force of {held:g} N moves this body by 1 m within one tick, expected at"
+                f" least {SOFTEST:g} N; raise {name}.mass, stiffness or damping",
+                path=name,
             )
         return
     if mass < LIGHTEST:
         raise ParameterError(
-            f"{name}.mass: {mass:g} kg, expected at least {LIGHTEST:g} kg for integrator"
-            f" {parameters.integrator}; a body without mass needs integrator implicit or lossless"
+            f"{mass:g} kg, expected at least {LIGHTEST:g} kg for integrator"
+            f" {parameters.integrator}; a body without mass needs integrator implicit or lossless",
+            path=f"{name}.mass",
         )
     h = period / parameters.steps
     # Semi-implicit Euler with an implicit damper: (m + h c)(z − 1)² + … is unstable iff h² k > 4 m
@@ -95,8 +97,9 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
     ):
         least = math.ceil(period * _steps_factor(mass, damping, stiffness))
         raise ParameterError(
-            f"{name}.steps: {parameters.steps} sub-steps a tick are unstable for {mass:g} kg on"
-            f" {stiffness:g} N/m, with or without a coupling; expected at least {least}"
+            f"{parameters.steps} sub-steps a tick are unstable for {mass:g} kg on"
+            f" {stiffness:g} N/m, with or without a coupling; expected at least {least}",
+            path=f"{name}.steps",
         )
 
 

@@ -35,7 +35,7 @@ class Amplifier(Node):
     def prepare(self, parameters: Any) -> Callable[[int], Any]:
         """Refuse gains above 10 while preparing, and above 5 only when they are applied."""
         if parameters.gain > 10.0:
-            raise ParameterError(f"amplifier.gain: {parameters.gain}, limit 10")
+            raise ParameterError(f"{parameters.gain}, limit 10", path="amplifier.gain")
 
         def apply(seq: int) -> dict[str, Any]:
             if parameters.gain > 5.0:
