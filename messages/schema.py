@@ -19,6 +19,7 @@ from messages.types import Message
 
 _SECTION_ENTRY = re.compile(r"^(\w+(?:, \w+)*) : .*()$")
 _ENTRY = re.compile(r"^(\w+(?:, \w+)*): (.+)$")
+_UNIT = re.compile(r"\[([^\]]+)\]")
 
 _SCALARS: dict[type[msgspec.inspect.Type], str] = {
     msgspec.inspect.IntType: "integer",
@@ -53,6 +54,12 @@ def attributes(docstring: str) -> dict[str, str]:
         for name in names:
             found[name] = f"{found.get(name, '')} {text}".strip()
     return found
+
+
+def unit_of(meaning: str) -> str:
+    """Return the unit in a field's `meaning`, e.g. ``N/m``; empty if it has none."""
+    unit = _UNIT.search(meaning)
+    return unit[1] if unit else ""
 
 
 def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from messages.transport.requests import ControlError
+from messages.errors import HapticError
 from nodes.base.node_kinds import drives, load
 from nodes.launcher.plants import has_plant
 from nodes.launcher.runs import RunInfo
@@ -32,17 +32,32 @@ def _coupling(run: RunInfo, driver: str) -> str:
     return next(inside, "")
 
 
+def moved_delay(declared: float, new: float, before: float) -> float:
+    """Return a plant's ``device_delay`` after the device's own delay changed [ticks].
+
+    What the plant adds to the device's own delay is kept.
+    """
+    return max(0.0, round(declared + new - before, 9))
+
+
 def set_moved(
     run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool
+) -> Any:
+    """Set `values` of a driver as `set_device` does, with the coupling of its chain."""
+    return set_device(_coupling(run, driver), driver, values, ask, force)
+
+
+def set_device(
+    coupling: str, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool
 ) -> Any:
     """Set `values` of a driver and return its receipt; `ask` sends a request to a node.
 
     Raises
     ------
-    ControlError
-        If the law would be unstable on that device, or the driver refuses; then both are unchanged.
+    HapticError
+        Raised by `ask`, if the law would be unstable on that device or the driver refuses; then
+        both are unchanged.
     """
-    coupling = _coupling(run, driver)
     plant = ask(coupling, "param.get", name="plant")
     forced = {"force": True} if force else {}
     if plant is None:
@@ -50,20 +65,17 @@ def set_moved(
     wanted = {}
     for name in FIELDS.keys() & values.keys():
         field, new = FIELDS[name], values[name]
-        if isinstance(new, int | float):
-            # keep what the plant adds to the device's own delay
-            more = (
-                plant[field] - ask(driver, "param.get", name=name)
-                if field == "device_delay"
-                else 0.0
-            )
-            wanted[f"plant.{field}"] = max(0.0, round(new + more, 9))
-    before = {path: plant[path.removeprefix("plant.")] for path in wanted}
+        if not isinstance(new, int | float):
+            continue
+        if field == "device_delay":
+            new = moved_delay(plant[field], new, before=ask(driver, "param.get", name=name))
+        wanted[f"plant.{field}"] = max(0.0, round(new, 9))
+    declared = {path: plant[path.removeprefix("plant.")] for path in wanted}
     if wanted:
         ask(coupling, "param.set", values=wanted, **forced)
     try:
         return ask(driver, "param.set", values=values, **forced)
-    except ControlError:
+    except HapticError:
         if wanted:
-            ask(coupling, "param.set", values=before, force=True)
+            ask(coupling, "param.set", values=declared, force=True)
         raise

@@ -108,7 +108,11 @@ def _build_one(module: str) -> str:
 
 
 def _cause(error: Exception) -> str:
-    """Return in a line why a kernel could not be compiled, and where; numba's innermost cause."""
+    """Return in a line why a kernel could not be compiled, and where; numba's innermost cause.
+
+    numba makes one text of nested failures: the error has no ``__cause__``, and its ``loc`` is
+    that of the outermost call. A slow test (test_choose.py) fails if its words change.
+    """
     lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [
         type(error).__name__
     ]

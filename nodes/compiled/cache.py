@@ -5,7 +5,8 @@ entries are in one folder of the user's own: nobody else can write to it or to i
 is entered without following a link. An entry is one file: the digest of the rest, its sources
 (every source file, by digest), and the code. It is written to a draft and moved into place, so that
 it is complete or absent; a truncated, damaged or outdated entry counts as absent and is compiled
-again. An entry is read into memory, its digest checked, and that copy loaded.
+again. It is not outdated by a change of comments, docstrings or layout. An entry is read into
+memory, its digest checked, and that copy loaded.
 
 The folder's name contains versions and processor.
 """
@@ -48,11 +49,22 @@ class CacheRefusedError(HapticError, OSError):
     """A folder that is not trusted for compiled code, or unusable; the text has the reason."""
 
 
+class Source(msgspec.Struct, frozen=True):
+    """Digests of a source file.
+
+    content: Of its bytes.
+    code: Of its syntax tree without docstrings; empty for a file that is not Python.
+    """
+
+    content: str
+    code: str = ""
+
+
 class _About(msgspec.Struct, frozen=True, kw_only=True):
-    """Kind of an entry's code, and digests of its source files by path in the installation."""
+    """Kind of an entry's code, and its source files by path in the installation."""
 
     kind: str
-    sources: dict[str, str]
+    sources: dict[str, Source]
 
 
 class CacheEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -159,12 +171,38 @@ def _enter(name: str, make: bool) -> int:
     return at
 
 
-def digest_of(path: Path) -> str:
-    """Return the digest of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def source_of(path: Path) -> Source:
+    """Return the digests of a file."""
+    content = path.read_bytes()
+    code = _code_digest(content) if path.suffix == ".py" else ""
+    return Source(hashlib.sha256(content).hexdigest(), code)
 
 
-def sources_of(module: str) -> dict[str, str]:
+def _code_digest(content: bytes) -> str:
+    """Return the digest of a Python file's syntax tree without docstrings."""
+    # imported here, because a node only loads
+    import ast
+
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    tree = ast.parse(content)
+    for node in ast.walk(tree):
+        if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+            del node.body[0]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+
+
+def _is_current(path: Path, known: Source) -> bool:
+    """Return whether a file has the code of `known`; only a file that differs is parsed."""
+    content = path.read_bytes()
+    if hashlib.sha256(content).hexdigest() == known.content:
+        return True
+    try:
+        return known.code != "" and _code_digest(content) == known.code
+    except (SyntaxError, ValueError):
+        return False
+
+
+def sources_of(module: str) -> dict[str, Source]:
     """Return the digests of a module and all modules of these packages that it imports."""
     # imported here, because a node only loads
     import ast
@@ -183,9 +221,8 @@ def sources_of(module: str) -> dict[str, str]:
         # ``from module import name``: if `name` is no module, it is in that module's own file
         for path in (place.with_suffix(".py"), place / "__init__.py"):
             if path.is_file():
-                text = path.read_bytes()
-                sources[str(path.relative_to(ROOT))] = hashlib.sha256(text).hexdigest()
-                for found in ast.walk(ast.parse(text)):
+                sources[str(path.relative_to(ROOT))] = source_of(path)
+                for found in ast.walk(ast.parse(path.read_bytes())):
                     if isinstance(found, ast.Import):
                         waiting += [one.name for one in found.names]
                     elif isinstance(found, ast.ImportFrom) and found.module:
@@ -230,13 +267,13 @@ def read(name: str) -> CacheEntry | None:
     about, _, content = rest.partition(b"\n")
     try:
         known = msgspec.json.decode(about, type=_About)
-        fresh = all(digest_of(ROOT / name) == digest for name, digest in known.sources.items())
+        fresh = all(_is_current(ROOT / name, source) for name, source in known.sources.items())
         return CacheEntry(kind=known.kind, content=content) if fresh else None
     except (msgspec.DecodeError, OSError):
         return None
 
 
-def write(name: str, entry: CacheEntry, sources: Mapping[str, str]) -> None:
+def write(name: str, entry: CacheEntry, sources: Mapping[str, Source]) -> None:
     """Write an entry atomically; CacheRefusedError if that fails, e.g. on a full disk."""
     about = msgspec.json.encode(_About(kind=entry.kind, sources=dict(sources)))
     rest = about + b"\n" + entry.content

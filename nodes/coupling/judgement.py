@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from messages.schema import attributes, unit_of
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.laws import CompiledLaw
@@ -79,7 +80,8 @@ class Judgement:
             written, live = getattr(plant, field), now is not None and field in _MOVABLE
             if live or (before is not None and written == getattr(before, field)):
                 continue
-            where, unit = f"{self._node}.plant.{field}", _UNITS[field]
+            where = f"{self._node}.plant.{field}"
+            unit = unit_of(attributes(PlantParameters.__doc__ or "")[field])
             raise ParameterError(
                 f"{_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')}"
                 f" {limit} {unit}: laws would be judged on another device. Leave {where} out, which"
@@ -143,10 +145,8 @@ class Judgement:
         elif plant.tool_lag == 0.0:
             world = AnyWorld()
         else:
-            step = plant.tool_step
-            steps = None if step is None else max(1, math.ceil(self._period / step - 1e-9))
-            late = loop.delay - plant.device_delay
-            world = SteppedTool(plant.tool_damping, late, steps)
+            late = plant.delay_before_device(loop)
+            world = SteppedTool(plant.tool_damping, late, plant.tool_steps(self._period))
         hands = (True,) if isinstance(world, OtherDevice) else (False, True)
         device = replace(loop, partner=None)
         found = [
@@ -329,21 +329,6 @@ class Judgement:
 
 # relative difference up to which a written value equals the known one, because of rounding
 _CLOSE = 0.01
-_UNITS = {
-    "mass": "kg",
-    "heaviest": "kg",
-    "tool_mass": "kg",
-    "damping": "N s/m",
-    "stiffness": "N/m",
-    "device_delay": "ticks",
-}
-_UNITS |= {"scale": "", "tool_stiffness": "N/m", "tool_lag": "ticks", "tool_step": "s"}
-_UNITS |= {
-    "tool_damping": "N s/m",
-    "partner_mass": "kg",
-    "partner_damping": "N s/m",
-    "partner_stiffness": "N/m",
-}
 _MOVABLE = ("device_delay", "scale")  # fields that a driver may change while it runs
 _WHOSE = {
     "tool_mass": "the tool of the scene weighs",

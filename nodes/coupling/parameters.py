@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -116,6 +117,17 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         return Plant(
             period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt, partner
         )
+
+    def delay_before_device(self, loop: Plant) -> float:
+        """Return the delay of a `loop` without the device's own [ticks]."""
+        return max(loop.delay - self.device_delay, 0.0)
+
+    def tool_steps(self, period: float) -> int | None:
+        """Return in how many steps the scene is solved within a tick; None if not known."""
+        if self.tool_step is None:
+            return None
+        # 1e-9: a quotient that is whole but for rounding
+        return max(1, math.ceil(period / self.tool_step - 1e-9))
 
     @property
     def masses(self) -> list[float]:

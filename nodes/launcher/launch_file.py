@@ -38,20 +38,13 @@ from nodes.launcher.node_parameters import is_node_parameter, places, with_param
 from nodes.launcher.origins import Origins
 from nodes.launcher.plants import with_plants
 from nodes.launcher.usual_arguments import with_gain, with_usual
-from nodes.parameters.refusals import choices
+from nodes.parameters.refusals import choices, find_misfit
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import parse_yaml, read_yaml
 
 # Names of packages with launch files; they are not imported.
 COLLECTIONS = Registry("haptic.launch", "collection of scenarios")
-_KINDS = {
-    float: "a number",
-    int: "a whole number",
-    str: "text",
-    bool: "true or false",
-    list: "a list",
-}
 _WHOLE = re.compile(r"^\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)$")
 _WITHIN = re.compile(r"\$\(var ([A-Za-z_][A-Za-z0-9_]*)\)")
 _NAME = re.compile(r"(?=.{1,32}$)[a-z][a-z0-9_]*(/[a-z][a-z0-9_]*)*")
@@ -186,10 +179,8 @@ def _fill_in(
             value = float(value)
         if kind is str and isinstance(value, (int, float)):
             value = str(value)
-        if type(value) is not kind and not (kind is str and _is_law(value)):
-            raise ParameterError(
-                f"expected {_KINDS.get(kind, kind.__name__)}, got {value!r}", path=where
-            )
+        if not (kind is str and _is_law(value)) and (misfit := find_misfit(value, kind)):
+            raise ParameterError(misfit.text, path=f"{where}{misfit.path}")
         unit = f" {argument.unit}" if argument.unit else ""
         if (
             argument.min is not None

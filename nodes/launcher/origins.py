@@ -44,7 +44,6 @@ class Origins:
         """Record that `argument` was substituted at `place`."""
         self._arguments[place.removeprefix(f"{self._name}.")] = argument
 
-<<<<<<< HEAD
     def _argument_of(self, place: str) -> str | None:
         """Return the argument substituted at a place, or at one above it; None without any."""
         while place not in self._arguments:
@@ -53,18 +52,10 @@ class Origins:
                 return None
         return self._arguments[place]
 
-    def located(self, text: str) -> str:
-        """Return an error text with file, line and argument of the value it names."""
-        match = _PATH.match(text)
-        if match is None:
-            return text
-        place = match["path"].removeprefix(f"{self._name}.")
-=======
     def located(self, error: ParameterError) -> str:
         """Return an error's text with file, line and argument of the value it names."""
         path = error.path.removeprefix(f"{self._name}.")
         place = path
->>>>>>> 8c0ddc71 (Errors carry their path as data: no regular expression reads msgspec's, argparse's or our own sentences)
         node, dot, rest = place.partition(".")
         if node in self._nodes:
             place = f"nodes.{node}.parameters{dot}{rest}"

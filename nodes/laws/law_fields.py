@@ -10,11 +10,10 @@ from typing import Any
 
 from msgspec import inspect
 
-from messages.schema import attributes
+from messages.schema import attributes, unit_of
 from nodes.laws import Law, law_kinds
 from nodes.parameters.registry import Registry
 
-_UNIT = re.compile(r"\[([^\]]*)\]")
 _GROUP = re.compile(r"entry points ``(haptic\.\w+)``")
 _LIMITS = ("gt", "ge", "lt", "le")
 
@@ -58,13 +57,7 @@ def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
         described = _typed(field.type, text)
         if described is None:
             continue
-        unit = _UNIT.search(text)
-        entry = {
-            "name": field.encode_name,
-            "unit": unit[1] if unit else "",
-            "told": text,
-            **described,
-        }
+        entry = {"name": field.encode_name, "unit": unit_of(text), "told": text, **described}
         if isinstance(field.default, int | float | str):
             entry["default"] = field.default
         found.append(entry)

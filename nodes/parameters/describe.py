@@ -1,6 +1,5 @@
 """Descriptions of parameters: type, unit, limits, default and meaning, from their struct."""
 
-import re
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -8,21 +7,9 @@ from typing import Any
 import msgspec
 from msgspec import inspect
 
-from messages.schema import attributes
-from nodes.parameters.refusals import STEP, choices
+from messages.schema import attributes, unit_of
+from nodes.parameters.refusals import BOUNDS, KINDS, STEP, choices
 from nodes.parameters.store import ParameterError
-
-_UNIT = re.compile(r"\[([^\]]+)\]")
-
-_NAMES: dict[type[inspect.Type], str] = {
-    inspect.FloatType: "number",
-    inspect.IntType: "integer",
-    inspect.StrType: "text",
-    inspect.BoolType: "true or false",
-    inspect.NoneType: "null",
-}
-
-_LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 
 class Description(msgspec.Struct, kw_only=True):
@@ -117,13 +104,12 @@ def _field(owner: type[Any], field: inspect.Field) -> Description:
     for base in reversed(owner.__mro__):
         meanings.update(attributes(base.__doc__ or ""))
     meaning = meanings.get(field.encode_name, "")
-    unit = _UNIT.search(meaning)
     default = field.default
     if default is msgspec.NODEFAULT and field.default_factory is not msgspec.NODEFAULT:
         default = field.default_factory()
     return Description(
         type=_words(field.type),
-        unit=unit[1] if unit else "",
+        unit=unit_of(meaning),
         limits=_limits(field.type),
         default=None if field.required else msgspec.to_builtins(default),
         required=field.required,
@@ -150,15 +136,15 @@ def _words(info: inspect.Type) -> str:
         )
     if isinstance(info, inspect.CollectionType):
         return f"list of {_words(info.item_type)}"
-    return _NAMES.get(type(info), "anything")
+    return KINDS[type(info)].noun if type(info) in KINDS else "anything"
 
 
 def _limits(info: inspect.Type) -> str:
     info = _without_none(info)
     found = []
-    for name, word in _LIMITS.items():
-        limit = getattr(info, name, None)
+    for bound in BOUNDS:
+        limit = getattr(info, bound.attribute, None)
         # The largest double is how a finite number is required.
         if limit is not None and abs(limit) != sys.float_info.max:
-            found.append(f"{word} {limit:g}")
+            found.append(f"{bound.words} {limit:g}")
     return ", ".join(found)

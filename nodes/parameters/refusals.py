@@ -19,43 +19,50 @@ from nodes.parameters.nearest import did_you_mean
 STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
-class _Kind(NamedTuple):
-    """Name of a type in errors, and the Python types of its values."""
+class TypeWord(NamedTuple):
+    """The word for a type, and the Python types of its values."""
 
-    name: str
+    noun: str
     values: tuple[type, ...]
+    article: str = "a "
+
+    @property
+    def name(self) -> str:
+        """Noun with its article."""
+        return f"{self.article}{self.noun}"
 
 
 # in the order in which alternatives are listed
-_KINDS: dict[type[inspect.Type], _Kind] = {
-    inspect.BoolType: _Kind("true or false", (bool,)),
-    inspect.IntType: _Kind("a whole number", (int,)),
-    inspect.FloatType: _Kind("a number", (int, float)),
-    inspect.StrType: _Kind("text", (str,)),
-    inspect.ListType: _Kind("a list", (list, tuple)),
-    inspect.VarTupleType: _Kind("a list", (list, tuple)),
-    inspect.TupleType: _Kind("a list", (list, tuple)),
-    inspect.DictType: _Kind("a mapping", (Mapping,)),
-    inspect.StructType: _Kind("a mapping", (Mapping,)),
-    inspect.NoneType: _Kind("nothing", (type(None),)),
+KINDS: dict[type[inspect.Type], TypeWord] = {
+    inspect.BoolType: TypeWord("true or false", (bool,), ""),
+    inspect.IntType: TypeWord("whole number", (int,)),
+    inspect.FloatType: TypeWord("number", (int, float)),
+    inspect.StrType: TypeWord("text", (str,), ""),
+    inspect.ListType: TypeWord("list", (list, tuple)),
+    inspect.VarTupleType: TypeWord("list", (list, tuple)),
+    inspect.TupleType: TypeWord("list", (list, tuple)),
+    inspect.DictType: TypeWord("mapping", (Mapping,)),
+    inspect.StructType: TypeWord("mapping", (Mapping,)),
+    inspect.NoneType: TypeWord("nothing", (type(None),), ""),
 }
 
 
-class _Bound(NamedTuple):
+class Bound(NamedTuple):
     """A bound of a type: its attribute, its wording, and whether a value keeps it."""
 
     attribute: str
     words: str
     is_kept: Callable[[Any, Any], bool]
+    preposition: str = "of "
 
 
-_BOUNDS = (
-    _Bound("gt", "above", operator.gt),
-    _Bound("ge", "of at least", operator.ge),
-    _Bound("lt", "below", operator.lt),
-    _Bound("le", "of at most", operator.le),
-    _Bound("min_length", "of length at least", lambda value, limit: len(value) >= limit),
-    _Bound("max_length", "of length at most", lambda value, limit: len(value) <= limit),
+BOUNDS = (
+    Bound("gt", "above", operator.gt, ""),
+    Bound("ge", "at least", operator.ge),
+    Bound("lt", "below", operator.lt, ""),
+    Bound("le", "at most", operator.le),
+    Bound("min_length", "length at least", lambda value, limit: len(value) >= limit),
+    Bound("max_length", "length at most", lambda value, limit: len(value) <= limit),
 )
 
 
@@ -72,19 +79,25 @@ def choices(given: object, known: Iterable[str]) -> str:
     return f"available: {', '.join(names) or 'nothing yet'}{did_you_mean(given, names)}"
 
 
+def missing_words(names: Sequence[str]) -> str:
+    """Return the text about missing parameters; the path before it ends with the first."""
+    others = f"; also missing: {', '.join(names[1:])}" if len(names) > 1 else ""
+    return f"is missing, and has no default{others}"
+
+
 def short(value: object) -> str:
     """Return a value's repr, cut to 80 characters."""
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def find_fault(data: Any, target: Any) -> Misfit | None:
+def find_misfit(data: Any, target: Any) -> Misfit | None:
     """Return the first value in `data` that `target`, a type, does not accept at its place."""
-    return _fault("", data, inspect.type_info(target))
+    return _misfit("", data, inspect.type_info(target))
 
 
-def _fault(path: str, value: Any, declared: inspect.Type) -> Misfit | None:
-    """Return the first fault at or below a path."""
+def _misfit(path: str, value: Any, declared: inspect.Type) -> Misfit | None:
+    """Return the first misfit at or below a path."""
     types = list(_members(declared))
     # 5 is a whole number first, and a number where only numbers are accepted
     fitting = sorted((one for one in types if _fits(one, value)), key=_is_float)
@@ -95,29 +108,29 @@ def _fault(path: str, value: Any, declared: inspect.Type) -> Misfit | None:
         length = f" of length {len(value)}" if isinstance(value, list | tuple) else ""
         return Misfit(path, f"expected {words}, got {_named(value)}{length}")
     if isinstance(info, inspect.StructType):
-        return _fault_in_struct(path, value, info)
+        return _misfit_in_struct(path, value, info)
     if isinstance(info, inspect.DictType):
-        return _fault_in_mapping(path, value, info)
+        return _misfit_in_mapping(path, value, info)
     if isinstance(info, inspect.TupleType):
-        return _fault_in_list(path, value, info.item_types)
+        return _misfit_in_list(path, value, info.item_types)
     if isinstance(info, inspect.CollectionType):
-        return _fault_in_list(path, value, [info.item_type] * len(value))
+        return _misfit_in_list(path, value, [info.item_type] * len(value))
     return None
 
 
-def _fault_in_struct(
+def _misfit_in_struct(
     path: str, value: Mapping[Any, Any], info: inspect.StructType
 ) -> Misfit | None:
     fields = {field.encode_name: field for field in info.fields}
     for name, inner in value.items():
         if name in fields:
-            if fault := _fault(f"{path}.{name}", inner, fields[name].type):
-                return fault
+            if misfit := _misfit(f"{path}.{name}", inner, fields[name].type):
+                return misfit
         elif info.forbid_unknown_fields and name != info.tag_field:
             return Misfit(f"{path}.{name}", f"no such parameter; {choices(name, fields)}")
-    for name, field in fields.items():
-        if field.required and name not in value:
-            return Misfit(f"{path}.{name}", "is missing, and has no default")
+    missing = [name for name, field in fields.items() if field.required and name not in value]
+    if missing:
+        return Misfit(f"{path}.{missing[0]}", missing_words(missing))
     try:
         msgspec.convert(value, info.cls)
     except (msgspec.ValidationError, OverflowError) as error:
@@ -126,20 +139,23 @@ def _fault_in_struct(
     return None
 
 
-def _fault_in_mapping(path: str, value: Mapping[Any, Any], info: inspect.DictType) -> Misfit | None:
+def _misfit_in_mapping(
+    path: str, value: Mapping[Any, Any], info: inspect.DictType
+) -> Misfit | None:
     for key, inner in value.items():
-        fault = _fault(path, key, info.key_type) or _fault(f"{path}.{key}", inner, info.value_type)
-        if fault:
-            return fault
+        if misfit := _misfit(path, key, info.key_type):
+            return misfit
+        if misfit := _misfit(f"{path}.{key}", inner, info.value_type):
+            return misfit
     return None
 
 
-def _fault_in_list(
+def _misfit_in_list(
     path: str, value: Sequence[Any], item_types: Sequence[inspect.Type]
 ) -> Misfit | None:
     for i, (inner, item_type) in enumerate(zip(value, item_types, strict=True)):
-        if fault := _fault(f"{path}[{i}]", inner, item_type):
-            return fault
+        if misfit := _misfit(f"{path}[{i}]", inner, item_type):
+            return misfit
     return None
 
 
@@ -162,17 +178,17 @@ def _fits(info: inspect.Type, value: Any) -> bool:
     """Return whether a value is of a type, whatever its bounds and its contents."""
     if isinstance(info, inspect.LiteralType):
         return any(type(value) is type(choice) and value == choice for choice in info.values)
-    if type(info) not in _KINDS:
+    if type(info) not in KINDS:
         return True
     if isinstance(value, bool):
         return isinstance(info, inspect.BoolType)
-    return isinstance(value, _KINDS[type(info)].values)
+    return isinstance(value, KINDS[type(info)].values)
 
 
 def _refused(types: Sequence[inspect.Type], value: Any) -> str:
     """Return what is expected in place of a value that fits none of the types."""
     known = {type(info) for info in types}
-    names = dict.fromkeys(kind.name for info, kind in _KINDS.items() if info in known)
+    names = dict.fromkeys(kind.name for info, kind in KINDS.items() if info in known)
     choice = [str(one) for info in types for one in getattr(info, "values", ())]
     hint = did_you_mean(value, choice)
     if not names:
@@ -184,10 +200,10 @@ def _broken(info: inspect.Type, value: Any) -> str:
     """Return what is expected of a value that breaks a bound of its type, or ""."""
     if isinstance(info, inspect.TupleType) and len(value) != len(info.item_types):
         return f"a list of length {len(info.item_types)}"
-    for bound in _BOUNDS:
+    for bound in BOUNDS:
         limit = getattr(info, bound.attribute, None)
         if limit is not None and not bound.is_kept(value, limit):
-            return f"{_KINDS[type(info)].name} {bound.words} {limit:.12g}"
+            return f"{KINDS[type(info)].name} {bound.preposition}{bound.words} {limit:.12g}"
     if isinstance(info, inspect.FloatType) and abs(value) > sys.float_info.max:
         return f"a number of at most {sys.float_info.max:.12g}"
     pattern = info.pattern if isinstance(info, inspect.StrType) else None
@@ -201,6 +217,6 @@ def _named(value: Any) -> str:
     if isinstance(value, str | int | float):
         return short(value)
     for info in (inspect.ListType, inspect.DictType, inspect.NoneType):
-        if isinstance(value, _KINDS[info].values):
-            return _KINDS[info].name
+        if isinstance(value, KINDS[info].values):
+            return KINDS[info].name
     return type(value).__name__

@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 import msgspec
 
 from messages.errors import HapticError
-from nodes.parameters.refusals import STEP, choices, find_fault
+from nodes.parameters.refusals import STEP, choices, find_misfit
 
 __all__ = [
     "ParameterError",
@@ -85,10 +85,10 @@ def convert(data: Any, target: Any, where: str) -> Any:
     try:
         return msgspec.convert(data, target)
     except (msgspec.ValidationError, OverflowError) as error:
-        fault = find_fault(data, target)
-        if fault is None:  # a rule of msgspec's that the walk does not know
+        misfit = find_misfit(data, target)
+        if misfit is None:  # a rule of msgspec's that the walk does not know
             raise ParameterError(f"{error}", path=where) from error
-        raise ParameterError(f"{fault.text}", path=f"{where}{fault.path}") from error
+        raise ParameterError(f"{misfit.text}", path=f"{where}{misfit.path}") from error
 
 
 MAX_ENTRIES: Final = 100_000  # longest list, and largest mapping, in any parameter

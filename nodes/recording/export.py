@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from messages.schema import schema
+from messages.schema import schema, unit_of
 from messages.topics import DEVICE_STATE, split
 from messages.types import Message
 from nodes.recording.facts import DEEPEST, depth
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     Arrays = dict[str, np.ndarray[Any, Any]]
 
 TICKS = "ticks"  # name of the table with one row per tick
-_UNIT = re.compile(r"\[([^\]]+)\]")
 _ROWS = 65536
 
 
@@ -62,8 +61,8 @@ def columns(message_type: type[Message]) -> list[str]:
     """Return the column names of a topic's table, with units."""
     found = ["time [s]", "log_time [s]"]
     for name, field in schema(message_type)["properties"].items():
-        unit = _UNIT.search(field.get("description", ""))
-        suffix = f" [{unit[1]}]" if unit else ""
+        unit = unit_of(field.get("description", ""))
+        suffix = f" [{unit}]" if unit else ""
         # A vector is x, y and z; a handle's orientation has a w.
         parts = (
             [f"{name}_{part}" for part in "xyzw"[: field["maxItems"]]]

@@ -26,6 +26,7 @@ from messages.transport.context import new_context
 from messages.transport.requests import Connection, call
 from nodes.base.node_kinds import load
 from nodes.client.launches import roles
+from nodes.client.moved_device import set_device
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
@@ -198,24 +199,14 @@ class Commander:
                 f"view: delay: {self.driver} is not a virtual device in real time, so its delay"
                 " cannot be changed"
             )
-        receipt = self._answer_later(ticks, before, self._forced(beyond))
+        receipt = self._put_delay(ticks, force=bool(self._forced(beyond)))
         self._remember(self.driver, {"delay": before}, {"delay": ticks})
         return {"node": self.driver, "values": {"delay": ticks}, "receipt": receipt}
 
-    def _answer_later(self, ticks: float, before: float, force: dict[str, Any]) -> Any:
+    def _put_delay(self, ticks: float, force: bool) -> Any:
         """Change a virtual device's delay, after the coupling judged its law with it."""
-        path, plant = "plant.device_delay", self.ask(self.coupling, "param.get", name="plant")
-        declared = plant and plant["device_delay"]
-        if plant is not None:
-            later = max(0.0, round(declared + ticks - before, 9))
-            self.ask(self.coupling, "param.set", values={path: later}, **force)
-        try:
-            receipt = self.ask(self.driver, "param.set", values={"device.delay": ticks})
-        except CommandError:
-            if plant is not None:
-                self.ask(self.coupling, "param.set", values={path: declared}, force=True)
-            raise
-        return receipt
+        values = {"device.delay": ticks}
+        return set_device(self.coupling, self.driver, values, self.ask, force)
 
     def _start_again(self, stiffness: float) -> dict[str, Any]:
         """Restart a virtual driver that stopped the loop, with a stable wall."""
@@ -254,7 +245,7 @@ class Commander:
         if set(before) == {"law"}:
             receipt = self.ask(node, "law.switch", law=before["law"])
         elif set(before) == {"delay"}:
-            receipt = self._answer_later(before["delay"], values["delay"], {})
+            receipt = self._put_delay(before["delay"], force=False)
         else:
             receipt = self.ask(node, "param.set", values=before)
         self._undo.pop()

@@ -22,6 +22,7 @@ import numpy as np
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
 from messages.types import DeviceState, Event, Receipt
 from nodes.base.setup import AXIS_INDEX
+from nodes.client.moved_device import moved_delay
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.laws.law_fields import all_law_fields
@@ -326,10 +327,8 @@ class ReplayPages:
             return plant, driver
         before = float(device.get("delay", 0.0))
         if plant is not None:
-            plant = {
-                **plant,
-                "device_delay": max(0.0, float(plant.get("device_delay", 0.0)) + later - before),
-            }
+            declared = float(plant.get("device_delay", 0.0))
+            plant = {**plant, "device_delay": moved_delay(declared, later, before)}
         return plant, {**driver, "device": {**device, "delay": later}}
 
 

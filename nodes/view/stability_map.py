@@ -77,10 +77,10 @@ def _moving(plant: PlantParameters) -> WorldKind | None:
 
 def _heavy(plant: PlantParameters, device: Plant) -> EulerTool | None:
     """Return the tool of known mass, or None if its steps are not known."""
-    if plant.tool_mass is None or plant.tool_step is None:
+    steps = plant.tool_steps(device.period)
+    if plant.tool_mass is None or steps is None:
         return None
-    steps = max(1, math.ceil(device.period / plant.tool_step - 1e-9))
-    late = max(device.delay - plant.device_delay, 0.0)
+    late = plant.delay_before_device(device)
     return EulerTool(plant.tool_mass, steps, plant.tool_damping, late)
 
 

@@ -8,10 +8,11 @@ the Python decoder then reads the payload and reports the error.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from messages.types import Message
 from nodes.compiled.kernels.machine import be16, be32, be64, byte, compilable, real32, real64
@@ -155,21 +156,73 @@ def after_value(at: int, end: int) -> int:  # noqa: C901
     return at
 
 
-# Long: one compiled function, because a call would cost more than it saves.
-def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:  # noqa: C901, PLR0915
+class _Table(NamedTuple):
+    """Fields of a message as arrays, one entry a field."""
+
+    names: NDArray[np.uint8]  # bytes of all names
+    begins: NDArray[np.int64]  # where a name begins in `names`
+    sizes: NDArray[np.int64]  # length of a name
+    kinds: NDArray[np.int64]
+    slots: NDArray[np.int64]  # where its value is stored
+    lows: NDArray[np.int64]  # least whole number
+    highs: NDArray[np.int64]  # largest whole number, longest text
+    defaults: NDArray[np.float64]
+
+
+def _table(fields: Sequence[Field]) -> _Table:
+    names = [field.name.encode() for field in fields]
+    sizes = np.array([len(name) for name in names])
+    return _Table(
+        names=np.frombuffer(b"".join(names), np.uint8).copy(),
+        begins=np.concatenate([[0], np.cumsum(sizes)[:-1]]),
+        sizes=sizes,
+        kinds=np.array([field.kind for field in fields]),
+        slots=np.array([field.slot for field in fields]),
+        lows=np.array([field.low for field in fields]),
+        highs=np.array([field.high for field in fields]),
+        defaults=np.array([field.default or 0.0 for field in fields]),
+    )
+
+
+def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
     """Return the scanner of a message type."""
     fields: tuple[Field, ...] = fields_of(message)
-    count = len(fields)
-    names = np.frombuffer(b"".join(field.name.encode() for field in fields), np.uint8).copy()
-    sizes = np.array([len(field.name) for field in fields])
-    begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    kinds, slots, lows, highs = (
-        np.array(row)
-        for row in zip(*((f.kind, f.slot, f.low, f.high) for f in fields), strict=True)
-    )
-    defaults = np.array([0.0 if field.default is None else field.default for field in fields])
+    table = _table(fields)
+    find, decode, fill_in = _make_find(table), _make_decode(table), _make_fill_in(table)
     required = sum(1 << k for k, field in enumerate(fields) if field.default is None)
-    real, vector, whole, flag, text, texts = REAL, VECTOR, WHOLE, FLAG, TEXT, TEXTS
+
+    @compilable
+    def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:
+        entries, at = map_size(at, end)
+        if entries < 0:
+            return False
+        seen = 0
+        guess = 0  # most senders preserve the order of the fields
+        for _ in range(entries):
+            size, at = text_size(at, end)
+            if size < 0:
+                return False
+            k = find(at, size, guess)
+            at += size
+            if k < 0:
+                at = after_value(at, end)
+            else:
+                at = decode(k, at, end, reals, wholes)
+                seen |= 1 << k
+                guess = k + 1
+            if at < 0:
+                return False
+        if at != end or seen & required != required:
+            return False
+        fill_in(seen, reals, wholes)
+        return True
+
+    return scan
+
+
+def _make_find(table: _Table) -> Callable[[int, int, int], int]:
+    """Return a function that finds the field of a name, -1 if there is none."""
+    names, begins, sizes, count = table.names, table.begins, table.sizes, len(table.sizes)
 
     @compilable
     def find(at: int, size: int, guess: int) -> int:
@@ -188,76 +241,73 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:  
                 return k
         return -1
 
-    # Long: one compiled function, because a call would cost more than it saves.
-    @compilable
-    def scan(at: int, end: int, reals: Any, wholes: Any) -> bool:  # noqa: C901
-        entries, at = map_size(at, end)
-        if entries < 0:
-            return False
-        seen = 0
-        guess = 0  # most senders preserve the order of the fields
-        for _ in range(entries):
-            size, at = text_size(at, end)
-            if size < 0:
-                return False
-            k = find(at, size, guess)
-            at += size
-            if k < 0:
-                at = after_value(at, end)
-                if at < 0:
-                    return False
-                continue
-            seen |= 1 << k
-            guess = k + 1
-            kind = kinds[k]
-            slot = slots[k]
-            if kind == real:
-                known, reals[slot], at = real_number(at, end)
-                if not known:
-                    return False
-            elif kind == vector:
-                if at >= end or byte(at) != 0x93:
-                    return False
-                at += 1
-                for i in range(3):
-                    known, reals[slot + i], at = real_number(at, end)
-                    if not known:
-                        return False
-            elif kind == whole:
-                known, value, at = whole_number(at, end)
-                if not known or value < lows[k] or value > highs[k]:
-                    return False
-                wholes[slot] = value
-            elif kind == flag:
-                if at >= end or byte(at) & 0xFE != 0xC2:
-                    return False
-                wholes[slot] = byte(at) & 1
-                at += 1
-            elif kind == text:
-                size, at = text_size(at, end)
-                if size < 0 or size > highs[k]:
-                    return False
-                for m in range(size):
-                    if byte(at + m) >= 0x80:
-                        return False
-                wholes[texts], wholes[texts + 1] = at, size
-                at += size
-        if at != end or seen & required != required:
-            return False
-        for k in range(count):
-            if seen & (1 << k) == 0:
-                if kinds[k] == real:
-                    reals[slots[k]] = defaults[k]
-                elif kinds[k] == vector:
-                    for i in range(3):
-                        reals[slots[k] + i] = 0.0
-                elif kinds[k] == text:
-                    wholes[texts + 1] = -1
-                else:
-                    wholes[slots[k]] = int(defaults[k])
-        return True
+    return find
 
-    return scan
+
+def _make_decode(table: _Table) -> Callable[[int, int, int, Any, Any], int]:
+    """Return a function that stores field k, and returns the address after it, or -1."""
+    kinds, slots, lows, highs = table.kinds, table.slots, table.lows, table.highs
+    real, vector, whole, flag, text, texts = REAL, VECTOR, WHOLE, FLAG, TEXT, TEXTS
+
+    @compilable
+    def decode(k: int, at: int, end: int, reals: Any, wholes: Any) -> int:
+        kind = kinds[k]
+        slot = slots[k]
+        known = True
+        if kind == real:
+            known, reals[slot], at = real_number(at, end)
+        elif kind == vector:
+            if at >= end or byte(at) != 0x93:
+                return -1
+            at += 1
+            for i in range(3):
+                known, reals[slot + i], at = real_number(at, end)
+                if not known:
+                    return -1
+        elif kind == whole:
+            known, value, at = whole_number(at, end)
+            known = known and lows[k] <= value <= highs[k]
+            wholes[slot] = value
+        elif kind == flag:
+            if at >= end or byte(at) & 0xFE != 0xC2:
+                return -1
+            wholes[slot] = byte(at) & 1
+            at += 1
+        elif kind == text:
+            size, at = text_size(at, end)
+            if size < 0 or size > highs[k]:
+                return -1
+            for m in range(size):
+                if byte(at + m) >= 0x80:
+                    return -1
+            wholes[texts], wholes[texts + 1] = at, size
+            at += size
+        return at if known else -1
+
+    return decode
+
+
+def _make_fill_in(table: _Table) -> Callable[[int, Any, Any], None]:
+    """Return a function that stores the defaults of the fields that were not seen."""
+    kinds, slots, defaults, count = table.kinds, table.slots, table.defaults, len(table.kinds)
+    real, vector, text, texts = REAL, VECTOR, TEXT, TEXTS
+
+    @compilable
+    def fill_in(seen: int, reals: Any, wholes: Any) -> None:
+        for k in range(count):
+            if seen & (1 << k) != 0:
+                continue
+            if kinds[k] == real:
+                reals[slots[k]] = defaults[k]
+            elif kinds[k] == vector:
+                for i in range(3):
+                    reals[slots[k] + i] = 0.0
+            elif kinds[k] == text:
+                wholes[texts + 1] = -1
+            else:
+                wholes[slots[k]] = int(defaults[k])
+
+    return fill_in
 
 
 def make_match(text: str) -> Callable[[Any], bool]:

@@ -186,9 +186,9 @@ def _linked(archive: Path) -> Any:
                 f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}"
             )
         except OSError as error:
-            if "undefined symbol" not in str(error):
+            name = _missing_symbol(error)
+            if not name:
                 raise
-            name = str(error).rpartition(" ")[2]
             missing = (
                 f"libusb-1.0.so.0 is not found (looked in {', '.join(usb.searched)}): install"
                 " libusb-1.0-0"
@@ -198,6 +198,15 @@ def _linked(archive: Path) -> Any:
             raise OSError(
                 f"{archive} cannot be used: it needs {name}, which nothing here has; {missing}"
             ) from error
+
+
+def _missing_symbol(error: OSError) -> str:
+    """Return the symbol that a library needs and nothing provides, or "" for another error.
+
+    The loader reports it in a sentence only (dlerror); a test fails if its words change.
+    """
+    _, found, name = str(error).rpartition("undefined symbol: ")
+    return name if found else ""
 
 
 def _stubs(archive: Path) -> str:

@@ -21,7 +21,7 @@ def shared_library(
     digests = {
         str(
             path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path
-        ): cache.digest_of(path)
+        ): cache.source_of(path)
         for path in sources
     }
     try:

@@ -22,7 +22,7 @@ from nodes.compiled.library import obtain
 from nodes.compiled.message_fields import NotCompilableError
 
 TINY = "tests.support.tiny_kernel"
-SOURCES = {"nodes/arithmetic.py": cache.digest_of(cache.ROOT / "nodes" / "arithmetic.py")}
+SOURCES = {"nodes/arithmetic.py": cache.source_of(cache.ROOT / "nodes" / "arithmetic.py")}
 ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
 needs_root = pytest.mark.skipif(
     os.getuid() != 0, reason="only root can give a file to another user"
@@ -164,10 +164,51 @@ def test_what_runs_is_what_was_checked(kept: Path) -> None:
 def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
     cache.write("kernel.tick", ENTRY, SOURCES)
     assert cache.read("kernel.tick") == ENTRY
-    cache.write("kernel.tick", ENTRY, {"nodes/arithmetic.py": "0" * 64})
+    other = cache.Source("0" * 64, "0" * 64)
+    cache.write("kernel.tick", ENTRY, {"nodes/arithmetic.py": other})
     assert cache.read("kernel.tick") is None
-    cache.write("kernel.tick", ENTRY, {"nodes/gone.py": "0" * 64})
+    cache.write("kernel.tick", ENTRY, {"nodes/gone.py": other})
     assert cache.read("kernel.tick") is None
+
+
+RULE = '''"""Rules."""
+
+
+def rule(x: float) -> float:
+    """Return the half."""
+    return 0.5 * x  # exactly
+'''
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "same"),
+    [
+        ('"""Rules."""', '"""All rules."""', True),
+        ('    """Return the half."""\n', "", True),
+        ("  # exactly", "", True),
+        ("0.5 * x", "(0.5 * x)", True),
+        ("0.5 * x", "0.25 * x", False),
+        ("-> float", "-> int", False),
+        ("return 0.5 * x", "assert x\n    return 0.5 * x", False),
+        ("def rule", "def (", False),
+        ("exactly", "\x00", False),
+    ],
+)
+def test_only_other_code_is_compiled_again(
+    before: str,
+    after: str,
+    same: bool,
+    place: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cache, "ROOT", tmp_path)
+    monkeypatch.setattr(cache, "folder", lambda: place)
+    source = tmp_path / "rules.py"
+    source.write_text(RULE, encoding="utf-8")
+    cache.write("kernel.tick", ENTRY, {"rules.py": cache.source_of(source)})
+    source.write_text(RULE.replace(before, after, 1), encoding="utf-8")
+    assert cache.read("kernel.tick") == (ENTRY if same else None)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Faults of values: found by the types alone, where msgspec finds them."""
+"""Misfits of values: found by the types alone, where msgspec finds them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from nodes.cli.main import Parser
 from nodes.coupling.parameters import CouplingParameters
 from nodes.launcher.launch_spec import NodeSpec, RunSpec
-from nodes.parameters.refusals import find_fault
+from nodes.parameters.refusals import find_misfit
 from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
 
@@ -85,27 +85,27 @@ def refusal(data: Any, target: Any) -> str | None:
 @example({"by_name": {"a": {"gain": 0.0}}})
 @example({"point": [0.0]})
 @example({"leaf": {}})
-def test_a_fault_is_found_where_msgspec_finds_it(data: Any) -> None:
+def test_a_misfit_is_found_where_msgspec_finds_it(data: Any) -> None:
     told = refusal(data, Tree)
-    fault = find_fault(data, Tree)
-    assert (fault is None) == (told is None)
-    if fault is None or told is None:
+    misfit = find_misfit(data, Tree)
+    assert (misfit is None) == (told is None)
+    if misfit is None or told is None:
         return
     if "missing required field" in told or "unknown field" in told:
-        path, _, name = fault.path.rpartition(".")
+        path, _, name = misfit.path.rpartition(".")
         assert hidden_keys(path) == place(told)
         assert f"`{name}`" in told
     else:
-        assert hidden_keys(fault.path) == place(told)
+        assert hidden_keys(misfit.path) == place(told)
 
 
 @pytest.mark.parametrize("target", [CouplingParameters, SimDriverParameters, NodeSpec, RunSpec])
 @given(data=st.data())
-def test_nodes_accept_what_has_no_fault(target: type[msgspec.Struct], data: st.DataObject) -> None:
+def test_nodes_accept_what_has_no_misfit(target: type[msgspec.Struct], data: st.DataObject) -> None:
     values = data.draw(
         st.dictionaries(st.sampled_from(target.__struct_fields__), trees, max_size=3)
     )
-    assert (find_fault(values, target) is None) == (refusal(values, target) is None)
+    assert (find_misfit(values, target) is None) == (refusal(values, target) is None)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_nodes_accept_what_has_no_fault(target: type[msgspec.Struct], data: st.D
         ({"taps": []}, "node.taps: expected a list of length at least 1, got a list of length 0"),
     ],
 )
-def test_a_fault_names_path_value_and_limit(data: Any, told: str) -> None:
+def test_a_misfit_names_path_value_and_limit(data: Any, told: str) -> None:
     with pytest.raises(ParameterError) as raised:
         convert(data, Tree, "node")
     assert str(raised.value).startswith(told) or told in str(raised.value)
