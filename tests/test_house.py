@@ -372,6 +372,33 @@ WIDE = {
 """Classes of more than 20 attributes, and why."""
 
 
+def begins_with_a_path(text: ast.expr) -> bool:
+    """Return whether an f-string begins as in ``f"{name}.law: ..."``."""
+    if not isinstance(text, ast.JoinedStr):
+        return False
+    begin = ""
+    for piece in text.values:
+        if isinstance(piece, ast.Constant):
+            begin += str(piece.value)
+        elif isinstance(piece, ast.FormattedValue):
+            begin += "{}" if piece.conversion == -1 and piece.format_spec is None else " "
+    return re.match(r"[\w.\[\]]*\{\}[\w.{}\[\]]*: ", begin) is not None
+
+
+def test_the_path_of_a_parameter_is_data() -> None:
+    """A launch file's line is found from `ParameterError.path`; nobody reads it in a sentence."""
+    errors = {"ParameterError", "LawRefusedError", "NotInstalledError", "NotOneAxisError"}
+    wrong = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in MODULES.values()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args
+        if node.func.id in errors and begins_with_a_path(node.args[0])
+        if not any(keyword.arg == "path" for keyword in node.keywords)
+    ]
+    assert wrong == []
+
+
 def attributes(kind: ast.ClassDef) -> set[str]:
     """Return what a class assigns to itself, and the fields it declares."""
     names = {

@@ -252,7 +252,8 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
         for name in _WITHIN.findall(data):
             if not whole and isinstance(values[name], Mapping):
                 raise ParameterError(
-                    f"{where}: {name} is a mapping, which cannot stand within a text; give a name"
+                    f"{name} is a mapping, which cannot stand within a text; give a name",
+                    path=where,
                 )
         return (
             values[whole[1]]

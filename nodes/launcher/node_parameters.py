@@ -43,11 +43,11 @@ def with_parameters(
     found = dict(nodes)
     for name, node, path in places(given):
         if node not in found:
-            raise ParameterError(f"{where}: {name}: no node {node!r}; {choices(node, found)}")
-        steps = [key or int(index) for key, index in STEP.findall(path) if index != "..."]
+            raise ParameterError(f"{name}: no node {node!r}; {choices(node, found)}", path=where)
+        steps = [key or int(index) for key, index in STEP.findall(path)]
         if not steps or "".join(_written(steps)) != f".{path}":
             raise ParameterError(
-                f"{name}: is not a parameter's name, e.g. {node}.device.mass or {node}.axes[0]"
+                f"is not a parameter's name, e.g. {node}.device.mass or {node}.axes[0]", path=name
             )
         changed = _set(found[node].parameters, steps, given[name], node)
         found[node] = msgspec.structs.replace(found[node], parameters=changed)
@@ -68,11 +68,11 @@ def _set(tree: Any, steps: list[str | int], value: Any, where: str) -> Any:
     if isinstance(step, int):
         if not isinstance(tree, list) or step >= len(tree):
             has = f"has {len(tree)} entries" if isinstance(tree, list) else "is no list here"
-            raise ParameterError(f"{here}: {where} {has}; give it as a whole")
+            raise ParameterError(f"{where} {has}; give it as a whole", path=here)
         return [*tree[:step], _set(tree[step], rest, value, here), *tree[step + 1 :]]
     if isinstance(tree, str) and where.rpartition(".")[0].endswith(".laws"):
         tree = {"kind": tree}  # a law by the name of a preset
     if tree is not None and not isinstance(tree, Mapping):
-        raise ParameterError(f"{here}: {where} is {short(tree)}, which has no names below")
+        raise ParameterError(f"{where} is {short(tree)}, which has no names below", path=here)
     tree = tree or {}
     return {**tree, step: _set(tree.get(step), rest, value, here)}

@@ -39,9 +39,11 @@ def check_given(kind: type[msgspec.Struct], values: Mapping[str, Any], name: str
     fields = kind.__struct_fields__
     for unknown in values:
         if unknown not in fields:
-            raise ParameterError(f"{name}.{unknown}: no such parameter; {choices(unknown, fields)}")
+            raise ParameterError(
+                f"no such parameter; {choices(unknown, fields)}", path=f"{name}.{unknown}"
+            )
     if missing := [field for field in required_fields(kind) if field not in values]:
-        raise ParameterError(f"{name}.{missing[0]}: {missing_words(missing)}")
+        raise ParameterError(missing_words(missing), path=f"{name}.{missing[0]}")
 
 
 def check_fields(made: msgspec.Struct, name: str = "") -> None:

@@ -42,8 +42,16 @@ class ParameterError(HapticError, ValueError):
 
     def __init__(self, text: str, path: str = "") -> None:
         super().__init__(text, path)
-        self.text = text
-        self.path = path
+
+    @property
+    def text(self) -> str:
+        """The error's text without the path."""
+        return str(self.args[0])
+
+    @property
+    def path(self) -> str:
+        """The parameter; empty if the error names none."""
+        return str(self.args[1])
 
     def __str__(self) -> str:
         return f"{self.path}: {self.text}" if self.path else self.text

@@ -224,7 +224,7 @@ def play(
         try:
             trace = play_chain(launch, chain)
         except ParameterError as error:
-            raise type(error)(launch.origins.located(str(error))) from error
+            raise type(error)(launch.origins.located(error)) from error
     name = "/".join(filter(None, (launch.scenario, chain)))
     return _played(name, trace, _settled(launch, chain or "", trace))
 

@@ -49,5 +49,7 @@ def speaking_python() -> Iterator[None]:
     try:
         yield
     except HapticError as error:
-        error.args = (in_python(str(error)), *error.args[1:])
+        error.args = tuple(
+            in_python(part) if isinstance(part, str) else part for part in error.args
+        )
         raise

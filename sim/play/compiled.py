@@ -152,7 +152,7 @@ class _Kept:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
-        self._sources: dict[str, str] | None = None
+        self._sources: dict[str, cache.Source] | None = None
         self._making = _Making()
 
     def _name(self, types: Any, codegen: Any) -> str:
