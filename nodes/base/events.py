@@ -150,8 +150,8 @@ class Events:
         """
         if not isinstance(text, str) or not 0 < len(text.strip()) <= LONGEST_MARK:
             raise ParameterError(
-                f"mark {str(text)[:40]!r}: expected a text of 1 to {LONGEST_MARK}"
-                " characters", path=self._name
+                f"mark {str(text)[:40]!r}: expected a text of 1 to {LONGEST_MARK} characters",
+                path=self._name,
             )
         self.log(f"{MARK}: {text}")
         seq, stamp = self._publish_event(MARK, text, {})
