@@ -57,8 +57,12 @@ def _plane(point: Points, normal: Points, reach: float = REACH) -> Points:
 
 def _capsule(length: float, radius: float, across: int = ACROSS) -> Points:
     """Return the outline of a capsule that starts at its lower end's centre; length 0: a ball."""
-    turn = np.linspace(0.0, np.pi, across + 1)
-    ends = np.where(np.arange(across + 1) > across // 2, length, 0.0)
+    lower = np.linspace(0.0, 0.5 * np.pi, across // 2 + 1)
+    upper = np.linspace(0.5 * np.pi, np.pi, across // 2 + 1)
+    if length == 0.0:
+        upper = upper[1:]  # one equator
+    turn = np.concatenate([lower, upper])
+    ends = np.repeat([0.0, length], [len(lower), len(upper)])
     return np.stack([ends - radius * np.cos(turn), radius * np.sin(turn)], axis=1)
 
 

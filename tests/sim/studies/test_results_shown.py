@@ -69,7 +69,9 @@ MAKERS: dict[str, Callable[[haptic.Run], Result]] = {
     "ZWidthResult": lambda _: haptic.z_width(LAW, PLANT, gains=[0.0, 3.0]),
     "LawTable": lambda _: haptic.compare([LAW, LAW], PLANT),
     "OpenLoop": lambda _: haptic.loop(LAW, PLANT),
-    "TrialTable": lambda _: haptic.trials({"a": {}, "b": {}}, blocks=3).run(lambda trial: trial.number),
+    "TrialTable": lambda _: haptic.trials({"a": {}, "b": {}}, blocks=3).run(
+        lambda trial: trial.number
+    ),
     "Recorded": lambda run: run.recording,
     "RunSummary": lambda run: run.summary,
     KMaxBoundary.__name__: lambda _: studied(),
