@@ -45,12 +45,15 @@ class ForeignTable:
         Units that the file itself names.
     line : int
         Line of the first row in a text file; 0 in other formats, whose rows count from 0.
+    rate : float or None
+        Rate of its ticks, if the file names it [Hz].
     """
 
     path: Path
     columns: dict[str, Column]
     units: dict[str, str] = field(default_factory=dict)
     line: int = 0
+    rate: float | None = None
 
     def place(self, row: int) -> str:
         """Return where a row is in the file, for a person."""

@@ -528,6 +528,7 @@ def _own_ticks(
             " one part"
         )
     period = float((stamp[-1] - stamp[0]) / (seq[-1] - seq[0]))
+    period = 1.0 / table.rate if table.rate is not None else period
     if not period > 0.0:
         raise RecordError(f"{table.path}: column 'stamp' does not grow")
     _refuse_rate(table, 1.0 / period)

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from messages.errors import RefusedError, UsageError
+from nodes.recording.bag_table import is_bag
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable, is_export
 from nodes.recording.import_table import import_table
 from nodes.recording.imported_samples import refuse_unlikely
+from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -67,7 +69,7 @@ def as_recording(
         "ignore_times": ignore_times,
         "decimal_comma": decimal_comma,
     }
-    is_folder = path.is_dir() and not is_export(path)
+    is_folder = path.is_dir() and not is_export(path) and not _is_foreign_bag(path)
     if is_folder or not path.exists() or path.suffix.lower() == ".mcap" or is_mcap(path):
         if given := [name for name, value in of_table.items() if value]:
             raise UsageError(f"{path}: is no table; {', '.join(given)} are of tables")
@@ -89,6 +91,16 @@ def as_recording(
         except RecordError as error:
             raise RecordError(in_python(str(error))) from None
         yield out
+
+
+def _is_foreign_bag(path: Path) -> bool:
+    """Whether a path is a ROS bag without any message of ours."""
+    if not is_bag(path):
+        return False
+    try:
+        return not Recording(path).topics
+    except RecordError:
+        return True  # SQLite, or several files
 
 
 def is_mcap(path: Path) -> bool:
