@@ -1,4 +1,4 @@
-"""Import a table of another program (CSV, NPZ, MAT, Parquet) as a recording."""
+"""Import a table of another program (CSV, NPZ, MAT, Parquet) or a ROS bag as a recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from nodes.recording.writer import RecordError
 
 def add_import(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("file", type=Path, help="the table; a text file has a line of names first")
+    parser.add_argument(
+        "file", type=Path, help="the table, with a line of names if it is text; or a ROS bag"
+    )
     parser.add_argument(
         "--out",
         "-o",
@@ -28,7 +30,8 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         metavar="ROLE=NAME,…",
         help=(
             "columns of position, force and time, e.g. position=x,force=F, or"
-            " position=px:py:pz for three axes (default: those of the usual names)"
+            " position=px:py:pz for three axes (default: those of the usual names); of a ROS bag"
+            " topics, e.g. position=/arm/pose,force=/ft/wrench"
         ),
     )
     parser.add_argument(

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.nearest import did_you_mean
+from nodes.recording.mat_file import read_mat
 from nodes.recording.mcap_walk import TABLES, TEXT_TABLES
 from nodes.recording.writer import RecordError
 
@@ -44,12 +45,15 @@ class ForeignTable:
         Units that the file itself names.
     line : int
         Line of the first row in a text file; 0 in other formats, whose rows count from 0.
+    rate : float or None
+        Rate of its ticks, if the file names it [Hz].
     """
 
     path: Path
     columns: dict[str, Column]
     units: dict[str, str] = field(default_factory=dict)
     line: int = 0
+    rate: float | None = None
 
     def place(self, row: int) -> str:
         """Return where a row is in the file, for a person."""
@@ -318,15 +322,7 @@ def _read_npz(path: Path) -> ForeignTable:
 
 
 def _read_mat(path: Path) -> ForeignTable:
-    from scipy.io import loadmat
-
-    try:
-        found = loadmat(path, simplify_cells=True)
-    except NotImplementedError as error:
-        raise RecordError(
-            f"{path}: is a MAT file of version 7.3 (HDF5); save it with -v7: {error}"
-        ) from error
-    return _from_arrays(path, dict(_flattened(found)))
+    return _from_arrays(path, dict(_flattened(read_mat(path))))
 
 
 def _flattened(found: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:

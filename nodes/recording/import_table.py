@@ -16,6 +16,7 @@ from typing import Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
+from nodes.recording.bag_table import is_bag, read_bag
 from nodes.recording.foreign_table import ForeignTable, read_foreign
 from nodes.recording.imported_samples import ImportedSamples, is_own, samples_of
 from nodes.recording.writer import RecordWriter, discard
@@ -71,7 +72,7 @@ def import_table(
     Parameters
     ----------
     file : str or Path
-        CSV, NPZ, MAT or Parquet file, or the directory of a CSV export.
+        CSV, NPZ, MAT or Parquet file, the directory of a CSV export, or a ROS bag.
     out : str or Path
         The recording to write.
     columns : mapping of str to sequence of str, optional
@@ -100,7 +101,10 @@ def import_table(
         If the file is no such table or its values make no sense; the text names place and remedy.
     """
     out = Path(out)
-    table = read_foreign(Path(file), decimal_comma=decimal_comma)
+    if is_bag(Path(file)):
+        table, columns = read_bag(Path(file), columns or {})
+    else:
+        table = read_foreign(Path(file), decimal_comma=decimal_comma)
     samples = samples_of(
         table, columns=columns, units=units, rate=rate, axis=axis, ignore_times=ignore_times
     )
@@ -123,9 +127,17 @@ def _manifest(table: ForeignTable, samples: ImportedSamples) -> dict[str, str]:
         "rate_hz": repr(round(1.0 / samples.period, 9)),
         "axes": ",".join(samples.axes),
         "imported": str(path),
-        "imported_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "imported_sha256": _digest(path),
         "imported_columns": json.dumps(samples.sources, ensure_ascii=False),
     }
+
+
+def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file, or of all files of a folder one after the other."""
+    digest = hashlib.sha256()
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        digest.update(file.read_bytes() if file.is_file() else b"")
+    return digest.hexdigest()
 
 
 def _messages(table: ForeignTable, samples: ImportedSamples) -> Iterator[tuple[str, Message]]:

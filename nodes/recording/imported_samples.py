@@ -169,6 +169,77 @@ def samples_of(
     return ImportedSamples(period, seq, stamp, position, force, "".join(sorted(where)), sources)
 
 
+def motion_of(
+    table: ForeignTable,
+    *,
+    columns: Mapping[str, Sequence[str]],
+    units: Mapping[str, str],
+    rate: float | None,
+) -> tuple[Array, Array, str]:
+    """Return times and positions of a table whose times may be uneven.
+
+    Parameters
+    ----------
+    table : ForeignTable
+        Columns of a file.
+    columns, units : mapping
+        As of `samples_of`; a force is not read.
+    rate : float or None
+        Rows per second [Hz]; needed without a column of times.
+
+    Returns
+    -------
+    time : numpy.ndarray
+        Times since the first row [s], shape (N,).
+    position : numpy.ndarray
+        Positions [m], shape (N, 3).
+    axes : str
+        Axes that the file has, of ``xyz``.
+
+    Raises
+    ------
+    RecordError
+        As `samples_of`.
+    """
+    import numpy as np
+
+    chosen, given = _checked_columns(table, columns), _checked_units(table, units)
+    where = chosen.get("position") or _vector(table, "position", "x")
+    if not where:
+        raise RecordError(
+            f"{table.path}: which column is the position? There are"
+            f" {', '.join(table.columns)}; choose with --columns position=NAME"
+        )
+    where = {axis or "x": name for axis, name in where.items()}
+    sources: dict[str, str] = {}
+    position = _filled(table, "position", where, given, sources)
+    refuse_unlikely(table, position, None, given)
+    name = next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
+    if name is None:
+        if rate is None:
+            raise RecordError(
+                f"{table.path}: no column of times among {', '.join(table.columns)}; say the rate"
+                " with --rate HZ, or the column with --columns time=NAME"
+            )
+        _refuse_rate(table, rate)
+        return np.arange(len(position)) / rate, position, "".join(sorted(where))
+    since, factor, _ = _growing(table, name, given)
+    step = float(np.median(np.diff(since)))
+    if "time" not in given and factor == 1.0:
+        _refuse_unlikely_time(table, name, step, rate)
+    if rate is not None and abs(rate * step * factor - 1.0) > RATE_TOLERANCE:
+        raise RecordError(
+            f"{table.path}: rate {rate:g}, while column {name!r} advances"
+            f" {1.0 / (step * factor):.6g} times a second; which one is it?"
+            f"{_unit_hint(step, rate)}"
+        )
+    if len(since) != len(position):
+        raise RecordError(
+            f"{table.path}: {len(since)} times in {name!r} and {len(position)} positions"
+        )
+    return since * factor, position, "".join(sorted(where))
+
+
 def is_own(table: ForeignTable) -> bool:
     """Whether a table was written by ``haptic bag export``."""
     return set(OWN_COLUMNS) <= set(table.columns)
@@ -388,25 +459,10 @@ def _ticks(
     """Return the period, and tick and time of each row, from a column of times."""
     import numpy as np
 
-    raw = table.numbers(name)
-    if (bad := np.flatnonzero(~np.isfinite(raw))).size:
-        raise RecordError(
-            f"{table.path}: {table.place(int(bad[0]))}, column {name!r}: no time ({bad.size} such"
-            f" rows of {len(raw)}); remove these rows, or read each row as a tick with --rate HZ"
-            " --ignore-times"
-        )
     if is_own(table):
-        return _own_ticks(table, raw, sources)
-    factor, source = _factor(table, "time", name, given)
-    # Integers are subtracted as such: nanoseconds since 1970 have more digits than a float.
-    since = (raw - raw[0]).astype(np.float64)
+        return _own_ticks(table, _times(table, name), sources)
+    since, factor, source = _growing(table, name, given)
     steps = np.diff(since)
-    if (back := np.flatnonzero(steps <= 0.0)).size:
-        raise RecordError(
-            f"{table.path}: {table.place(int(back[0]) + 1)}, column {name!r}: the time does not"
-            f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows); sort the rows,"
-            " or read each row as a tick with --rate HZ --ignore-times"
-        )
     step = float(np.median(steps))
     if "time" not in given and factor == 1.0:
         _refuse_unlikely_time(table, name, step, rate)
@@ -421,9 +477,42 @@ def _ticks(
     if rate is not None:
         period = 1.0 / rate
     seq = np.concatenate(([0], np.cumsum(np.rint(steps / step)))).astype(np.int64)
-    begin = float(raw[0]) * factor
+    begin = float(table.numbers(name)[0]) * factor
     sources["time"] = source + (f", from {begin:.9g} s on" if begin else "")
     return period, seq, since * factor
+
+
+def _times(table: ForeignTable, name: str) -> Any:
+    """Return a column of times as it is."""
+    import numpy as np
+
+    raw = table.numbers(name)
+    if (bad := np.flatnonzero(~np.isfinite(raw))).size:
+        raise RecordError(
+            f"{table.path}: {table.place(int(bad[0]))}, column {name!r}: no time ({bad.size} such"
+            f" rows of {len(raw)}); remove these rows, or read each row as a tick with --rate HZ"
+            " --ignore-times"
+        )
+    return raw
+
+
+def _growing(
+    table: ForeignTable, name: str, given: Mapping[str, tuple[str, float]]
+) -> tuple[Array, float, str]:
+    """Return increasing times since the first row, the SI value of their unit, and its source."""
+    import numpy as np
+
+    raw = _times(table, name)
+    factor, source = _factor(table, "time", name, given)
+    # Integers are subtracted as such: nanoseconds since 1970 have more digits than a float.
+    since = (raw - raw[0]).astype(np.float64)
+    if (back := np.flatnonzero(np.diff(since) <= 0.0)).size:
+        raise RecordError(
+            f"{table.path}: {table.place(int(back[0]) + 1)}, column {name!r}: the time does not"
+            f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows); sort the rows,"
+            " or read each row as a tick with --rate HZ --ignore-times"
+        )
+    return since, factor, source
 
 
 def _own_ticks(
@@ -439,6 +528,7 @@ def _own_ticks(
             " one part"
         )
     period = float((stamp[-1] - stamp[0]) / (seq[-1] - seq[0]))
+    period = 1.0 / table.rate if table.rate is not None else period
     if not period > 0.0:
         raise RecordError(f"{table.path}: column 'stamp' does not grow")
     _refuse_rate(table, 1.0 / period)

@@ -7,16 +7,18 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from messages.errors import RefusedError, UsageError
+from nodes.recording.bag_table import is_bag
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable, is_export
 from nodes.recording.import_table import import_table
 from nodes.recording.imported_samples import refuse_unlikely
+from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -67,7 +69,7 @@ def as_recording(
         "ignore_times": ignore_times,
         "decimal_comma": decimal_comma,
     }
-    is_folder = path.is_dir() and not is_export(path)
+    is_folder = path.is_dir() and not is_export(path) and not _is_foreign_bag(path)
     if is_folder or not path.exists() or path.suffix.lower() == ".mcap" or is_mcap(path):
         if given := [name for name, value in of_table.items() if value]:
             raise UsageError(f"{path}: is no table; {', '.join(given)} are of tables")
@@ -89,6 +91,16 @@ def as_recording(
         except RecordError as error:
             raise RecordError(in_python(str(error))) from None
         yield out
+
+
+def _is_foreign_bag(path: Path) -> bool:
+    """Whether a path is a ROS bag without any message of ours."""
+    if not is_bag(path):
+        return False
+    try:
+        return not Recording(path).topics
+    except RecordError:
+        return True  # SQLite, or several files
 
 
 def is_mcap(path: Path) -> bool:
@@ -187,6 +199,67 @@ def identify_arrays(
     except ValueError as error:
         raise RefusedError(str(error)) from error
     return IdentifiedRecording(ARRAYS, found)
+
+
+def hand_path(
+    position: ArrayLike, *, rate: float | None = None, time: ArrayLike | None = None
+) -> dict[str, Any]:
+    """Return an array as the path of a virtual device's hand.
+
+    Parameters
+    ----------
+    position : array_like, shape (N,) or (N, 3)
+        Points to which the hand pulls [m].
+    rate : float, optional
+        Points per second [Hz].
+    time : array_like, shape (N,), optional
+        In place of `rate`: increasing times [s], counted from the first.
+
+    Returns
+    -------
+    dict
+        ``path`` for a driver's ``device.hand.path``: times [s] and positions [m] of its corners. Of
+        three columns it is that of x, and ``axes``, for ``device.axes``, has those of y and z.
+
+    Raises
+    ------
+    UsageError
+        If the arrays do not fit each other, hold no numbers, or are in another unit.
+
+    Examples
+    --------
+    >>> hand_path([0.0, 0.01, 0.0], rate=2)
+    {'path': [[0.0, 0.0], [0.5, 0.01], [1.0, 0.0]]}
+    """
+    from sim.device.hand_path import corners
+
+    where = _checked("position", position)
+    if (rate is None) == (time is None):
+        given = "needs rate or time" if rate is None else "takes rate or time, not both"
+        raise UsageError(f"hand_path: {given}")
+    if time is None:
+        if rate is None or not SLOWEST <= rate <= FASTEST:
+            raise UsageError(f"rate {rate:g} Hz; expected {SLOWEST:g} to {FASTEST:g} Hz")
+        at = np.arange(len(where)) / rate
+    else:
+        at = _checked("time", time)
+        at = at - at[0] if at.size else at
+    if at.shape != where.shape[:1]:
+        raise UsageError(f"{at.size} times and {len(where)} positions; they need the same number")
+    if (back := np.flatnonzero(np.diff(at) <= 0.0)).size:
+        raise UsageError(f"time[{back[0] + 1}] does not grow")
+    try:
+        refuse_unlikely(ForeignTable(ARRAYS, {}), where, None)
+    except RecordError as error:
+        raise UsageError(_without_units(str(error))) from None
+    paths = [
+        [list(corner) for corner in corners(at, column)]
+        for column in (where.T if where.ndim == 2 else [where])
+    ]
+    if len(paths) == 1:
+        return {"path": paths[0]}
+    own = {axis: {"hand": {"path": path}} for axis, path in zip("yz", paths[1:], strict=True)}
+    return {"path": paths[0], "axes": own}
 
 
 def _without_units(text: str) -> str:

@@ -89,7 +89,10 @@ def _workspace(model: DeviceModel) -> Workspace:
     """Return the default workspace [m]: `REACH` around the origin and all named positions."""
     parts = [model, *map(model.along, model.axes)]
     places = [0.0, *(part.position for part in parts)]
-    places += [place for part in parts if part.hand is not None for _, place in part.hand.path]
+    hands = [part.hand for part in parts if part.hand is not None]
+    for hand in hands:
+        for path in [hand.path, *hand.paths().values()]:
+            places += [place for _, place in path]
     low, high = min(places) - REACH, max(places) + REACH
     return (low, high), (low, high), (low, high)
 
@@ -97,17 +100,17 @@ def _workspace(model: DeviceModel) -> Workspace:
 def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
     """Return the model of each axis.
 
-    The first axis has the initial state and the hand's path; z, or else the first, has gravity.
-    Settings of an axis override these.
+    The first axis has the initial state and the hand's path; z, or else the first, has gravity. A
+    hand's file of three axes has a path for each. Settings of an axis override these.
     """
     down = "z" if "z" in axes else axes[0]
     hand = model.hand
-    still = None if hand is None else msgspec.structs.replace(hand, path=[(0.0, 0.0)], repeat=None)
     return [
         msgspec.structs.replace(
             model,
             gravity=model.gravity if axis == down else None,
-            **({} if axis == axes[0] else {"position": 0.0, "velocity": 0.0, "hand": still}),
+            hand=None if hand is None else hand.along(axis, axis == axes[0]),
+            **({} if axis == axes[0] else {"position": 0.0, "velocity": 0.0}),
         ).along(axis)
         for axis in axes
     ]

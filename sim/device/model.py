@@ -21,6 +21,7 @@ import msgspec
 
 from nodes.compiled.rules import rule
 from nodes.parameters.checked import NonNegative, Positive, check_fields
+from nodes.parameters.paths import LocalPath
 from nodes.parameters.store import convert
 
 SMALLEST = 1e-12  # smallest mass [kg] and encoder step [m]
@@ -160,16 +161,41 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     path: Time [s] and position [m] of the corners of a piecewise linear path, times increasing;
         held before the first and after the last. It is sampled at ticks and held between them.
     repeat: Period of the path [s], at least the time of its last corner; None for once.
+    file: In place of `path`: a CSV, NPZ, MAT or Parquet file, or a recording, with the path of one
+        axis or of three; its times count from its first row.
+    columns: Columns of `position` (one, or three) and `time` in the file; empty: those of the usual
+        names. Of a recording, `position: target` is where its hand pulled to.
+    units: Units of `position` and `time` in the file; empty: those in the names, else SI.
+    rate: Rows per second in a file without times [Hz]; None: it has times.
     """
 
     stiffness: Positive
-    path: Annotated[list[tuple[float, float]], msgspec.Meta(min_length=1)]
+    path: list[tuple[float, float]] = []
     repeat: Positive | None = None
+    file: LocalPath = ""
+    columns: dict[str, str | list[str]] = {}
+    units: dict[str, str] = {}
+    rate: Positive | None = None
     mass: NonNegative = 0.0
     damping: NonNegative = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, "hand")
+        if bool(self.path) == bool(self.file):
+            both = "both are given" if self.path else "neither is given"
+            raise ValueError(f"path or file: {both}; expected one of them")
+        if not self.file and (self.columns or self.units or self.rate is not None):
+            raise ValueError("columns, units and rate are of a file, but path is given")
+        for name, given in (("columns", self.columns), ("units", self.units)):
+            if other := set(given) - {"position", "time"}:
+                raise ValueError(f"{name}.{min(other)}: expected position or time")
+        if self.file:
+            end = self.length
+            if self.repeat is not None and self.repeat < end:
+                raise ValueError(
+                    f"repeat is {self.repeat} s, but the path ends at {end:g} s: repeat later"
+                )
+            return
         for i, (time, _) in enumerate(self.path):
             if i and time <= self.path[i - 1][0]:
                 raise ValueError(
@@ -182,9 +208,52 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
                 " later"
             )
 
+    def paths(self) -> dict[str, list[tuple[float, float]]]:
+        """Return the paths in the file by axis; empty without a file."""
+        if not self.file:
+            return {}
+        # Only a hand that reads a file needs what reads it.
+        from sim.device.hand_path import read_path
+
+        return read_path(self.file, self.columns, self.units, self.rate or 0.0)
+
+    @property
+    def corners(self) -> list[tuple[float, float]]:
+        """Path of the scene's first axis."""
+        return self.path or next(iter(self.paths().values()))
+
+    @property
+    def length(self) -> float:
+        """Time of the path's last corner [s]."""
+        return max(corners[-1][0] for corners in [self.path, *self.paths().values()] if corners)
+
+    def along(self, axis: str, is_first: bool) -> Hand:
+        """Return the hand along an axis, with that path of its file.
+
+        A path of one axis is that of the first axis of the scene; along others the hand rests at 0.
+        """
+        if self.file:
+            paths = self.paths()
+            only = next(iter(paths.values())) if len(paths) == 1 and is_first else None
+            path = only or (paths.get(axis) if len(paths) > 1 else None)
+        else:
+            path = self.path if is_first else None
+        return msgspec.structs.replace(
+            self,
+            path=path or [(0.0, 0.0)],
+            repeat=self.repeat if path else None,
+            file="",
+            columns={},
+            units={},
+            rate=None,
+        )
+
     def point(self, time: float) -> float:
         """Return the point of the path at a time [s], to which the hand pulls [m]."""
-        return path_position(self.path, time if self.repeat is None else time % self.repeat)
+        return path_position(self.corners, time if self.repeat is None else time % self.repeat)
+
+
+_OF_A_PATH = ("path", "file", "columns", "units", "rate")
 
 
 class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -255,7 +324,12 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             return everywhere
         fields = msgspec.to_builtins(everywhere)
         hand = changes.get("hand")
-        merged = {**(fields["hand"] or {}), **hand} if isinstance(hand, Mapping) else fields["hand"]
+        merged = fields["hand"]
+        if isinstance(hand, Mapping):
+            # A path of its own replaces a file, and a file a path.
+            own = "path" in hand or "file" in hand
+            base = {k: v for k, v in (merged or {}).items() if not (own and k in _OF_A_PATH)}
+            merged = {**base, **hand}
         made: DeviceModel = convert(
             {
                 **fields,
@@ -265,6 +339,8 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             DeviceModel,
             f"device.axes.{axis}",
         )
+        if isinstance(hand, Mapping) and made.hand is not None and made.hand.file:
+            made = msgspec.structs.replace(made, hand=made.hand.along(axis, True))
         return made
 
     @property

@@ -284,7 +284,7 @@ class VirtualDevice:
         corners = (
             []
             if model.hand is None
-            else [number for corner in model.hand.path for number in corner]
+            else [number for corner in model.hand.corners for number in corner]
         )
         self._path = array("d", corners)
         d.path, d.corners = self._path.buffer_info()[0], len(corners) // 2

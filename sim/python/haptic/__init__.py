@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sim.api.laws import law, laws, scenarios
     from sim.api.linear import OpenLoop, loop
     from sim.api.loops import k_max, poles
+    from sim.api.own_data import hand_path
     from sim.api.played import drop, play
     from sim.api.python_runs import LaunchError, Run, connect, launch
     from sim.api.recordings import plot, read
@@ -65,6 +66,7 @@ __all__ = [
     "connect",
     "design",
     "drop",
+    "hand_path",
     "identify",
     "k_max",
     "lab",
@@ -99,6 +101,7 @@ _NAMES = {
     "sim.api.linear": ("OpenLoop", "loop"),
     "sim.api.laws": ("law", "laws", "scenarios"),
     "sim.api.loops": ("k_max", "poles"),
+    "sim.api.own_data": ("hand_path",),
     "sim.api.played": ("drop", "play"),
     "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
     "sim.api.recordings": ("plot", "read"),

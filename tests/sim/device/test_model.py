@@ -380,7 +380,10 @@ def test_path_is_linear_between_and_held_beyond() -> None:
         ({"mass": 0.1, "damping": -1.0}, r">= 0.0.*\$\.damping"),
         ({"mass": 0.1, "delay": math.nan}, "delay|nan"),
         ({"mass": 0.1, "colour": 1}, "unknown field `colour`"),
-        ({"mass": 0.1, "hand": {"stiffness": 1.0, "path": []}}, r"length >= 1.*\$\.hand\.path"),
+        (
+            {"mass": 0.1, "hand": {"stiffness": 1.0, "path": []}},
+            r"path or file: neither is given.*hand",
+        ),
         (
             {"mass": 0.1, "hand": {"stiffness": 1.0, "path": [[1.0, 0.0], [1.0, 1.0]]}},
             r"times must increase.*\$\.hand",
