@@ -32,7 +32,7 @@ VECTORS = {
     ),
     "force": ("wrench.force", "force", "vector"),
 }
-"""Fields of messages that may be a position or a force, by role, in the order of preference."""
+"""Fields of messages that may be a position or a force, by role, the preferred first."""
 
 OWN = ("/haptic/device/pose", "/haptic/device/force", "/haptic/parameters")
 """Topics by which a bag of our own export is recognised."""

@@ -43,8 +43,8 @@ def read_path(
     Returns
     -------
     dict of str to list of tuple of float
-        list[tuple[float, float]] of each axis; times count from the first row. Only corners are kept: a row on the
-        line between its neighbours is left out.
+        Times [s], from the first row on, and positions [m] of each axis. Only corners are kept: a
+        row on the line between its neighbours is left out.
 
     Raises
     ------

@@ -133,7 +133,7 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(bag: Path) -> None:
-    """Each point of each curve is a message's value at its tick; missed ticks have no response."""
+    """Each point of a curve is a message's value at its tick; missed ticks have no response."""
     recording = Recording(bag)
     states: list[DeviceState] = recording.messages(topics.DEVICE_STATE)
     forces: list[Force] = recording.messages(topics.FORCE)
