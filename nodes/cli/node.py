@@ -1,4 +1,4 @@
-"""List nodes of a running launch, show one's state, start one by hand, or rearm a driver."""
+"""List nodes of a running launch, show, start, rearm or reset one."""
 
 import argparse
 from pathlib import Path
@@ -13,7 +13,7 @@ from nodes.launcher.runs import RunError, RunInfo
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start|rearm", required=True)
+    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start|rearm|reset", required=True)
     sub_verb(sub, "list", _list, "List the nodes with kind, state and process number.")
     info = sub_verb(sub, "info", _info, "Show a node's state, counters, topics and operations.")
     info.add_argument("node")
@@ -46,6 +46,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     again = sub_verb(sub, "rearm", _rearm, text)
     again.add_argument("node", nargs="?", help="the driver (default: the run's only one)")
+    text = (
+        "Reset a scene of bodies to its start (its keyframe), with the tool at the device and"
+        " without a force step."
+    )
+    fresh = sub_verb(sub, "reset", _reset, text)
+    fresh.add_argument("node", nargs="?", help="the environment (default: the run's only one)")
 
 
 def _state(run: RunInfo, name: str) -> dict[str, Any]:
@@ -132,6 +138,22 @@ def _rearm(arguments: argparse.Namespace) -> int:
         arguments.json,
         {"run": run.run, "node": name, **receipt},
         f"/{name}: forces enabled again, from tick {receipt['seq']}",
+    )
+
+
+def _reset(arguments: argparse.Namespace) -> int:
+    run = chosen_run(arguments)
+    found = [name for name, setup in run.nodes.items() if setup.kind == "mujoco"]
+    if not arguments.node and len(found) != 1:
+        raise UsageError(
+            f"node reset: {run.run} has the scenes of bodies {', '.join(found) or 'none'}; name one"
+        )
+    name = node_name(run, arguments.node or found[0])
+    receipt = ask(run, name, "reset")
+    return answer(
+        arguments.json,
+        {"run": run.run, "node": name, **receipt},
+        f"/{name}: the scene starts again, from tick {receipt['seq']}",
     )
 
 

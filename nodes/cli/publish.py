@@ -1,4 +1,4 @@
-"""``haptic topic pub``: publish an external force or target; other topics belong to nodes."""
+"""``haptic topic pub``: publish external forces, targets or controls."""
 
 import argparse
 import time
@@ -17,19 +17,25 @@ from nodes.parameters.quantities import between, whole
 from nodes.parameters.store import convert
 from nodes.parameters.yaml_io import parse_yaml
 
-# Force added to the law's [N]; position that a virtual hand pulls to [m].
-WRENCH, TARGET = "/external/wrench", "/external/target"
+# force added to the law's [N]; position that a virtual hand pulls to [m]; controls of actuators
+WRENCH, TARGET, CONTROLS = "/external/wrench", "/external/target", "/external/controls"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
         "topic",
-        help=f"{WRENCH} (force added to the law's) or {TARGET} (of a virtual device's hand)",
+        help=(
+            f"{WRENCH} (force added to the law's), {TARGET} (of a virtual device's hand) or"
+            f" {CONTROLS} (of actuators in a scene of bodies)"
+        ),
     )
     parser.add_argument(
         "values",
-        help="{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m, or the three numbers alone",
+        help=(
+            "{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m, or the three numbers alone;"
+            " {ACTUATOR: 0.5} or a list for all actuators"
+        ),
     )
     parser.add_argument(
         "--rate",
@@ -59,6 +65,12 @@ def _vector(text: str, name: str) -> Vector:
 
 
 def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
+    if arguments.topic == CONTROLS:
+        environment = roles(run).get("environment", "")
+        if "mujoco" not in {run.nodes[name].kind for name in run.nodes if name == environment}:
+            raise UsageError(f"{run.run}: has no scene of bodies (kind mujoco) with actuators")
+        controls = parse_yaml(arguments.values, "values")
+        return lambda: ask(run, environment, "controls", controls=controls)
     driver = roles(run).get("driver")
     if driver is None:
         raise UsageError(f"{run.run}: has no driver")
@@ -78,11 +90,11 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
 
 def publish(arguments: argparse.Namespace) -> int:
     """Publish until --once or --times is reached, Ctrl-C, or the end of the run."""
-    if arguments.topic not in (WRENCH, TARGET):
+    if arguments.topic not in (WRENCH, TARGET, CONTROLS):
         why = ": its own node publishes one per tick" if arguments.topic in LOOP else ""
         raise UsageError(
-            f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and"
-            f" {TARGET}"
+            f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH},"
+            f" {TARGET} and {CONTROLS}"
         )
     run = chosen_chain(arguments)
     send = _sender(run, arguments)

@@ -304,7 +304,14 @@ class _Watched(MovingScene):
 
     def __init__(self, launch: Launch, held: bool = False) -> None:
         name, given = parameters_of(launch, "mujoco", MujocoParameters)
-        super().__init__(Path(given.scene).expanduser(), given.tool, launch.run.period, name, held)
+        super().__init__(
+            Path(given.scene).expanduser(),
+            given.tool,
+            launch.run.period,
+            name,
+            held,
+            keyframe=given.keyframe,
+        )
         self.times: list[int] = []
         self.went: list[tuple[Array, Array]] = []
 

@@ -12,13 +12,14 @@ import contextlib
 import math
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from messages.types import Vector
 from nodes.environment.bodies.contacts import PairStiffness, measure_contacts
 from nodes.environment.bodies.implicit import euler_step
+from nodes.environment.bodies.start import Keyframe, fix_bodies, key_of, reset
 from nodes.environment.bodies.tool import (
     AXES,
     ToolParameters,
@@ -72,6 +73,7 @@ class MovingScene:
         where: str,
         held: bool = False,
         lost: float = math.inf,
+        keyframe: Keyframe | None = None,
     ) -> None:
         self.lost = lost  # distance from the device at which the tool is put back to it [m]
         wanted = tool if isinstance(tool, ToolParameters) else ToolParameters(body=tool)
@@ -96,7 +98,7 @@ class MovingScene:
             )
         try:
             with _heard(mujoco) as warnings:
-                self.model = _model(mujoco, file, wanted, held, where)
+                self.model = _model(mujoco, file, wanted, held, keyframe, where)
         except ValueError as error:
             raise ParameterError(
                 f"{file}: {' '.join(str(error).split())}", path=f"{where}.scene"
@@ -108,6 +110,8 @@ class MovingScene:
             )
         self._refuse_odd_numbers(file, where)
         self.data = mujoco.MjData(self.model)
+        # number of the keyframe at which it starts; -1 for the state of the file
+        self._key = -1 if held else key_of(mujoco, self.model, keyframe, where)
         self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
         first = int(self.model.body_dofadr[self.tool])
         self._speeds = slice(first, first + 3)
@@ -144,13 +148,16 @@ class MovingScene:
         # before.
         self._forces: deque[tuple[int, Vector]] = deque([(-1, (0.0, 0.0, 0.0))])
         self._done = 0
-        self.resets = 0  # how often the scene diverged and was reset
+        self.reset_due = False  # whether the next tick starts the scene again
+        self._controls_until = -1  # tick at which controls from outside expire
         self._touches = {
             i: (int(self.model.geom_contype[i]), int(self.model.geom_conaffinity[i]))
             for i in self._geoms()
         }
         # whether contacts of the tool are off, because it began inside another body
         self.inside = False
+        self.start_again()
+        self._home = self.data.ctrl.copy()  # controls at the start
         mujoco.mj_forward(self.model, self.data)
 
     def _refuse_odd_numbers(self, file: Path, where: str) -> None:
@@ -219,6 +226,18 @@ class MovingScene:
         x, y, z = self.data.xpos[self.tool].tolist()
         return x, y, z
 
+    def start_again(self) -> None:
+        """Reset bodies and controls to the start of the scene."""
+        reset(self._mujoco, self.model, self.data, self._key)
+        self._bad = 0  # warnings of a diverging scene since then
+        self.reset_due = False
+
+    def control(self, controls: Mapping[int, float], until: int) -> None:
+        """Set controls of actuators by number; those of the start return at tick `until`."""
+        for at, value in controls.items():
+            self.data.ctrl[at] = value
+        self._controls_until = until
+
     def begin(self, position: Vector) -> None:
         """Move the tool to the device, at rest: a stretched coupling would throw it.
 
@@ -277,10 +296,17 @@ class MovingScene:
             self.begin(position)
             self._done = tick * self.steps  # a restarted node continues with the present tick
             return "the scene begins"
+        if 0 <= self._controls_until < tick:
+            self._controls_until = -1
+            self.data.ctrl[:] = self._home
         self.hand_over(force, since, delay)
         self.advance(tick)
         if self.diverged():
             why = "the scene diverged and was reset; a smaller option timestep may help"
+            self.start_again()
+        elif self.reset_due:
+            why = "the scene was reset on request"
+            self.start_again()
         elif jumped:
             why = "the device's position jumped"
         elif (away := math.dist(self.tool_position, position)) > self.lost:
@@ -327,7 +353,7 @@ class MovingScene:
         kinds = self._mujoco.mjtWarning
         bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
         found = sum(int(self.data.warning[int(kind)].number) for kind in bad)
-        new, self.resets = found > self.resets, found
+        new, self._bad = found > self._bad, found
         return new
 
     def stiffness(self) -> list[PairStiffness]:
@@ -360,17 +386,14 @@ def _heard(mujoco: Any) -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-def _model(mujoco: Any, file: Path, tool: ToolParameters, held: bool, where: str) -> Any:
+def _model(
+    mujoco: Any, file: Path, tool: ToolParameters, held: bool, keyframe: Keyframe | None, where: str
+) -> Any:
     """Load a scene, add or damp its tool, and with `held` delete the joints of other bodies."""
     if tool.mass is None and tool.damping is None and not held:
         return mujoco.MjModel.from_xml_path(str(file))
     spec = mujoco.MjSpec.from_file(str(file))
     add_tool(mujoco, spec, tool, f"{where}.tool")
-    for body in spec.bodies if held else ():
-        line = body
-        while line is not None and line.name not in (tool.body, "world"):
-            line = line.parent
-        if line is None or line.name != tool.body:
-            for joint in body.joints:
-                spec.delete(joint)
+    if held:
+        fix_bodies(mujoco, spec, keyframe, tool.body, where)
     return spec.compile()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -20,6 +21,7 @@ from nodes.base.setup import Axis, Setup
 from nodes.environment.bodies.contacts import contacts_text
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.poses import RATE, Poses, poses_file
+from nodes.environment.bodies.start import ControlParameters, Keyframe, controls_of
 from nodes.environment.bodies.tool import ToolParameters, response_text
 from nodes.environment.spent import note_spent, spent_us
 from nodes.environment.spent_counters import SpentCounters
@@ -36,12 +38,18 @@ class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     bodies: ``dynamic``, or ``fixed`` to fix all bodies but the tool.
     lost: Distance between device and tool at which the tool is put back to the device, without a
         force [m].
+    keyframe: Name or number of the keyframe of the scene at which it starts, and to which
+        ``haptic node reset`` resets it; None for the state of the file.
+    controls: Controls of actuators that it accepts from outside; see
+        nodes/environment/bodies/start.py. None for none: all keep the controls of the start.
     """
 
     scene: str
     tool: str | ToolParameters = "tool"
     bodies: Literal["dynamic", "fixed"] = "dynamic"
     lost: Annotated[float, msgspec.Meta(gt=0.0)] = 0.25
+    keyframe: Keyframe | None = None
+    controls: ControlParameters | None = None
 
 
 class MujocoEnvironment(Node):
@@ -153,6 +161,38 @@ class MujocoEnvironment(Node):
             Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held)
         )
 
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Return the operations: reset of the scene, and controls of its actuators."""
+        return {"reset": self._reset, "controls": self._control}
+
+    def _reset(self) -> dict[str, Any]:
+        """Start the scene again at the next tick, with the tool at the device."""
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._world.reset_due = True
+            return {"seq": seq}
+
+        receipt: dict[str, Any] = self.changes.hand_over(apply)
+        return receipt
+
+    def _control(self, controls: Any) -> dict[str, Any]:
+        """Set controls of actuators until they are renewed or expire."""
+        name, allowed = self.setup.name, self.store.current.controls
+        if allowed is None:
+            raise ParameterError(
+                f"{name}.controls: no controls from outside are accepted; allow them in the launch"
+                " file with controls: {age: 0.1}"
+            )
+        wanted = controls_of(self._world.model, controls, name)
+        ticks = math.ceil(allowed.age / self.setup.period)
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._world.control(wanted, seq + ticks)
+            return {"seq": seq, "age_s": allowed.age}
+
+        receipt: dict[str, Any] = self.changes.hand_over(apply)
+        return receipt
+
     def report(self) -> dict[str, Any]:
         """Return tick durations."""
         return {"spent_us": spent_us(self.counters.spent)}
@@ -182,5 +222,11 @@ def load_world(parameters: MujocoParameters, period: float, name: str) -> Moving
     """Return the scene of a node with these parameters."""
     held = parameters.bodies == "fixed"
     return MovingScene(
-        Path(parameters.scene).expanduser(), parameters.tool, period, name, held, parameters.lost
+        Path(parameters.scene).expanduser(),
+        parameters.tool,
+        period,
+        name,
+        held,
+        parameters.lost,
+        parameters.keyframe,
     )

@@ -19,7 +19,8 @@ from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
-from tests.support.launching import launch_json
+from tests.support import ROOT
+from tests.support.launching import launch_json, running, typed, wait_for
 
 pytest.importorskip(
     "mujoco", reason="things that move need MuJoCo: pip install 'haptic-nodes[mujoco]'"
@@ -259,3 +260,39 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
     # What is allowed for the double pole at 1 moves the edge that is looked for here by up to 1e-4.
     assert seen == pytest.approx(low, rel=1e-4)
     assert seen < alone
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_a_running_scene_is_reset_and_its_actuators_controlled(tmp_path: Path) -> None:
+    """Somebody else's arm with a motor and a keyframe, by their commands."""
+    (tmp_path / "arm.xml").write_text(
+        """<mujoco><worldbody><body name="arm" pos="0 0.2 0">
+        <joint name="hinge" axis="0 1 0" damping="0.01"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01"/></body></worldbody>
+        <actuator><position name="elbow" joint="hinge" kp="1"/></actuator>
+        <keyframe><key name="up" qpos="-0.5" ctrl="-0.5"/></keyframe></mujoco>""",
+        encoding="ascii",
+    )
+    text = (ROOT / "launch" / "knob_turn.yaml").read_text("utf-8")
+    (tmp_path / "own.yaml").write_text(
+        text.replace(
+            "scene: $(dirname)/bodies/knob.xml",
+            "{scene: $(dirname)/arm.xml, tool: {mass: 0.05}, keyframe: up, controls: {age: 1.0}}",
+        ).replace("parameters:\n      {scene", "parameters: {scene"),
+        encoding="utf-8",
+    )
+    with running(tmp_path, "./own.yaml", "duration:=0") as launch:
+        wait_for(lambda: launch.ticks() > 20, "ticks")
+        again = typed(launch, "node", "reset")
+        assert "the scene starts again, from tick" in again.stdout
+        one = ("topic", "pub", "/external/controls", "--once")
+        assert "published 1" in typed(launch, *one, "{elbow: 0.4}").stdout
+        assert "published 1" in typed(launch, *one, "[0.4]").stdout
+        assert "no actuator 'elbo'" in typed(launch, *one, "{elbo: 0.4}", code=None).stderr
+        launch.interrupt()
+    (recording,) = tmp_path.glob("recordings/own*.mcap")
+    told = [one.reason for one in Recording(recording).messages(event("environment"))]
+    assert any(
+        "the scene was reset on request; the tool restarts at the device" in one for one in told
+    )

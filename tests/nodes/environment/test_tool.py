@@ -16,6 +16,7 @@ from nodes.environment.bodies import contacts
 from nodes.environment.bodies.implicit import passive_within
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment, MujocoParameters
+from nodes.environment.bodies.start import controls_of
 from nodes.environment.bodies.tool import ToolParameters, response_text
 from nodes.launcher import launch_file
 from nodes.laws import CompiledLaw
@@ -423,3 +424,79 @@ def test_two_hundred_rests_tied_to_a_heavy_tool(tmp_path: Path) -> None:
     below, light = swinging(tmp_path, 200, (1.02, 0.2))
     assert below == 0
     assert light >= 100
+
+
+ARM = """<body name="ball" pos="0 0 1"><freejoint/><geom size="0.01"/></body>
+<body name="arm" pos="0 0.2 0"><joint name="hinge" axis="0 1 0" damping="0.01"/>
+<geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01"/></body>"""
+KEYS = """<actuator><motor name="motor" joint="hinge" ctrlrange="-1 1"/></actuator><keyframe>
+<key name="home" qpos="0 0.5 0.3 1 0 0 0 0.3" ctrl="0.2"/></keyframe>"""
+
+
+def arm(folder: Path, keyframe: str | int | None, held: bool = False) -> MovingScene:
+    path = scene(folder, ARM)
+    path.write_text(path.read_text().replace("</mujoco>", f"{KEYS}</mujoco>"), encoding="ascii")
+    tool = ToolParameters(mass=0.05)
+    return MovingScene(path, tool, T, "environment", held, keyframe=keyframe)
+
+
+def test_a_scene_begins_at_its_keyframe_and_is_reset_to_it(tmp_path: Path) -> None:
+    for name, height, angle, control in (
+        ("home", 0.3, 0.3, 0.2),
+        (0, 0.3, 0.3, 0.2),
+        (None, 1, 0, 0),
+    ):
+        found = arm(tmp_path, name)
+        qpos = found.data.qpos
+        assert (qpos[2], qpos[7], found.data.ctrl[0]) == (height, angle, control)
+        for tick in range(5):
+            found.follow(tick, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), tick - 1, 1.0, tick == 0)
+        assert found.data.qpos[2] != height
+        found.reset_due = True
+        why = found.follow(5, (0.1, 0.0, 0.2), (0.0, 0.0, 0.0), 4, 1.0, False)
+        assert "reset on request" in why
+        assert (found.data.qpos[2], found.data.qpos[7]) == (height, angle)
+        # The tool is at the device, at rest.
+        assert found.tool_position == pytest.approx((0.1, 0.0, 0.2), abs=1e-15)
+        assert not found.data.qvel.any()
+    # Held bodies stand where the keyframe has them.
+    still = arm(tmp_path, "home", held=True)
+    assert still.model.nq == 3
+    assert still.data.body("ball").xpos == pytest.approx([0.0, 0.5, 0.3], abs=1e-15)
+    tip = [0.1 * np.cos(0.3), 0.2, -0.1 * np.sin(0.3)]
+    assert still.data.body("arm").xipos == pytest.approx(tip, abs=1e-12)
+    with pytest.raises(ParameterError, match=r"environment.keyframe: no keyframe 'hime'; .*home"):
+        arm(tmp_path, "hime")
+
+
+def test_controls_move_an_actuator_and_expire(tmp_path: Path) -> None:
+    found = arm(tmp_path, "home")
+    still = (0.0, 0.0, 0.0)
+    found.follow(0, still, still, -1, 1.0, True)
+    found.control(controls_of(found.model, {"motor": -0.5}, "environment"), until=3)
+    read = []
+    for tick in range(1, 7):
+        found.follow(tick, still, still, tick - 1, 1.0, False)
+        read.append(float(found.data.ctrl[0]))
+    assert read == [-0.5] * 3 + [0.2] * 3
+    for given, why in (
+        ({"moto": 1.0}, "no actuator 'moto'"),
+        ([1.0, 2.0], "expected a mapping"),
+        ({"motor": math.nan}, "environment.controls.motor: nan"),
+        ({"motor": True}, "is no number"),
+    ):
+        with pytest.raises(ParameterError, match=why):
+            controls_of(found.model, given, "environment")
+
+
+def test_every_divergence_is_found(tmp_path: Path) -> None:
+    """MuJoCo clears its counts of warnings whenever it resets a scene."""
+    found = arm(tmp_path, "home")
+    still = (0.0, 0.0, 0.0)
+    for tick in range(6):
+        if tick in (2, 4):
+            found.data.qvel[6] = 1e11
+        why = found.follow(tick, still, still, tick - 1, 1.0, tick == 0)
+        assert ("diverged" in why) == (tick in (2, 4))
+        if tick in (2, 4):
+            assert found.data.qpos[7] == 0.3  # at the keyframe again

@@ -137,3 +137,31 @@ def test_bodies_are_led_held_and_left_out(
     # Without any contact the tool keeps to the device, and all of the force from pushing is gone.
     assert levels["a tool alone"]["force_n"] > 0.5 * found["largest_n"]
     assert all(0.0 < level["call_us"] <= level["call_p99_us"] for level in levels.values())
+
+
+OWN = """summary: somebody's own
+run: {rate: 500.0, duration: 0}
+nodes:
+  driver:
+    kind: sim_driver
+    parameters:
+      device: {mass: 0.1, damping: 1.0, hand: {stiffness: 150.0, path: [[0.2, 0.0], [0.4, 0.03]]}}
+  environment:
+    kind: environment
+    parameters: {surface: {kind: sphere, position: [0.05, 0, 0], radius: 0.04}}
+  coupling: {kind: coupling, parameters: {law: pd, laws: {pd: {kind: pd, stiffness: 800.0}}}}
+"""
+
+
+def test_the_study_plays_a_file_by_a_relative_path_without_arguments(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run without an end is played for as long as every study plays it."""
+    (tmp_path / "own.yaml").write_text(OWN, encoding="ascii")
+    monkeypatch.chdir(tmp_path)
+    words = ["study", "detail", "./own.yaml", "run.duration:=0.6", "--json", "--out", "out"]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["levels"][0]["name"] == "as it is"
+    # the hand ends 30 mm beyond its start, 20 mm inside the ball, and gives way
+    assert 1.0 < told["largest_n"] < 800.0 * 0.02
