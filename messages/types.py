@@ -188,6 +188,9 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
         Motion of the proxy per force of this tick, against the force [m/N]: it ends at `proxy` −
         `compliance` times the force, which the coupling solves for. 0 (or less) for a surface, and
         for a body that answers a tick later.
+    stiffness, damping : float
+        Factors of the law's stiffness and of the rest of it, as the touched shape has them; at most
+        1, the law itself.
     """
 
     position: Vector
@@ -200,6 +203,8 @@ class Proxy(Message, frozen=True, kw_only=True, gc=False):
     ease: Count = 0
     credit: Real = 0.0
     compliance: Real = 0.0
+    stiffness: Real = 1.0
+    damping: Real = 1.0
 
 
 class Force(Message, frozen=True, kw_only=True, gc=False):

@@ -21,7 +21,7 @@ from messages.types import Message, NodeStatus
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
 from nodes.base.intake import Intake, TickTaker
-from nodes.base.setup import Axis, Setup
+from nodes.base.setup import Axis, Effect, Setup
 from nodes.base.status_report import Counted, Counters, status_of
 from nodes.parameters.store import ParameterError, ParameterStore
 
@@ -214,6 +214,25 @@ class Node:
         """
         del parameters, name, axes
         return {}
+
+    @classmethod
+    def effects(cls, parameters: Mapping[str, Any], name: str) -> list[Effect]:
+        """Return what node `name` with these `parameters` does to a law.
+
+        The launcher passes it to the chain's coupling, which judges its laws as they are felt.
+
+        Returns
+        -------
+        list of Effect
+            One for each shape or region that changes a law; none for others.
+
+        Raises
+        ------
+        ParameterError
+            If the parameters are invalid.
+        """
+        del parameters, name
+        return []
 
     @classmethod
     def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:

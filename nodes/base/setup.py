@@ -8,7 +8,7 @@ import msgspec
 from messages import topics
 from messages.types import Real
 
-__all__ = ["AXIS_INDEX", "Apply", "Axis", "Pace", "Scheduling", "Setup", "Tick"]
+__all__ = ["AXIS_INDEX", "Apply", "Axis", "Effect", "Pace", "Scheduling", "Setup", "Tick"]
 
 Pace = Literal["realtime", "lockstep"]
 Apply = Literal["on_arrival", "next_tick"]
@@ -33,6 +33,28 @@ class Scheduling(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     cpus: list[int] = []
     aside: list[int] = []
     fifo: Annotated[int, msgspec.Meta(ge=0, le=99)] = 0
+
+
+class Effect(msgspec.Struct, frozen=True, kw_only=True):
+    """What a shape or region of an environment does to a law, on which the coupling judges it.
+
+    Attributes
+    ----------
+    name : str
+        Parameter path of the shape or region.
+    stiffness, damping : float
+        Factors of the law's force at rest, and of the rest of the law; at most 1.
+    lag : float
+        Time by which the proxy trails behind the device [s]; 0 for one that does not.
+    line : bool
+        Whether it is a line that attracts, whose pull falls off from half its reach.
+    """
+
+    name: str
+    stiffness: float = 1.0
+    damping: float = 1.0
+    lag: float = 0.0
+    line: bool = False
 
 
 class Setup(msgspec.Struct, frozen=True, kw_only=True):
@@ -86,6 +108,8 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
         The node's own parameters, not yet validated.
     plant : dict of str to float
         What the other nodes of the chain know of the device (`nodes.base.node.Node.plant`).
+    effects : list of Effect
+        What the chain's environment does to a law, for a node that judges laws.
     peak_force : float or None
         Largest force of the chain's driver along an axis by its parameters [N]; None if not
         limited.
@@ -126,6 +150,7 @@ class Setup(msgspec.Struct, frozen=True, kw_only=True):
     scheduling: Scheduling = Scheduling()
     parameters: dict[str, Any] = {}
     plant: dict[str, float] = {}
+    effects: list[Effect] = []
     watch: str = ""
     manifest: dict[str, str] = {}
     clock_offset: Real = 0.0

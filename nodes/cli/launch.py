@@ -175,6 +175,11 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
             for name, report in supervisor.reports.items()
             if (spent := report.get("spent_us"))
         },
+        "moved": {
+            name: moved
+            for name, report in supervisor.reports.items()
+            if (moved := report.get("moved"))
+        },
         "recording": recordings[0] if recordings else None,
         "recordings": recordings,
         "plot": None,
@@ -273,6 +278,11 @@ def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
     for chain, own in figures.get("chains", {"": figures}).items():
         lines += [f" /{chain}"] if chain else []
         lines += _chain_text(own)
+    lines += [
+        f"  moved     shapes of {name} put {1e3 * moved['energy_j']:.3g} mJ into the device, at"
+        f" most {moved['power_w']:.3g} W"
+        for name, moved in figures["moved"].items()
+    ]
     lines += [f"  recording {path}" for path in figures["recordings"]]
     return "\n".join(lines)
 

@@ -18,7 +18,13 @@ from nodes.parameters.store import convert
 from nodes.parameters.yaml_io import parse_yaml
 
 # force added to the law's [N]; position that a virtual hand pulls to [m]; controls of actuators
-WRENCH, TARGET, CONTROLS = "/external/wrench", "/external/target", "/external/controls"
+# in a scene of bodies; offset of a shape that moves [m]
+WRENCH, TARGET, CONTROLS, SHAPE = (
+    "/external/wrench",
+    "/external/target",
+    "/external/controls",
+    "/external/shape",
+)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -26,15 +32,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "topic",
         help=(
-            f"{WRENCH} (force added to the law's), {TARGET} (of a virtual device's hand) or"
-            f" {CONTROLS} (of actuators in a scene of bodies)"
+            f"{WRENCH} (force added to the law's), {TARGET} (of a virtual device's hand),"
+            f" {CONTROLS} (of actuators in a scene of bodies) or {SHAPE} (that moves)"
         ),
     )
     parser.add_argument(
         "values",
         help=(
             "{force: [0, 0, 1]} in N, {position: [0.02, 0, 0]} in m, or the three numbers alone;"
-            " {ACTUATOR: 0.5} or a list for all actuators"
+            " {ACTUATOR: 0.5} or a list for all actuators; {shape: 1, position: [0.01, 0, 0]}"
         ),
     )
     parser.add_argument(
@@ -71,6 +77,12 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
             raise UsageError(f"{run.run}: has no scene of bodies (kind mujoco) with actuators")
         controls = parse_yaml(arguments.values, "values")
         return lambda: ask(run, environment, "controls", controls=controls)
+    if arguments.topic == SHAPE:
+        environment = roles(run).get("environment", "")
+        given = parse_yaml(arguments.values, "values")
+        if not isinstance(given, dict) or not {"position"} <= set(given) <= {"shape", "position"}:
+            raise UsageError(f"{arguments.values}: expected {{shape: 0, position: [x, y, z]}}")
+        return lambda: ask(run, environment, "move", **given)
     driver = roles(run).get("driver")
     if driver is None:
         raise UsageError(f"{run.run}: has no driver")
@@ -90,11 +102,11 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
 
 def publish(arguments: argparse.Namespace) -> int:
     """Publish until --once or --times is reached, Ctrl-C, or the end of the run."""
-    if arguments.topic not in (WRENCH, TARGET, CONTROLS):
+    if arguments.topic not in (WRENCH, TARGET, CONTROLS, SHAPE):
         why = ": its own node publishes one per tick" if arguments.topic in LOOP else ""
         raise UsageError(
             f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH},"
-            f" {TARGET} and {CONTROLS}"
+            f" {TARGET}, {CONTROLS} and {SHAPE}"
         )
     run = chosen_chain(arguments)
     send = _sender(run, arguments)

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from messages.schema import attributes, unit_of
+from nodes.base.setup import Effect
+from nodes.coupling.felt_law import effective, felt_laws
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.laws import CompiledLaw
@@ -58,12 +60,20 @@ class Judgement:
         Its laws.
     known : mapping of str to float
         What other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
+    effects : sequence of Effect
+        What shapes and regions of the environment make of a law; it is judged as each of them.
     """
 
     def __init__(
-        self, node: str, period: float, book: LawBook, known: Mapping[str, float] | None = None
+        self,
+        node: str,
+        period: float,
+        book: LawBook,
+        known: Mapping[str, float] | None = None,
+        effects: Sequence[Effect] = (),
     ) -> None:
         self._node, self._period, self._book, self._known = node, period, book, known or {}
+        self._effects = effects
 
     def refuse_contradiction(
         self, parameters: CouplingParameters, now: CouplingParameters | None = None
@@ -92,16 +102,38 @@ class Judgement:
     def verdict(
         self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float
     ) -> Verdict | None:
-        """Return the verdict on a compiled law with the declared device, at its worst mass."""
+        """Return the verdict on a compiled law with the declared device, at its worst mass.
+
+        What a shape or region makes of it counts where it is unstable and the law itself is not.
+        """
         if parameters.plant is None or parameters.stability == "off":
             return None
         from nodes.stability.judge import judge
 
-        found = [
-            judge(law, plant)
-            for plant in parameters.plant.over_workspace(self._period, measured_delay)
+        plants = parameters.plant.over_workspace(self._period, measured_delay)
+        found = [judge(law, plant) for plant in plants]
+        worst = max(filter(None, found), key=lambda one: one.pole_radius, default=None)
+        if worst is None or not worst.stable:
+            return worst
+        for effect in self._effects:
+            for felt in felt_laws(law, effect, self._period):
+                for plant in plants:
+                    verdict = judge(felt, plant, effect.lag > 0.0)
+                    if verdict is not None and not verdict.stable:
+                        return replace(verdict, felt=effect.name)
+        return worst
+
+    def of_effects(
+        self, parameters: CouplingParameters, law: CompiledLaw | None = None
+    ) -> list[str]:
+        """Return what each shape or region makes of the law of tick 0, or of another one."""
+        law = self._book.compile(parameters, parameters.law) if law is None else law
+        if law.evaluate is not None:
+            return []
+        return [
+            f"{effect.name}: the law is felt with {effective(law, effect, self._period)}"
+            for effect in self._effects
         ]
-        return max(filter(None, found), key=lambda one: one.pole_radius, default=None)
 
     def why_not(self, parameters: CouplingParameters) -> str:
         """Return why there is no verdict."""
@@ -250,9 +282,10 @@ class Judgement:
             other = plant.partner
             held = f" on a spring of {other.stiffness:g} N/m" if other.stiffness else ""
             hand += f", coupled to {other.mass:g} kg, {other.damping:g} N s/m{held}"
+        where = f", as it is felt at {verdict.felt}" if verdict.felt else ""
         return ParameterError(
-            f"pole radius {verdict.pole_radius:.6g} (limit: < 1) with mass {plant.mass:g} kg,"
-            f" damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the"
+            f"pole radius {verdict.pole_radius:.6g} (limit: < 1){where} with mass {plant.mass:g}"
+            f" kg, damping {plant.damping:g} N s/m{hand} at a delay of {plant.delay:.3g} ticks: the"
             " loop is unstable",
             path=f"{self._node}.{what}",
         )
@@ -266,6 +299,11 @@ class Judgement:
     ) -> str:
         from nodes.stability.judge import between, furthest_stable, judge
 
+        if verdict.felt:
+            return (
+                f"the law itself is stable: raise the factors of {verdict.felt} (its damping), or"
+                " change its time, or take a softer law"
+            )
         asked = self._book.description(wanted, name)
         where = f"{self._node}.laws.{name}" if name in wanted.laws else name
         start = self._start(now, name, asked)

@@ -32,6 +32,8 @@ _write_answer = make_write(PUBLISHED)
     _DELAY,
     _CREDIT,
     _COMPLIANCE,
+    _STIFFNESS,
+    _DAMPING,
 ) = slots(
     fields_of(Proxy),
     "seq",
@@ -45,6 +47,8 @@ _write_answer = make_write(PUBLISHED)
     "delay",
     "credit",
     "compliance",
+    "stiffness",
+    "damping",
 )
 _SLOTS = SLOTS
 
@@ -158,7 +162,7 @@ def ticks(address: int) -> int:
             s.seq += missing
             s.answered = s.seq
         _note(s, True)
-        compliance = s.reals[_COMPLIANCE]
+        felt_as = s.reals[_COMPLIANCE], s.reals[_STIFFNESS], s.reals[_DAMPING]
         if not _render(
             s,
             position,
@@ -166,7 +170,7 @@ def ticks(address: int) -> int:
             normal,
             distance,
             contact,
-            compliance,
+            felt_as,
             s.force,
             s.pushes[s.axes - 1] + 1,
         ):

@@ -109,6 +109,19 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
     return add
 
 
+def still_of(law: CompiledLaw) -> float:
+    """Return a law's stiffness to a constant deflection [N/m]; 0 if not finite, or unknown."""
+    if law.evaluate is not None:
+        return 0.0
+    still = math.fsum(law.taps)
+    for b0, b1, a1, a2 in law.sections:
+        whole = 1.0 + a1 + a2
+        if whole == 0.0:
+            return 0.0
+        still += (b0 + b1) / whole
+    return still if math.isfinite(still) else 0.0
+
+
 class LawOnAxis:
     """A compiled law over the history of one axis; ValueError if it is longer than that."""
 
@@ -127,6 +140,8 @@ class LawOnAxis:
         self.taps = law.taps  # taps [N/m], shape (n + 1,)
         # gain of taps and sections on the newest deflection [N/m]
         self.gain = newest_gain(self.numbers, self.coefficients)
+        # stiffness to a constant deflection [N/m]; 0 of a law that has none, or code of its own
+        self.still = still_of(law)
         self.plain = not law.sections and law.evaluate is None  # whether the law has taps only
         # sums the taps, from the history's head to a force [N]
         self.sum_of_taps = sum_of_taps(law.taps, history)

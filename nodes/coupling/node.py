@@ -75,7 +75,7 @@ class Coupling(Node):
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
         _check_frame(parameters, setup)
-        judgement = Judgement(setup.name, setup.period, book, setup.plant)
+        judgement = Judgement(setup.name, setup.period, book, setup.plant, setup.effects)
         judgement.refuse_contradiction(parameters)
         reason = StartAnyway.VIRTUAL if setup.virtual else StartAnyway.NO_REASON
         if refuses_start(parameters.stability, reason):
@@ -107,7 +107,7 @@ class Coupling(Node):
         self._told_of_world: list[str] = []
         self._book = LawBook(self.setup.name, self.setup.period)
         self._judgement = Judgement(
-            self.setup.name, self.setup.period, self._book, self.setup.plant
+            self.setup.name, self.setup.period, self._book, self.setup.plant, self.setup.effects
         )
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
@@ -121,7 +121,7 @@ class Coupling(Node):
         for text in self._judgement.at_start(parameters, self._felt_delay, anyway):
             self.events.emit_each("stability", text)
         self._told_of_world = self._judgement.of_moving_world(parameters, self._felt_delay)
-        for text in self._told_of_world:
+        for text in (*self._told_of_world, *self._judgement.of_effects(parameters)):
             self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)

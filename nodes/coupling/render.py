@@ -167,6 +167,7 @@ def make_render(
 ) -> tuple[Callable[..., bool], Callable[..., None]]:
     """Return the functions that render a tick, and that bridge missing ticks."""
     force_along = _make_force_along(port, _make_give_way(port, made), made)
+    scaled = _make_scaled(port, made)
     turn_axes = made(turn)
 
     @made
@@ -177,14 +178,17 @@ def make_render(
         normal: Any,
         distance: float,
         contact: bool,
-        compliance: float,
+        felt_as: tuple[float, float, float],
         force: Any,
         due: int,
     ) -> bool:
         """Render the force of one tick into `force`. Return whether it is finite.
 
+        `felt_as`: compliance of the proxy [m/N], and factors of stiffness and damping of the law.
         The tick's deflection has number `due` in each history.
         """
+        compliance, stiffness, damping = felt_as
+        whole = stiffness == 1.0 and damping == 1.0
         is_fading = s.fade_ramp > 0
         force[0] = force[1] = force[2] = 0.0
         if s.turning == 1 and s.pushes[0] < due:
@@ -195,6 +199,8 @@ def make_render(
             if is_new:
                 value = deflection_along(s, n, position, proxy, distance, normal, contact)
             value = force_along(s, n, is_new, value, compliance)
+            if not whole:
+                value = scaled(s, n, value, stiffness, damping)
             if s.turning != 0:
                 for j in range(3):
                     force[j] += s.turned[3 * n + j] * value
@@ -240,6 +246,29 @@ def _make_force_along(port: LawPort, give_way: Callable[..., float], made: Made)
         return float(force)
 
     return force_along
+
+
+def _make_scaled(port: LawPort, made: Made) -> Callable[..., float]:
+    ring = port.ring
+    slots = SLOTS
+
+    @made
+    def scaled(s: CouplingState, n: int, force: float, stiffness: float, damping: float) -> float:
+        """Scale the part of a force that rests, and the rest of it, by a shape's factors.
+
+        The part that rests is H(1) times the newest deflection, mixed as the laws are.
+        """
+        still = s.still[slots * n]
+        if s.fade_ramp > 0:
+            old = 0.0
+            for m in range(1, 1 + s.leaving):
+                old += s.weight[slots * n + m] * s.still[slots * n + m]
+            still = cross_fade(old, still, s.fade_done, s.fade_ramp)
+        rests = still * ring(s, n)[s.head[n]]
+        return float(damping * force + (stiffness - damping) * rests)
+
+    factored: Callable[..., float] = scaled
+    return factored
 
 
 def _make_give_way(port: LawPort, made: Made) -> Callable[..., float]:

@@ -117,6 +117,7 @@ class Renderer:
                     len(one.state) // 2,
                 )
                 s.sections_state[slot], s.weight[slot] = one.state.buffer_info()[0], weight
+                s.still[slot] = one.still
                 states += len(one.state)
         self._undo = array("d", [0.0]) * states
         s.undo, s.undo_count = self._undo.buffer_info()
@@ -135,7 +136,7 @@ class Renderer:
             proxy.normal,
             proxy.distance,
             proxy.contact,
-            proxy.compliance,
+            (proxy.compliance, proxy.stiffness, proxy.damping),
             force,
             self.due(),
         )
@@ -251,7 +252,7 @@ class Renderer:
             proxy.normal,
             proxy.distance,
             proxy.contact,
-            proxy.compliance,
+            (proxy.compliance, proxy.stiffness, proxy.damping),
         )
         self._render(self.state, *met, force, due)
         for law in self.standby:

@@ -50,6 +50,7 @@ class CouplingState(LoopState):
     sections_count: Slots
     sections_state: Slots  # address
     weight: Annotated[list[float], 3 * SLOTS]  # weight of the leaving laws [1]
+    still: Annotated[list[float], 3 * SLOTS]  # stiffness of each at rest, H(1) [N/m]
 
     # The present cross-fade
     fade_ramp: int  # length [ticks]; 0 for none

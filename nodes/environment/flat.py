@@ -27,6 +27,7 @@ def meet_flat(
     """
     met[0], met[1], met[2] = x, y, z
     met[3] = met[4] = met[5] = met[6] = met[7] = met[8] = 0.0
+    met[9] = met[10] = 1.0
     if kind == PLANE:
         i = int(table[0])
         met[3 + i] = table[2]

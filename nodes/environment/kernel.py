@@ -15,6 +15,7 @@ from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.layout import TEXTS
 from nodes.compiled.message_fields import fields_of, slots
 from nodes.environment.flat import meet_flat
+from nodes.environment.note_tick import note_tick
 from nodes.environment.spent import note_spent
 from nodes.environment.state import INSIDE, JUMPED, PUBLISHED, EnvironmentState, tell_jump
 
@@ -25,8 +26,8 @@ _scan = make_scan(DeviceState)
 _tells_fault = make_match("fault")
 _write_answer = make_write(PUBLISHED)
 _TEXTS, _JUMPED, _INSIDE = TEXTS, JUMPED, INSIDE
-_SEQ, _REBASED, _STAMP, _POSITION, _DELAY = slots(
-    fields_of(DeviceState), "seq", "rebased", "stamp", "position", "delay"
+_SEQ, _REBASED, _STAMP, _POSITION, _DELAY, _FORCE = slots(
+    fields_of(DeviceState), "seq", "rebased", "stamp", "position", "delay", "force"
 )
 
 
@@ -59,6 +60,8 @@ def make_ticks(
             s.seq = s.answered = seq
             table, memory = reals_at(s.table, s.table_count), reals_at(s.memory, s.memory_count)
             x, y, z = taken[_POSITION], taken[_POSITION + 1], taken[_POSITION + 2]
+            fx, fy, fz = taken[_FORCE], taken[_FORCE + 1], taken[_FORCE + 2]
+            note_tick(s.kind, memory, seq, fx, fy, fz)
             s.contact = 1 if meet(s.kind, table, memory, x, y, z, s.met) else 0
             if s.met[_JUMPED] != 0.0:
                 s.rebased, s.ease = seq, 0

@@ -7,7 +7,7 @@ its proxy.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import Callable, MutableSequence
 from typing import NamedTuple
 
 from messages.types import Vector
@@ -15,10 +15,12 @@ from nodes.environment.flat import meet_flat
 from nodes.environment.shapes import proxy
 from nodes.environment.shapes.tables import (
     DISTANCE,
+    FELT_AS,
     IN_CONTACT,
     INSIDE,
     LOST,
     NORMAL,
+    ON,
     PLACED,
     PROXY,
 )
@@ -39,7 +41,7 @@ class Numbers(NamedTuple):
 
 def meet(
     kind: int,
-    table: Sequence[float],
+    table: MutableSequence[float],
     memory: MutableSequence[float],
     x: float,
     y: float,
@@ -52,7 +54,7 @@ def meet(
     """
     if kind != SHAPES:
         return meet_flat(kind, table, x, y, z, met)
-    was_lost = memory[PLACED] == LOST
+    was_lost, was_on, inside = memory[PLACED] == LOST, memory[PLACED] == ON, memory[INSIDE]
     proxy.meet(table, memory, x, y, z)
     contact = memory[IN_CONTACT] == 1.0
     met[0], met[1], met[2] = x, y, z
@@ -61,7 +63,10 @@ def meet(
     met[3], met[4], met[5] = memory[NORMAL], memory[NORMAL + 1], memory[NORMAL + 2]
     met[6] = memory[DISTANCE]
     met[8] = memory[INSIDE]
-    met[7] = 1.0 if was_lost != (memory[PLACED] == LOST) else 0.0
+    met[9], met[10] = memory[FELT_AS], memory[FELT_AS + 1]
+    # Lost, or back; or pinched by a shape that moves, and free of it.
+    jumped = was_lost != (memory[PLACED] == LOST) or (was_on and memory[INSIDE] > inside)
+    met[7] = 1.0 if jumped else 0.0
     return contact
 
 

@@ -16,20 +16,30 @@ from messages import topics
 from messages.types import DeviceState, Vector
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
-from nodes.base.setup import AXIS_INDEX, Axis, Setup
+from nodes.base.setup import AXIS_INDEX, Axis, Effect, Setup
 from nodes.compiled.layout import state_of
 from nodes.compiled.published import payload_of
 from nodes.environment.spent import note_spent, spent_us
 from nodes.environment.state import (
+    DAMPING,
     DISTANCE,
     PUBLISHED,
     SHAPES,
+    STIFFNESS,
     UNKNOWN,
     EnvironmentState,
     tell_jump,
 )
-from nodes.environment.surfaces import SURFACES, Meeting, Surface, meet_axes, parse_surface
+from nodes.environment.surfaces import (
+    SURFACES,
+    Meeting,
+    Surface,
+    meet_axes,
+    parse_surface,
+    surface_effects,
+)
 from nodes.environment.touched_surface import TouchedSurface
+from nodes.parameters.store import ParameterError, convert
 
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
@@ -83,6 +93,11 @@ class Environment(Node):
             parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes()
             or ()
         )
+
+    @classmethod
+    def effects(cls, parameters: Mapping[str, Any], name: str) -> list[Effect]:
+        """Return what shapes and regions do to a law."""
+        return surface_effects(parameters.get("surface", {"kind": "free"}), f"{name}.surface")
 
     def configure(self) -> None:
         """Build the surface."""
@@ -145,6 +160,7 @@ class Environment(Node):
         """
         if parameters.surface == self.store.current.surface:
             return lambda seq: {"seq": seq, "surface": parameters.surface}
+        self._refuse_unjudged(parameters)
         place, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
@@ -160,6 +176,24 @@ class Environment(Node):
             return {"seq": seq, "surface": parameters.surface, "rebased": s.rebased}
 
         return apply
+
+    def _refuse_unjudged(self, parameters: EnvironmentParameters) -> None:
+        """Reject factors and regions that the coupling's laws were not judged with at the start."""
+        where = f"{self.setup.name}.surface"
+
+        def kinds(surface: dict[str, Any]) -> set[tuple[float, float, float]]:
+            found = surface_effects(surface, where)
+            return {(one.stiffness, one.damping, one.lag) for one in found} | {(1.0, 1.0, 0.0)}
+
+        launched = self.setup.parameters.get("surface", {"kind": "free"})
+        new = kinds(parameters.surface) - kinds(launched)
+        if new:
+            stiffness, damping, lag = min(new)
+            raise ParameterError(
+                f"{where}: stiffness {stiffness:g}, damping {damping:g}, time {lag:g} s are not"
+                " among the factors and regions of the launch file, with which laws were judged;"
+                " launch again with them"
+            )
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
         """Return the compiled ticks."""
@@ -180,6 +214,7 @@ class Environment(Node):
         s = self.counters
         if not 0 <= s.answered < state.seq or state.rebased != s.driver_rebased:
             self._meet_anew(state)
+        self._place.note(state.seq, state.force)
         proxy, normal, distance, contact = self._meet(state.position)
         if s.kind == SHAPES or s.inside != 0:
             if self._place.jumped:
@@ -192,6 +227,7 @@ class Environment(Node):
         s.position[:], s.delay, s.contact = state.position, state.delay, contact
         if s.kind == UNKNOWN:
             s.met[: DISTANCE + 1] = (*proxy, *normal, distance)
+            s.met[STIFFNESS], s.met[DAMPING] = 1.0, 1.0
         tell_jump(s)
         return _payload(s, "")
 
@@ -225,9 +261,35 @@ class Environment(Node):
             )
         self.counters.inside = inside
 
+    def operations(self) -> dict[str, Callable[..., Any]]:
+        """Return the operation that moves a shape."""
+        return {"move": self._move}
+
+    def _move(self, position: Any, shape: Any = 0) -> dict[str, Any]:
+        """Set the offset to which shape number `shape` moves at its speed [m]."""
+        where = f"{self.setup.name}.surface"
+        offset: Vector = convert(position, Vector, f"{where}.position")
+        movers = parse_surface(self.store.current.surface, where).movers()
+        if shape not in movers or isinstance(shape, bool):
+            known = ", ".join(map(str, movers)) or "none"
+            raise ParameterError(
+                f"{where}: shape {shape!r} does not move to a topic; shapes that do: {known}"
+                " (motion: {speed: 0.1} without a path)"
+            )
+        solid = movers[shape]
+
+        def apply(seq: int) -> dict[str, Any]:
+            self._place.aim(solid, offset)
+            return {"seq": seq}
+
+        receipt: dict[str, Any] = self.changes.hand_over(apply)
+        return receipt
+
     def report(self) -> dict[str, Any]:
-        """Return tick durations."""
-        return {"spent_us": spent_us(self.counters.spent)}
+        """Return tick durations, and the energy that moving shapes have put into the device."""
+        moved = self._place.moved
+        told = {} if moved is None else {"moved": {"energy_j": moved[0], "power_w": moved[1]}}
+        return {"spent_us": spent_us(self.counters.spent), **told}
 
     def loop(self) -> None:
         """Answer device states until stopped."""

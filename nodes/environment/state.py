@@ -12,13 +12,14 @@ from nodes.environment.spent import BINS
 
 FREE, PLANE, ANCHOR, SHAPES = range(4)  # kinds of surface that are numbers
 UNKNOWN: Final = -1  # the surface has no numbers; only its own code can meet it
-MET: Final = 9
+MET: Final = 11
 """Floats of an answer, in this order:
 
-proxy (3) [m], outward normal (3), signed distance [m], 1 after a jump, number of solids not felt.
+proxy (3) [m], outward normal (3), signed distance [m], 1 after a jump, number of solids not felt,
+factors of the law's stiffness and damping.
 """
 
-PROXY, NORMAL, DISTANCE, JUMPED, INSIDE = 0, 3, 6, 7, 8
+PROXY, NORMAL, DISTANCE, JUMPED, INSIDE, STIFFNESS, DAMPING = 0, 3, 6, 7, 8, 9, 10
 
 
 @struct
@@ -56,6 +57,8 @@ PUBLISHED: Final = published(
     distance=("met", DISTANCE),
     rebased="told_rebased",
     ease="told_ease",
+    stiffness=("met", STIFFNESS),
+    damping=("met", DAMPING),
 )
 """Where the fields of a proxy stand here; whatever is not named has the same name."""
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
 import msgspec
 
 from messages.types import ZERO, Vector
-from nodes.base.setup import AXIS_INDEX, Axis
+from nodes.base.setup import AXIS_INDEX, Axis, Effect
 from nodes.environment.meet import Numbers, meeting_of
 from nodes.environment.state import ANCHOR, FREE, PLANE
 from nodes.parameters.registry import NotInstalledError, Registry
@@ -30,6 +30,7 @@ __all__ = [
     "meet_axes",
     "numbers_of",
     "parse_surface",
+    "surface_effects",
 ]
 
 
@@ -134,6 +135,32 @@ class Surface(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         where : str
             Parameter path of the surface, for errors.
         """
+
+    def effects(self, where: str) -> list[Effect]:
+        """Return what the surface does to a law, for the coupling's checks.
+
+        Parameters
+        ----------
+        where : str
+            Parameter path of the surface.
+
+        Returns
+        -------
+        list of Effect
+            None for a surface on which a law is felt as it is.
+        """
+        del where
+        return []
+
+    def movers(self) -> dict[int, int]:
+        """Return the shapes that a topic moves.
+
+        Returns
+        -------
+        dict of int to int
+            Number of each in the parameters to its place among the solids.
+        """
+        return {}
 
     def pushes(self) -> tuple[Axis, ...] | None:
         """Return the axes along which the surface can push.
@@ -278,6 +305,24 @@ def parse_surface(data: dict[str, Any], where: str) -> Surface:
         raise ParameterError(str(error), path=f"{where}.kind") from error
     made: Surface = convert({k: v for k, v in data.items() if k != "kind"}, kind, where)
     return made
+
+
+def surface_effects(data: dict[str, Any], where: str) -> list[Effect]:
+    """Return what the surface of these parameters does to a law (`nodes.base.setup.Effect`).
+
+    Parameters
+    ----------
+    data : dict
+        ``kind`` and the fields of that kind.
+    where : str
+        Parameter path of the surface.
+
+    Returns
+    -------
+    list of Effect
+        One for each shape or region that changes a law.
+    """
+    return parse_surface(data, where).effects(where)
 
 
 def numbers_of(surface: Surface, period: float) -> Numbers | None:

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, MutableSequence
 
 from messages.types import Vector
 from nodes.environment.meet import Numbers, meeting_of
-from nodes.environment.shapes.scene import carry_over, identity_of
-from nodes.environment.shapes.tables import INSIDE, NEVER, PLACED
+from nodes.environment.note_tick import note_tick
+from nodes.environment.shapes.scene import carry_over, identity_of, keep_offsets
+from nodes.environment.shapes.tables import (
+    AIM,
+    ENERGY,
+    INSIDE,
+    MOST_POWER,
+    MOVERS,
+    NEVER,
+    PLACED,
+    ROW,
+    ROWS,
+)
 from nodes.environment.state import JUMPED, MET, SHAPES, UNKNOWN
 from nodes.environment.surfaces import Meeting, Surface, numbers_of
 
@@ -49,6 +61,24 @@ class TouchedSurface:
         """Kind of the surface: FREE, PLANE, ANCHOR, SHAPES or UNKNOWN."""
         return UNKNOWN if self.numbers is None else self.numbers.kind
 
+    def note(self, seq: int, force: Vector) -> None:
+        """Note the tick and the force on the device [N], before `meet`."""
+        if self.numbers is not None:
+            note_tick(self.kind, self.numbers.memory, seq, *force)
+
+    def aim(self, solid: int, offset: Vector) -> None:
+        """Set the offset to which a solid without a path moves [m]."""
+        if self.numbers is not None:
+            at = ROWS + ROW * solid + AIM
+            self.numbers.table[at : at + 3] = array("d", offset)
+
+    @property
+    def moved(self) -> tuple[float, float] | None:
+        """Energy [J] and largest power [W] of moving shapes; None without any."""
+        if self.numbers is None or self.kind != SHAPES or not self.numbers.table[MOVERS]:
+            return None
+        return self.numbers.memory[ENERGY], self.numbers.memory[MOST_POWER]
+
     @property
     def jumped(self) -> bool:
         """Whether the proxy jumped in the last call: its device was lost, or came back."""
@@ -73,11 +103,13 @@ class TouchedSurface:
         if before is not None and after is not None and before.kind == after.kind:
             if self._identity is None or other._identity is None:
                 jump = before.table != after.table
-            elif self._identity == other._identity:
+            elif self._identity[:2] == other._identity[:2]:
                 after.memory[:] = before.memory
+                keep_offsets(self._identity, before.table, other._identity, after.table)
                 jump = False
             else:
                 carry_over(self._identity, before.memory, other._identity, after.memory)
+                keep_offsets(self._identity, before.table, other._identity, after.table)
         self.numbers, self.meet, self._met, self._identity = (
             after,
             other.meet,

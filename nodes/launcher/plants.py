@@ -14,6 +14,7 @@ import msgspec
 
 from nodes.base.node import Node
 from nodes.base.node_kinds import load, node_kinds
+from nodes.base.setup import Effect
 from nodes.coupling.parameters import LONGEST_DELAY
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
@@ -50,6 +51,17 @@ def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
         if name.rpartition("/")[0] == namespace:
             found |= load(kinds[spec.kind]).plant(spec.parameters, name, axes)
     return {field: float(f"{value:.{_DIGITS}g}") for field, value in found.items()}
+
+
+def known_effects(launch: Launch, namespace: str) -> list[Effect]:
+    """Return what a chain's environment does to a law (`nodes.base.node.Node.effects`)."""
+    kinds = node_kinds()
+    return [
+        effect
+        for name, spec in launch.nodes.items()
+        if name.rpartition("/")[0] == namespace
+        for effect in load(kinds[spec.kind]).effects(spec.parameters, name)
+    ]
 
 
 def known_peak(launch: Launch, namespace: str) -> float | None:

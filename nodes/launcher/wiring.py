@@ -17,7 +17,7 @@ from nodes.launcher.chain_load import estimated, spread
 from nodes.launcher.external_child import ARRIVAL_TIMEOUT, LEASE
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
 from nodes.launcher.node_graph import NodeGraph, full_names
-from nodes.launcher.plants import has_plant, known_peak, known_plant
+from nodes.launcher.plants import has_plant, known_effects, known_peak, known_plant
 from nodes.parameters.store import ParameterError
 
 FORWARDER = "forwarder"  # kind of node to which other users may subscribe
@@ -217,6 +217,7 @@ def _setup(
         scheduling=_scheduling(launch, kind, namespace, cores),
         parameters=spec.parameters,
         plant=known_plant(launch, namespace) if knows_plant else {},
+        effects=known_effects(launch, namespace) if knows_plant else [],
         peak_force=known_peak(launch, namespace) if knows_plant else None,
         watch=os.path.abspath(spec.watch) if spec.watch else "",
         manifest={},

@@ -32,17 +32,21 @@ class Verdict:
     pole_radius: float
     plant: Plant  # the device, including the delay
     stable: bool  # whether the loop is stable; without any spring, whether its motion decays
+    felt: str = ""  # the shape or region whose law was judged; empty for the law itself
 
 
-def judge(law: CompiledLaw, plant: Plant) -> Verdict | None:
-    """Return the verdict on a law with a device; None for a law with own code (no poles)."""
+def judge(law: CompiledLaw, plant: Plant, springless: bool = False) -> Verdict | None:
+    """Return the verdict on a law with a device; None for a law with own code (no poles).
+
+    `springless`: the law has no stiffness at rest, but for rounding.
+    """
     if law.evaluate is not None:
         return None
     try:
         radius = pole_radius(law, plant)
     except ValueError:
         radius = math.inf  # taps so large that the loop's coefficients overflow
-    free = law.h1 == 0.0 and not plant.anchored
+    free = (springless or law.h1 == 0.0) and not plant.anchored
     return Verdict(radius, plant, radius < 1.0 or (free and radius < 1.0 + MARGINAL))
 
 

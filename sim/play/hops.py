@@ -10,7 +10,7 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.base.setup import Setup
 from nodes.driver.node import Driver
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.plants import has_plant, known_peak, known_plant
+from nodes.launcher.plants import has_plant, known_effects, known_peak, known_plant
 from nodes.parameters.store import ParameterError
 
 HOPS = (topics.DEVICE_STATE, topics.PROXY, topics.FORCE)
@@ -103,6 +103,7 @@ def setup_of(launch: Launch, name: str) -> Setup:
         sources={},
         parameters=spec.parameters,
         plant=known_plant(launch, namespace) if judges else {},
+        effects=known_effects(launch, namespace) if judges else [],
         peak_force=known_peak(launch, namespace) if judges else None,
     )
 

@@ -7,16 +7,29 @@ from inspect import isfunction
 from nodes.compiled.kernels.sources import kernel
 from nodes.environment.shapes import (
     beginning,
+    carry,
     convex,
     patch,
     planes,
     proxy,
+    regions,
     surface_friction,
     tree,
     triangle,
 )
 
-for _module in (convex, triangle, tree, beginning, planes, patch, surface_friction, proxy):
+for _module in (
+    convex,
+    triangle,
+    tree,
+    beginning,
+    planes,
+    patch,
+    surface_friction,
+    regions,
+    carry,
+    proxy,
+):
     for _function in vars(_module).values():
         if isfunction(_function) and _function.__module__ == _module.__name__:
             kernel(_function)

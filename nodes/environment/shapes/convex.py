@@ -19,8 +19,9 @@ _STRAIGHT = 1e-6
 
 def gap(scene: Table, row: int, x: float, y: float, z: float) -> Vector4:
     """Return the signed distance of the tool's centre from contact [m], and the normal."""
-    kind, at = scene[row + t.KIND], row + t.GIVEN
+    kind, at, on = scene[row + t.KIND], row + t.GIVEN, row + t.SHIFT
     px, py, pz = x - scene[at], y - scene[at + 1], z - scene[at + 2]
+    px, py, pz = px - scene[on], py - scene[on + 1], pz - scene[on + 2]
     if kind == t.PLANE:
         nx, ny, nz = scene[at + 3], scene[at + 4], scene[at + 5]
         away = px * nx + py * ny + pz * nz
@@ -102,8 +103,9 @@ def core(
     nz: float,
 ) -> tuple[bool, float, float, float]:
     """Return whether the part at a normal is round, and its centre of curvature [m]."""
-    kind, at = scene[row + t.KIND], row + t.GIVEN
-    cx, cy, cz = scene[at], scene[at + 1], scene[at + 2]
+    kind, at, on = scene[row + t.KIND], row + t.GIVEN, row + t.SHIFT
+    ox, oy, oz = scene[on], scene[on + 1], scene[on + 2]
+    cx, cy, cz = scene[at] + ox, scene[at + 1] + oy, scene[at + 2] + oz
     if kind == t.SPHERE:
         return True, cx, cy, cz
     if kind == t.CAPSULE or kind == t.CYLINDER:  # numba compares floats one by one
@@ -117,16 +119,16 @@ def core(
     if kind == t.BOX or kind == t.CYLINDER:
         # A ball on an edge: the point that pulls lies between the shape and the ball's path around
         # it.
-        away, ox, oy, oz = gap(scene, row, x, y, z)
+        away, ux, uy, uz = gap(scene, row, x, y, z)
         away += scene[t.RADIUS]
         if away > t.LIP:
-            return True, x - away * ox, y - away * oy, z - away * oz
+            return True, x - away * ux, y - away * uy, z - away * uz
     if kind == t.MESH and scene[t.RADIUS] > t.LIP:
         qx, qy, qz, inside = nearest_on_triangle(
-            scene, int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face), x, y, z
+            scene, int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face), x - ox, y - oy, z - oz
         )
         if not inside:
-            return True, qx, qy, qz
+            return True, qx + ox, qy + oy, qz + oz
     return False, 0.0, 0.0, 0.0
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
 
 from messages.types import ZERO, Vector
-from nodes.base.setup import Axis
+from nodes.base.setup import Axis, Effect
 from nodes.environment.meet import Numbers
 from nodes.environment.shapes import scene
-from nodes.environment.shapes.scene import Friction, Solid
+from nodes.environment.shapes.motion_parameters import MotionParameters, motion_of
+from nodes.environment.shapes.scene import WHOLE, Factors, FeltRegion, Friction, Solid
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Surface, parse_surface
 from nodes.parameters.store import ParameterError
@@ -33,6 +35,7 @@ __all__ = [
 TOOL_RADIUS: Final = 1e-5  # default radius of the tool [m]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 Coefficient = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+Factor = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Sizes = tuple[Size, Size, Size]
 
 
@@ -92,9 +95,30 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """
         raise TypeError(f"{where}: surface kind {type(self).kind!r} does not define solids()")
 
+    def regions(self, where: str) -> list[FeltRegion]:
+        """Return the regions without a surface.
+
+        Parameters
+        ----------
+        where : str
+            Parameter path of the surface, for errors.
+
+        Returns
+        -------
+        list of FeltRegion
+            None for a surface that can be touched everywhere.
+        """
+        del where
+        return []
+
+    def movers(self) -> dict[int, int]:
+        """Return the shapes that a topic moves: number in parameters to place among solids."""
+        return {}
+
     def check(self, where: str) -> None:
-        """Check that the solids can be made."""
+        """Check that solids and regions can be made."""
         self.solids(where)
+        self.regions(where)
 
     def numbers(self, period: float) -> Numbers:
         """Return the scene table and the memory of a proxy that has touched nothing yet."""
@@ -104,7 +128,7 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         )
         return Numbers(
             SHAPES,
-            scene.scene_table(solids, self.tool_radius, period),
+            scene.scene_table(solids, self.tool_radius, period, self.regions("surface")),
             scene.new_memory(len(solids)),
             repairs,
         )
@@ -121,9 +145,40 @@ class Shape(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
     ----------
     friction : FrictionParameters
         Without friction by default.
+    stiffness : float
+        Factor of the law's stiffness on this shape, at most 1: the law as it is.
+    damping : float or None
+        Factor of the rest of the law, its damping; None for the same factor.
+    motion : MotionParameters or None
+        How it moves; None for a shape that stays.
     """
 
     friction: FrictionParameters = FrictionParameters()
+    stiffness: Factor = 1.0
+    damping: Factor | None = None
+    motion: MotionParameters | None = None
+
+    def felt(self, solid: Solid) -> list[Solid]:
+        """Return a `solid` with the factors and the motion of this shape.
+
+        Returns
+        -------
+        list of Solid
+            Only this one.
+        """
+        return [solid._replace(factors=self._factors, motion=motion_of(self.motion))]
+
+    def movers(self) -> dict[int, int]:
+        """Return this shape, if it moves without a path."""
+        return {0: 0} if self.motion is not None and not self.motion.path else {}
+
+    @property
+    def _factors(self) -> Factors:
+        return Factors(self.stiffness, self.stiffness if self.damping is None else self.damping)
+
+    def effects(self, where: str) -> list[Effect]:
+        """Return the factors, if they change the law."""
+        return [] if self._factors == WHOLE else [Effect(name=where, **self._factors._asdict())]
 
     @property
     def coefficients(self) -> Friction:
@@ -153,7 +208,7 @@ class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True
         """Return the half space."""
         if math.hypot(*self.normal) < 1e-6:
             raise ParameterError(f"{list(self.normal)} has no direction", path=f"{where}.normal")
-        return [scene.plane(self.position, self.normal, self.coefficients)]
+        return self.felt(scene.plane(self.position, self.normal, self.coefficients))
 
 
 class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -174,7 +229,7 @@ class Ball(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def solids(self, where: str) -> list[Solid]:
         """Return the sphere."""
         del where
-        return [scene.sphere(self.position, self.radius, self.coefficients)]
+        return self.felt(scene.sphere(self.position, self.radius, self.coefficients))
 
 
 class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -198,7 +253,7 @@ class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def solids(self, where: str) -> list[Solid]:
         """Return the box."""
         del where
-        return [scene.box(self.position, self.size, self.rotation, self.coefficients)]
+        return self.felt(scene.box(self.position, self.size, self.rotation, self.coefficients))
 
 
 class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -214,7 +269,7 @@ class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 path=f"{where}.end",
             )
         make = scene.capsule if type(self).kind == "capsule" else scene.cylinder
-        return [make(self.start, self.end, self.radius, self.coefficients)]
+        return self.felt(make(self.start, self.end, self.radius, self.coefficients))
 
 
 class Capsule(_Rod, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -284,16 +339,16 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 self.scale * read.corners @ np.array(scene.rotation(self.rotation)).T
                 + self.position
             )
-        return [
+        return self.felt(
             scene.mesh(
                 prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}", read.notes),
                 self.coefficients,
             )
-        ]
+        )
 
 
 class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Several shapes touched as one surface, also at the same time.
+    """Several shapes touched as one surface, also at the same time; and regions between them.
 
     Attributes
     ----------
@@ -306,11 +361,31 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def solids(self, where: str) -> list[Solid]:
         """Return the solids of all shapes."""
-        found = []
+        return [solid for at, part in self._parts(where) for solid in part.solids(at)]
+
+    def regions(self, where: str) -> list[FeltRegion]:
+        """Return the regions of all shapes."""
+        return [region for at, part in self._parts(where) for region in part.regions(at)]
+
+    def effects(self, where: str) -> list[Effect]:
+        """Return what all shapes do to a law."""
+        return [effect for at, part in self._parts(where) for effect in part.effects(at)]
+
+    def movers(self) -> dict[int, int]:
+        """Return the shapes that a topic moves: place in `shapes` to place among solids."""
+        solids = [
+            (i, part)
+            for i, (_, part) in enumerate(self._parts("surface"))
+            if isinstance(part, Shape)
+        ]
+        return {i: n for n, (i, part) in enumerate(solids) if part.movers()}
+
+    def _parts(self, where: str) -> Iterator[tuple[str, Touchable]]:
+        """Yield each part with its parameter path; ParameterError if it cannot be a part."""
         for i, data in enumerate(self.shapes):
             at = f"{where}.shapes[{i}]"
             shape = parse_surface(data, at)
-            if not isinstance(shape, Shape):
+            if not isinstance(shape, Touchable) or isinstance(shape, Union):
                 raise ParameterError(
                     f"{shape.kind!r} is no shape that can be part of a union", path=f"{at}.kind"
                 )
@@ -318,5 +393,4 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 raise ParameterError(
                     "the tool has one radius; set it on the union", path=f"{at}.tool_radius"
                 )
-            found += shape.solids(at)
-        return found
+            yield at, shape

@@ -10,6 +10,7 @@ from nodes.environment.shapes.tables import (
     PATCH,
     RADIUS,
     SEEN,
+    SHIFT,
     TRIANGLE,
     TRIANGLES,
     Memory,
@@ -31,6 +32,8 @@ def nearer_in_patch(
 ) -> tuple[bool, float, float, float]:
     """Search across shallow edges for a nearer triangle; return whether one is, and its proxy."""
     triangles, neighbours = int(scene[row + TRIANGLES]), int(scene[row + NEIGHBOURS])
+    ox, oy, oz = scene[row + SHIFT], scene[row + SHIFT + 1], scene[row + SHIFT + 2]
+    x, y, z = x - ox, y - oy, z - oz
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
     least = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
     first, reach = least, _SHALLOW * least * least
@@ -62,9 +65,11 @@ def nearer_in_patch(
     if least <= LIP:
         # The device is on that triangle: the direction between them is rounding error, or zero.
         at, out = triangles + TRIANGLE * best, scene[RADIUS]
+        bx, by, bz = bx + ox, by + oy, bz + oz
         return True, bx + out * scene[at + 9], by + out * scene[at + 10], bz + out * scene[at + 11]
     out = scene[RADIUS] / least
-    return True, bx + out * (bx - x), by + out * (by - y), bz + out * (bz - z)
+    bx, by, bz = bx + out * (bx - x), by + out * (by - y), bz + out * (bz - z)
+    return True, bx + ox, by + oy, bz + oz
 
 
 def _edge(scene: Table, at: int, k: int, x: float, y: float, z: float) -> float:

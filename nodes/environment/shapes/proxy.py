@@ -18,17 +18,20 @@ from math import sqrt
 from messages.types import Vector
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.beginning import leave, place, shape_gap
+from nodes.environment.shapes.carry import advance, begin_carry, end_carry, mover
 from nodes.environment.shapes.convex import convex_hit, core, gap
 from nodes.environment.shapes.patch import nearer_in_patch
 from nodes.environment.shapes.planes import step_between
+from nodes.environment.shapes.regions import find_goal
 from nodes.environment.shapes.surface_friction import (
     STILL,
     carried,
     dynamic_cone,
+    feel,
     slide,
     total_share,
 )
-from nodes.environment.shapes.tables import Memory, Table
+from nodes.environment.shapes.tables import Memory, MovingTable, Table
 from nodes.environment.shapes.tree import mesh_hit
 from nodes.environment.shapes.triangle import triangle_gap
 
@@ -47,8 +50,11 @@ _FLATTEST = 0.1  # least curvature term: a step along a crease is lengthened at 
 _TURNS = 9  # descents in a call: the first, and two for each patch that is tried
 
 
-def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
-    """Move the proxy to follow the device [m]; write proxy, normal, distance and contact."""
+def meet(scene: MovingTable, memory: Memory, x: float, y: float, z: float) -> None:
+    """Move the proxy to follow the device [m]; write proxy, normal, distance and contact.
+
+    Shapes that move do so first, for the tick that the node noted in `memory`.
+    """
     memory[t.ROUNDS] = 0.0
     if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):
         if memory[t.PLACED] == t.ON:
@@ -60,28 +66,47 @@ def meet(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         return
     if memory[t.PLACED] == t.LOST:
         memory[t.PLACED] = t.ON if _away(memory, x, y, z) < _WAITS * _WAITS else t.NEVER
-    if memory[t.PLACED] != t.ON:
-        place(scene, memory, x, y, z)
-    gx, gy, gz = x, y, z
-    before, trying = 0.0, False
-    for turn in range(_TURNS):
+    was_touched = memory[t.IN_CONTACT] == 1.0
+    moving = advance(scene, memory)
+    gx, gy, gz = find_goal(scene, memory, x, y, z)
+    tx, ty, tz = gx, gy, gz
+    before, trying, carrier = 0.0, False, 0
+    # Turns below 0 are of shapes that move, and may carry the proxy with them.
+    for turn in range(-moving, _TURNS):
+        if turn < 0:
+            carrier = mover(scene, turn + moving)
+            if not begin_carry(scene, memory, carrier):
+                continue
+            step = t.ROWS + t.ROW * carrier + t.STEP
+            tx, ty, tz = (
+                memory[t.AT] + scene[step],
+                memory[t.AT + 1] + scene[step + 1],
+                memory[t.AT + 2] + scene[step + 2],
+            )
+        elif memory[t.PLACED] != t.ON:
+            place(scene, memory, x, y, z)
         # Called at one place only: numba inlines it, and it is the largest part.
-        held = _descend(scene, memory, gx, gy, gz, turn == 0)
-        if trying:
-            trying, gx, gy, gz = False, x, y, z
+        held = _descend(scene, memory, tx, ty, tz, turn == 0)
+        if turn < 0:
+            end_carry(scene, memory, carrier)
+            tx, ty, tz = gx, gy, gz
             continue
-        if turn > 0 and _away(memory, x, y, z) >= before:
+        if trying:
+            trying, tx, ty, tz = False, gx, gy, gz
+            continue
+        if turn > 0 and _away(memory, gx, gy, gz) >= before:
             _go_back(memory)
             break
         if not held:
             break
-        found, qx, qy, qz = _other_patch(scene, memory, x, y, z)
+        found, qx, qy, qz = _other_patch(scene, memory, gx, gy, gz)
         if not found:
             break
-        before, trying, gx, gy, gz = _away(memory, x, y, z), True, qx, qy, qz
+        before, trying, tx, ty, tz = _away(memory, gx, gy, gz), True, qx, qy, qz
     if memory[t.INSIDE] > 0.0:
         leave(scene, memory, x, y, z)
     _answer(scene, memory, x, y, z)
+    feel(scene, memory, was_touched)
 
 
 def _away(memory: Memory, x: float, y: float, z: float) -> float:
@@ -266,10 +291,7 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
         at = t.CONTACTS + t.CONTACT * i
         shape, face = memory[at + t.SHAPE], memory[at + t.FACE]
         if face >= 0.0:
-            first = int(scene[t.ROWS + t.ROW * int(shape) + t.TRIANGLES])
-            away, nx, ny, nz = triangle_gap(
-                scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z
-            )
+            away, nx, ny, nz = _face_gap(scene, shape, face, x, y, z)
             if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, shape, face)
     shapes = int(scene[t.SHAPES])
@@ -282,6 +304,21 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
             if away <= t.TOUCH:
                 kept = _write(memory, kept, nx, ny, nz, away, float(n), -1.0)
     return kept
+
+
+def _face_gap(
+    scene: Table, shape: float, face: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Return the tool's distance from contact with a triangle of a mesh [m], and the normal."""
+    row = t.ROWS + t.ROW * int(shape)
+    return triangle_gap(
+        scene,
+        int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face),
+        scene[t.RADIUS],
+        x - scene[row + t.SHIFT],
+        y - scene[row + t.SHIFT + 1],
+        z - scene[row + t.SHIFT + 2],
+    )
 
 
 def _write(
@@ -318,10 +355,7 @@ def _add(
             return count
     away = 0.0
     if face >= 0.0:
-        first = int(scene[t.ROWS + t.ROW * int(shape) + t.TRIANGLES])
-        found, _, _, _ = triangle_gap(
-            scene, first + t.TRIANGLE * int(face), scene[t.RADIUS], x, y, z
-        )
+        found, _, _, _ = _face_gap(scene, shape, face, x, y, z)
         if found <= t.TOUCH:
             away = found
     return _write(memory, min(count, t.MAX_CONTACTS - 1), nx, ny, nz, away, shape, face)
@@ -364,13 +398,20 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
             nz + share * memory[at + 2],
         )
     length = sqrt(nx * nx + ny * ny + nz * nz)
+    gx, gy, gz = memory[t.GOAL], memory[t.GOAL + 1], memory[t.GOAL + 2]
     if length == 0.0:
         # The proxy is held, but by nothing at its end point: it stopped between many constraints.
-        nx, ny, nz = ax - x, ay - y, az - z
+        nx, ny, nz = ax - gx, ay - gy, az - gz
         length = sqrt(nx * nx + ny * ny + nz * nz)
     if length > 0.0:
         nx, ny, nz = nx / length, ny / length, nz / length
         away = nx * (x - ax) + ny * (y - ay) + nz * (z - az)
+        memory[t.IN_CONTACT] = 1.0
+        if away > 0.0:
+            # A region pulls the device to a surface from outside: from all sides, without a normal.
+            away, nx, ny, nz = 0.0, 0.0, 0.0, 0.0
+    elif gx != x or gy != y or gz != z:
+        away, nx, ny, nz = 0.0, 0.0, 0.0, 0.0
         memory[t.IN_CONTACT] = 1.0
     else:
         away, nx, ny, nz = 1e300, 0.0, 0.0, 0.0

@@ -26,13 +26,44 @@ class Friction(NamedTuple):
 SLIPPERY = Friction()
 
 
+class Factors(NamedTuple):
+    """Factors of the law on a shape: of its stiffness, and of the rest, its damping [1]."""
+
+    stiffness: float = 1.0
+    damping: float = 1.0
+
+
+class ShapeMotion(NamedTuple):
+    """How a shape moves: along a path, or to where a topic puts it."""
+
+    speed: float  # largest speed [m/s]
+    power: float  # largest power that it puts into the device [W]
+    path: tuple[tuple[float, float, float, float], ...] = ()  # time [s] and offset [m]
+    repeat: float = 0.0  # time after which the path begins again [s]; 0 for never
+
+
+WHOLE = Factors()
+
+
 class Solid(NamedTuple):
-    """A shape as the geometry uses it: kind, numbers, friction and mesh."""
+    """A shape as the geometry uses it: kind, numbers, friction, mesh, factors and motion."""
 
     kind: float
     numbers: tuple[float, ...]
     friction: Friction = SLIPPERY
     mesh: PreparedMesh | None = None
+    factors: Factors = WHOLE
+    motion: ShapeMotion | None = None
+
+
+class FeltRegion(NamedTuple):
+    """A region without a surface: its shape, and what it does inside of it."""
+
+    shape: Solid
+    effect: float  # VISCOSITY or LINE
+    band: float = 1.0  # depth over which a viscous effect grows from the boundary [m]
+    lag: float = 0.0  # time by which a viscous region makes the proxy trail [s]
+    strength: float = 1.0  # factor of the law on a line that attracts [1]
 
 
 def plane(point: Vector, normal: Vector, friction: Friction = SLIPPERY) -> Solid:
@@ -94,15 +125,31 @@ def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
     )
 
 
-def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> array[float]:
+def scene_table(
+    solids: Sequence[Solid], tool_radius: float, period: float, regions: Sequence[FeltRegion] = ()
+) -> array[float]:
     """Return the scene table (nodes/environment/shapes/tables.py) of shapes for one tool."""
-    rows = array("d", [0.0]) * (t.ROWS + t.ROW * len(solids))
+    rows = array("d", [0.0]) * (t.ROWS + t.ROW * (len(solids) + len(regions)))
     rows[t.SHAPES], rows[t.RADIUS], rows[t.CALL_PERIOD] = len(solids), tool_radius + t.SKIN, period
+    rows[t.REGIONS] = len(regions)
+    rows[t.MOVERS] = sum(solid.motion is not None for solid in solids)
+    for n, region in enumerate(regions, len(solids)):
+        at, shape = t.ROWS + t.ROW * n, region.shape
+        rows[at + t.KIND], rows[at + t.EFFECT] = shape.kind, region.effect
+        rows[at + t.BAND], rows[at + t.LAG], rows[at + t.STIFF] = region[2:]
+        rows[at + t.GIVEN : at + t.GIVEN + len(shape.numbers)] = array("d", shape.numbers)
     behind = array("d")
     for n, solid in enumerate(solids):
         at = t.ROWS + t.ROW * n
         rows[at + t.KIND] = solid.kind
         rows[at + t.STATIC : at + t.STATIC + 3] = array("d", solid.friction)
+        rows[at + t.STIFF : at + t.STIFF + 2] = array("d", solid.factors)
+        if solid.motion is not None:
+            way = solid.motion.path
+            rows[at + t.SPEED], rows[at + t.POWER] = solid.motion.speed, solid.motion.power
+            rows[at + t.WAY], rows[at + t.WAY_POINTS] = len(rows) + len(behind), len(way)
+            rows[at + t.REPEAT] = solid.motion.repeat
+            behind.extend(number for point in way for number in point)
         numbers = solid.numbers
         if solid.mesh is not None:
             import numpy as np
@@ -126,17 +173,22 @@ def scene_table(solids: Sequence[Solid], tool_radius: float, period: float) -> a
 
 
 class KnownShapes(NamedTuple):
-    """Identity of a scene's shapes, ignoring friction."""
+    """Identity of a scene's shapes, ignoring friction, factors and motion; and of its regions."""
 
-    common: tuple[float, ...]  # tool radius and period
+    common: tuple[float, ...]  # tool radius and period, and the regions
     # kind and numbers of each shape; for a mesh, a digest of its triangles
     shapes: tuple[tuple[float | bytes, ...], ...]
+    moving: frozenset[int] = frozenset()  # shapes that move; not part of the identity
 
 
 def identity_of(table: array[float]) -> KnownShapes:
     """Return the identity of a scene; takes ms for a large mesh: not for the loop's thread."""
+    shapes = int(table[t.SHAPES])
+    regions = t.ROWS + t.ROW * shapes
     return KnownShapes(
-        tuple(table[: t.ROWS]), tuple(_shape(table, n) for n in range(int(table[t.SHAPES])))
+        (*table[: t.MOVERS], *table[regions : regions + t.ROW * int(table[t.REGIONS])]),
+        tuple(_shape(table, n) for n in range(shapes)),
+        frozenset(n for n in range(shapes) if table[t.ROWS + t.ROW * n + t.SPEED] > 0.0),
     )
 
 
@@ -185,7 +237,9 @@ def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
 
 def new_memory(solids: int) -> array[float]:
     """Return the memory of a proxy that has not touched anything yet."""
-    return array("d", [0.0]) * (t.LAST + 2 * solids)
+    memory = array("d", [0.0]) * (t.LAST + 2 * solids)
+    memory[t.FELT_AS] = memory[t.FELT_AS + 1] = 1.0
+    return memory
 
 
 def carry_over(
@@ -204,6 +258,9 @@ def carry_over(
     is_lost = memory[t.PLACED] == t.LOST
     to_memory[t.AT : t.AT + 3] = array("d", [inf] * 3 if is_lost else memory[t.AT : t.AT + 3])
     to_memory[t.PLACED] = t.LOST if is_lost else t.CARRIED
+    to_memory[t.BEFORE] = memory[t.BEFORE]
+    to_memory[t.FELT_AS : t.GOAL] = array("d", memory[t.FELT_AS : t.GOAL])
+    to_memory[t.ENERGY : t.LAST] = array("d", memory[t.ENERGY : t.LAST])
     shapes, to_shapes = len(before.shapes), len(after.shapes)
     modes = {n: memory[t.LAST + shapes + n] for n in range(shapes)}
     for i in range(int(memory[t.TOUCHED])):
@@ -212,6 +269,17 @@ def carry_over(
             modes[int(memory[at + t.SHAPE])] = t.HELD
     for n, m in matched(before, after).items():
         to_memory[t.LAST + to_shapes + n] = modes[m]
+
+
+def keep_offsets(
+    before: KnownShapes, table: array[float], after: KnownShapes, to_table: array[float]
+) -> None:
+    """Copy the offsets of moving shapes, and the aims of those without a path."""
+    for n, m in matched(before, after).items() if after.moving else ():
+        at, to = t.ROWS + t.ROW * m, t.ROWS + t.ROW * n
+        if n in after.moving:
+            to_table[to + t.SHIFT : to + t.SHIFT + 3] = table[at + t.SHIFT : at + t.SHIFT + 3]
+            to_table[to + t.AIM : to + t.AIM + 3] = table[at + t.AIM : at + t.AIM + 3]
 
 
 def _direction(start: Vector, end: Vector) -> Vector:

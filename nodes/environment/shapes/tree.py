@@ -20,6 +20,7 @@ def mesh_hit(
     """Return the part of a step before a mesh is hit (2.0: none), the normal and the triangle."""
     radius, count, leaves = scene[t.RADIUS], int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    x, y, z = x - scene[row + t.SHIFT], y - scene[row + t.SHIFT + 1], z - scene[row + t.SHIFT + 2]
     margin = radius + t.LIP
     best, bx, by, bz, face = 2.0, 0.0, 0.0, 1.0, -1.0
     ex, ey, ez = x + sx, y + sy, z + sz
@@ -61,6 +62,7 @@ def mesh_gap(
     """
     count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    x, y, z = x - scene[row + t.SHIFT], y - scene[row + t.SHIFT + 1], z - scene[row + t.SHIFT + 2]
     face = int(memory[last])
     qx, qy, qz, _ = nearest_on_triangle(scene, triangles + t.TRIANGLE * face, x, y, z)
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)

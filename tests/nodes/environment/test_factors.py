@@ -1,0 +1,268 @@
+"""Factors of a law on a shape, regions of viscosity and attraction, their judgement."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from messages.types import Proxy
+from nodes.base.setup import Effect
+from nodes.coupling.felt_law import factored, felt_laws, trailing
+from nodes.coupling.judgement import Judgement
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.environment.meet import meet
+from nodes.environment.note_tick import note_tick
+from nodes.environment.state import MET, SHAPES
+from nodes.environment.surfaces import parse_surface, surface_effects
+from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError, convert
+
+T = 1e-3
+FINITE = st.floats(-5.0, 5.0)
+BOX = {"kind": "box", "position": [0.0, 0.0, -0.05], "size": [0.1, 0.1, 0.1]}
+
+
+class Touched:
+    """A surface met tick by tick, with the compiled ticks' own function, interpreted."""
+
+    def __init__(self, surface: dict[str, Any]) -> None:
+        parsed = parse_surface(surface, "surface")
+        parsed.check("surface")
+        numbers = parsed.numbers(T)
+        assert numbers is not None
+        self.numbers, self.met, self.seq = numbers, array("d", [0.0] * MET), -1
+
+    def at(
+        self, place: tuple[float, float, float], force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> tuple[np.ndarray, bool]:
+        """Return the deflection of the next tick [m], and whether anything is felt."""
+        self.seq += 1
+        note_tick(SHAPES, self.numbers.memory, self.seq, *force)
+        felt = meet(SHAPES, self.numbers.table, self.numbers.memory, *place, self.met)
+        return np.array(self.met[:3]) - np.array(place), felt
+
+
+def renderer(law: CompiledLaw) -> Renderer:
+    made = Renderer([0], 64)
+    active = ActiveLaw("one", "", law, made.histories)
+    made.law = made.fallback = active
+    return made
+
+
+# taps, and one section with its poles inside the unit circle
+LAWS = st.builds(
+    lambda taps, b0, b1, r, c: CompiledLaw(tuple(taps), ((b0, b1, -2.0 * r * c, r * r),)),
+    st.lists(FINITE, min_size=1, max_size=6),
+    FINITE,
+    FINITE,
+    st.floats(0.05, 0.95),
+    st.floats(-1.0, 1.0),
+)
+
+
+@given(LAWS, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.lists(FINITE, min_size=1, max_size=20))
+def test_the_law_that_is_judged_is_the_one_that_renders(
+    law: CompiledLaw, stiffness: float, damping: float, path: list[float]
+) -> None:
+    """`factored` over a path, and the coupling with these factors in its proxies."""
+    felt, same = renderer(law), renderer(factored(law, stiffness, damping))
+    for seq, value in enumerate(path):
+        place: dict[str, Any] = {
+            "seq": seq,
+            "stamp": 0.0,
+            "position": (-value, 0.0, 0.0),
+            "contact": True,
+        }
+        one = felt.render(
+            Proxy(proxy=(0.0, 0.0, 0.0), stiffness=stiffness, damping=damping, **place)
+        )
+        two = same.render(Proxy(proxy=(0.0, 0.0, 0.0), **place))
+        # H(1) of a section near z = 1 is large; all sums have below 100 terms.
+        size = 1.0 + sum(map(abs, law.taps)) + abs(law.h1) + max(map(abs, two))
+        assert one == pytest.approx(two, abs=100 * size * 5.0 * np.finfo(float).eps * 100)
+
+
+@given(LAWS, st.floats(1e-4, 0.05))
+def test_a_law_behind_a_trailing_proxy_has_the_product_of_both_responses(
+    law: CompiledLaw, lag: float
+) -> None:
+    made = trailing(law, lag, T)
+    rho = lag / (lag + T)
+    q = np.exp(-1j * np.linspace(0.0, np.pi, 40))
+    whole = law.response(1.0 / q) * rho * (1.0 - q) / (1.0 - rho * q)
+    # Equal poles are moved apart by 1e-6; dividing by powers of ρ loses at most half of the digits.
+    size = np.abs(law.response(1.0 / q)).max() + sum(map(abs, law.taps))
+    assert made.response(1.0 / q) == pytest.approx(whole, abs=2e-4 * size)
+    assert made.h1 == pytest.approx(0.0, abs=1e-6 * (1.0 + size))
+
+
+def test_a_viscous_region_renders_the_damping_that_is_told() -> None:
+    """At a steady speed the proxy trails by `time` times the speed; outside it does not."""
+    felt = Touched(
+        {"kind": "viscosity", "within": {"kind": "sphere", "radius": 0.05}, "time": 0.01}
+    )
+    speed, before = 0.1, felt.at((-0.06, 0.0, 0.0))
+    assert not before[1]
+    for k in range(1, 1200):
+        x = -0.06 + speed * T * k
+        deflection, is_felt = felt.at((x, 0.0, 0.0))
+        if abs(x) < 0.04 and x > 0.0:
+            # after 40 ms inside, four times the time: 1 − exp(−4·…)
+            assert deflection == pytest.approx([-0.01 * speed, 0.0, 0.0], rel=1e-3)
+            assert felt.met[3:7].tolist() == [0.0] * 4
+        if x > 0.0501:
+            assert not is_felt
+    # No step is larger than its share of the way: it grows and fades within the band.
+    (effect,) = surface_effects(
+        {"kind": "viscosity", "within": {"kind": "sphere", "radius": 0.05}, "time": 0.01}, "s"
+    )
+    assert effect == Effect(name="s", lag=0.01)
+
+
+@given(st.floats(0.0, 0.02), st.floats(0.0, 2.0 * math.pi), st.floats(0.1, 1.0))
+def test_a_line_attracts_as_a_spring_as_far_as_half_its_reach(
+    away: float, angle: float, strength: float
+) -> None:
+    line = {"kind": "magnetic_line", "start": [-1, 0, 0], "end": [1, 0, 0], "reach": 0.01}
+    felt = Touched({**line, "stiffness": strength})
+    place = (0.3, away * math.cos(angle), away * math.sin(angle))
+    deflection, is_felt = felt.at(place)
+    size = strength * max(min(away, 0.01 - away), 0.0)
+    # A step below 1e-14 m counts as none.
+    assert np.linalg.norm(deflection) == pytest.approx(size, abs=2e-14)
+    assert is_felt or size < 2e-14
+    if size > 1e-12:
+        towards = [0.0, -math.cos(angle), -math.sin(angle)]
+        assert deflection == pytest.approx(np.array(towards) * size, abs=1e-12)
+    # Felt from all sides: nothing is clamped.
+    assert felt.met[3:7].tolist() == [0.0] * 4 or not is_felt
+
+
+def test_a_line_in_a_solid_pulls_the_device_to_its_surface_and_not_in() -> None:
+    felt = Touched(
+        {
+            "kind": "union",
+            "tool_radius": 0.0,
+            "shapes": [
+                BOX,
+                {
+                    "kind": "magnetic_line",
+                    "start": [-1, 0, -0.002],
+                    "end": [1, 0, -0.002],
+                    "reach": 0.02,
+                },
+            ],
+        }
+    )
+    deflection, is_felt = felt.at((0.0, 0.0, 0.003))
+    assert is_felt
+    assert felt.met[3:6].tolist() == [0.0, 0.0, 0.0]
+    # The proxy rests on the top, 0.1 nm above it.
+    assert deflection == pytest.approx([0.0, 0.0, -0.003], abs=2e-10)
+    deflection, _ = felt.at((0.0, 0.0, -0.001))
+    assert felt.met[3:6].tolist() == [0.0, 0.0, 1.0]
+    assert felt.met[6] == pytest.approx(-0.001, abs=2e-10)
+
+
+def test_factors_are_those_of_the_contacts_and_do_not_jump() -> None:
+    """Slid from a hard to a soft tile at a rate of 1 in 50 ms; touched anew, at once."""
+    felt = Touched(
+        {
+            "kind": "union",
+            "shapes": [
+                {**BOX, "position": [-0.05, 0, -0.05]},
+                {**BOX, "position": [0.05, 0, -0.05], "stiffness": 0.2, "damping": 0.6},
+            ],
+        }
+    )
+    found = []
+    for k in range(200):
+        felt.at((-0.01 + 1e-4 * k, 0.0, 0.001 if k == 0 else -0.001))
+        found.append((felt.met[9], felt.met[10]))
+    assert found[50] == (1.0, 1.0)
+    assert found[-1] == pytest.approx((0.2, 0.6), abs=1e-12)
+    steps = np.abs(np.diff(found, axis=0))
+    assert steps.max() == pytest.approx(T / 0.05, rel=1e-9)
+    felt.at((0.01, 0.0, 0.01))
+    felt.at((-0.01, 0.0, 0.01))
+    felt.at((-0.01, 0.0, -0.001))
+    assert (felt.met[9], felt.met[10]) == (1.0, 1.0)
+
+
+PLANT = {"mass": 0.05, "damping": 0.05, "delay": 1.0}
+
+
+def judged(law: dict[str, Any], effects: list[Effect]) -> tuple[Judgement, CouplingParameters]:
+    parameters = convert(
+        {"law": "one", "laws": {"one": law}, "plant": PLANT, "stability": "refuse"},
+        CouplingParameters,
+        "coupling",
+    )
+    return Judgement("coupling", T, LawBook("coupling", T), None, effects), parameters
+
+
+def test_a_law_is_judged_as_it_is_felt() -> None:
+    """With a tick of delay a spring needs the law's damping: a factor of it alone is refused."""
+    law = {"kind": "pd", "stiffness": 800.0, "damping": 3.0}
+    for effect in (
+        Effect(name="s[0]", stiffness=0.3, damping=0.3),
+        Effect(name="s[1]", stiffness=0.3),
+        Effect(name="s[2]", lag=0.002),
+    ):
+        judgement, parameters = judged(law, [effect])
+        assert judgement.at_start(parameters, 1.0) == []
+        (text,) = judgement.of_effects(parameters)
+        assert text.startswith(f"{effect.name}: the law is felt with K ")
+    assert (
+        "K 240 N/m, B 0.9 N s/m"
+        in judged(law, [Effect(name="a", stiffness=0.3, damping=0.3)])[0].of_effects(parameters)[0]
+    )
+    assert "K 0 N/m, B 1.6 N s/m" in text
+    judgement, parameters = judged(law, [Effect(name="s[3]", stiffness=1.0, damping=0.05)])
+    with pytest.raises(
+        ParameterError, match=r"pole radius 1\.0.*as it is felt at s\[3\].*law itself"
+    ):
+        judgement.at_start(parameters, 1.0)
+
+
+@given(st.floats(0.05, 1.0), st.floats(0.05, 1.0))
+def test_factors_of_a_plain_law_without_delay_stay_within_its_bound(a: float, b: float) -> None:
+    """Colgate and Schenkel: b > K T/2 + |B| holds for every part of a law that satisfies it."""
+    from nodes.stability.judge import judge
+    from nodes.stability.plant import Plant
+
+    stiffness, damping = 800.0, 0.4
+    law = CompiledLaw((stiffness + damping / T, -damping / T))
+    plant = Plant(T, 0.1, 1.05 * (0.5 * stiffness * T + damping), 0.0)
+    for effect in (
+        Effect(name="", stiffness=a, damping=b),
+        Effect(name="", stiffness=a, damping=a, lag=0.02 * b),
+    ):
+        for felt in felt_laws(law, effect, T):
+            verdict = judge(felt, plant, effect.lag > 0.0)
+            assert verdict is not None
+            assert verdict.stable
+
+
+@pytest.mark.parametrize(
+    ("surface", "why"),
+    [
+        ({**BOX, "stiffness": 1.2}, "stiffness"),
+        ({**BOX, "damping": -0.1}, "damping"),
+        ({"kind": "viscosity", "within": {"kind": "free"}, "time": 1.0}, "within.kind"),
+        ({"kind": "viscosity", "within": {**BOX, "friction": {}}, "time": 1.0}, "within.friction"),
+        ({"kind": "magnetic_line", "start": [0, 0, 0], "end": [1, 0, 0], "reach": 0}, "reach"),
+        ({"kind": "union", "shapes": [{"kind": "union", "shapes": [BOX]}]}, "no shape that can be"),
+    ],
+)
+def test_what_cannot_be_felt_is_refused(surface: dict[str, Any], why: str) -> None:
+    with pytest.raises(ParameterError, match=why):
+        parse_surface(surface, "surface").check("surface")
