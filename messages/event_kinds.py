@@ -189,7 +189,7 @@ EVENTS: Final[dict[EventKind, Kind]] = {
         ("listeners", "expected", "limit_s"),
     ),
     "mark": Kind("somebody marked this moment; `reason` is their text"),
-    "mesh": Kind("a mesh was repaired"),
+    "mesh": Kind("a mesh was read, with its width, or repaired"),
     "partner": Kind(
         "messages of the partner's device arrive, or have stopped",
         ("apart_m", "align_m_per_s", "silent_s"),

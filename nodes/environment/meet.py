@@ -28,7 +28,7 @@ from nodes.environment.state import MET, SHAPES
 
 
 class Numbers(NamedTuple):
-    """Arguments of `meet`: kind, table and memory of a surface; and repairs of its meshes.
+    """Arguments of `meet`: kind, table and memory of a surface; repairs and widths of its meshes.
 
     The table of a PLANE is (axis, coordinate, side), that of an ANCHOR the point.
     """
@@ -37,6 +37,7 @@ class Numbers(NamedTuple):
     table: array[float]
     memory: array[float]
     repairs: tuple[str, ...] = ()
+    widths: tuple[str, ...] = ()
 
 
 def meet(

@@ -121,6 +121,8 @@ class Environment(Node):
         self._meet, s, numbers = meet, self.counters, self._place.numbers
         s.kind = self._place.kind
         if numbers is not None:
+            if numbers.widths:
+                self.events.emit_each("mesh", "; ".join(numbers.widths))
             if numbers.repairs:
                 self.events.emit_each("mesh", f"repaired: {'; '.join(numbers.repairs)}")
             s.table, s.table_count = numbers.table.buffer_info()

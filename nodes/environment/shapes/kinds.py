@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 TOOL_RADIUS: Final = 1e-5  # default radius of the tool [m]
+Unit = Literal["m", "cm", "mm", "µm", "um", "inch", "foot"]
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1e6)]
 Coefficient = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 Factor = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -131,6 +132,7 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
             scene.scene_table(solids, self.tool_radius, period, self.regions("surface")),
             scene.new_memory(len(solids)),
             repairs,
+            tuple(solid.mesh.width for solid in solids if solid.mesh is not None),
         )
 
     def pushes(self) -> tuple[Axis, ...]:
@@ -308,8 +310,13 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     file : str
         An ``.stl``, ``.obj``, ``.ply`` or ``.off`` file; ``$(dirname)`` in a launch file is the
         folder of that file.
-    scale : float
-        Metres per unit of the file: 0.001 for millimetres.
+    unit : str or None
+        Unit of the file: m, cm, mm, µm (um), inch or foot.
+    scale : float or None
+        Metres per unit of the file, in place of `unit`: 0.001 for millimetres.
+    width : float or None
+        Largest extent that the mesh has in the scene, in place of both [m]. Without any of the
+        three the file is in metres; an event says the width.
     position : tuple of float, shape (3,)
         Position of the file's origin [m].
     rotation : tuple of float, shape (3,)
@@ -320,7 +327,9 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     kind: ClassVar[str] = "mesh"
     file: str
-    scale: Size = 1.0
+    unit: Unit | None = None
+    scale: Size | None = None
+    width: Size | None = None
     position: Vector = ZERO
     rotation: Vector = ZERO
     sides: Literal["outer", "both"] = "outer"
@@ -331,20 +340,23 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
         from nodes.environment.shapes.mesh import prepare_mesh
         from nodes.environment.shapes.mesh_file import read_mesh
+        from nodes.environment.shapes.mesh_units import scale_of
 
         file = Path(self.file).expanduser()
         read = read_mesh(file, f"{where}.file")
         with np.errstate(over="ignore", invalid="ignore"):
+            width = float(np.ptp(read.corners.reshape(-1, 3), axis=0).max())
+            per_unit, told = (
+                scale_of(width, self.unit, self.scale, self.width, f"{where}.file: {file}")
+                if np.isfinite(width)
+                else (1.0, "")
+            )
             corners = (
-                self.scale * read.corners @ np.array(scene.rotation(self.rotation)).T
-                + self.position
+                per_unit * read.corners @ np.array(scene.rotation(self.rotation)).T + self.position
             )
-        return self.felt(
-            scene.mesh(
-                prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}", read.notes),
-                self.coefficients,
-            )
-        )
+        made = prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}", read.notes)
+        made = made._replace(width=f"{where}.file: {file} is {told}")
+        return self.felt(scene.mesh(made, self.coefficients))
 
 
 class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -31,6 +31,7 @@ class PreparedMesh(NamedTuple):
     leaves: int  # leaves of the tree
     closed: bool  # whether it bounds a solid
     repairs: tuple[str, ...]  # what was repaired, as text
+    width: str = ""  # how wide it is, and by which unit, as text
 
 
 def prepare_mesh(

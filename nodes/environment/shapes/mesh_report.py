@@ -4,36 +4,25 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from nodes.environment.shapes.mesh import LARGEST, SMALLEST, refuse_open, repaired_triangles
+from nodes.environment.shapes.mesh import refuse_open, repaired_triangles
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_file import ReadMesh, read_mesh
 from nodes.environment.shapes.mesh_holes import Hole, holes
 from nodes.environment.shapes.mesh_repair import SLIVER, Repaired, repair
 from nodes.environment.shapes.mesh_shells import winding_number
+from nodes.environment.shapes.mesh_units import UnitCandidate, unit_candidates
 from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.parameters.store import ParameterError
-
-UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "m": 1.0, "foot": 0.3048, "µm": 1e-6}  # [m]
-LIKELY: Final = (0.02, 0.5)  # width of what a hand feels [m]
 
 _PROBES = (64, 400)  # least and most places of its faces that are probed for crossings
 _WORK = 4_000_000  # triangles times places, above the least number of places
 _WIDTH = 0.08  # assumed width where no unit gives a likely one [m]
 _WIDEST = 1e30  # largest width, whose cube is still a number [units]
 _OFF_FACE = 1e-6  # distance of a probed place from its face [of the width]
-
-
-class UnitCandidate(NamedTuple):
-    """A unit in which a scene could take the file."""
-
-    unit: str
-    scale: float  # of the scene [m per unit]
-    width: float  # [m]
-    is_likely: bool  # whether a hand would feel something of that width
 
 
 class MeshReport(NamedTuple):
@@ -103,16 +92,6 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
         probes,
         *_refusals(read.corners * scale),
     )
-
-
-def unit_candidates(width: float) -> list[UnitCandidate]:
-    """Return the units in which a width is one that a scene accepts, likely ones first."""
-    found = [
-        UnitCandidate(unit, scale, width * scale, LIKELY[0] <= width * scale <= LIKELY[1])
-        for unit, scale in UNITS.items()
-        if SMALLEST <= width * scale <= LARGEST
-    ]
-    return sorted(found, key=lambda one: not one.is_likely)
 
 
 def count_crossings(found: Repaired, width: float) -> tuple[int, int]:

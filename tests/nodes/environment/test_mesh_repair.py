@@ -14,11 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nodes.environment.shapes import mesh_shells
+from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import read_mesh, read_triangles
 from nodes.environment.shapes.mesh_repair import repair
+from nodes.environment.shapes.mesh_report import write_mesh
 from nodes.environment.shapes.mesh_shells import winding_number
 from nodes.environment.shapes.polygons import cut_faces
+from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
 from sim.lab.proxies import icosphere
 from tests.support import ROOT
@@ -304,3 +307,39 @@ def test_a_ply_cut_anywhere_is_refused(order: str, tmp_path: Path) -> None:
         (tmp_path / "cut.ply").write_bytes(whole[:size])
         with pytest.raises(ParameterError, match=r"cut\.ply"):
             read_triangles(tmp_path / "cut.ply", "file")
+
+
+@pytest.mark.parametrize(
+    ("given", "width", "how"),
+    [
+        ({"unit": "mm"}, 0.1, "unit mm"),
+        ({"unit": "inch"}, None, "100 units, unit inch"),
+        ({"width": 0.08}, 0.08, "width 0.08 m"),
+        ({"scale": 0.002}, 0.2, "scale 0.002"),
+        ({}, None, "taken in metres"),
+        ({"unit": "mm", "width": 0.08}, None, "unit and width each give the size"),
+        ({"unit": "yard"}, None, "unit"),
+    ],
+)
+def test_a_mesh_has_the_size_that_the_scene_says(
+    given: dict[str, Any], width: float | None, how: str, tmp_path: Path
+) -> None:
+    """A box 100 units wide; nothing is converted that the launch file does not say."""
+    file = tmp_path / "box.obj"
+    write_mesh(
+        file, box_triangles((100.0, 50.0, 20.0)).reshape(-1, 3), np.arange(36).reshape(-1, 3)
+    )
+    data = {"kind": "mesh", "file": str(file), **given}
+    if width is None:
+        with pytest.raises(ParameterError, match=how) as refused:
+            parse_surface(data, "surface").check("surface")
+        if not given:
+            assert "unit: mm (0.1 m)" in str(refused.value)
+        return
+    numbers = parse_surface(data, "surface").numbers(1e-3)
+    assert numbers is not None
+    assert f"{1e3 * width:g} mm wide (100 units, {how})" in numbers.widths[0]
+    table = np.array(numbers.table)
+    at = int(table[t.ROWS + t.TRIANGLES])
+    corners = table[at : at + 144].reshape(12, 12)[:, :9].reshape(-1, 3)
+    assert np.ptp(corners, axis=0).max() == pytest.approx(width, rel=1e-15)

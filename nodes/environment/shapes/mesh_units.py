@@ -1,0 +1,78 @@
+"""Units of mesh files: no format but 3MF says one, so a scene does, and is told the width."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from nodes.environment.shapes.mesh import LARGEST, SMALLEST
+from nodes.parameters.store import ParameterError
+
+UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "m": 1.0, "foot": 0.3048, "µm": 1e-6}  # [m]
+LIKELY: Final = (0.02, 0.5)  # width of what a hand feels [m]
+
+
+class UnitCandidate(NamedTuple):
+    """A unit in which a scene could take the file."""
+
+    unit: str
+    scale: float  # of the scene [m per unit]
+    width: float  # [m]
+    is_likely: bool  # whether a hand would feel something of that width
+
+
+def unit_candidates(width: float) -> list[UnitCandidate]:
+    """Return the units in which a width is one that a scene accepts, likely ones first."""
+    found = [
+        UnitCandidate(unit, scale, width * scale, LIKELY[0] <= width * scale <= LIKELY[1])
+        for unit, scale in UNITS.items()
+        if SMALLEST <= width * scale <= LARGEST
+    ]
+    return sorted(found, key=lambda one: not one.is_likely)
+
+
+def scale_of(
+    width: float, unit: str | None, scale: float | None, wanted: float | None, where: str
+) -> tuple[float, str]:
+    """Return metres per unit of a file, and how wide the mesh is by that, as text.
+
+    Parameters
+    ----------
+    width : float
+        Largest extent of the mesh in the file [units].
+    unit : str or None
+        Unit of the file.
+    scale : float or None
+        Metres per unit of the file.
+    wanted : float or None
+        Width that the mesh should have [m].
+    where : str
+        Parameter path of the mesh, for errors.
+
+    Raises
+    ------
+    ParameterError
+        If more than one is given, or the mesh would be too small or too large.
+    """
+    given = {"unit": unit, "scale": scale, "width": wanted}
+    named = [name for name, value in given.items() if value is not None]
+    if len(named) > 1:
+        raise ParameterError(
+            f"{where}: {' and '.join(named)} each give the size of the mesh; leave all but one out"
+        )
+    if unit is not None:
+        per_unit, how = UNITS["µm" if unit == "um" else unit], f"unit {unit}"
+    elif wanted is not None:
+        per_unit, how = wanted / width if width > 0.0 else 1.0, f"width {wanted:g} m"
+    elif scale is not None:
+        per_unit, how = scale, f"scale {scale:g}"
+    else:
+        per_unit, how = 1.0, "taken in metres, because no unit, scale or width is given"
+    extent = width * per_unit
+    if not SMALLEST <= extent <= LARGEST and width > 0.0:
+        fitting = [f"unit: {one.unit} ({one.width:.3g} m)" for one in unit_candidates(width)]
+        remedy = f"set {', '.join(fitting)}" if fitting else "set width, e.g. width: 0.08"
+        raise ParameterError(
+            f"{where}: the mesh is {extent:.4g} m wide ({width:.4g} units, {how}), expected"
+            f" {SMALLEST:g} to {LARGEST:g} m; {remedy}, or width: 0.08 for 80 mm"
+        )
+    return per_unit, f"{extent * 1e3:.4g} mm wide ({width:.4g} units, {how})"
