@@ -10,7 +10,7 @@ from __future__ import annotations
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.convex import gap
 from nodes.environment.shapes.tables import Memory, Table, Vector4
-from nodes.environment.shapes.tree import mesh_gap
+from nodes.environment.shapes.tree import mesh_gap, mesh_winding
 
 _SHALLOW = 5e-4  # depth up to which the tool begins on the nearest surface [m]
 _MOST_ROUNDS = 200
@@ -24,6 +24,14 @@ def shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float
     return gap(scene, row, x, y, z)
 
 
+def is_within(scene: Table, n: int, x: float, y: float, z: float) -> bool:
+    """Return whether a closed mesh encloses a point, also where its shells overlap."""
+    row = t.ROWS + t.ROW * n
+    if scene[row + t.KIND] != t.MESH or scene[row + t.CLOSED] != 1.0:
+        return False
+    return mesh_winding(scene, row, x, y, z) != 0
+
+
 def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     """Place a proxy outside felt shapes, at the device or at its position on the last surface."""
     if memory[t.PLACED] == t.CARRIED:
@@ -35,9 +43,12 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     for n in range(shapes):
         mode = t.LAST + shapes + n
         away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
-        unfelt = away < -scene[t.RADIUS] - _SHALLOW or (
-            memory[mode] == t.UNFELT and away < -t.TOUCH
-        )
+        deep = away + scene[t.RADIUS]
+        within = is_within(scene, n, x, y, z)
+        if within:
+            # The nearest face may be of a shell inside of another one, and seen from outside.
+            deep, away = -abs(deep), -abs(deep) - scene[t.RADIUS]
+        unfelt = deep < -_SHALLOW or (memory[mode] == t.UNFELT and away < -t.TOUCH)
         if scene[t.ROWS + t.ROW * n + t.KIND] == t.PLANE or memory[mode] == t.HELD:
             unfelt = False
         memory[mode] = t.FELT
@@ -69,7 +80,7 @@ def leave(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
                 if which == 1:
                     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
                 away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
-                left = left and away >= -t.TOUCH
+                left = left and away >= -t.TOUCH and not is_within(scene, n, x, y, z)
             if left:
                 memory[t.LAST + shapes + n] = t.FELT
             else:

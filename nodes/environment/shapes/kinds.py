@@ -308,7 +308,8 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     Attributes
     ----------
     file : str
-        An ``.stl``, ``.obj``, ``.ply`` or ``.off`` file; ``$(dirname)`` in a launch file is the
+        An ``.stl``, ``.obj``, ``.ply`` or ``.off`` file, or with the extra ``meshes`` a ``.3mf``,
+        ``.glb`` or ``.gltf``; ``$(dirname)`` in a launch file is the
         folder of that file.
     unit : str or None
         Unit of the file: m, cm, mm, µm (um), inch or foot.
@@ -316,7 +317,8 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Metres per unit of the file, in place of `unit`: 0.001 for millimetres.
     width : float or None
         Largest extent that the mesh has in the scene, in place of both [m]. Without any of the
-        three the file is in metres; an event says the width.
+        three the file is in the unit that it names (3MF, glTF), or in metres; an event says the
+        width.
     position : tuple of float, shape (3,)
         Position of the file's origin [m].
     rotation : tuple of float, shape (3,)
@@ -334,6 +336,12 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     rotation: Vector = ZERO
     sides: Literal["outer", "both"] = "outer"
 
+    def _sizes(self, unit: str) -> dict[str, Any]:
+        """Return what gives the size: the parameters, else the unit that the file names."""
+        given = {"unit": self.unit, "scale": self.scale, "width": self.width}
+        found = {name: value for name, value in given.items() if value is not None}
+        return found or ({"unit": unit} if unit else {})
+
     def solids(self, where: str) -> list[Solid]:
         """Read the file and return the solid."""
         import numpy as np  # a scene of plain shapes needs no numpy
@@ -347,7 +355,7 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         with np.errstate(over="ignore", invalid="ignore"):
             width = float(np.ptp(read.corners.reshape(-1, 3), axis=0).max())
             per_unit, told = (
-                scale_of(width, self.unit, self.scale, self.width, f"{where}.file: {file}")
+                scale_of(width, self._sizes(read.unit), f"{where}.file: {file}", read.unit)
                 if np.isfinite(width)
                 else (1.0, "")
             )

@@ -1,4 +1,4 @@
-"""Reading triangles from STL (binary or text), OBJ, PLY and OFF files."""
+"""Reading triangles from STL (binary or text), OBJ, PLY and OFF files; 3MF and glTF beside."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ class ReadMesh(NamedTuple):
     corners: NDArray[np.float64]  # in the file's unit, shape (n, 3, 3)
     notes: tuple[str, ...]
     faces: dict[int, int]  # number of faces by their number of corners
+    unit: str = ""  # that the file names; most formats name none
 
 
 def read_triangles(path: Path, where: str) -> NDArray[np.float64]:
@@ -52,13 +53,15 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
     """
     import numpy as np
 
+    from nodes.environment.shapes.mesh_library import KINDS, read_by_library
     from nodes.environment.shapes.polygons import cut_faces
 
     readers = _readers()
     kind = path.suffix.lower()
-    if kind not in readers:
+    if kind not in (*readers, *KINDS):
         raise ParameterError(
-            f"{path} is neither an .stl, .obj, .ply nor .off file; export the mesh as one of these",
+            f"{path} is neither an .stl, .obj, .ply nor .off file, nor .3mf, .glb or .gltf; export"
+            " the mesh as one of these",
             path=where,
         )
     try:
@@ -76,7 +79,10 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
     try:
         if not data:
             raise ValueError("is empty (0 bytes); export the mesh again")
-        points, groups, notes = readers[kind](data)
+        if kind in readers:
+            (points, groups, notes), unit = readers[kind](data), ""
+        else:
+            (points, groups, notes), unit = read_by_library(data, kind, f"{where}: {path}", LARGEST)
         if not sum(map(len, groups.values())):
             raise ValueError(f"has no triangles ({len(points)} points); export its surface")
         with np.errstate(all="ignore"):  # coordinates that are not finite are refused later
@@ -89,7 +95,7 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
     if crossed:
         more.append(f"{crossed} faces cross themselves")
     return ReadMesh(
-        points[ids], (*notes, *more), {k: len(faces) for k, faces in sorted(groups.items())}
+        points[ids], (*notes, *more), {k: len(faces) for k, faces in sorted(groups.items())}, unit
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
 
 from nodes.environment.shapes.mesh import LARGEST, SMALLEST
 from nodes.parameters.store import ParameterError
@@ -31,7 +32,7 @@ def unit_candidates(width: float) -> list[UnitCandidate]:
 
 
 def scale_of(
-    width: float, unit: str | None, scale: float | None, wanted: float | None, where: str
+    width: float, given: Mapping[str, Any], where: str, named_by_file: str = ""
 ) -> tuple[float, str]:
     """Return metres per unit of a file, and how wide the mesh is by that, as text.
 
@@ -39,32 +40,30 @@ def scale_of(
     ----------
     width : float
         Largest extent of the mesh in the file [units].
-    unit : str or None
-        Unit of the file.
-    scale : float or None
-        Metres per unit of the file.
-    wanted : float or None
-        Width that the mesh should have [m].
+    given : mapping
+        At most one of ``unit`` of the file, ``scale`` [m per unit] and ``width`` [m].
     where : str
         Parameter path of the mesh, for errors.
+    named_by_file : str
+        Unit that the file names; empty for none.
 
     Raises
     ------
     ParameterError
         If more than one is given, or the mesh would be too small or too large.
     """
-    given = {"unit": unit, "scale": scale, "width": wanted}
-    named = [name for name, value in given.items() if value is not None]
-    if len(named) > 1:
+    if len(given) > 1:
         raise ParameterError(
-            f"{where}: {' and '.join(named)} each give the size of the mesh; leave all but one out"
+            f"{where}: {' and '.join(given)} each give the size of the mesh; leave all but one out"
         )
-    if unit is not None:
+    if "unit" in given:
+        unit = given["unit"]
         per_unit, how = UNITS["µm" if unit == "um" else unit], f"unit {unit}"
-    elif wanted is not None:
-        per_unit, how = wanted / width if width > 0.0 else 1.0, f"width {wanted:g} m"
-    elif scale is not None:
-        per_unit, how = scale, f"scale {scale:g}"
+    elif "width" in given:
+        per_unit = given["width"] / width if width > 0.0 else 1.0
+        how = f"width {given['width']:g} m"
+    elif "scale" in given:
+        per_unit, how = given["scale"], f"scale {given['scale']:g}"
     else:
         per_unit, how = 1.0, "taken in metres, because no unit, scale or width is given"
     extent = width * per_unit
@@ -75,4 +74,6 @@ def scale_of(
             f"{where}: the mesh is {extent:.4g} m wide ({width:.4g} units, {how}), expected"
             f" {SMALLEST:g} to {LARGEST:g} m; {remedy}, or width: 0.08 for 80 mm"
         )
+    if named_by_file:
+        how += f"; the file names {named_by_file}"
     return per_unit, f"{extent * 1e3:.4g} mm wide ({width:.4g} units, {how})"

@@ -103,3 +103,54 @@ def mesh_gap(
         return sign * away - scene[t.RADIUS], scene[at + 9], scene[at + 10], scene[at + 11]
     away *= sign
     return away - scene[t.RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away
+
+
+def mesh_winding(scene: Table, row: int, x: float, y: float, z: float) -> int:
+    """Return the winding number of a closed mesh about a point: 0 outside.
+
+    It counts faces that a ray along x leaves and enters through. A point belongs to the projection
+    of one of two faces at an edge, because both compute the edge in the same way.
+    """
+    x, y, z = x - scene[row + t.SHIFT], y - scene[row + t.SHIFT + 1], z - scene[row + t.SHIFT + 2]
+    count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
+    triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    found, k = 0, 1
+    while True:
+        at = tree + t.NODE * k
+        if (
+            x <= scene[at + 3]
+            and scene[at + 1] <= y <= scene[at + 4]
+            and scene[at + 2] <= z <= scene[at + 5]
+        ):
+            if k < leaves:
+                k = 2 * k
+                continue
+            j = k - leaves
+            for i in range(j * count // leaves, (j + 1) * count // leaves):
+                at = triangles + t.TRIANGLE * i
+                if _is_across(scene, at, y, z):
+                    towards, height = scene[at + 9], height_above(scene, at, x, y, z)
+                    if towards > 0.0 and height < 0.0:
+                        found += 1
+                    elif towards < 0.0 and height > 0.0:
+                        found -= 1
+        while k & 1:
+            k = k >> 1
+        if k == 0:
+            return found
+        k += 1
+
+
+def _is_across(scene: Table, at: int, y: float, z: float) -> bool:
+    """Return whether a point lies in a triangle seen along x; of two at an edge, in one."""
+    inside = False
+    for k in range(3):
+        i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+        if (scene[i + 1] <= y) == (scene[j + 1] <= y):
+            continue
+        if scene[i + 1] > scene[j + 1]:
+            i, j = j, i
+        part = (y - scene[i + 1]) / (scene[j + 1] - scene[i + 1])
+        if scene[i + 2] + part * (scene[j + 2] - scene[i + 2]) > z:
+            inside = not inside
+    return inside

@@ -21,6 +21,9 @@ from nodes.environment.shapes.mesh_repair import repair
 from nodes.environment.shapes.mesh_report import write_mesh
 from nodes.environment.shapes.mesh_shells import winding_number
 from nodes.environment.shapes.polygons import cut_faces
+from nodes.environment.shapes.proxy import meet
+from nodes.environment.shapes.scene import mesh, new_memory, scene_table
+from nodes.environment.shapes.tree import mesh_gap, mesh_winding
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
 from sim.lab.proxies import icosphere
@@ -343,3 +346,32 @@ def test_a_mesh_has_the_size_that_the_scene_says(
     at = int(table[t.ROWS + t.TRIANGLES])
     corners = table[at : at + 144].reshape(12, 12)[:, :9].reshape(-1, 3)
     assert np.ptp(corners, axis=0).max() == pytest.approx(width, rel=1e-15)
+
+
+def test_a_tool_that_begins_in_overlapping_shells_is_inside() -> None:
+    """Two balls that overlap, and one with a cavity: by the winding number, as libigl's."""
+    ball = icosphere(2, 0.03)
+    cavity = np.concatenate([icosphere(2, 0.06), 0.5 * icosphere(2, 0.06)[:, ::-1]])
+    box = box_triangles((0.06, 0.06, 0.06))
+    rng = np.random.default_rng(7)
+    wrong_by_face = 0
+    for triangles in (
+        np.concatenate([ball, ball + np.array([0.02, 0.004, 0.0])]),
+        cavity,
+        np.concatenate([box, 0.5 * box + np.array([0.03, 0.0, 0.0])]),
+    ):
+        made = prepare_mesh(triangles, False, "file")
+        table = scene_table([mesh(made)], 0.0, 1e-3)
+        places = rng.uniform(-0.05, 0.05, (60, 3))
+        # also where rays meet corners and edges
+        places = np.concatenate([places, rng.choice(made.corners.reshape(-1, 3), 10) * 0.9])
+        truth = np.rint(winding(made.corners, places)).astype(int)
+        for place, inside in zip(places.tolist(), truth.tolist(), strict=True):
+            assert mesh_winding(table, t.ROWS, *place) == inside
+            memory = new_memory(1)
+            face, _, _, _ = mesh_gap(table, t.ROWS, memory, t.LAST, *place)
+            wrong_by_face += (face < 0.0) != (inside != 0)
+            meet(table, memory, *place)
+            if abs(face) > 1e-3:
+                assert (memory[t.INSIDE] == 1.0) == (inside != 0)
+    assert wrong_by_face > 0  # the nearest face alone does not tell
