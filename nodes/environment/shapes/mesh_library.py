@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import io
 import zipfile
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from nodes.environment.shapes.polygons import Faces
 from nodes.parameters.store import ParameterError
-
-if TYPE_CHECKING:
-    from nodes.environment.shapes.polygons import Faces
 
 KINDS: Final = (".3mf", ".glb", ".gltf")
 EXTRA: Final = "pip install 'haptic-nodes[meshes]'"
@@ -73,9 +71,9 @@ def read_by_library(data: bytes, kind: str, where: str, largest: int) -> tuple[F
             f"cannot be read by trimesh {trimesh.__version__} ({type(error).__name__}:"
             f" {' '.join(str(error).split())[:200]}); a .gltf with files beside it is read as .glb"
         ) from error
-    ids = np.arange(3 * len(corners)).reshape(-1, 3)
+    ids = np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
     unit = "m" if kind != ".3mf" else _UNITS.get(unit, "")
-    return (corners.reshape(-1, 3), {3: ids}, ()), unit
+    return Faces(corners.reshape(-1, 3), {3: ids}, ()), unit
 
 
 def _check_size(data: bytes, largest: int) -> None:
