@@ -142,6 +142,9 @@ def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(bag: P
     known = {
         "device": {state.seq: 1e3 * state.position[2] for state in states},
         "proxy": {one.seq: 1e3 * one.proxy[2] for one in proxies},
+        "surface": {
+            one.seq: 1e3 * (one.position[2] - one.distance * one.normal[2]) for one in proxies
+        },
         "law": {one.seq: one.force[2] for one in forces},
         "after limits": {seq: state.force[2] for seq, state in answered.items()},
         "given out by the virtual side": {state.seq: 1e3 * state.energy for state in states},

@@ -55,6 +55,17 @@ def test_a_known_device_comes_back(delay: float) -> None:
     assert found.steps(found.held_out) == pytest.approx(ROUNDING, rel=0.10)
 
 
+def test_what_joint_would_not_show_is_told_with_its_frequency() -> None:
+    """A joint with a quarter of the mass is excluded up to the frequency that is told."""
+    truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
+    found = identify(excite(truth, T, 2.6, seed=1)).frequency
+    assert found.value is None
+    assert found.low is not None
+    # Above what a push of some seconds resolves, below the Nyquist frequency.
+    assert 20.0 < found.low < 0.5 / T
+    assert found.why.startswith(f"none seen; one above {found.low:.0f} Hz,")
+
+
 def test_a_hand_is_found_and_told_apart() -> None:
     hand = Hand(mass=0.1, damping=3.0, stiffness=300.0, path=[(0.0, 0.0)])
     truth = DeviceModel(

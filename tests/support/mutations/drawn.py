@@ -28,7 +28,7 @@ ROOMS: Final = {
 """Rooms whose files are changed, and the mirroring folder of tests, which must notice."""
 
 SUPPORT: Final = ROOT / "tests" / "support"
-COMPILED: Final = frozenset({"kernel", "compiled_tick"})
+COMPILED: Final = frozenset({"kernel", "compiled_tick", "tick"})
 """Files of a room that only compiled ticks run; their tests are in tests/nodes/compiled."""
 
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
