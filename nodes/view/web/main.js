@@ -239,14 +239,27 @@ $("share").addEventListener("click", async () => {
   setTimeout(() => { $("share").textContent = "Link"; }, 1500);
 });
 
+// The law to put beside the active one: the one with the largest edge, where edges are known.
+function strongest() {
+  const names = [...$("other").options].map(({ value }) => value).filter((name) => name && name !== laws.state.active);
+  const edge = (name) => laws.state.edges?.[name] ?? 0;
+  return names.reduce((best, name) => (edge(name) > edge(best) ? name : best), names[0]);
+}
+
 const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-act"), leave: $("tour-leave"), begin: $("tour-begin") }, {
   dial,
   delay,
   touched: () => scene.grip.used && scene.now?.contact === 1,
   stopped: () => stoppedAt !== null,
   rings: () => $("words").textContent.includes("rings"),
-  calm: () => (stoppedAt === null ? dial.set(dial.edge * 0.25) : $("again").click()),
-  compare: () => beside.choose([...$("other").options].map(({ value }) => value).find((name) => name && name !== laws.state.active)),
+  calm: () => {
+    // Back below the edge, for good: the switch goes back, too.
+    $("beyond").checked = false;
+    if (stoppedAt === null) dial.set(dial.edge * 0.25);
+    else $("again").click();
+  },
+  compare: () => beside.choose(strongest()),
+  beside: () => beside.law,
   compared: () => beside.law !== "" && beside.law !== laws.state.active,
 });
 

@@ -70,9 +70,20 @@ const status = () => {
   });
 };
 
+// Edge of every law at the present delay [N/m], for whoever looks for the one that bears most.
+let edges = {}, edged = "";
+const edgesNow = () => {
+  const key = JSON.stringify([session.delay, Object.values(session.laws).map(({ damping }) => damping)]);
+  if (key !== edged) {
+    edged = key;
+    edges = Object.fromEntries(Object.keys(session.laws).map((name) => [name, session.edge(name)]));
+  }
+  return edges;
+};
+
 const laws = () => say("laws", {
   node: DATA.nodes.coupling, active: session.law, laws: session.laws, named: DATA.named, ramp: session.ramp,
-  plant: DATA.plant, device_delay: session.delay,
+  plant: DATA.plant, device_delay: session.delay, edges: DATA.no_map ? {} : edgesNow(),
   rest: Object.fromEntries(Object.keys(session.laws).map((name) => [name, session.laws[name].stiffness === undefined ? restStiffness(session.numbersOf(name)) : null])),
 });
 

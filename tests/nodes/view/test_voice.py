@@ -1,4 +1,4 @@
-"""Sound of the loop: what a laptop's loudspeaker plays of a ring, a knock and a clean contact."""
+"""Sound of the loop on a laptop: a ring, a knock, a clean contact, a constant force."""
 
 from __future__ import annotations
 
