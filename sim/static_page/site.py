@@ -18,6 +18,7 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.driver.force_words import NOTES, STATES
 from nodes.driver.state import SAFETY
+from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import chains_of
@@ -37,7 +38,7 @@ from sim.static_page.image import image_of
 from sim.static_page.law_parts import parts_of
 
 _FIRST: Final = ("touch_wall",)  # scenarios if none are named
-_SCRIPTS: Final = ("laws", "edges", "words", "delay", "session")
+_SCRIPTS: Final = ("laws", "edges", "words", "delay", "session", "sing")
 _TICKS: Final = 300_000  # ticks for which laws that push pseudo-randomly have their push
 LONGEST_DELAY: Final = 20  # longest delay of the device that the page plays [ticks]
 LARGEST: Final = 500_000  # largest folder [bytes]
@@ -172,6 +173,7 @@ def data_of(launch: Launch) -> dict[str, Any]:
     feed = Feed(axes, period, 1.0, BINS_PER_SECOND)
     hand = bool(image["pointer"]) and model.hand is not None
     next_tick = int(launch.run.apply == "next_tick")
+    surface = parse_surface(launch.nodes[hops.environment].parameters["surface"], "surface")
     shape = shape_of(launch.nodes[hops.environment].parameters) if len(axes) > 1 else {}
     return {
         "scenario": launch.scenario,
@@ -222,6 +224,7 @@ def data_of(launch: Launch) -> dict[str, Any]:
                 "records": False,
                 "ends": False,
                 "measures": False,
+                "sings": hand and len(axes) == 1 and surface.kind == "plane",
                 "shape": shape,
                 "fields": _fields(described),
             }

@@ -13,6 +13,7 @@ import { Plots } from "./plots.js";
 import { Replay } from "./replay.js";
 import { Scene } from "./scene.js";
 import { Section } from "./section.js";
+import { Sing } from "./sing.js";
 import { SlowMotion } from "./slow_motion.js";
 import { Sound } from "./sound.js";
 import { Space } from "./space.js";
@@ -54,7 +55,8 @@ const map = new StabilityMap($("map"), $("margin"), $("far"), (wanted, beyond) =
 });
 const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"), undo: $("undo"), refusal: $("refusal") }, ask);
 const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"), beyond: $("beyond"), allowed: $("beyond-switch") },
-  (stiffness, beyond) => laws.change("stiffness", stiffness, beyond));
+  // A law without a nominal stiffness is scaled as a whole: H(1) is the dial.
+  (stiffness, beyond) => laws.change(laws.state.laws[laws.state.active].stiffness === undefined ? "hardness" : "stiffness", stiffness, beyond));
 const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("delay-told"), beyond: $("beyond") },
   (ticks, beyond) => laws.change("delay", ticks, beyond));
 
@@ -106,6 +108,7 @@ const link = new Link({
     $("stop").hidden = found.replay || found.ends === false;
     status.measures = found.measures !== false;
     page.start(found);
+    sing.start(found);
     // What cannot act on a recording is not there.
     $("tour-begin").hidden = $("dial").closest(".ask").hidden = found.replay;
     $("replay").hidden = !found.replay;
@@ -130,6 +133,7 @@ const link = new Link({
   },
   status(found) {
     status.show(found);
+    sing.status(found, laws.state?.active, dial.stiffness, beside.law);
     if (lag.median !== null) status.row("hand → picture", `${Math.round(lag.median)} ms`);
     if (lag.force !== null && status.measures) status.row("hand → force", `${Math.round(lag.force)} ms`);
     const stopped = found.safety === "stopped";
@@ -171,6 +175,7 @@ const link = new Link({
     refused(found.error);
   },
 });
+const sing = new Sing({ button: $("sing"), told: $("sung") }, ask);
 const page = new StaticPage({ banner: $("banner"), python: $("python"), restart: $("restart"), scenarios: $("scenarios"), title: $("scenario") }, ask);
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
@@ -207,7 +212,7 @@ function chart() {
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
-  dial.show(law?.stiffness ?? null, laws.edge, map.map !== null);
+  dial.show(law?.stiffness ?? laws.state?.rest?.[laws.state.active] ?? null, laws.edge, map.map !== null);
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
@@ -234,14 +239,27 @@ $("share").addEventListener("click", async () => {
   setTimeout(() => { $("share").textContent = "Link"; }, 1500);
 });
 
+// The law to put beside the active one: the one with the largest edge, where edges are known.
+function strongest() {
+  const names = [...$("other").options].map(({ value }) => value).filter((name) => name && name !== laws.state.active);
+  const edge = (name) => laws.state.edges?.[name] ?? 0;
+  return names.reduce((best, name) => (edge(name) > edge(best) ? name : best), names[0]);
+}
+
 const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-act"), leave: $("tour-leave"), begin: $("tour-begin") }, {
   dial,
   delay,
   touched: () => scene.grip.used && scene.now?.contact === 1,
   stopped: () => stoppedAt !== null,
   rings: () => $("words").textContent.includes("rings"),
-  calm: () => (stoppedAt === null ? dial.set(dial.edge * 0.25) : $("again").click()),
-  compare: () => beside.choose([...$("other").options].map(({ value }) => value).find((name) => name && name !== laws.state.active)),
+  calm: () => {
+    // Back below the edge, for good: the switch goes back, too.
+    $("beyond").checked = false;
+    if (stoppedAt === null) dial.set(dial.edge * 0.25);
+    else $("again").click();
+  },
+  compare: () => beside.choose(strongest()),
+  beside: () => beside.law,
   compared: () => beside.law !== "" && beside.law !== laws.state.active,
 });
 
@@ -337,4 +355,4 @@ requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);
 
 // For the console and the tests.
-Object.assign(globalThis, { haptic: { lag, scene, space, section, strip, plots, dial, delay, map, laws, slow, beside, sound, tour } });
+Object.assign(globalThis, { haptic: { lag, scene, space, section, strip, plots, dial, delay, map, laws, slow, beside, sound, sing, tour } });

@@ -20,7 +20,15 @@ export class Sound {
     if (!on) return this.context?.suspend();
     if (!this.context) {
       this.context = new AudioContext();
-      await this.context.audioWorklet.addModule("voice_worklet.js");
+      try {
+        await this.context.audioWorklet.addModule("voice_worklet.js");
+      } catch {
+        // A page opened as a file may not load it.
+        Object.assign(this, { on: false, context: null });
+        Object.assign(this.button, { disabled: true, title: "No sound: a browser plays it only from a web address, not from a file" });
+        this.button.setAttribute("aria-pressed", false);
+        return undefined;
+      }
       this.node = new AudioWorkletNode(this.context, "voice", { outputChannelCount: [1] });
       this.node.connect(this.context.destination);
     }

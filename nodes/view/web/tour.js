@@ -1,4 +1,5 @@
-// Tour of five sentences, each with an action; the next one appears when it is done.
+// Tour: sentences, each with an action; the next one appears when it is done, the last says what was
+// seen.
 export class Tour {
   constructor({ tour, sentence, act, leave, begin }, page) {
     Object.assign(this, { place: tour, sentence, act, page, at: -1 });
@@ -22,6 +23,8 @@ export class Tour {
         action: () => (below() ? delay.set(0.5 * delay.most()) : page.calm()), label: "Later", done: () => below() && (!delay.offered || delay.ticks >= 0.3) },
       { text: "Another law bears more at the same delay. Put one beside yours: the same hand, felt twice.",
         action: () => page.compare(), label: "Compare", done: () => page.compared() },
+      { text: `You have felt a wall, heard it sing past its edge, and seen the edge come down with the delay. ${page.beside() || "The other law"} is drawn beside yours now, under the same hand: the law decides how hard a wall can be.`,
+        action: () => this.go(-1), label: "Done", done: () => false },
     ];
     return steps.filter(({ needs }) => needs !== false);
   }

@@ -1,10 +1,16 @@
-// Convert the loop's force to sound: the force itself, 500 samples a second, about 50 ms late.
-const BEHIND = 0.05, KEPT = 4096, LOUD = 0.25;
+// Convert the loop's force to a tone, about 50 ms late. The force itself is inaudible on a laptop: a
+// ring lies at 20 Hz. So its changes modulate a tone: a ring is a siren, a knock a click, a clean
+// contact soft, a constant force silent.
+const BEHIND = 0.05, KEPT = 4096;
+// Pitch without force [Hz], octaves that a change of force moves it at most, and loudness per newton.
+const PITCH = 440, OCTAVES = 1, LOUD = 0.25;
+// Times after which a change counts as constant, and over which the tone dies away [s].
+const FORGETS = 0.03, FADES = 0.02;
 
 export class Voice {
   // `rate`: sample rate of the sound card [Hz].
   constructor(rate) {
-    Object.assign(this, { rate, times: new Float64Array(KEPT), forces: new Float32Array(KEPT), head: 0, at: null, before: 0, steady: 0 });
+    Object.assign(this, { rate, times: new Float64Array(KEPT), forces: new Float32Array(KEPT), head: 0, at: null, before: 0, steady: 0, loud: 0, phase: 0 });
   }
 
   // Add one value per tick of the run [s, N].
@@ -31,14 +37,18 @@ export class Voice {
     return this.forces[before] + (this.forces[after] - this.forces[before]) * Math.max(0, part);
   }
 
-  // Fill a block of the sound card. A constant force is silent: only changes are heard.
+  // Fill a block of the sound card.
   fill(block) {
+    const keeps = Math.exp(-1 / (this.rate * FORGETS)), fades = Math.exp(-1 / (this.rate * FADES));
     for (let k = 0; k < block.length; k++) {
       if (this.at === null) { block[k] = 0; continue; }
       const force = this.force();
-      this.steady = force - this.before + 0.998 * this.steady;
+      this.steady = force - this.before + keeps * this.steady;
       this.before = force;
-      block[k] = Math.tanh(LOUD * this.steady);
+      this.loud = Math.max(Math.abs(this.steady), fades * this.loud);
+      this.phase += (PITCH / this.rate) * 2 ** (OCTAVES * Math.tanh(this.steady));
+      this.phase -= Math.floor(this.phase);
+      block[k] = Math.tanh(LOUD * this.loud) * Math.sin(2 * Math.PI * this.phase);
       // Wait for lost values instead of guessing them.
       if (this.next < this.head) this.at += 1 / this.rate;
     }

@@ -51,6 +51,7 @@ const frame = () => {
 
 let why = "", stop = null, revision = 0;
 const ringings = AXES.map(() => new Ringing());
+const besideRinging = new Ringing();
 const rings = () => ringings.map((one) => one.ring()).reduce((most, ring) =>
   ring && (!most || ring.force > most.force) ? ring : most, null);
 
@@ -62,14 +63,27 @@ const status = () => {
   say("status", {
     level, words, safety, stop: safety === "stopped" ? stop : null, tick: s.seq, t: s.seq * PERIOD,
     rate_hz: 1 / PERIOD, missed: 0, missed_lately: 0, overruns: 0, delay_ticks: session.delay + DATA.image.next_tick,
+    // What both laws do, where they are compared.
+    sings: session.beside ? { a: ringWords(rings()), b: ringWords(besideRinging.ring()) } : null,
     response_us: {}, law: name, revision, ended: failure,
     nodes: Object.fromEntries(Object.values(DATA.nodes).map((node) => [node, { state: "running", silent_s: 0 }])),
   });
 };
 
+// Edge of every law at the present delay [N/m], for whoever looks for the one that bears most.
+let edges = {}, edged = "";
+const edgesNow = () => {
+  const key = JSON.stringify([session.delay, Object.values(session.laws).map(({ damping }) => damping)]);
+  if (key !== edged) {
+    edged = key;
+    edges = Object.fromEntries(Object.keys(session.laws).map((name) => [name, session.edge(name)]));
+  }
+  return edges;
+};
+
 const laws = () => say("laws", {
   node: DATA.nodes.coupling, active: session.law, laws: session.laws, named: DATA.named, ramp: session.ramp,
-  plant: DATA.plant, device_delay: session.delay,
+  plant: DATA.plant, device_delay: session.delay, edges: DATA.no_map ? {} : edgesNow(),
   rest: Object.fromEntries(Object.keys(session.laws).map((name) => [name, session.laws[name].stiffness === undefined ? restStiffness(session.numbersOf(name)) : null])),
 });
 
@@ -150,6 +164,14 @@ const OPERATIONS = {
     say("beside", { law: "" });
     session.hand(null);
   },
+  sing() {
+    const found = makeItSing(session);
+    pressing = session.seq;
+    touched = false;
+    Object.assign(besideRinging, new Ringing());
+    say("beside", { law: found.beside });
+    return found;
+  },
   python() { return { text: session.python() }; },
 };
 
@@ -178,7 +200,17 @@ onmessage = ({ data }) => {
 // -- time: the browser's clock decides how many ticks are due ------------------------------------------
 
 const WAKES = 16, LONGEST_PAUSE = 0.25, STATUS_PERIOD = 200; // [ms], [s], [ms]
-let began = performance.now(), told = -Infinity, failure = "", touched = false;
+let began = performance.now(), told = -Infinity, failure = "", touched = false, pressing = null;
+
+// The page's own hand, after "make it sing"; a visitor's takes over.
+const press = (tick) => {
+  if (pressing === null || tick % 8) return;
+  const { met } = session.player.environment, axis = AXES[0], side = met[3 + axis];
+  const surface = session.player.driver.position[axis] - side * met[6];
+  const target = touched || !side ? null : pressed((tick - pressing) * PERIOD, surface, side);
+  if (target === null) pressing = null;
+  if (!touched) session.hand(target === null ? null : [0, 1, 2].map((i) => (i === axis ? target : 0)));
+};
 
 const play = () => {
   const time = performance.now(), due = Math.floor((time - began) / 1e3 / PERIOD);
@@ -187,7 +219,9 @@ const play = () => {
   const most = Math.ceil(LONGEST_PAUSE / PERIOD);
   for (let n = 0; session.seq < due && n < most && !failure; n++) {
     const k = session.seq;
+    press(k);
     session.tick();
+    if (session.beside) besideRinging.take(k * PERIOD, session.beside.force.at(-1));
     bin(k);
     AXES.forEach((axis, i) => ringings[i].take(k * PERIOD, session.player.driver.force[axis]));
   }

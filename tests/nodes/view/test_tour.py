@@ -1,4 +1,4 @@
-"""The tour in a real browser: five sentences, each followed by the next when done."""
+"""The tour in a real browser: sentences, each followed by the next when done."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
     page.keyboard.press("Enter")
 
     def stands(words: str, step: int) -> bool:
-        return shown(page, "#sentence").startswith(f"{step} of 5") and words in shown(
+        return shown(page, "#sentence").startswith(f"{step} of 6") and words in shown(
             page, "#sentence"
         )
 
@@ -116,10 +116,11 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
         )
 
     wait_for(calm, "back below the edge")
+    assert not page.locator("#beyond").is_checked(), "and it stays below"
 
     def later() -> bool:
         # As long as it rings or is stopped, the same button calms it first.
-        return acted("document.getElementById('sentence').textContent.startsWith('5 of 5')")
+        return acted("document.getElementById('sentence').textContent.startsWith('5 of 6')")
 
     wait_for(later, "it answers later")
     assert stands("Put one beside yours", 5)
@@ -128,10 +129,12 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
     page.evaluate("navigator.clipboard.writeText = () => Promise.resolve()")
     page.locator("#share").click()
     told = page.evaluate("Object.fromEntries(new URLSearchParams(location.hash.slice(1)))")
-    assert (told["law"], float(told["d"])) == (
+    assert (told["law"], float(told["delay"])) == (
         "pd",
         launch.call("driver", "param.get", name="device.delay"),
     )
+    _act(page, "keyboard")
+    wait_for(lambda: stands("is drawn beside yours now", 6), "what was seen is said")
     _act(page, "keyboard")
     wait_for(lambda: not page.locator("#tour").is_visible(), "the tour is over")
     assert page.evaluate("haptic.beside.law") not in ("", "pd")

@@ -342,3 +342,36 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
     assert "rearmed" in spoiled
     assert found["seq"] == 1
     assert "stiffness: 500" in found["python"]
+
+
+def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> None:
+    """A sings for seconds under the page's own hand; B, three times as stiff, never rings."""
+    found = run(
+        tmp_path,
+        """
+        const session = new Session(DATA), facts = makeItSing(session);
+        const a = new Ringing(), b = new Ringing();
+        const heard = { a: 0, b: 0 };
+        for (let k = 0; k < 3500; k++) {
+          if (k % 8 === 0) session.hand([pressed(k * 0.002, 0.02, -1), 0, 0]);
+          session.tick();
+          a.take(k * 0.002, session.player.driver.force[0]);
+          b.take(k * 0.002, session.beside.force.at(-1));
+          if (a.ring()) heard.a++;
+          if (b.ring()) heard.b++;
+        }
+        result = { facts, heard, end: session.beside.force.slice(-250) };
+        """,
+        "touch_wall",
+    )
+    facts, heard = found["facts"], found["heard"]
+    assert facts["law"] == "pd"
+    assert facts["stiffness"] > facts["edge"]
+    assert (facts["times"], facts["hardness"]) == (3, 3 * facts["stiffness"])
+    assert facts["hardness"] < facts["besideEdge"]
+    assert heard["a"] > 2500, "A sings for more than 5 s of 7"
+    assert heard["b"] == 0
+    end = np.abs(found["end"])
+    # It holds the hand, and rests: the peak to peak force is below what counts as a reversal.
+    assert end.min() > 0.5
+    assert np.ptp(end) < 0.1
