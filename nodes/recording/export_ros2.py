@@ -9,51 +9,26 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from messages import topics
-from messages.types import DeviceState, Force, Message, NodeStatus, Proxy
+from messages.types import NodeStatus
 from nodes.recording.export import parameters
 from nodes.recording.reader import Recording
-from nodes.recording.ros2_messages import RosMessages
+from nodes.recording.ros2_messages import CHAIN_TOPICS, SHARED_TOPICS, RosMessages, ros2_messages
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
 
-# Topics of a chain in the bag and their types; with several chains, each prefixes its namespace.
-CHAIN = (
-    ("/haptic/device/pose", "geometry_msgs/msg/PoseStamped"),
-    ("/haptic/device/force", "geometry_msgs/msg/WrenchStamped"),
-    ("/haptic/device/joints", "sensor_msgs/msg/JointState"),
-    ("/haptic/proxy/pose", "geometry_msgs/msg/PoseStamped"),
-    ("/haptic/coupling/force", "geometry_msgs/msg/WrenchStamped"),
-)
-COMMON = (  # topics common to all chains
-    ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
-    ("/haptic/parameters", "std_msgs/msg/String"),
-)
-
-
-def _of(make: RosMessages, topic: str, message: Message, at: int) -> Iterator[tuple[str, Any]]:
-    """Yield the ROS 2 messages (topic, message) of one recorded message."""
-    chain, inside = topics.split(topic)
-    if isinstance(message, NodeStatus):
-        yield "/diagnostics", make.diagnostics(at, message)
-    elif inside not in topics.LOOP:
-        return
-    elif isinstance(message, DeviceState):
-        yield topics.within(chain, "/haptic/device/pose"), make.pose(at, message.position)
-        yield topics.within(chain, "/haptic/device/force"), make.wrench(at, message.force)
-        yield topics.within(chain, "/haptic/device/joints"), make.joints(at, message)
-    elif isinstance(message, Proxy):
-        yield topics.within(chain, "/haptic/proxy/pose"), make.pose(at, message.proxy)
-    elif isinstance(message, Force):
-        yield topics.within(chain, "/haptic/coupling/force"), make.wrench(at, message.force)
+# Description of the run, in a bag only.
+PARAMETERS = ("/haptic/parameters", "std_msgs/msg/String")
 
 
 def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
     """Write a ROS 2 bag; needs rosbags: ``pip install 'haptic-nodes[rosbag]'``."""
+    import numpy as np
+
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
@@ -72,7 +47,7 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
         shutil.rmtree(folder)
     offset = read_offsets(recording.metadata[CLOCK])[1] if CLOCK in recording.metadata else 0
     store = get_typestore(Stores.ROS2_HUMBLE)
-    make = RosMessages(store.types.__getitem__)
+    make = RosMessages(store.types.__getitem__, sequence=partial(np.array, dtype=np.float64))
 
     def serialised(message: Any) -> bytes:
         return bytes(store.serialize_cdr(message, message.__msgtype__))
@@ -84,11 +59,13 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
                 for chain, topic in map(topics.split, recording.topics)
                 if topic in topics.LOOP
             } or {""}
-            kinds = dict(COMMON) | {
-                topics.within(chain, topic): kind
-                for chain in sorted(chains)
-                for topic, kind in CHAIN
-            }
+            kinds = dict([PARAMETERS]) | SHARED_TOPICS
+            for chain in sorted(chains):
+                kinds |= {
+                    topics.within(chain, f"/haptic/{name}"): kind
+                    for name, kind in CHAIN_TOPICS.items()
+                }
+            laws: dict[str, str] = {}
             lines = {
                 topic: writer.add_connection(topic, kind, typestore=store)
                 for topic, kind in kinds.items()
@@ -100,7 +77,17 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
                     text = make.text(json.dumps(parameters(recording), ensure_ascii=False))
                     writer.write(lines["/haptic/parameters"], at, serialised(text))
                     first = False
-                for topic, message in _of(make, entry.topic, entry.message, at):
+                chain, inside = topics.split(entry.topic)
+                ours = isinstance(entry.message, NodeStatus) or inside in topics.LOOP
+                for topic, _, build in (
+                    ros2_messages(make, entry.message, at, chain) if ours else ()
+                ):
+                    message = build()
+                    if topic.endswith("/haptic/law"):
+                        # as live: only when it changes
+                        if laws.get(topic) == message.data:
+                            continue
+                        laws[topic] = message.data
                     writer.write(lines[topic], at, serialised(message))
     except OSError as error:
         raise RecordError(f"{error.filename or folder}: {error.strerror}") from error

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import msgspec
@@ -20,17 +21,23 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import Connection
-from messages.types import DeviceState, Force, Proxy
+from messages.types import DeviceState, Force, NodeStatus
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.client.launches import roles
 from nodes.driver.pointer import PointerWriter, awaited_pointer
 from nodes.launcher.runs import RunInfo, read_chain
 from nodes.parameters.store import ParameterError, convert, flattened
-from nodes.recording.ros2_messages import CUBE, FRAME, SPHERE, RosMessages
+from nodes.recording.ros2_messages import (
+    CUBE,
+    FRAME,
+    POSE,
+    SPHERE,
+    WRENCH,
+    RosMessages,
+    ros2_messages,
+)
 from nodes.ros2.graph import Backend, Graph, choose, join
-
-POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 
 MAX_FRAMES = 16  # foreign frames that are reported
 SELDOM = 1.0  # period of publishing law and wall, which rarely change [s]
@@ -116,7 +123,7 @@ class Ros2(Node):
             f" {parameters.rate:g} Hz"
         )
 
-    def _publish(self, topic: str, kind: str, build: Callable[..., Any], *content: Any) -> None:
+    def _publish(self, topic: str, kind: str, build: Callable[[], Any]) -> None:
         """Publish a message; a type whose package is not installed is skipped and reported once."""
         if topic not in self._publishers:
             try:
@@ -127,12 +134,13 @@ class Ros2(Node):
                 self.events.emit("ros2", f"{topic} is left out: {error}")
         publish = self._publishers[topic]
         if publish is not None:
-            publish(build(*content))
+            publish(build())
             self.sent += 1
 
     def _newest(self, newest: dict[str, bytes]) -> None:
         """Publish the newest message of each topic of the loop."""
-        make, prefix, seldom = self._make, self._prefix, self._seldom <= time.monotonic()
+        make, seldom, said = self._make, self._seldom <= time.monotonic(), False
+        prefix = self.store.current.prefix
         for topic, payload in newest.items():
             try:
                 message = self._decoders[topic].decode(payload)
@@ -140,27 +148,21 @@ class Ros2(Node):
                 self.events.refuse(str(error))
                 continue
             at = round((message.stamp + self._offset) * 1e9)
+            if isinstance(message, Force):
+                changed, self._law = message.law != self._law, message.law
+                said = seldom or changed
+            for name, kind, build in ros2_messages(make, message, at, self.setup.namespace, prefix):
+                if said or kind != "std_msgs/msg/String":
+                    self._publish(name, kind, build)
             if isinstance(message, DeviceState):
-                self._publish(f"{prefix}/device/pose", POSE, make.pose, at, message.position)
-                self._publish(f"{prefix}/device/force", WRENCH, make.wrench, at, message.force)
                 if self._simulated:
-                    self._publish("/clock", "rosgraph_msgs/msg/Clock", make.clock, at)
+                    self._publish("/clock", "rosgraph_msgs/msg/Clock", partial(make.clock, at))
                 if seldom and self._wall is not None:
                     self._publish(
-                        f"{prefix}/wall",
+                        f"{self._prefix}/wall",
                         "visualization_msgs/msg/Marker",
-                        make.marker,
-                        at,
-                        *self._wall,
+                        partial(make.marker, at, *self._wall),
                     )
-            elif isinstance(message, Proxy):
-                self._publish(f"{prefix}/proxy/pose", POSE, make.pose, at, message.proxy)
-                self._publish(f"{prefix}/contact", "std_msgs/msg/Bool", make.truth, message.contact)
-            elif isinstance(message, Force):
-                self._publish(f"{prefix}/coupling/force", WRENCH, make.wrench, at, message.force)
-                if seldom or message.law != self._law:
-                    self._law = message.law
-                    self._publish(f"{prefix}/law", "std_msgs/msg/String", make.text, message.law)
         if seldom:
             self._seldom = time.monotonic() + SELDOM
             self._wall = self._see_wall()
@@ -321,6 +323,10 @@ class Ros2(Node):
         try:
             self._run: RunInfo = read_chain(self.setup, lambda: self.stopping)
             self._roles = roles(self._run)
+            # A set-up has the node's name with the namespace of its chain.
+            for topic in (topics.status(one.name) for one in self._run.nodes.values()):
+                names[topic.encode()] = topic
+                self._decoders[topic] = Decoder(NodeStatus)
             self._listen(parameters)
             self._serve(names, 1.0 / parameters.rate)
         finally:

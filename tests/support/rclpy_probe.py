@@ -20,6 +20,7 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
     """Run the probe."""
     import rclpy
     from geometry_msgs.msg import PoseStamped, WrenchStamped
+    from sensor_msgs.msg import JointState
     from std_msgs.msg import Bool, String
 
     rclpy.init()
@@ -34,6 +35,7 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
     for topic, kind in (
         ("device/pose", PoseStamped),
         ("device/force", WrenchStamped),
+        ("device/joints", JointState),
         ("proxy/pose", PoseStamped),
         ("coupling/force", WrenchStamped),
         ("contact", Bool),
@@ -102,6 +104,7 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
         ]
         for m in got["device/pose"]
     ]
+    told["joints"] = [[m.name, list(m.position), list(m.effort)] for m in got["device/joints"]]
     told["span"] = first(got["device/pose"][-1]) - first(got["device/pose"][0])
     told["frame"] = got["device/pose"][0].header.frame_id
     told["laws"] = sorted({m.data for m in got["law"]})

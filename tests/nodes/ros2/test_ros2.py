@@ -112,6 +112,7 @@ def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     assert not figures["failures"]
     recording = Recording(folder / figures["recording"])
     told = json.loads(done.stdout)
+    told["backend"] = backend
     told["poses_are"] = told["types"][f"{namespace}/haptic/device/pose"]
     # Each chain is pulled and pushed by what is named as its own, and by nothing else.
     inputs = {name for name in told["types"] if name.endswith(("/wrench", "/target"))}
@@ -129,7 +130,14 @@ def test_rclpy_hears_what_was_recorded(heard: Heard) -> None:
     assert [tuple(pose[2:]) for pose in poses] == [
         states[pose[0] * 10**9 + pose[1]] for pose in poses
     ]
+    positions = {tuple(position) for position in states.values()}
+    assert all(tuple(joints[1]) in positions for joints in heard.told["joints"])
+    assert heard.told["joints"][0][0] == ["x", "y", "z"]
     assert heard.told["frame"] == "haptic"
+    # What no package of this Python can read is on the graph all the same, if it is ours to send.
+    if heard.told["backend"] == "cyclonedds":
+        assert heard.told["types"]["/tf"] == ["tf2_msgs/msg/TFMessage"]
+        assert heard.told["types"]["/diagnostics"] == ["diagnostic_msgs/msg/DiagnosticArray"]
     assert heard.told["laws"] == ["pd"]
     assert all(heard.told["counts"].values())
 
