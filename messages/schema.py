@@ -48,7 +48,8 @@ def attributes(docstring: str) -> dict[str, str]:
     for line in (section or whole).splitlines()[1:]:
         text = line.strip()
         if entry := (_SECTION_ENTRY if section else _ENTRY).match(line):
-            names, text = entry[1].split(", "), entry[2]
+            names = entry[1].split(", ")
+            text = entry[2]
         elif not line.startswith(" "):
             names = []
         for name in names:

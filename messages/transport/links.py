@@ -73,7 +73,8 @@ class _Link:
                 else _NO_NODE
             )
             return self.failed
-        self.state, self.since = _STATES[event], now
+        self.state = _STATES[event]
+        self.since = now
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self.was_open, self.failed = True, ""
         elif event == zmq.EVENT_CONNECTED:
@@ -141,7 +142,9 @@ class Links:
         self._listen_for_silence(heard, now)
 
     def _renew(self, link: _Link, reason: str, now: float) -> None:
-        link.state, link.since, link.renewed = "asked for", now, now
+        link.state = "asked for"
+        link.since = now
+        link.renewed = now
         self._tell(f"{link.bare}: {reason}")
         self._asked.append((link, True))
         self._call()
@@ -165,11 +168,14 @@ class Links:
 
     def _listen_for_silence(self, heard: int | None, now: float) -> None:
         # Time in which this thread was starved itself does not count as silence.
-        passed, self._looked = min(now - self._looked, 2.0 * POLL_INTERVAL), now
+        passed = min(now - self._looked, 2.0 * POLL_INTERVAL)
+        self._looked = now
         if heard is None or heard != self._heard:
-            self._heard, self._silent = heard if heard is not None else -1, 0.0
+            self._heard = heard if heard is not None else -1
+            self._silent = 0.0
             return
-        before, self._silent = self._silent, self._silent + passed
+        before = self._silent
+        self._silent = self._silent + passed
         for link in self._links:
             limit = CONNECTED_SILENCE if link.state == "connected" else SILENCE
             # Once per such period; a new link over a slow cable takes longer than one.

@@ -124,7 +124,8 @@ class ControlServer(threading.Thread):
         self._reopening = Reopening(self._socket, [node.setup.control])
 
     def _info(self) -> dict[str, Any]:
-        node, name = self._node, self._node.setup.name
+        node = self._node
+        name = self._node.setup.name
         return {
             "status": msgspec.to_builtins(node.status()),
             "publishes": [
@@ -179,7 +180,8 @@ class ControlServer(threading.Thread):
             self._fetched.wait(timeout)
 
     def _watch_lease(self) -> None:
-        lease, now = self._node.setup.lease, time.monotonic()
+        lease = self._node.setup.lease
+        now = time.monotonic()
         if lease and now - self._asked > lease and not self._node.stopping:
             reason = f"launcher lost: no request for {lease:g} s"
             self._node.events.log(f"{reason}; stopping")
@@ -314,7 +316,8 @@ class ControlServer(threading.Thread):
             node.stop(reason)
 
     def _publish_status(self) -> None:
-        node, now = self._node, time.monotonic()
+        node = self._node
+        now = time.monotonic()
         if self._watched is not None and now >= self._next_watch:
             self._next_watch = now + WATCH_PERIOD
             self._poll_file(self._watched)

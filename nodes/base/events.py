@@ -30,11 +30,9 @@ class Clock:
 
     def __init__(self, setup: Setup, seq: Callable[[], int]) -> None:
         # `simulated`: time is counted in ticks (lockstep).
-        self._name, self._period, self.simulated = (
-            setup.name,
-            setup.period,
-            setup.pace == "lockstep",
-        )
+        self._name = setup.name
+        self._period = setup.period
+        self.simulated = setup.pace == "lockstep"
         self._seq = seq
         # offset from this host's monotonic clock to the run's time, and its uncertainty [s]
         self.offset = self.error = 0.0
@@ -158,7 +156,8 @@ class Events:
         return {"tick": seq, "stamp": stamp}
 
     def _publish_event(self, kind: str, reason: str, data: dict[str, float]) -> tuple[int, float]:
-        seq, stamp = self._seq(), self._clock.now()
+        seq = self._seq()
+        stamp = self._clock.now()
         message = Event(
             seq=seq, stamp=stamp, node=self._name, kind=kind, reason=reason[:4000], data=data
         )

@@ -26,7 +26,8 @@ def _follow(
     expected = topic.encode()
     ticks = node.make_compiled()
     counters = node.counters
-    realtime, period = node.setup.pace == "realtime", node.setup.period
+    realtime = node.setup.pace == "realtime"
+    period = node.setup.period
     next_frame, decode, clock = inbox.next_frame, decoder.decode, time.monotonic
     waker = node.waker
     newest = _make_newest(node, inbox, decoder, expected, hear)
@@ -139,7 +140,9 @@ def answer_ticks(
     node.state = "running"
     take = _follow(node, inbox, Decoder(message), node.setup.topic(topic), hear or {})
     send, send_again = node.publisher.send, node.publisher.send_hop
-    to, counters, events = node.setup.topic(answers_on).encode(), node.counters, node.events
+    to = node.setup.topic(answers_on).encode()
+    counters = node.counters
+    events = node.events
     while not node.stopping:
         taken = take()
         if taken is not None:
@@ -148,7 +151,8 @@ def answer_ticks(
                 # node only. Neither memory nor listeners may see the tick twice.
                 send_again(to, node.answer)
             elif (payload := respond(taken)) is not None:
-                counters.answered, node.answer = taken.seq, payload
+                counters.answered = taken.seq
+                node.answer = payload
                 # before sending: a client that has the answer must find it counted
                 counters.ticks += 1
                 send(to, payload)

@@ -89,7 +89,10 @@ class HangWatchdog:
         passed = now - self._checked
         if progress != self._last:
             # the next activity has a limit of its own
-            self._last, self._stood, self._checked, self._waited = progress, 0.0, now, waited
+            self._last = progress
+            self._stood = 0.0
+            self._checked = now
+            self._waited = waited
         elif passed >= CHECK_INTERVAL:
             self._stood += max(0.0, min(passed, 2.0 * CHECK_INTERVAL) - (waited - self._waited))
             self._checked, self._waited = now, waited
@@ -107,7 +110,9 @@ def where(thread: int) -> str:
 
 def give_up(node: Node, reason: str) -> None:
     """End a process whose loop hangs: report the reason, publish, write the report, exit."""
-    node.stop_reason, node.state, node.stopping = reason, "failed", True
+    node.stop_reason = reason
+    node.state = "failed"
+    node.stopping = True
     node.events.emit("hung", f"{reason}; it was in {where(node.events.loop_thread)}")
     node.events.publish(topics.status(node.setup.name), node.status())
     node.flush_outbox()

@@ -44,11 +44,9 @@ def _await_listeners(node: Node) -> None:
     node.state = "waiting"
     while node.publisher.listeners() < node.setup.listeners and not node.stopping:
         if time.monotonic() > deadline:
-            there, expected, patience = (
-                node.publisher.listeners(),
-                node.setup.listeners,
-                node.setup.patience,
-            )
+            there = node.publisher.listeners()
+            expected = node.setup.listeners
+            patience = node.setup.patience
             node.events.emit(
                 "listeners",
                 f"{there} of {expected} listeners within {patience:g} s; continuing without them",
@@ -96,10 +94,8 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         else None
     )
     try:
-        hops, listeners = (
-            filter(None, [setup.reach]),
-            filter(None, [setup.listen, setup.listen_reach]),
-        )
+        hops = filter(None, [setup.reach])
+        listeners = filter(None, [setup.listen, setup.listen_reach])
         batch = (
             LOCKSTEP_BATCH
             if setup.pace == "lockstep"
@@ -126,7 +122,8 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
 
 def _fail_to_start(node: Node, error: Exception) -> int:
     node.events.log(f"cannot start: {error}")
-    node.stop_reason, node.state = str(error), "failed"
+    node.stop_reason = str(error)
+    node.state = "failed"
     write_report(node, {})
     return 1
 

@@ -22,7 +22,8 @@ class ProcessorWait:
     def update(self, pid: int) -> float:
         """Update and return the total [s], by the thread that waited longest since last time."""
         now = time.monotonic()
-        passed, self._updated = now - self._updated, now
+        passed = now - self._updated
+        self._updated = now
         seen: dict[str, tuple[int, int]] = {}
         most = 0.0
         for path in Path(f"/proc/{pid}/task").glob("[0-9]*"):

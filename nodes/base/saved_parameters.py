@@ -29,7 +29,8 @@ def _path(node: Node) -> Path:
 def save_parameters(node: Node) -> None:
     """Save the node's parameters if they changed since the last save (control thread)."""
     # In this order: a scheduled change in between is then repeated, not lost.
-    seq, current = node.counted().seq, node.store.current
+    seq = node.counted().seq
+    current = node.store.current
     if current is node.saved_parameters or not node.setup.run_dir:
         return
     node.saved_parameters = current
@@ -48,11 +49,9 @@ def resume(node: Node) -> None:
     except (msgspec.DecodeError, ParameterError) as error:
         node.events.log(f"its saved parameters cannot be used: {error}; using the launch file's")
         return
-    node.saved_parameters, node.resumed_at, node.watched = (
-        node.store.current,
-        kept.seq,
-        kept.watched,
-    )
+    node.saved_parameters = node.store.current
+    node.resumed_at = kept.seq
+    node.watched = kept.watched
     node.events.emit_each(
         "resumed", f"continues with its parameters of tick {kept.seq}", {"tick": kept.seq}
     )

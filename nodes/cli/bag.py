@@ -299,7 +299,8 @@ def _counted(messages: Mapping[str, int]) -> str:
 
 
 def _in_order(start: float | None, stop: float | None) -> tuple[float, float]:
-    begin, end = start or 0.0, math.inf if stop is None else stop
+    begin = start or 0.0
+    end = math.inf if stop is None else stop
     if begin >= end:
         raise UsageError(f"--from {begin:g} --to {end:g}: the end must come after the beginning")
     return begin, end
@@ -366,7 +367,8 @@ def _contradictions(recording: Recording) -> list[str]:
 
 def _info(arguments: argparse.Namespace) -> int:
     recording = Recording(arguments.file)
-    verdict, times = completeness(recording), clocks(recording)
+    verdict = completeness(recording)
+    times = clocks(recording)
     remote = {node: clock for node, clock in times.items() if clock.error}
     figures = {
         "file": str(recording.path),

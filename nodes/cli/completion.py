@@ -137,7 +137,8 @@ def _descend(
 
 def _positionals(rest: list[str], options: dict[str, Any]) -> list[str]:
     """Return the words that are neither options nor their values."""
-    found, skip = [], False
+    found = []
+    skip = False
     for word in rest:
         if skip:
             skip = False

@@ -87,10 +87,8 @@ def _fifo() -> Diagnosis:
 
 
 def _throttling() -> Diagnosis:
-    runtime, period = (
-        _read("/proc/sys/kernel/sched_rt_runtime_us"),
-        _read("/proc/sys/kernel/sched_rt_period_us"),
-    )
+    runtime = _read("/proc/sys/kernel/sched_rt_runtime_us")
+    period = _read("/proc/sys/kernel/sched_rt_period_us")
     if runtime is None or period is None:
         return Diagnosis("ok", "not readable here")
     if int(runtime) < 0:
@@ -163,7 +161,8 @@ def _preemption() -> Diagnosis:
 
 
 def _open_files() -> Diagnosis:
-    soft, limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0], _limit(resource.RLIMIT_NOFILE)
+    soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    limit = _limit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < OPEN_FILES:
         return Diagnosis("missing", f"{limit}, needed: {OPEN_FILES}", f"ulimit -n {OPEN_FILES}")
     return Diagnosis("ok", limit)
@@ -351,7 +350,8 @@ def run(arguments: argparse.Namespace) -> int:
     measured: dict[str, dict[str, float]] = {}
     findings = _findings(measured)
     states = [finding.state for finding in findings.values()]
-    fine, limited = "missing" not in states, states.count("limited")
+    fine = "missing" not in states
+    limited = states.count("limited")
     marks = {"ok": "ok ", "limited": "!  ", "missing": "NO "}
     lines = []
     for name, finding in findings.items():

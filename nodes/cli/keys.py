@@ -74,7 +74,8 @@ def _list(arguments: argparse.Namespace) -> int:
     try:
         own = mine = keys.identity().public
     except keys.KeyRefusedError as error:
-        mine, own = "", str(error)
+        mine = ""
+        own = str(error)
     there = keys.allowed()
     lines = [f"this machine  {own}", *(f"{name:12}  {key}" for name, key in there.items())]
     return answer(

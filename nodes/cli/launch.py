@@ -196,7 +196,8 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
 def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, Any]:
     """Return the figures of one chain from its driver's report."""
     axes = launch.axes.get(chain) or launch.run.axes
-    axis, single = "xyz".index(axes[0]), len(axes) == 1
+    axis = "xyz".index(axes[0])
+    single = len(axes) == 1
     final = driver.get("final", {})
     nothing = {
         "ticks": 0,
@@ -243,11 +244,10 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
 
 def _ending(final: dict[str, Any], stopped: bool) -> str:
     """Return a line about the final motion: stopped, at rest, swinging, falling or moving."""
-    motion, where = (
-        final["motion"],
-        f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N",
-    )
-    swing, speed = f"{final['swing_m'] * 1e3:.3g} mm", f"{final['velocity_m_per_s']:+.3g} m/s"
+    motion = final["motion"]
+    where = f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
+    swing = f"{final['swing_m'] * 1e3:.3g} mm"
+    speed = f"{final['velocity_m_per_s']:+.3g} m/s"
     if stopped:
         return f"  stopped   {where}, {motion}: no force acts any more"
     if motion == "swinging":
@@ -289,7 +289,8 @@ def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
 
 def _chain_text(figures: dict[str, Any]) -> list[str]:
     """Return lines about one chain."""
-    response, lines = figures["response_us"], list[str]()
+    response = figures["response_us"]
+    lines = list[str]()
     if response and figures["ticks"]:
         lines = [
             (

@@ -291,7 +291,8 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def _leak(figures: dict[str, Any]) -> list[str]:
     """Return a warning if H(1) differs from K because the taps of a short memory leak."""
-    nominal, felt = figures.get("stiffness"), figures["h1_n_per_m"]
+    nominal = figures.get("stiffness")
+    felt = figures["h1_n_per_m"]
     if not isinstance(nominal, int | float) or felt is None or figures["h_nyquist_n_per_m"] is None:
         return []
     if abs(felt - nominal) <= LEAK * max(abs(nominal), abs(felt)):

@@ -37,7 +37,8 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
     law = parse_law(
         {"kind": shown["kind"], **{name: shown[name] for name in fields if name in shown}}
     )
-    period, late = 1.0 / shown["rate_hz"], shown["delay_ticks"] - declared.device_delay
+    period = 1.0 / shown["rate_hz"]
+    late = shown["delay_ticks"] - declared.device_delay
     derivative = without_spring(law, period)
     masses = {
         declared.mass,

@@ -53,7 +53,8 @@ def _run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--close {out}: exists already; choose another name")
         refuse_unwritable(out, "--close")
     found = examine(arguments.file, "FILE", arguments.scale)
-    figures, lines = _figures(found), _lines(found)
+    figures = _figures(found)
+    lines = _lines(found)
     code = 0
     if out is not None:
         left, filled = _close(found, out)

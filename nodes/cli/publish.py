@@ -117,7 +117,8 @@ def publish(arguments: argparse.Namespace) -> int:
         else chosen_chain(arguments)
     )
     send = _sender(run, arguments)
-    count, limit = 0, 1 if arguments.once else arguments.times
+    count = 0
+    limit = 1 if arguments.once else arguments.times
     following = time.monotonic()
     try:
         while run.lives and not (limit and count >= limit):

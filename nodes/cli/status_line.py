@@ -126,8 +126,10 @@ class StatusLine:
         recent = array("d")
         recent.frombytes(now["recent_s"])
         responses = sorted(value for value in recent if value > 0.0) or [0.0]
-        p50, p99 = responses[len(responses) // 2] * 1e6, responses[int(len(responses) * 0.99)] * 1e6
-        clock, ticks = time.monotonic(), now["tick"]
+        p50 = responses[len(responses) // 2] * 1e6
+        p99 = responses[int(len(responses) * 0.99)] * 1e6
+        clock = time.monotonic()
+        ticks = now["tick"]
         rate = (ticks - self._before[1]) / (clock - self._before[0])
         self._before = (clock, ticks)
         of = f"/{now['ticks']}" if now["ticks"] else ""

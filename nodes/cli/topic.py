@@ -121,7 +121,8 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _info(arguments: argparse.Namespace) -> int:
-    run, topic = chosen_run(arguments), arguments.topic
+    run = chosen_run(arguments)
+    topic = arguments.topic
     known_topic(run, topic)
     kind = message_type(topic)
     shown: dict[str, Any] = schema(kind) if kind is not None else {"properties": {}}
@@ -288,7 +289,8 @@ class _Bandwidth(_Measure):
         return {"bandwidth_bytes_per_s": rate * size.mean, "size_bytes": shown}
 
     def line(self) -> str:
-        bandwidth, size = self.figures()["bandwidth_bytes_per_s"], self._spread
+        bandwidth = self.figures()["bandwidth_bytes_per_s"]
+        size = self._spread
         return (
             f"{bandwidth / 1e3:.2f} kB/s from {self.count} messages"
             f"   size mean {size.mean:.0f}, min {size.low:.0f}, max {size.high:.0f} B"

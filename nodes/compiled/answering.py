@@ -42,7 +42,9 @@ class CompiledTicks:
 
     def __init__(self, node: Any, kernel: Kernel, expected: str, topic: str) -> None:
         assert node.inbox is not None  # noqa: S101  # every answering kind has one
-        self._node, self._kernel, self._inbox = node, kernel, node.inbox
+        self._node = node
+        self._kernel = kernel
+        self._inbox = node.inbox
         self.state = state = node.counters  # the node's state, in which the kernel ticks
         self.inside = False  # whether the kernel runs
         self._posting = threading.Lock()
@@ -53,10 +55,13 @@ class CompiledTicks:
             setattr(state, name, address)
         state.inbox = node.inbox.native_handle()
         state.hop, state.aside, state.batch = node.publisher.native_handles()
-        state.realtime, state.period, state.until = int(realtime), node.setup.period, NEVER
+        state.realtime = int(realtime)
+        state.period = node.setup.period
+        state.until = NEVER
         self._kept: list[Any] = []
         keys = key_blocks(LOOP[topic])
-        expected, topic = node.setup.topic(expected), node.setup.topic(topic)
+        expected = node.setup.topic(expected)
+        topic = node.setup.topic(topic)
         self._expected = expected.encode()
         self._frame = self._room("frame", LONGEST_TOPIC)
         self._text = self._room("text", LONGEST_TEXT + 16)
@@ -178,7 +183,8 @@ class CompiledTicks:
                 return take()
             node.publisher.flush()
             inbox.set_timeout(WAIT_MS)
-            state.most, state.clock_offset = self._most, node.clock.offset
+            state.most = self._most
+            state.clock_offset = node.clock.offset
             if self.go():
                 node.answer = self.last_sent()
             self.store_state()

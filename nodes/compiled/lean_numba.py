@@ -34,7 +34,8 @@ def make_lean() -> None:
         return
 
     # Registries are complete after the first function; what is imported later is still refreshed.
-    load, loaded = context.load_additional_registries, set[int]()
+    load = context.load_additional_registries
+    loaded = set[int]()
 
     def load_once(self: Any) -> None:
         if id(self) not in loaded:

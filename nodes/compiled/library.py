@@ -44,7 +44,8 @@ def library_of_pyzmq() -> str:
 
 def functions() -> dict[str, int]:
     """Return the addresses of the C functions that kernels call."""
-    libzmq, libc = ctypes.CDLL(library_of_pyzmq()), ctypes.CDLL(None)
+    libzmq = ctypes.CDLL(library_of_pyzmq())
+    libc = ctypes.CDLL(None)
     found = {}
     for library, names in ((libzmq, _ZMQ), (libc, _LIBC)):
         for name in names:
@@ -99,8 +100,10 @@ def _kernel_at(address: int) -> Kernel:
     function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(
         address
     )
-    result, error = ctypes.c_int64(), ctypes.c_void_p()
-    at, message = ctypes.addressof(result), ctypes.addressof(error)
+    result = ctypes.c_int64()
+    error = ctypes.c_void_p()
+    at = ctypes.addressof(result)
+    message = ctypes.addressof(error)
 
     def call(state: int) -> int:
         if function(at, message, state):

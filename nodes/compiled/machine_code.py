@@ -104,7 +104,8 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
     context.get_executable = lambda *_: [].append
     # a type checker knows only numba's common options
     compile_: Any = numba.njit
-    names, waiting = {}, []
+    names = {}
+    waiting = []
     for name, (function, signature) in entries.items():
         compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(
             function.py_func
@@ -154,7 +155,8 @@ def linked(made: bytes) -> tuple[str, bytes]:
     linker = next(filter(None, map(shutil.which, _LINKERS)), None)
     if linker is not None:
         with tempfile.TemporaryDirectory(prefix="haptic-tick-") as folder:
-            draft, library = Path(folder) / "tick.o", Path(folder) / "tick.so"
+            draft = Path(folder) / "tick.o"
+            library = Path(folder) / "tick.so"
             draft.write_bytes(made)
             command = [linker, "-shared", "-o", str(library), str(draft), "-lm"]
             done = subprocess.run(command, capture_output=True, check=False)

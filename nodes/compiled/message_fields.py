@@ -45,21 +45,34 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
         name, kind_of = field.encode_name, field.type
         low = high = room = 0
         if isinstance(kind_of, inspect.FloatType):
-            kind, bank, room = REAL, 0, 1
+            kind = REAL
+            bank = 0
+            room = 1
         elif isinstance(kind_of, inspect.TupleType) and all(
             isinstance(t, inspect.FloatType) for t in kind_of.item_types
         ):
-            kind, bank, room = VECTOR, 0, len(kind_of.item_types)
+            kind = VECTOR
+            bank = 0
+            room = len(kind_of.item_types)
         elif (
             isinstance(kind_of, inspect.IntType)
             and kind_of.ge is not None
             and kind_of.le is not None
         ):
-            kind, bank, room, low, high = WHOLE, 1, 1, kind_of.ge, kind_of.le
+            kind = WHOLE
+            bank = 1
+            room = 1
+            low = kind_of.ge
+            high = kind_of.le
         elif isinstance(kind_of, inspect.BoolType):
-            kind, bank, room = FLAG, 1, 1
+            kind = FLAG
+            bank = 1
+            room = 1
         elif isinstance(kind_of, inspect.StrType) and kind_of.max_length is not None:
-            kind, bank, room, high = TEXT, 2, 1, kind_of.max_length
+            kind = TEXT
+            bank = 2
+            room = 1
+            high = kind_of.max_length
         else:
             raise NotCompilableError(f"{message.__name__}.{name}: a field of type {kind_of}")
         if kind == VECTOR and room != 3:

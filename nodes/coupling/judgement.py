@@ -72,7 +72,10 @@ class Judgement:
         known: Mapping[str, float] | None = None,
         effects: Sequence[Effect] = (),
     ) -> None:
-        self._node, self._period, self._book, self._known = node, period, book, known or {}
+        self._node = node
+        self._period = period
+        self._book = book
+        self._known = known or {}
         self._effects = effects
 
     def refuse_contradiction(
@@ -83,11 +86,13 @@ class Judgement:
         `now` has the parameters before a change; values accepted earlier may stay. A change does
         not compare a device's delay, because it may have changed since the start.
         """
-        plant, before = parameters.plant, now and now.plant
+        plant = parameters.plant
+        before = None if now is None else now.plant
         if plant is None or parameters.stability in ("warn", "off") or plant == before:
             return
         for field, limit in contradictions(plant, self._known).items():
-            written, live = getattr(plant, field), now is not None and field in _MOVABLE
+            written = getattr(plant, field)
+            live = now is not None and field in _MOVABLE
             if live or (before is not None and written == getattr(before, field)):
                 continue
             where = f"{self._node}.plant.{field}"
@@ -328,7 +333,8 @@ class Judgement:
                 f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
                 "the rest as requested"
             )
-        reached, ends = _numbers(at(share)), _numbers(asked)
+        reached = _numbers(at(share))
+        ends = _numbers(asked)
         if len(start) > 1:
             return f"together, {where} is accepted up to " + ", ".join(
                 f"{path} {reached[path]:.4g}" for path in start
@@ -399,14 +405,14 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
     dict of str to str
         Field to the known value, in the field's unit.
     """
-    limits = {
-        **known,
-        **({"heaviest": known.get("heaviest", known["mass"])} if "mass" in known else {}),
-    }
+    limits = dict(known)
+    if "mass" in known:
+        limits.setdefault("heaviest", known["mass"])
     found = {}
     for field, limit in limits.items():
         value = getattr(plant, field)
-        low, high = limit * (1.0 - _CLOSE), limit * (1.0 + _CLOSE)
+        low = limit * (1.0 - _CLOSE)
+        high = limit * (1.0 + _CLOSE)
         if field in ("scale", "tool_stiffness", "tool_lag"):
             kept = value is not None and low <= value <= high
         elif field == "tool_step":
@@ -469,4 +475,5 @@ def _rounded(value: float, towards: float) -> float:
     if value == 0.0:
         return value
     unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)
-    return (math.floor if towards < value else math.ceil)(value / unit) * unit
+    rounded = math.floor(value / unit) if towards < value else math.ceil(value / unit)
+    return rounded * unit

@@ -62,7 +62,8 @@ def _ring(s: CouplingState, n: int) -> Any:
 def _force_of(s: CouplingState, n: int, m: int, history: Any, head: int) -> float:
     at = _SLOTS * n + m
     count = s.sections_count[at]
-    taps, recursive = reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * count)
+    taps = reals_at(s.taps[at], s.taps_count[at])
+    recursive = reals_at(s.sections[at], 4 * count)
     return evaluate(taps, recursive, reals_at(s.sections_state[at], 2 * count), history, head)
 
 
@@ -153,7 +154,8 @@ def ticks(address: int) -> int:
             break  # a start or a jump: the plain tick restarts the histories
         if overtaken(s, s.reals[_STAMP]):
             continue
-        contact, distance = s.wholes[_CONTACT] != 0, s.reals[_DISTANCE]
+        contact = s.wholes[_CONTACT] != 0
+        distance = s.reals[_DISTANCE]
         if seq > s.seq + 1:
             missing = seq - s.seq - 1
             _bridge(s, position, proxy, normal, distance, contact, missing)

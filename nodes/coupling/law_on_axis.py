@@ -59,7 +59,8 @@ class History:
         self.values[:] = array("d", [value]) * len(self.values)
         # invalidates a snapshot under way, and laws that saw the old values
         self.pushes += self.length
-        self.filled_at, self.level = self.pushes, value
+        self.filled_at = self.pushes
+        self.level = value
 
     def snapshot(self) -> History:
         """Return a copy made from another thread, which may take longer than a tick."""
@@ -98,7 +99,8 @@ def sum_of_taps(taps: tuple[float, ...], history: History) -> Callable[[int], fl
     ring = np.frombuffer(values)
     weights = np.array(taps)
     products = np.empty(n)
-    multiply, running_sum = np.multiply, np.add.accumulate
+    multiply = np.multiply
+    running_sum = np.add.accumulate
 
     def add(head: int) -> float:
         multiply(weights, ring[head : head + n], products)

@@ -444,7 +444,8 @@ class Coupling(Node):
             "force_step": force_step,
             "ramp": ramp,
         }
-        stamp, revision = self.clock.now(), self.counters.revision
+        stamp = self.clock.now()
+        revision = self.counters.revision
         receipt = Receipt(
             seq=seq, stamp=stamp, action=action, reason=reason[:4000], revision=revision, **told
         )
@@ -513,7 +514,8 @@ class Coupling(Node):
 
     def _report_jump(self, proxy: Proxy) -> None:
         """Report the force step of a jump."""
-        step, ramp = self._renderer.force_step, proxy.ease or self.counters.ease_usual
+        step = self._renderer.force_step
+        ramp = proxy.ease or self.counters.ease_usual
         if step > 0.0:
             began = self.counters.answered < 0
             what = (
@@ -543,7 +545,9 @@ class Coupling(Node):
         if jumped:
             self._report_jump(proxy)
         s.stamp = proxy.stamp if self.clock.simulated else self.clock.now()
-        s.seq, s.credit, s.force[:] = seq, proxy.credit, force
+        s.seq = seq
+        s.credit = proxy.credit
+        s.force[:] = force
         s.normal[:] = proxy.normal if proxy.contact else ZERO
         return _payload(s, renderer.name)
 

@@ -82,7 +82,9 @@ def turn(
         u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
         part = 1.0 / (1.0 + cosine)
         for row in range(0, 9, 3):
-            p, q, r = turned[row], turned[row + 1], turned[row + 2]
+            p = turned[row]
+            q = turned[row + 1]
+            r = turned[row + 2]
             d, e, f = v * r - w * q, w * p - u * r, u * q - v * p
             p, q, r = (
                 p + d + part * (v * f - w * e),

@@ -59,7 +59,8 @@ class ActiveLaw:
 
 def settle_conventions(s: CouplingState, parameters: CouplingParameters, period: float) -> None:
     """Set contact conventions, axes of the history and easing; new conventions cause a jump."""
-    raw, clamp = int(parameters.history == "position"), int(parameters.clamp)
+    raw = int(parameters.history == "position")
+    clamp = int(parameters.clamp)
     if (s.raw, s.clamp) != (raw, clamp):
         s.jumps = 1
     s.raw, s.clamp, s.ease_usual = raw, clamp, round(parameters.ease / period)
@@ -99,7 +100,9 @@ class Renderer:
 
     @law.setter
     def law(self, law: ActiveLaw) -> None:
-        self._law, self.name, self.watched = law, law.name, law.watched
+        self._law = law
+        self.name = law.name
+        self.watched = law.watched
         self._store_laws()
 
     def _store_laws(self) -> None:
@@ -152,7 +155,8 @@ class Renderer:
             waiting.catch_up()
 
     def _end_fade(self) -> None:
-        self._leaving, self.state.fade_ramp = [], 0
+        self._leaving = []
+        self.state.fade_ramp = 0
         self.watched = self._law.watched
         self._store_laws()
 
@@ -168,7 +172,8 @@ class Renderer:
             last = -1  # the first tick, or the first of a restarted driver
         if last < 0 or proxy.rebased != s.rebased or s.jumps:
             conventions = last >= 0 and s.jumps != 0
-            s.rebased, s.jumps = proxy.rebased, 0
+            s.rebased = proxy.rebased
+            s.jumps = 0
             if self._rebase(proxy, conventions):
                 return True
         if last >= 0 and missing > 0:
@@ -191,7 +196,8 @@ class Renderer:
             history.fill(value)
             for law in (*self._laws[n], *(waiting.axes[n] for waiting in self.standby)):
                 law.settle(value)
-        s.ease_ramp, s.ease_done = max(proxy.ease or s.ease_usual, 1), 0
+        s.ease_ramp = max(proxy.ease or s.ease_usual, 1)
+        s.ease_done = 0
         return True
 
     @property
@@ -235,7 +241,8 @@ class Renderer:
             )
         watched = self.watched
         self._leaving = leaving if ramp > 0 else []
-        s.fade_ramp, s.fade_done = ramp, 0
+        s.fade_ramp = ramp
+        s.fade_done = 0
         self.law = law
         # as long as the leaving laws run own code
         self.watched = self.watched or (watched and ramp > 0)
@@ -243,7 +250,8 @@ class Renderer:
 
     def fall_back(self, proxy: Proxy, due: int = 0) -> Vector:
         """Replace a failed law by the fallback in the same tick. Return the force [N]."""
-        self._law, self.name = self.fallback, self.fallback.name
+        self._law = self.fallback
+        self.name = self.fallback.name
         self._end_fade()
         force = [0.0, 0.0, 0.0]
         met = (

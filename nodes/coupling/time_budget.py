@@ -51,5 +51,6 @@ class Budget:
 
     def again(self, now: float) -> bool:
         """Record an overrun at a loop time [s]. Return whether it is the second in `FORGIVEN`."""
-        before, self._before = self._before, now
+        before = self._before
+        self._before = now
         return now - before <= FORGIVEN

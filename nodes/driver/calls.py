@@ -55,7 +55,8 @@ class Jumps:
     def again(self) -> bool:
         """Return whether the position has jumped since the last call."""
         now = getattr(self._device, "jumps", 0)
-        jumped, self._last = now != self._last, now
+        jumped = now != self._last
+        self._last = now
         return jumped
 
 
@@ -111,5 +112,6 @@ class DeviceCalls:
     def raise_error(self) -> None:
         """Raise the exception of the last call, if any."""
         if self._error is not None:
-            error, self._error = self._error, None
+            error = self._error
+            self._error = None
             raise error

@@ -188,7 +188,8 @@ def why_no_force(s: DriverState, condition: str = "") -> str:
         return "the driver has not ticked yet"
     if condition:
         return condition
-    state, name = STATES[SAFETY[s.safety]], SAFETY[s.safety]
+    state = STATES[SAFETY[s.safety]]
+    name = SAFETY[s.safety]
     place = ", ".join(f"{x:.4g}" for x in s.place)
     if s.safety == FAULT:
         ends = "; ".join(

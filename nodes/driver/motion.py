@@ -43,13 +43,16 @@ def set_latency(s: DriverState, latency: float) -> array[float]:
     The caller must keep a reference to the buffer.
     """
     line, part = line_of(latency) if latency else ([], 0.0)
-    length, before = len(line), s.line_length
+    length = len(line)
+    before = s.line_length
     kept = array("d", [0.0]) * (3 * length)
     old = reals_at(s.lines, 3 * before)
     for i in range(3):
         for k in range(length):
             kept[i * length + k] = old[i * before + min(k, before - 1)] if before else s.acting[i]
-    s.lines, s.line_length, s.line_part = kept.buffer_info()[0], length, part
+    s.lines = kept.buffer_info()[0]
+    s.line_length = length
+    s.line_part = part
     return kept
 
 
@@ -64,7 +67,8 @@ def sample(s: DriverState, at: float) -> bool:
         for i in range(3):
             s.position[i] = s.place[i]
         return False
-    s.at_before, s.at = s.at, at
+    s.at_before = s.at
+    s.at = at
     places = reals_at(s.places + 24 * (s.samples % s.places_count), 3)
     stepped = bool(s.begun != 0)
     for i in range(3):

@@ -164,16 +164,21 @@ class Driver(Node):
 
     def configure(self) -> None:
         """Create the device and set the conditions of the run."""
-        parameters, s, period = self.store.current, self.driving, self.setup.period
+        parameters = self.store.current
+        s = self.driving
+        period = self.setup.period
         self._device = self.make_device()
         limits = self._device.limits
         if not self._virtual and (refusal := undeclared(parameters.safety, limits)):
             self._device.close()
             raise ParameterError(f"{refusal}", path=self.setup.name)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
-        s.period, s.realtime, s.virtual = period, self.setup.pace == "realtime", self._virtual
+        s.period = period
+        s.realtime = self.setup.pace == "realtime"
+        s.virtual = self._virtual
         s.next_tick = self.setup.apply == "next_tick"
-        s.axes, s.axis[:] = len(axes), (*axes, 0, 0)[:3]
+        s.axes = len(axes)
+        s.axis[:] = (*axes, 0, 0)[:3]
         # Ticks after the last write until the device lets go by itself, at the earliest.
         s.device_hold_ticks = (limits.hold if limits.lets_go is None else limits.lets_go) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
@@ -211,7 +216,8 @@ class Driver(Node):
         self.make_compiled()
         ticks = self._plain.run if self.compiled is None else self.compiled.run
         s = self.driving
-        s.until, s.most = self.setup.ticks or NEVER, NEVER
+        s.until = self.setup.ticks or NEVER
+        s.most = NEVER
         if not self.stopping:
             if s.realtime:
                 self._begin_at_epoch()  # a virtual device waits for a debugger; a real one does not
@@ -421,7 +427,8 @@ class Driver(Node):
         path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
         if path.exists():
             # It was killed with a force on the device: the first force is a recovery.
-            s.ramp_ticks, s.always_ramp = s.recovery_ticks, 1
+            s.ramp_ticks = s.recovery_ticks
+            s.always_ramp = 1
             s.epoch = float(path.read_text(encoding="ascii"))
         else:
             s.epoch = time.monotonic() + 0.002
@@ -435,7 +442,8 @@ class Driver(Node):
         if not self._open:
             return
         self._open = False
-        s, period = self.driving, self.setup.period
+        s = self.driving
+        period = self.setup.period
         x, y, z = s.handed
         try:
             self._watch.begin("the soft stop", SOFT_STOP)

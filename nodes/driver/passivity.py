@@ -153,7 +153,8 @@ def set_guard(s: DriverState, parameters: PassivityParameters | None) -> None:
     if parameters is not None:
         s.guard_bounded = int(parameters.stiffness is not None)
         s.guard_stiffness = parameters.stiffness or 0.0
-        s.guard_rate, s.guard_allowance = parameters.damping / s.period, parameters.allowance
+        s.guard_rate = parameters.damping / s.period
+        s.guard_allowance = parameters.allowance
 
 
 @rule
@@ -249,7 +250,8 @@ def guarded_along(s: DriverState, share: float) -> None:
     if across > 0.0:
         tx, ty, tz = tx / across, ty / across, tz / across
     take_credit(s, 0)
-    expected, expected_across = settle(s, 0, along), settle(s, 1, across)
+    expected = settle(s, 0, along)
+    expected_across = settle(s, 1, across)
     step = s.guard_step[0] * x + s.guard_step[1] * y + s.guard_step[2] * z
     step_across = s.guard_step[0] * tx + s.guard_step[1] * ty + s.guard_step[2] * tz
     whole = pushed = 0.0

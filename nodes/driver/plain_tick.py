@@ -31,12 +31,17 @@ class PlainTicks:
     """Interpreted ticks of one driver."""
 
     def __init__(self, node: Any, device: Device) -> None:
-        self._node, self._device, self._inbox = node, device, node.inbox
-        self._publisher, self._events, self._take = node.publisher, node.events, node.intake.take
+        self._node = node
+        self._device = device
+        self._inbox = node.inbox
+        self._publisher = node.publisher
+        self._events = node.events
+        self._take = node.intake.take
         self._topic, self._expected = (
             node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE)
         )
-        self._decoder, self._clock = Decoder(Force), time.monotonic
+        self._decoder = Decoder(Force)
+        self._clock = time.monotonic
         self._what = f"{node.setup.name}: {type(device).__name__}"
         self.jumps = Jumps(device)
         self.payload = b""  # last published state

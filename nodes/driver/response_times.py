@@ -72,7 +72,8 @@ class ResponseTimes:
 
     def percentiles(self, *shares: float) -> list[float]:
         """Return the responses that the given shares of ticks did not exceed [s]."""
-        bins, at = self.bins[:], self._state.recent_at
+        bins = self.bins[:]
+        at = self._state.recent_at
         for response in self._state.recent[at // BLOCK * BLOCK : at]:
             bins[min(int(response * 1e6), BINS)] += 1
         return [self._percentile(bins, share) if self.count else 0.0 for share in shares]

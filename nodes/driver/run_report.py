@@ -33,7 +33,9 @@ class DriverReport:
 
     def begin(self, device: Device, limits: Limits, own_guard: bool) -> None:
         """Record the limits of the run, and whether the launch file itself has a guard."""
-        self._limits, self._overruled, self.own_guard = device.limits, limits.overruled, own_guard
+        self._limits = device.limits
+        self._overruled = limits.overruled
+        self.own_guard = own_guard
 
     def notes(self) -> list[Noted]:
         """Return the notes of the rules since the last call; changes of state enter the summary."""

@@ -115,13 +115,29 @@ def admit(s: DriverState, seq: int) -> bool:
     answers = s.got_seq
     x, y, z = s.got[0], s.got[1], s.got[2]
     if not math.isfinite(x + y + z):
-        why, a, b, c, d = NOT_FINITE, float(answers), x, y, z
+        why = NOT_FINITE
+        a = float(answers)
+        b = x
+        c = y
+        d = z
     elif answers > seq:
-        why, a, b, c, d = FUTURE, float(answers), float(seq), 0.0, 0.0
+        why = FUTURE
+        a = float(answers)
+        b = float(seq)
+        c = 0.0
+        d = 0.0
     elif answers <= s.force_seq:
-        why, a, b, c, d = REPLAYED, float(answers), float(s.force_seq), 0.0, 0.0
+        why = REPLAYED
+        a = float(answers)
+        b = float(s.force_seq)
+        c = 0.0
+        d = 0.0
     elif seq - answers > s.max_age:
-        why, a, b, c, d = STALE, float(seq - answers), float(s.max_age), 0.0, 0.0
+        why = STALE
+        a = float(seq - answers)
+        b = float(s.max_age)
+        c = 0.0
+        d = 0.0
     else:
         return True
     s.refused_for[why] += 1
@@ -296,7 +312,8 @@ def watch_position(s: DriverState, seq: int) -> bool:
         return False
     if s.bounded != 0:
         for i in range(3):
-            low, high = s.workspace[2 * i], s.workspace[2 * i + 1]
+            low = s.workspace[2 * i]
+            high = s.workspace[2 * i + 1]
             if not low <= s.place[i] <= high:
                 enter(s, FAULT, seq, notes.OUTSIDE, float(i), s.place[i], low, high)
                 s.brake[0] = s.brake[1] = s.brake[2] = 0.0
@@ -327,7 +344,8 @@ def watch_swings(s: DriverState, seq: int) -> None:
         s.peaks[2 * at], s.peaks[2 * at + 1] = float(seq), s.energy
         s.peaks_count += 1
         first = s.peaks_count % s.stop_after if s.peaks_count >= s.stop_after else 0
-        span, gained = (seq - s.peaks[2 * first]) * s.period, s.energy - s.peaks[2 * first + 1]
+        span = (seq - s.peaks[2 * first]) * s.period
+        gained = s.energy - s.peaks[2 * first + 1]
         if s.peaks_count >= s.stop_after and span <= STOP_WINDOW and gained > 0.0:
             s.stopped_at = seq
             enter(s, STOPPED, seq, notes.SWINGS, s.peak, float(s.stop_after), span, gained)
@@ -347,7 +365,8 @@ def _watch_press(s: DriverState, seq: int) -> None:
         s.pressed_since = s.pressed_at = seq
         s.pressed_energy = s.energy
     elif seq - s.pressed_at >= s.pressed_ticks and s.energy > s.pressed_energy:
-        s.pressed_at, s.peaked = seq, 1
+        s.pressed_at = seq
+        s.peaked = 1
 
 
 @rule

@@ -20,16 +20,22 @@ def set_safety(s: DriverState, parameters: SafetyParameters, limits: Limits, per
     s.damping = parameters.damping
     s.start_ticks = round(start_ramp(parameters) / period)
     s.recovery_ticks = round(recovery_ramp(parameters) / period)
-    s.ramp_ticks, s.ramp_seq = s.start_ticks, -1
+    s.ramp_ticks = s.start_ticks
+    s.ramp_seq = -1
     # before the first force nothing is felt, and that force has no cause in motion
-    s.begins, s.felt_seq, s.always_ramp = 1, -1, parameters.ramp is not None
+    s.begins = 1
+    s.felt_seq = -1
+    s.always_ramp = parameters.ramp is not None
     set_workspace(s, limits)
     s.reach = REACH
     set_heat(s, limits.continuous, parameters.thermal_time, period)
     # oscillation is defined by a peak force
     s.stop_after = 0 if limits.peak is None else parameters.stop_after or 0
     s.pressed_since, s.pressed_ticks = -1, pressed_ticks(s.stop_after, period)
-    s.safety, s.force_seq, s.since, s.limited_at = IDLE, -1, 0, -1
+    s.safety = IDLE
+    s.force_seq = -1
+    s.since = 0
+    s.limited_at = -1
 
 
 def pressed_ticks(stop_after: int, period: float) -> int:

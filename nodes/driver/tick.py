@@ -118,7 +118,9 @@ def begin_waiting(s: DriverState, deadline: float) -> None:
     s.age = max(s.seq - s.force_seq, 0) if s.force_seq >= 0 else 0
     # A late answer is waited for, and the next tick sampled late: sampled on time, it would use
     # the processor that this answer needs, and be answered late itself. Not so when nothing came.
-    s.patient, s.heard, s.answered = s.heard, 0, 0
+    s.patient = s.heard
+    s.heard = 0
+    s.answered = 0
     s.split, s.changed_at = 0.0, 1.0
     for i in range(3):
         s.mean[i] = s.handed[i] if s.next_tick != 0 else 0.0
@@ -370,7 +372,8 @@ def _make_answers(port: Port, calls: TickCalls, made: Made) -> TickFunction:
     def next_answer(s: DriverState) -> int:
         """Return what came before the wait is over; what came later is kept for the next tick."""
         if s.late_answer != 0:
-            s.late_answer, s.arrival = 0, s.late_answer_at
+            s.late_answer = 0
+            s.arrival = s.late_answer_at
             return GOT
         got = s.pending_result - 1 if s.pending_result != 0 else receive(s, s.waits_until)
         s.pending_result = 0
@@ -379,7 +382,8 @@ def _make_answers(port: Port, calls: TickCalls, made: Made) -> TickFunction:
         s.heard = 1
         if got == GOT and s.arrival >= s.waits_until:
             # A flooded topic must not delay the next tick.
-            s.late_answer, s.late_answer_at = 1, s.arrival
+            s.late_answer = 1
+            s.late_answer_at = s.arrival
             return NONE
         return int(got)
 

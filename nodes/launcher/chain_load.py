@@ -158,7 +158,8 @@ def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> st
     shares = estimated(launch, chains, tick)
     if launch.run.pace != "realtime" or len(shares) < len(chains) or not shares:
         return ""
-    whole, mean = sum(shares.values()), sum(shares.values()) / len(shares)
+    whole = sum(shares.values())
+    mean = sum(shares.values()) / len(shares)
     if whole <= CARRIED * processors:
         return ""
     rate = launch.run.rate
@@ -268,16 +269,17 @@ def load_of(
     processors : int
         Processors that the chains share.
     """
-    rate, done, lost, most = launch.run.rate, 0, 0, 0
+    rate = launch.run.rate
+    done = 0
+    lost = 0
+    most = 0
     for report in reports.values():
         ticks, missed, left_out = (
             int(report.get(name, 0)) for name in ("ticks", "missed", "overruns")
         )
-        done, lost, most = (
-            done + ticks - missed,
-            lost + missed + left_out,
-            max(most, ticks + left_out),
-        )
+        done = done + ticks - missed
+        lost = lost + missed + left_out
+        most = max(most, ticks + left_out)
     seconds = most / rate
     if seconds < _SHORTEST or had <= 0.0 or launch.run.pace != "realtime":
         return None

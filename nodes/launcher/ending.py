@@ -127,7 +127,8 @@ class _Wait:
 
 def burden() -> str:
     """Return the load of an overloaded machine as text; empty for any other machine."""
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    load = os.getloadavg()[0]
+    processors = os.cpu_count() or 1
     return (
         f"; this machine is busy: load {load:.0f} on {processors} processors"
         if load > 2 * processors

@@ -239,7 +239,8 @@ class ByHand(Child):
                 if self._over and silent > UNREPORTED + self.distance:
                     self._code, self._end = self._over
                 elif silent > self._lost:
-                    self._code, self._end = 1, f"no answer for {self._lost:g} s ({error})"
+                    self._code = 1
+                    self._end = f"no answer for {self._lost:g} s ({error})"
             except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
                 # A foreign program may send anything.
                 self._code, self._end = (
@@ -251,11 +252,13 @@ class ByHand(Child):
 
     def _visit(self) -> None:
         status = self._ask("status")
-        state, process = str(status["state"]), int(status.get("pid", 0))
+        state = str(status["state"])
+        process = int(status.get("pid", 0))
         if self._process and process != self._process:
             # Restarted before the loss was noticed: the new process has no setup, and a driver
             # does not know that the run has started.
-            self._code, self._end = 1, f"process {process} in place of {self._process}"
+            self._code = 1
+            self._end = f"process {process} in place of {self._process}"
             return
         self._process = process
         self._received = int(status.get("received", 0))
@@ -298,7 +301,8 @@ class ByHand(Child):
             raise
         except ControlError as error:
             if needed:
-                self._code, self._end = 1, f"{needed} refused: {error}"
+                self._code = 1
+                self._end = f"{needed} refused: {error}"
 
     def _arrive(self) -> None:
         clock = ""

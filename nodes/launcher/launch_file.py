@@ -364,7 +364,8 @@ def _read(
 
 def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
     """Replace every virtual device, and the plant of its coupling, by a real `device`."""
-    kinds, found = node_kinds(), dict(nodes)
+    kinds = node_kinds()
+    found = dict(nodes)
     plants: dict[str, dict[str, Any]] = {}
     for name, spec in nodes.items():
         stood = load(kinds[spec.kind]).substitute_device(spec.parameters, name, device)
@@ -504,7 +505,8 @@ def _axes(
         )
     if run.axes:
         return run, {}
-    kinds, axes = node_kinds(), {}
+    kinds = node_kinds()
+    axes = {}
     for namespace, launch in included:
         for inner in dict.fromkeys(name.rpartition("/")[0] for name in launch.nodes):
             axes["/".join(filter(None, (namespace, inner)))] = (

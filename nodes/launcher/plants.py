@@ -45,7 +45,8 @@ def has_plant(kind: type[Node]) -> bool:
 
 def known_plant(launch: Launch, namespace: str) -> dict[str, float]:
     """Return the plant's fields known to a chain's nodes; later nodes take precedence."""
-    kinds, axes = node_kinds(), launch.axes.get(namespace) or launch.run.axes
+    kinds = node_kinds()
+    axes = launch.axes.get(namespace) or launch.run.axes
     found: dict[str, float] = {}
     for name, spec in launch.nodes.items():
         if name.rpartition("/")[0] == namespace:
@@ -66,7 +67,8 @@ def known_effects(launch: Launch, namespace: str) -> list[Effect]:
 
 def known_peak(launch: Launch, namespace: str) -> float | None:
     """Return a chain's largest force along an axis [N]; None if no parameter limits it."""
-    kinds, period = node_kinds(), launch.run.period
+    kinds = node_kinds()
+    period = launch.run.period
     inside = [
         (name, spec) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace
     ]
@@ -82,7 +84,8 @@ def with_plants(launch: Launch) -> Launch:
     Raises ParameterError if a node's parameters describe no device, or one with a delay beyond the
     range in which laws are judged.
     """
-    kinds, nodes = node_kinds(), dict(launch.nodes)
+    kinds = node_kinds()
+    nodes = dict(launch.nodes)
     for name, spec in launch.nodes.items():
         written: Any = spec.parameters.get(_PLANT, {})
         if not (has_plant(load(kinds[spec.kind])) and isinstance(written, Mapping)):

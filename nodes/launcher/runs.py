@@ -175,7 +175,8 @@ def runs_dir() -> Path:
 def is_marked(path: Path) -> bool:
     """Whether a directory was created by this user for a run."""
     try:
-        found, mark = path.lstat(), (path / MARK).lstat()
+        found = path.lstat()
+        mark = (path / MARK).lstat()
         ours = stat.S_ISDIR(found.st_mode) and stat.S_ISREG(mark.st_mode)
         return (
             ours

@@ -291,7 +291,8 @@ class Supervisor:
             child.over = True
             reason = f"{name}: ended with {child.end}{self._own_reason(name, child)}"
             if child.required:
-                self.failed, self.failed_node = True, name
+                self.failed = True
+                self.failed_node = name
                 self.exit_reason = reason
                 self.stop(reason)
             if child.required or child.ended_badly:

@@ -79,7 +79,8 @@ def _rank(namespace: str, cores: Mapping[str, int | None]) -> int:
 def _scheduling(
     launch: Launch, kind: type[Node], namespace: str, cores: dict[str, int | None]
 ) -> Scheduling:
-    run, core = launch.run, cores.get(namespace)
+    run = launch.run
+    core = cores.get(namespace)
     available = sorted(os.sched_getaffinity(0))
     others = [cpu for cpu in available if cpu not in cores.values()] or available
     hops = [hop for hop, topic in enumerate(topics.LOOP) if topic in kind.publishes]
@@ -140,7 +141,9 @@ def with_forwarder(launch: Launch) -> Launch:
 
 def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
     """Return the setup of each node of a launch."""
-    graph, endpoints, cores = NodeGraph(launch), Endpoints(launch, run_dir), _cores(launch)
+    graph = NodeGraph(launch)
+    endpoints = Endpoints(launch, run_dir)
+    cores = _cores(launch)
     setups = {}
     for name in launch.nodes:
         _check_respawn(launch, name, graph.classes[name])
@@ -159,7 +162,8 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 
 
 def _check_respawn(launch: Launch, name: str, kind: type[Node]) -> None:
-    spec, listens_only = launch.nodes[name], kind.listens_to == ("*",)
+    spec = launch.nodes[name]
+    listens_only = kind.listens_to == ("*",)
     if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not listens_only:
         raise ParameterError(
             "a respawned node has lost its state, so a"
@@ -182,7 +186,9 @@ def _setup(
     launch: Launch, name: str, graph: NodeGraph, endpoints: Endpoints, cores: dict[str, int | None]
 ) -> Setup:
     """Return the setup of a node, but for its run and manifest."""
-    spec, kind, run = launch.nodes[name], graph.classes[name], launch.run
+    spec = launch.nodes[name]
+    kind = graph.classes[name]
+    run = launch.run
     namespace = name.rpartition("/")[0]
     is_by_hand = bool(spec.by_hand or spec.host)
     any_by_hand = any(other.by_hand or other.host for other in launch.nodes.values())

@@ -122,7 +122,8 @@ def quantity(name: str, default: float | Interval | None = None, unset: bool = F
     value: Any = default
     if isinstance(default, Interval):
         low, high = default
-        read, text = interval, f"{text}, LOW..HIGH"
+        read = interval
+        text = f"{text}, LOW..HIGH"
         shown = None if low is None else f"{low:g}" if low == high else f"{low:g}..{high:g}"
         value = None if low is None else (low, high)
     else:

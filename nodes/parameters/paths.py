@@ -57,7 +57,8 @@ def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
         info = inspect.type_info(type(value))
         assert isinstance(info, inspect.StructType)  # noqa: S101  # the type info of a struct
         for field in info.fields:
-            found, place = getattr(value, field.name), f"{where}.{field.name}"
+            found = getattr(value, field.name)
+            place = f"{where}.{field.name}"
             kind = field.type
             if isinstance(kind, inspect.Metadata) and (kind.extra or {}).get(_LOCAL):
                 if found != field.default:

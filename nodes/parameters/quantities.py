@@ -119,7 +119,9 @@ def declare(parser: ArgumentParser, **defaults: float | Interval | None) -> None
     for name, default in defaults.items():
         read, text = QUANTITIES[name]
         if isinstance(default, Interval):
-            read, text, (low, high) = interval, f"{text}, LOW..HIGH", default
+            read = interval
+            text = f"{text}, LOW..HIGH"
+            (low, high) = default
             shown = None if low is None else f"{low:g}" if low == high else f"{low:g}..{high:g}"
             default = None if low is None else default
         else:

@@ -183,7 +183,8 @@ def differences(before: msgspec.Struct, after: msgspec.Struct) -> dict[str, list
     dict of str to list
         Path to the values before and after; None where absent.
     """
-    old, new = flattened(msgspec.to_builtins(before)), flattened(msgspec.to_builtins(after))
+    old = flattened(msgspec.to_builtins(before))
+    new = flattened(msgspec.to_builtins(after))
     return {
         path: [old.get(path), new.get(path)]
         for path in dict.fromkeys([*old, *new])

@@ -90,7 +90,8 @@ class DdsGraph:
 
     def look_up(self, name: str) -> Any:
         """Return a constructor of messages; missing fields are zero or empty, as in ROS."""
-        made, (_, fields) = self._class(name), self._store.fielddefs[name]
+        made = self._class(name)
+        (_, fields) = self._store.fielddefs[name]
 
         def build(**given: Any) -> Any:
             return made(

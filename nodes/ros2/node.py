@@ -139,8 +139,10 @@ class Ros2(Node):
 
     def _newest(self, newest: dict[str, bytes]) -> None:
         """Publish the newest message of each topic of the loop."""
-        make, seldom, said = self._make, self._seldom <= time.monotonic(), False
+        make = self._make
         prefix = self.store.current.prefix
+        seldom = self._seldom <= time.monotonic()
+        said = False
         for topic, payload in newest.items():
             try:
                 message = self._decoders[topic].decode(payload)
@@ -176,7 +178,8 @@ class Ros2(Node):
             surface = self._ask("environment", "param.get", name="surface") or {}
         kind = surface.get("kind")
         if kind == "plane":
-            size, place = [ACROSS] * 3, [0.0] * 3
+            size = [ACROSS] * 3
+            place = [0.0] * 3
             across = AXIS_INDEX[surface.get("axis", "z")]
             size[across] = THICK
             # The free side is the surface that is touched.
@@ -238,7 +241,8 @@ class Ros2(Node):
 
     def _push(self) -> None:
         """Send the newest force to the driver; one request per message would hold up the graph."""
-        message, self._wrench = self._wrench, None
+        message = self._wrench
+        self._wrench = None
         if message is not None and self._fresh("wrench", message.header.stamp):
             force = message.wrench.force
             # A sensor has components along all axes; discard those that the scene does not compute.
@@ -334,7 +338,8 @@ class Ros2(Node):
 
     def _serve(self, names: dict[bytes, str], period: float) -> None:
         newest: dict[str, bytes] = {}
-        following, inbox = time.monotonic(), self.inbox
+        following = time.monotonic()
+        inbox = self.inbox
         assert inbox is not None  # noqa: S101  # every subscribing kind has one
         while not self.stopping:
             left = following - time.monotonic()

@@ -205,21 +205,20 @@ def _convex(
 
     table = _Table(conditions, basis, bottom)
     unit = surroundings.damping / surroundings.period
-    gain, noise = (
-        basis.sum(axis=1) / bottom.sum(),
-        basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom))),
-    )
+    gain = basis.sum(axis=1) / bottom.sum()
+    noise = basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom)))
     # scale of a parameter, so that its taps are about b/T
     scale = unit / np.maximum(np.abs(basis).max(axis=1), 1e-300)
-    rows, limits = (
-        [noise * scale, -noise * scale, gain * scale],
-        [surroundings.nyquist] * 2 + [surroundings.limit * 1.5],
-    )
+    rows = [noise * scale, -noise * scale, gain * scale]
+    limits = [surroundings.nyquist] * 2 + [surroundings.limit * 1.5]
     bounds = [(-_LARGEST if free else 0.0, _LARGEST)] * len(basis)
-    best, most, bound = None, 0.0, math.inf
+    best = None
+    most = 0.0
+    bound = math.inf
     # Re{H/(1 − w)} ≥ 0 is necessary: at a few frequencies it keeps the first programs bounded.
     few = table.linear[::16]
-    rows, limits = [*rows, *(-few * scale)], [*limits, *np.zeros(len(few))]
+    rows = [*rows, *(-few * scale)]
+    limits = [*limits, *np.zeros(len(few))]
     for _ in range(_CUTS):
         found = linprog(-gain * scale, A_ub=np.array(rows), b_ub=np.array(limits), bounds=bounds)
         if not found.success or found.x is None:
@@ -233,7 +232,8 @@ def _convex(
             shrink = np.where(square < 0.0, linear / -square, np.inf)
         factor = min(1.0, float(shrink.min()))
         if factor * float(gain @ here) > most:
-            best, most = factor * here, factor * float(gain @ here)
+            best = factor * here
+            most = factor * float(gain @ here)
         if most >= bound * (1.0 - 1e-7):
             break
         excess = -(linear + square)
@@ -255,11 +255,10 @@ def _for_device(
     """Search the shapes of a family, with H(1) = 1; each has its largest scale in closed form."""
     from scipy.optimize import differential_evolution, minimize
 
-    coarse, table = _Table(conditions, basis, bottom, 8), _Table(conditions, basis, bottom)
-    gain, noise = (
-        basis.sum(axis=1) / bottom.sum(),
-        basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom))),
-    )
+    coarse = _Table(conditions, basis, bottom, 8)
+    table = _Table(conditions, basis, bottom)
+    gain = basis.sum(axis=1) / bottom.sum()
+    noise = basis @ alternating(basis.shape[1]) / (bottom @ alternating(len(bottom)))
     size = np.maximum(np.abs(basis).max(axis=1), 1e-300)
 
     def shape(free_ones: Array) -> Array | None:
@@ -297,7 +296,8 @@ def _for_device(
             less_stiffness, found.x, args=(table,), method="Nelder-Mead", options=options
         )
         best = np.asarray(polished.x, dtype=np.float64)
-    value, parameters = less_stiffness(best, table), shape(best)
+    value = less_stiffness(best, table)
+    parameters = shape(best)
     if value >= 0.0 or parameters is None:
         return None
     return _finished(surroundings, parameters * -value * surroundings.limit, basis, bottom, None)
@@ -309,7 +309,8 @@ def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
     The shortfall is relative to the smallest factor required.
     """
     linear, square, _ = table.parts(parameters)
-    against, with_it = square < 0.0, square > 0.0
+    against = square < 0.0
+    with_it = square > 0.0
     high = float(np.min(linear[against] / -square[against], initial=np.inf))
     low = float(np.max(-linear[with_it] / square[with_it], initial=0.0))
     if not high > 0.0:
@@ -331,7 +332,8 @@ def _finished(
     surroundings: Surroundings, parameters: Array, basis: Array, bottom: Array, bound: float | None
 ) -> WorldDesign | None:
     """Shrink a design slightly for rounding, and prove it at every frequency."""
-    inside, proven = parameters, False
+    inside = parameters
+    proven = False
     for shrink in (_INSIDE, 1e-5, 1e-4, 1e-3):
         inside = parameters * (1.0 - shrink)
         proven = keeps(surroundings, over(inside @ basis, bottom))

@@ -56,14 +56,17 @@ def _excess(
 
     The excess is not searched beyond `enough`.
     """
-    reached, worst = radius, -1
+    reached = radius
+    worst = -1
     for i in range(len(fixed)):
         if _within(fixed[i], by_tap[i], taps, reached, work):
             continue
-        low, high = reached, 2.0 * reached
+        low = reached
+        high = 2.0 * reached
         # Every law has a finite radius, unless its taps are not numbers.
         while high < 1e6 and not _within(fixed[i], by_tap[i], taps, high, work):
-            low, high = high, 2.0 * high
+            low = high
+            high = 2.0 * high
         for _ in range(20):
             middle = 0.5 * (low + high)
             if _within(fixed[i], by_tap[i], taps, middle, work):
@@ -86,13 +89,12 @@ def _lands(
     """
     if len(drops.whole) == 0:
         return 1.0, 0
-    spring, recursive = taps, np.empty(0)
+    spring = taps
+    recursive = np.empty(0)
     if pole != 0.0:
         stiffness = (taps[0] + taps[1]) / (1.0 - pole)
-        spring, recursive = (
-            np.array([stiffness]),
-            np.array([taps[0] - stiffness, stiffness - taps[0], -pole, 0.0]),
-        )
+        spring = np.array([stiffness])
+        recursive = np.array([taps[0] - stiffness, stiffness - taps[0], -pole, 0.0])
     if not settles_one(first, drops, spring, recursive, ticks, tolerance, True):
         return 0.0, first
     for i in range(len(drops.whole)):
@@ -207,8 +209,10 @@ def evolved(
     The wide box uses the first cases; with more than three parameters, the smaller boxes use more
     cases, the last one all of them. Return None if nothing feasible is found.
     """
-    unit, p = demand.mass[0] / demand.period**2, len(basis)
-    gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
+    unit = demand.mass[0] / demand.period**2
+    p = len(basis)
+    gain = basis.sum(axis=1) / unit
+    noise = basis @ alternating(basis.shape[1]) / unit
     here = np.zeros(p)
     # Empty arrays in place of None, whose different type would cost a second compilation (6 s).
     no_drops = Falls(

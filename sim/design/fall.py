@@ -80,7 +80,8 @@ def settles_one(
     memory: Any = np.zeros(len(recursive) // 2)
     whole = drops.whole[i]
     forces = np.zeros(whole + 2)
-    state, moved = np.zeros(size), np.zeros(size)
+    state = np.zeros(size)
+    moved = np.zeros(size)
     start = drops.start[i]
     state[0] = start
     if size >= 4:
@@ -98,7 +99,9 @@ def settles_one(
     quarter = ticks - ticks // 4
     patience = 60 + length + whole
     head, close, fallen_in, touches = 0, 0, False, False
-    low, high, total = np.inf, -np.inf, 0.0
+    low = np.inf
+    high = -np.inf
+    total = 0.0
     for k in range(ticks):
         x = state[0]
         head, force, touches = floor_force(
@@ -108,7 +111,8 @@ def settles_one(
         if fallen_in and rises(x, start, tolerance):
             return False
         if k >= quarter:
-            low, high = min(low, x), max(high, x)
+            low = min(low, x)
+            high = max(high, x)
             total += x
             if high - low > tolerance or x > 0.0:
                 return False
@@ -145,7 +149,8 @@ def fallen(
     """
     whole, step, new, old = plant.held(period)
     pull = plant.pulled(period, GRAVITY)
-    forces, state = [0.0] * (whole + 2), np.zeros(len(new))
+    forces = [0.0] * (whole + 2)
+    state = np.zeros(len(new))
     state[0] = height
     if len(new) >= 4:
         state[2] = height
@@ -171,7 +176,8 @@ _settled_compiled = compiled()(_settled)
 
 def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) -> list[bool]:
     """Check which drops settle with a law, played to the end."""
-    criterion, verdicts = criterion or Criterion(), np.zeros(len(drops.whole), dtype=np.bool_)
+    criterion = criterion or Criterion()
+    verdicts = np.zeros(len(drops.whole), dtype=np.bool_)
     recursive = np.array([number for section in law.sections for number in section])
     _settled_compiled(
         drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, verdicts

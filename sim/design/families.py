@@ -205,7 +205,8 @@ def _latest(
 
     low = high = demand.delay[1]
     while stable(high):
-        low, high = high, high + 0.25
+        low = high
+        high = high + 0.25
         if high > demand.delay[1] + 20.0:
             return None
     for _ in range(20):

@@ -89,7 +89,9 @@ def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = Fa
     refined three times.
     """
     limits: list[Sequence[float]] = list(box.sides)
-    best, at, ticks = -math.inf, Grasp(*(side[0] for side in limits)), _Ticks(law, plant)
+    best = -math.inf
+    at = Grasp(*(side[0] for side in limits))
+    ticks = _Ticks(law, plant)
     for _ in range(1 + _ZOOMS):
         axes = [
             _axis(low, high, linear)
@@ -99,7 +101,8 @@ def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = Fa
         radii = ticks.radii(grasps)
         worst = grasps[int(np.argmax(radii))].tolist()
         if float(radii.max()) > best:
-            best, at = float(radii.max()), Grasp(*worst)
+            best = float(radii.max())
+            at = Grasp(*worst)
         limits = [_closer(axis, value) for axis, value in zip(axes, worst, strict=True)]
     if best >= 1.0:
         return WorstGrasp(best, at, Certificate.UNSTABLE, 0)
@@ -140,7 +143,8 @@ def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CEL
         plant = Plant(demand.period, mass, damping, delay)
         found.append((worst_grasp(law, plant, box), plant))
     worst, where = max(found, key=lambda one: one[0].radius)
-    cells, certified = 0, worst.certified
+    cells = 0
+    certified = worst.certified
     if worst.radius < 1.0:
         certified = Certificate.CERTIFIED
         for _, plant in found:
@@ -174,7 +178,8 @@ def k_max_over(
         return None
     high = low
     while high < highest and stable(high):
-        low, high = high, min(1.1 * high, highest)
+        low = high
+        high = min(1.1 * high, highest)
     if stable(high):
         return high
     for _ in range(24):
@@ -206,10 +211,8 @@ def certify_box(
     ticks = _Ticks(law, plant)
     # With 1/mass as coordinate, the generator of a tick is linear in each of the three parameters,
     # so the hull of a cell's corners contains it.
-    waiting, cells = (
-        np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)]),
-        0,
-    )
+    waiting = np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)])
+    cells = 0
     while len(waiting):
         # Depth first: proven cells free memory, and a box that cannot be proven fails early at one
         # of its corners.
@@ -232,12 +235,10 @@ class _Ticks:
         self._plant = plant
         fraction = plant.delay - math.floor(plant.delay)
         self._durations = (fraction, 1.0 - fraction)
-        unit, none, flat, whole = (
-            plant.period**2 / plant.mass,
-            np.zeros(4),
-            np.zeros((4, 4)),
-            math.floor(plant.delay),
-        )
+        unit = plant.period**2 / plant.mass
+        none = np.zeros(4)
+        flat = np.zeros((4, 4))
+        whole = math.floor(plant.delay)
 
         def loop(new: Array, old: Array) -> Array:
             return tick_matrix(law, unit, flat, [(whole, new), (whole + 1, old)])
@@ -259,9 +260,11 @@ class _Ticks:
 
         Shapes: (..., 4) from (..., 3).
         """
-        period, own = self._plant.period, 1.0 / self._plant.mass
+        period = self._plant.period
+        own = 1.0 / self._plant.mass
         inverse, stiffness, damping = np.moveaxis(grasps, -1, 0)
-        spring, damper = stiffness * period**2, damping * period
+        spring = stiffness * period**2
+        damper = damping * period
         return np.stack([spring * own, damper * own, spring * inverse, damper * inverse], axis=-1)
 
     def _motion(self, generator: Array, change: Array | None = None) -> tuple[Array, Array, Array]:
@@ -330,16 +333,12 @@ class _Ticks:
             axis=1
         )
         # Beyond first order: bounded entry by entry by the series with all signs positive.
-        size, change = (
-            np.abs(generator),
-            np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS)),
-        )
+        size = np.abs(generator)
+        change = np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS))
         with np.errstate(over="ignore", invalid="ignore"):
-            both, own, linear = (
-                self._motion(size + change),
-                self._motion(size),
-                self._motion(size, change),
-            )
+            both = self._motion(size + change)
+            own = self._motion(size)
+            linear = self._motion(size, change)
             beyond = [
                 np.maximum(a - b - c, 0.0) + _SERIES * (1.0 + a)
                 for a, b, c in zip(both, own, linear, strict=True)
@@ -362,8 +361,10 @@ class _Ticks:
             ends[:, :, i] = cells[:, i]
             numbers = self._numbers(ends)
             spans.append(np.abs(numbers[:, 1] - numbers[:, 0]).sum(axis=1))
-        widest, every = np.argmax(spans, axis=0), np.arange(len(cells))
-        low, high = cells.copy(), cells.copy()
+        widest = np.argmax(spans, axis=0)
+        every = np.arange(len(cells))
+        low = cells.copy()
+        high = cells.copy()
         low[every, widest, 1] = high[every, widest, 0] = cells[every, widest].mean(axis=1)
         return np.concatenate([low, high])
 
@@ -410,7 +411,8 @@ def _norms(matrix: Array) -> Array:
 
     The sum is computed by doubling.
     """
-    gram, power = np.repeat(np.eye(matrix.shape[1])[None], len(matrix), axis=0), matrix
+    gram = np.repeat(np.eye(matrix.shape[1])[None], len(matrix), axis=0)
+    power = matrix
     for _ in range(24):
         moved = np.swapaxes(power, 1, 2) @ gram @ power
         gram = gram + moved

@@ -97,12 +97,14 @@ def prove_over(law: CompiledLaw, demand: Demand) -> ProvenLanding:
 
     The corners are five masses and the ends of delay, damping, hand, joint and lag.
     """
-    margin, cases = np.inf, 0
+    margin = np.inf
+    cases = 0
     for corner, delay in itertools.product(corners(demand), sorted(set(demand.delay))):
         plant: Plant | FlexiblePlant = replace(corner, delay=delay)
         if corner.rigid and corner.lag == 0.0:
             plant = Plant(demand.period, corner.mass, corner.damping, delay, corner.stiffness)
-        found, cases = prove_landing(law, plant, demand.period), cases + 1
+        found = prove_landing(law, plant, demand.period)
+        cases = cases + 1
         margin = min(margin, found.margin)
         if not found.proven:
             where = f"{corner.mass:.3g} kg, {delay:.3g} ticks, hand {corner.stiffness:.3g} N/m"
@@ -135,10 +137,8 @@ def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None
     ]
     best: dict[str, Any] | None = None
     unit = demand.mass[0] / demand.period**2
-    stiffnesses, gains = (
-        np.geomspace(2e-3, 0.8, 20) * unit,
-        np.geomspace(0.01, 0.8, 8) * unit * demand.period,
-    )
+    stiffnesses = np.geomspace(2e-3, 0.8, 20) * unit
+    gains = np.geomspace(0.01, 0.8, 8) * unit * demand.period
     for spread in (1.2, 1.05, 1.0):
         tried = [
             {"kind": "pd_windowed", "stiffness": k, "damping": b, "resolution": resolution}
@@ -218,11 +218,13 @@ def _shrunk(
 ) -> Array | None:
     """Search in boxes that shrink around the best law; without a start the first is wide."""
     parameters = len(basis)
-    unit, criterion = demand.mass[0] / demand.period**2, Criterion()
+    unit = demand.mass[0] / demand.period**2
+    criterion = Criterion()
     # With a filter, taps give 1/(1 − pole) times the stiffness.
     least = demand.above * (1.0 - fine.pole) / unit
     loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
-    gain, noise = basis.sum(axis=1) / unit, basis @ alternating(basis.shape[1]) / unit
+    gain = basis.sum(axis=1) / unit
+    noise = basis @ alternating(basis.shape[1]) / unit
     given = (
         loop.fixed,
         loop.by_tap,
@@ -232,8 +234,10 @@ def _shrunk(
         demand.nyquist / unit,
         demand.radius - 1e-7,
     )
-    here, score = start, 0.0
-    size, generations = 12 * parameters, (10 + 15 * parameters) * effort
+    here = start
+    score = 0.0
+    size = 12 * parameters
+    generations = (10 + 15 * parameters) * effort
     for span in _BOXES if start is None else _BOXES[1:]:
         middle = np.zeros(parameters) if here is None else here
         box = np.array([np.maximum(middle - span, -np.inf if free else 0.0), middle + span])

@@ -65,10 +65,13 @@ def stiffest_passive(
     # In units of b/T. The limit of a spring bounds the search from the start: |h_m| of a passive
     # law stays below a few b/T.
     top = nyquist * period / damping
-    rows, limits = [np.ones(taps)], [2.0 / (1.0 + delay[0]) + 1.0]
+    rows = [np.ones(taps)]
+    limits = [2.0 / (1.0 + delay[0]) + 1.0]
     if math.isfinite(top):
-        rows, limits = [*rows, signs, -signs], [*limits, top, top]
-    best, bound = np.zeros(taps), math.inf
+        rows = [*rows, signs, -signs]
+        limits = [*limits, top, top]
+    best = np.zeros(taps)
+    bound = math.inf
     for _ in range(_CUTS):
         solution = linprog(
             -np.ones(taps), A_ub=np.array(rows), b_ub=np.array(limits), bounds=[(-1e3, 1e3)] * taps
@@ -141,7 +144,8 @@ def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> A
         for phi in ends
         for s in [soon + phi * (late - soon)]
     )
-    slope, middle = late - soon, 0.5 * (soon + late)
+    slope = late - soon
+    middle = 0.5 * (soon + late)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = size * size - slope * slope
         root = np.sqrt(middle * middle + 0.25 * room)
@@ -183,7 +187,8 @@ def _needed(
     s = real @ h
     if spread == 0.0:
         return s, real
-    c, d = cosine @ h, sine @ h
+    c = cosine @ h
+    d = sine @ h
     root = np.sqrt(s * s + spread * (c * c + d * d))
     safe = np.maximum(root, 1e-300)[:, None]
     slope = 0.5 * (

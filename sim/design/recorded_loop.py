@@ -113,10 +113,8 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
         # A force overtaken by a newer one never acts.
         if not arrivals or seq > arrivals[-1][1]:
             arrivals.append((at, seq))
-    when, answers = (
-        np.array([at for at, _ in arrivals]),
-        np.array([seq for _, seq in arrivals], dtype=np.int64),
-    )
+    when = np.array([at for at, _ in arrivals])
+    answers = np.array([seq for _, seq in arrivals], dtype=np.int64)
     with np.errstate(all="ignore"):
         trace = run(
             scene,
@@ -129,7 +127,8 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
     if not np.all(size < GIVEN_UP):
         return math.inf
     quarter = len(size) // 4
-    first, last = float(np.max(size[:quarter])), float(np.max(size[-quarter:]))
+    first = float(np.max(size[:quarter]))
+    last = float(np.max(size[-quarter:]))
     return (
         math.exp((math.log(last) - math.log(first)) / (len(size) - quarter)) if last > 0.0 else 0.0
     )

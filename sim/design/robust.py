@@ -112,7 +112,8 @@ def _settle(
     free: bool,
 ) -> Array | None:
     """Climb, verify everywhere, add the worst case and return inside, until none is worse."""
-    here, everywhere = start, verified_cases(demand)
+    here = start
+    everywhere = verified_cases(demand)
     for _ in range(12):
         here = _climb(
             demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free
@@ -156,8 +157,10 @@ def _climb(
     from scipy.optimize import linprog
 
     signs = alternating(basis.shape[1])
-    gain, noise = basis.sum(axis=1), basis @ signs
-    here, trust = start, 0.05
+    gain = basis.sum(axis=1)
+    noise = basis @ signs
+    here = start
+    trust = 0.05
     for _ in range(300):
         check()
         if trust < 1e-9:
@@ -187,7 +190,8 @@ def _climb(
         ):
             if gained < 1e-10 * float(gain @ here):
                 break
-            here, trust = there, min(2.0 * trust, 0.5)
+            here = there
+            trust = min(2.0 * trust, 0.5)
             continue
         # Step back: often half of the step stays within the bound.
         for part in (0.5, 0.25):

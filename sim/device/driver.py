@@ -93,7 +93,8 @@ def _workspace(model: DeviceModel) -> Workspace:
     for hand in hands:
         for path in [hand.path, *hand.paths().values()]:
             places += [place for _, place in path]
-    low, high = min(places) - REACH, max(places) + REACH
+    low = min(places) - REACH
+    high = max(places) + REACH
     return (low, high), (low, high), (low, high)
 
 
@@ -105,15 +106,18 @@ def along(model: DeviceModel, axes: Sequence[str]) -> list[DeviceModel]:
     """
     down = "z" if "z" in axes else axes[0]
     hand = model.hand
-    return [
-        msgspec.structs.replace(
+    found = []
+    for axis in axes:
+        is_first = axis == axes[0]
+        own = msgspec.structs.replace(
             model,
             gravity=model.gravity if axis == down else None,
-            hand=None if hand is None else hand.along(axis, axis == axes[0]),
-            **({} if axis == axes[0] else {"position": 0.0, "velocity": 0.0}),
-        ).along(axis)
-        for axis in axes
-    ]
+            hand=None if hand is None else hand.along(axis, is_first),
+        )
+        if not is_first:
+            own = msgspec.structs.replace(own, position=0.0, velocity=0.0)
+        found.append(own.along(axis))
+    return found
 
 
 def parts_of(
@@ -170,7 +174,8 @@ class SimDevice:
         if model.hand is not None and pointer is not None and not lockstep:
             self._reader = PointerReader(pointer_file(setup.run_dir, setup.name), pointer.silence)
             for d in self._states:
-                d.pointer, d.silence = self._reader.address, pointer.silence
+                d.pointer = self._reader.address
+                d.silence = pointer.silence
                 d.farthest = pointer.speed * setup.period
         self._clock = array("q", [0, 0])
 
@@ -260,17 +265,17 @@ class SimDriver(Driver):
         """Return the plant of the device with its hand; of several axes the worst values."""
         model: DeviceModel = convert(parameters, cls.Parameters, name).device
         parts = along(model, axes)
-        least, greatest = (
-            min(part.moving_masses[0] for part in parts),
-            max(part.moving_masses[1] for part in parts),
-        )
-        return {
+        least = min(part.moving_masses[0] for part in parts)
+        greatest = max(part.moving_masses[1] for part in parts)
+        plant = {
             "mass": least,
-            **({"heaviest": greatest} if greatest > least else {}),
             "damping": min(part.moving_damping for part in parts),
             "stiffness": max(part.grip for part in parts),
             "device_delay": max(part.delay for part in parts),
         }
+        if greatest > least:
+            plant["heaviest"] = greatest
+        return plant
 
     def configure(self) -> None:
         """Create the device, and report the sources of a preset's values."""

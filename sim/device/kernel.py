@@ -17,7 +17,8 @@ def read(context: int, seq: int, out: int) -> int:
 
     `context` holds the number of axes and the address of each axis' state.
     """
-    axes, position = wholes_at(context, 4), reals_at(out, 6)
+    axes = wholes_at(context, 4)
+    position = reals_at(out, 6)
     for i in range(6):
         position[i] = 0.0
     for n in range(axes[0]):
@@ -30,7 +31,8 @@ def read(context: int, seq: int, out: int) -> int:
 @compilable
 def write(context: int, force: int, seq: int, offset: float) -> int:
     """Hand over a force; return −1 if an axis has no room for it."""
-    axes, forces = wholes_at(context, 4), reals_at(force, 3)
+    axes = wholes_at(context, 4)
+    forces = reals_at(force, 3)
     status = 0
     for n in range(axes[0]):
         d = _look(axes[1 + n])

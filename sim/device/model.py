@@ -324,21 +324,14 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             return everywhere
         fields = msgspec.to_builtins(everywhere)
         hand = changes.get("hand")
-        merged = fields["hand"]
+        wanted = {**fields, **changes}
         if isinstance(hand, Mapping):
             # A path of its own replaces a file, and a file a path.
             own = "path" in hand or "file" in hand
-            base = {k: v for k, v in (merged or {}).items() if not (own and k in _OF_A_PATH)}
-            merged = {**base, **hand}
-        made: DeviceModel = convert(
-            {
-                **fields,
-                **changes,
-                **({} if hand is None and "hand" in changes else {"hand": merged}),
-            },
-            DeviceModel,
-            f"device.axes.{axis}",
-        )
+            before = fields["hand"] or {}
+            base = {k: v for k, v in before.items() if not (own and k in _OF_A_PATH)}
+            wanted["hand"] = {**base, **hand}
+        made: DeviceModel = convert(wanted, DeviceModel, f"device.axes.{axis}")
         if isinstance(hand, Mapping) and made.hand is not None and made.hand.file:
             made = msgspec.structs.replace(made, hand=made.hand.along(axis, True))
         return made
@@ -393,7 +386,8 @@ def move_towards(wanted: float, before: float, farthest: float) -> float:
 def path_position(path: Sequence[tuple[float, float]], time: float) -> float:
     """Return the point of a piecewise linear path (times [s], positions [m]) at `time`."""
     # Binary search for the first corner after that time.
-    i, end = 0, len(path)
+    i = 0
+    end = len(path)
     while i < end:
         middle = (i + end) // 2
         if time < path[middle][0]:

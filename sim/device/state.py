@@ -132,7 +132,8 @@ def target(d: AxisState, seq: int) -> float:
     # Protocol of nodes/driver/pointer.py: during a write, keep the value before, at most one page
     # frame old.
     after = shared_whole(d.pointer)
-    value, when = shared_real(d.pointer + 8 + 8 * d.axis), shared_real(d.pointer + 32)
+    value = shared_real(d.pointer + 8 + 8 * d.axis)
+    when = shared_real(d.pointer + 32)
     if shared_whole(d.pointer + 40) == after:
         d.wanted, d.wanted_at = value, when
     is_held = monotonic(d) - d.wanted_at < d.silence
@@ -204,11 +205,13 @@ def device_part(d: AxisState, force: float, duration: float) -> None:
 @rule
 def pass_tick(d: AxisState) -> None:
     """Advance by one tick of real time; forces act when they arrive, plus the model's delay."""
-    start, now = float(d.tick), 0.0
+    start = float(d.tick)
+    now = 0.0
     if (start - d.commanded) * d.period >= d.hold:
         d.acting = 0.0
     while d.pending_count > 0 and d.pending[2 * d.pending_first] < start + 1.0:
-        when, force = d.pending[2 * d.pending_first], d.pending[2 * d.pending_first + 1]
+        when = d.pending[2 * d.pending_first]
+        force = d.pending[2 * d.pending_first + 1]
         d.pending_first = (d.pending_first + 1) % PENDING
         d.pending_count -= 1
         d.commanded = when
@@ -270,7 +273,8 @@ class VirtualDevice:
         self.state = state_of(AxisState, compiled)
         d = self.state
         d.mass, d.damping, d.grip = model.moving_mass, model.moving_damping, model.grip
-        d.friction, d.resolution = model.friction or 0.0, model.resolution or 0.0
+        d.friction = model.friction or 0.0
+        d.resolution = model.resolution or 0.0
         d.motor = math.inf if model.peak_force is None else model.peak_force
         self._masses = array(
             "d", [number for corner in model.mass_by_position for number in corner]
@@ -279,8 +283,14 @@ class VirtualDevice:
         d.carried = 0.0 if model.hand is None else model.hand.mass
         d.low, d.high = ends_of(workspace, model.resolution)
         d.weight = 0.0 if model.gravity is None else 0.0 - model.mass * model.gravity
-        d.period, d.lockstep, d.hold, d.delay, d.axis = period, lockstep, hold, model.delay, axis
-        d.x, d.v, d.tick = model.position, model.velocity, -1
+        d.period = period
+        d.lockstep = lockstep
+        d.hold = hold
+        d.delay = model.delay
+        d.axis = axis
+        d.x = model.position
+        d.v = model.velocity
+        d.tick = -1
         corners = (
             []
             if model.hand is None
@@ -289,7 +299,8 @@ class VirtualDevice:
         self._path = array("d", corners)
         d.path, d.corners = self._path.buffer_info()[0], len(corners) // 2
         if model.hand is not None and model.hand.repeat is not None:
-            d.has_repeat, d.repeat = 1, model.hand.repeat
+            d.has_repeat = 1
+            d.repeat = model.hand.repeat
         whole, part = split_delay(model.delay + (1.0 if next_tick else 0.0))
         # Before tick 0 the forces are zero.
         d.commands_count = whole + 2

@@ -68,11 +68,13 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
     places: list[Vector] = []
     begun = time.monotonic()
     ticks = seen = device.ticks
-    last, longest = begun, 0.0
+    last = begun
+    longest = 0.0
     while (now := time.monotonic()) - begun < REST:
         if device.ticks != seen:
             longest = max(longest, now - last)
-            seen, last = device.ticks, now
+            seen = device.ticks
+            last = now
             place = device.read_position(0)
             if all(map(math.isfinite, place)):
                 places.append(place)
@@ -96,7 +98,8 @@ def at_rest(device: MailboxDevice) -> SamplesAtRest:
 
 def place_of(device: MailboxDevice) -> Vector:
     """Return a valid position [m] sampled after the call."""
-    until, ticks = time.monotonic() + 2.0, device.ticks
+    until = time.monotonic() + 2.0
+    ticks = device.ticks
     while time.monotonic() < until:
         place = device.read_position(0)
         if device.ticks > ticks + FRESH and all(map(math.isfinite, place)):
@@ -152,7 +155,8 @@ def push(device: MailboxDevice, force: float) -> TriedForce:
             share = min(since, PUSH_TIME - since) / (PUSH_TIME / 3.0)
             device.write_force((0.0, 0.0, force * min(max(share, 0.0), 1.0)), 0, 0.0)
             time.sleep(STEP)
-            place, now = device.read_position(0), time.monotonic()
+            place = device.read_position(0)
+            now = time.monotonic()
             if not all(map(math.isfinite, place)):
                 # Without a position no force, and no speed until the position is known again.
                 device.write_force(ZERO, 0, 0.0)

@@ -43,7 +43,8 @@ def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
     places: list[float] = []
     seen = device.ticks
     begun = time.monotonic()
-    at, started = math.inf, 0.0
+    at = math.inf
+    started = 0.0
     try:
         while (now := time.monotonic()) < begun + BEFORE + PULSE:
             if at == math.inf and now >= begun + BEFORE:
@@ -53,7 +54,8 @@ def _pulse(device: MailboxDevice, force: float) -> tuple[Array, Array]:
             device.write_force((0.0, 0.0, force) if at < math.inf else ZERO, 0, 0.0)
             if device.ticks != seen:
                 seen = device.ticks
-                place, now = device.read_position(0)[2], time.monotonic()
+                place = device.read_position(0)[2]
+                now = time.monotonic()
                 if math.isfinite(place):
                     times.append(now)
                     places.append(place)

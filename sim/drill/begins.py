@@ -156,7 +156,8 @@ class Vague(LoggedDevice):
     def strike(self, rig: Rig) -> None:
         """Make `condition` raise until the driver has ended."""
         self.struck(rig)
-        before, order = rig.pid("driver"), rig.folder / ORDER
+        before = rig.pid("driver")
+        order = rig.folder / ORDER
         order.write_text(f"{FAILS}condition", encoding="ascii")
         await_strike(
             lambda: "condition() of the device failed" in rig.errors, "what the driver says"

@@ -149,10 +149,13 @@ class StandIn:
         """Unplug, and plug another device in first: it must be refused and get no force."""
         self.held()
         before = rig.pid("driver")
-        serial, arm = self.arm.state.serial, self.arm.state
+        serial = self.arm.state.serial
+        arm = self.arm.state
         arm.unplugged = 1
         self._ends(rig)
-        arm.serial, arm.largest, arm.unplugged = serial + 1, 0.0, 0
+        arm.serial = serial + 1
+        arm.largest = 0.0
+        arm.unplugged = 0
         wait_for(lambda: f"serial number {serial + 1}" in rig.errors, "the wrong device is named")
         if arm.largest:
             self._wrong.append(f"the wrong device got {arm.largest:.3g} N")
@@ -202,7 +205,8 @@ class StandIn:
         if self._service is None:
             raise MeasurementError(f"{self.kind.title} has no service")
         self.held()
-        before, ports = rig.pid("driver"), (self._service.port, self._service.events_port)
+        before = rig.pid("driver")
+        ports = (self._service.port, self._service.events_port)
         self._service.process.kill()
         self._service.process.communicate()
         self._ends(rig)

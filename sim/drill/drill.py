@@ -141,7 +141,9 @@ def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[
         if state.force != before.force or state.safety not in ("active", "ramp"):
             written = state.seq
         if state.force_seq > before.force_seq or state.force == ZERO or gap >= hold_ticks:
-            since, written, away = state.seq, state.seq, 0
+            since = state.seq
+            written = state.seq
+            away = 0
         else:
             yield state.seq - since, away
 

@@ -218,14 +218,16 @@ class SteppedClock:
 def faults() -> list[Fault]:
     """Return all faults of the drill."""
     chain = ("driver", "environment", "coupling", "logger")
-    disk, clock = _SmallDisk(), SteppedClock()
+    disk = _SmallDisk()
+    clock = SteppedClock()
 
     def link(
         name: str, what: str, count: Callable[[Rig], int], shows: str, **values: float
     ) -> Fault:
         return Fault(name, what, _bad_link(count, shows, **values), change=with_link)
 
-    lost, refused = _counted("link", "skipped"), _counted("driver", "refused")
+    lost = _counted("link", "skipped")
+    refused = _counted("driver", "refused")
 
     return [
         *(Fault(f"kill {node}", "SIGKILL, respawned", kill(node)) for node in chain),

@@ -164,7 +164,8 @@ class _FewDescriptors:
     def strike(self, rig: Rig) -> None:
         """Connect to every socket of the driver more often than the limit."""
         resource.setrlimit(resource.RLIMIT_NOFILE, (self._limits[1],) * 2)
-        driver, setup = rig.pid("driver"), rig.run.nodes["driver"]
+        driver = rig.pid("driver")
+        setup = rig.run.nodes["driver"]
         clients: list[socket.socket] = []
         until = time.monotonic() + HELD
         while time.monotonic() < until and len(clients) < 4 * FEW:
@@ -198,7 +199,8 @@ def _visit_all(rig: Rig) -> None:
     """Misbehave at every socket of every node; no node of the loop may end."""
     before = {node: rig.pid(node) for node in ("driver", "environment", "coupling")}
     chance = random.Random(1)  # noqa: S311  # misbehaviour, not secrets
-    ports, let_in = rig.run.nodes["forwarder"].parameters["ports"], 0
+    ports = rig.run.nodes["forwarder"].parameters["ports"]
+    let_in = 0
     for number in range(VISITS):
         node = list(before)[number % len(before)]
         setup = rig.run.nodes[node]
@@ -215,7 +217,8 @@ def _visit_all(rig: Rig) -> None:
 def faults() -> list[Fault]:
     """Return the faults from outside."""
     impostor, revoked, few = _Elsewhere(), _Elsewhere(), _FewDescriptors()
-    size, visits = MAX_MESSAGE >> 20, 2 * VISITS
+    size = MAX_MESSAGE >> 20
+    visits = 2 * VISITS
 
     return [
         Fault(

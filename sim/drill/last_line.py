@@ -43,7 +43,8 @@ def _faulty(content: dict[str, Any]) -> None:
 
 def _break_down(what: str, said: str) -> Callable[[Rig], None]:
     def strike(rig: Rig) -> None:
-        before, order = rig.pid("driver"), rig.folder / ORDER
+        before = rig.pid("driver")
+        order = rig.folder / ORDER
         order.write_text(what, encoding="ascii")
         await_strike(lambda: said in rig.errors, f"“{said}” of the driver", 15.0)
         order.unlink()

@@ -62,13 +62,15 @@ class Link(Node):
         """Prepare other faults."""
 
         def apply(seq: int) -> dict[str, Any]:
-            self._now, self._oversize = parameters, parameters.oversize
+            self._now = parameters
+            self._oversize = parameters.oversize
             return {"seq": seq}
 
         return apply
 
     def _accept(self, payload: bytes) -> None:
-        now, chance = self._now, self._random.random
+        now = self._now
+        chance = self._random.random
         if chance() < now.drop:
             self.counters.skipped += 1
             return

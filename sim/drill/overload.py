@@ -54,7 +54,8 @@ class Overload:
         if len(states) < 2:
             return ["no state of the driver since the strike"]
         ticks = states[-1].seq - states[0].seq
-        first, last = states[0], states[-1]
+        first = states[0]
+        last = states[-1]
         lost = (last.missed - first.missed + last.overruns - first.overruns) / max(ticks, 1)
         return (
             [f"{lost:.0%} of the ticks lost, limit {LOST_LIMIT:.0%}"] if lost > LOST_LIMIT else []

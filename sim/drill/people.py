@@ -19,7 +19,8 @@ from sim.tune.live_trial import TRIAL
 
 PEAK = 40.0  # force limit for a hand that has sunk in [N]
 # Stiffness [N/m] and target [m] of a pushing hand: 9 N at the surface.
-STIFFNESS, PATH = 150.0, -0.06
+STIFFNESS = 150.0
+PATH = -0.06
 # Its mass, equal to the device's [kg], and damping [N s/m].
 MASS, DAMPING = 0.1, 2.0
 SUNK = 0.01  # smallest penetration while nobody answers [m]
@@ -164,7 +165,8 @@ def _press(rig: Rig) -> None:
     leave_a_design(rig)
     for words in (("device", "identify"), ("tune", "--steps", "verify")):
         done = rig.haptic(*words, code=None)
-        said, verb = done.stdout + done.stderr, f"haptic {' '.join(words)}"
+        said = done.stdout + done.stderr
+        verb = f"haptic {' '.join(words)}"
         if done.returncode != 1 or "let go first" not in said:
             raise MeasurementError(
                 f"{verb}: exit code {done.returncode} while a hand presses: {said[-500:]}"
@@ -175,7 +177,8 @@ def _press(rig: Rig) -> None:
 
 def unasked(states: Sequence[DeviceState]) -> list[str]:
     """Return a violation if the device was pushed: the pressing force changed without a gap."""
-    calm, pressed = 0, states[0].force[2]
+    calm = 0
+    pressed = states[0].force[2]
     for state in states:
         calm = calm + 1 if state.safety == "active" else 0
         # After a gap the hand first returns. A push would begin with tenths of a newton.

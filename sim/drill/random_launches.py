@@ -146,7 +146,8 @@ def drawn(
     }
     del content["nodes"]["logger"]
     what = random.choice(SCENES)(random, content)
-    tick, apply = random.choice(list(ticks)), random.choice(("on_arrival", "next_tick"))
+    tick = random.choice(list(ticks))
+    apply = random.choice(("on_arrival", "next_tick"))
     content["run"] |= {"tick": tick, "apply": apply}
     return content, f"{what}, {tick} tick, {apply}"
 
@@ -208,7 +209,8 @@ class _Course:
 
     def swap(self) -> str:
         """Switch to another law."""
-        law, ramp = self._random.choice(list(LAWS)), self._random.choice((5, 20, 75))
+        law = self._random.choice(list(LAWS))
+        ramp = self._random.choice((5, 20, 75))
         receipt = self._rig.call("coupling", "law.switch", law=law, ramp=ramp)
         self.swapped_at.append(int(receipt["seq"]))
         if not math.isfinite(receipt["force_step_n"]):
@@ -257,7 +259,8 @@ class _Course:
         return False
 
     def _order(self, what: str, seconds: float) -> None:
-        order, fresh = self._rig.folder / ORDER, self._rig.folder / "order.new"
+        order = self._rig.folder / ORDER
+        fresh = self._rig.folder / "order.new"
         fresh.write_text(what, encoding="ascii")
         fresh.rename(order)  # a device never reads half an order
         self._rig.let_pass(seconds)
@@ -281,7 +284,8 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
     for before, sample in pairwise(log):
         if sample.jumps > before.jumps and any((*before.write.force, *sample.write.force)):
             begins.append(sample.write.at)
-    was_fault, since = False, -1
+    was_fault = False
+    since = -1
     for state, following in pairwise(states):
         was_fault = state.safety == "fault" or (was_fault and state.safety == "zero")
         if state.safety != "zero":
@@ -323,7 +327,8 @@ def pushed(
             max(abs(s.write.force[i]) for s in log[first - min(first, 50) : first])
             for i in range(3)
         ]
-        way, speed = [0.0] * 3, [0.0] * 3
+        way = [0.0] * 3
+        speed = [0.0] * 3
         for before, sample in zip(log[first - 1 :], log[first:], strict=False):
             since = max(sample.write.at - began.write.at, sample.write.due - began.write.due)
             if since >= RAMP or sample.jumps != began.jumps:
@@ -376,7 +381,8 @@ def launch_once(
     bounds = Promise(1.0 / RATE, PEAK, SLEW / RATE, HOLD, RAMP)
     judged = judge([sample.write for sample in log], bounds, begins_in(log, states))
     wrong, steepest = pushed(log, moved_at, swapped_at)
-    outcome.forces, outcome.above = len(log), judged.above
+    outcome.forces = len(log)
+    outcome.above = judged.above
     outcome.steepest = max(judged.steepest, steepest)
     outcome.reasons += [f"the device: {text}" for text in (*judged.broken[:3], *wrong)]
     outcome.reasons += [] if log else ["the device received no force"]

@@ -96,7 +96,8 @@ class _Memory:
                 status = rig.call(name, "status", timeout=0.5)
             except ControlError:
                 continue
-            pid, now = status["pid"], time.monotonic()
+            pid = status["pid"]
+            now = time.monotonic()
             if name in CHAIN:
                 self._witness.pids[name] = pid
             # Start-up fills caches and queues; growth afterwards is a leak.
@@ -229,7 +230,8 @@ def _account(folder: Path, found: Soak, names: list[str]) -> None:
                     # On a busy machine it ended before it received anything.
                     continue
                 # Between its first and last message, a logger must have every message.
-                low, high = min(own), max(own)
+                low = min(own)
+                high = max(own)
                 missing = {seq for seq in everything[topic] if low <= seq <= high} - own
                 found.shared += len(own)
                 if missing:
@@ -250,7 +252,8 @@ def _count(
     rig: Rig, found: Soak, excused: list[tuple[int, int]], done: list[tuple[int, str]]
 ) -> list[int]:
     """Count the ticks without a timely answer; return those that nothing excuses."""
-    states, missed = rig.states, []
+    states = rig.states
+    missed = []
     found.ticks = states[-1].seq - states[0].seq
     # A state reports the tick before it.
     answered = {state.seq - 1 for state in states if state.response > 0.0}

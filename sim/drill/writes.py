@@ -104,9 +104,12 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
     found: list[str] = []
     above, steepest = 0, 0.0
     coming = sorted(begins)
-    felt, last = ZERO, -math.inf
+    felt = ZERO
+    last = -math.inf
     # Start of the present ramp, and the force at that time; none before the first force.
-    ramp_from, due_from, before = -math.inf, math.nan, ZERO
+    ramp_from = -math.inf
+    due_from = math.nan
+    before = ZERO
     changes: list[tuple[float, list[float]]] = []
     for n, (at, force, due) in enumerate(log):
         where = f"{at:.4f} s"
@@ -122,7 +125,9 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
             # Part of the ramp that the gap costs, in whole ticks, the first one not full.
             cost = bounds.regain * (at - last - bounds.hold - bounds.period)
             over = at - max(at - max(bounds.ramp - cost, 0.0), min(ramp_from, at))
-            ramp_from, due_from, before = at - over, due - over, ZERO
+            ramp_from = at - over
+            due_from = due - over
+            before = ZERO
         while coming and coming[0] <= at:
             coming.pop(0)
             ramp_from, due_from, before = at, due, felt

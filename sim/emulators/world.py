@@ -96,7 +96,9 @@ class World:
         self._code = code
         if made:
             s = self.state
-            s.mass, s.damping, s.free_from = 0.1, 1.0, math.inf
+            s.mass = 0.1
+            s.damping = 1.0
+            s.free_from = math.inf
             s.peak, s.continuous = 7.9, 1.75
             s.turn[0] = s.turn[4] = s.turn[8] = 1.0
             s.serial, s.devices, s.rate = 1234, 1, 1000
@@ -113,7 +115,8 @@ class World:
 
     def read(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
         """Read position [m] and velocity [m/s]; None if that fails."""
-        position, velocity = (ctypes.c_double * 3)(), (ctypes.c_double * 3)()
+        position = (ctypes.c_double * 3)()
+        velocity = (ctypes.c_double * 3)()
         if not self._code.stand_in_read(ctypes.byref(self.state), position, velocity):
             return None
         return (position[0], position[1], position[2]), (velocity[0], velocity[1], velocity[2])
@@ -146,7 +149,8 @@ def world_beside(path: Path) -> World:
 
 def archive(name: str, folder: Path, *options: str) -> Path:
     """Compile the emulator as a static library, as some vendors ship it."""
-    compiled, path = folder / f"{name}.o", folder / f"lib{name}.a"
+    compiled = folder / f"{name}.o"
+    path = folder / f"lib{name}.a"
     subprocess.run(_command(name, "-fPIC", "-c", *options, "-o", str(compiled)), check=True)
     subprocess.run(["ar", "rcs", str(path), str(compiled)], check=True)
     return path

@@ -69,11 +69,9 @@ class Level:
         limit: float,
     ) -> Level:
         """Summarise a path: force differences [N], proxy distances [m] and call times [µs]."""
-        largest, rms, proxy = (
-            float(difference.max()),
-            float(np.sqrt(np.mean(counted**2))),
-            float(1e6 * away.max()),
-        )
+        largest = float(difference.max())
+        rms = float(np.sqrt(np.mean(counted**2)))
+        proxy = float(1e6 * away.max())
         calls = float(np.median(times)), float(np.percentile(times, 99))
         return cls(
             name,
@@ -125,7 +123,8 @@ def detail(
     limit = max(stiffness * resolution, fraction * largest)
     # Points on the surface, not the tool's centre.
     touched = (finest.proxy - tool_radius * finest.normal)[finest.contact]
-    levels, left_out = [], []
+    levels = []
+    left_out = []
     for name, made in _levels(solids, touched, finest.normal[finest.contact]):
         step(name)
         if isinstance(made, str):
@@ -280,7 +279,8 @@ def _main_axes(points: Array) -> tuple[Array, Array, Array]:
     """Return centre, principal directions (rows) and half extents [m]."""
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     along = points @ axes.T
-    low, high = along.min(axis=0), along.max(axis=0)
+    low = along.min(axis=0)
+    high = along.max(axis=0)
     return 0.5 * (low + high) @ axes, axes, 0.5 * (high - low)
 
 

@@ -157,8 +157,11 @@ def fall(
     """
     length = max(len(law.taps), 2)
     recursive = [number for section in law.sections for number in section]
-    history, memory, head = [0.0] * (2 * length), [0.0] * (2 * len(law.sections)), 0
-    seen, x = np.empty((2, ticks)), height
+    history = [0.0] * (2 * length)
+    memory = [0.0] * (2 * len(law.sections))
+    head = 0
+    seen = np.empty((2, ticks))
+    x = height
     for k in range(ticks):
         head, force, _ = floor_force(
             x, law.taps, recursive, memory, history, head, length, *convention
@@ -243,11 +246,9 @@ def _trials(
         forces = np.empty(ticks)
         none = np.empty(0, dtype=np.int64)
         laws = LawTables(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
-        states, history, commands = (
-            np.zeros(width // 2),
-            np.zeros(2 * max(length, 2)),
-            np.zeros(motion.waiting),
-        )
+        states = np.zeros(width // 2)
+        history = np.zeros(2 * max(length, 2))
+        commands = np.zeros(motion.waiting)
         records = Records(positions, None, None, None, forces, None)
         play_compiled(
             ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p)
@@ -270,7 +271,8 @@ def rest_position(scene: Scene, law: CompiledLaw, ticks: int) -> float | None:
 
     None if H(1) ≤ 0 or nothing opposes the load.
     """
-    load, grip = scene.device.load(ticks - 1, scene.period), scene.device.grip
+    load = scene.device.load(ticks - 1, scene.period)
+    grip = scene.device.grip
     if law.h1 <= 0.0:
         return None
     if scene.surface.kind != "free":
@@ -326,7 +328,8 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
         taps[i, : len(law.taps)] = law.taps
         recursive[i, : 4 * len(law.sections)] = [c for section in law.sections for c in section]
     results = np.empty((len(laws), 6))
-    found, contact = motion_of(scene, ticks), contact_of(scene)
+    found = motion_of(scene, ticks)
+    contact = contact_of(scene)
     motion, contact = in_numbers(ticks, found, contact)
     # Few scenes have end stops, and checking them costs a twelfth of a tick.
     motion = motion._replace(ends=found.ends)

@@ -35,7 +35,8 @@ class Drop:
 
 def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop:
     """Measure a drop on a floor at height 0."""
-    whole, part = int(delay), delay - int(delay)
+    whole = int(delay)
+    part = delay - int(delay)
     # During tick k first the force of tick k−i−1 acts for its fraction, then that of k−i.
     late = np.concatenate((np.zeros(whole + 1), trace.force))
     acting = (part * late[: len(trace.force)] + (1.0 - part) * late[1 : len(trace.force) + 1])[:-1]

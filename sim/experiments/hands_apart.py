@@ -95,7 +95,8 @@ class _Side:
                 f"delay = {plant.delay:g}: a side's own delay must be 0 here; the network's is in"
                 " `Network`"
             )
-        self._taps, self._guard = law.taps, guard
+        self._taps = law.taps
+        self._guard = guard
         self._rate = guard.damping / plant.period if guard else 0.0
         self.x = self.v = self.force = 0.0
         self._own: list[float] = [0.0] * len(law.taps)
@@ -128,7 +129,8 @@ class _Side:
     def move(self, outside: float) -> None:
         """Advance one tick under the law's force and the hand's [N]."""
         (a11, a12, a21, a22), (g1, g2) = self._motion, self._push
-        push, before = self.force + outside, self.x
+        push = self.force + outside
+        before = self.x
         self.x, self.v = (
             a11 * self.x + a12 * self.v + g1 * push,
             a21 * self.x + a22 * self.v + g2 * push,
@@ -250,7 +252,8 @@ def felt(
     FeltPartner
         Stiffness, drag and energy.
     """
-    period, omega = plant.period, 2.0 * math.pi * FELT_AT
+    period = plant.period
+    omega = 2.0 * math.pi * FELT_AT
     ticks = round(seconds / period)
     # A hand of 2 kN/m and 40 N s/m is nearly a motion source; an equal fist fixes the device.
     firm = Plant(period, plant.mass + 0.3, plant.damping + 40.0, 0.0, 2000.0)
@@ -334,7 +337,8 @@ def over_delay(
     from nodes.laws.pd import PD
     from nodes.stability.two_hands import TwoHands, k_max_two_hands
 
-    period, both = plant.period, (plant.damping, plant.damping)
+    period = plant.period
+    both = (plant.damping, plant.damping)
 
     def pd(stiffness: float, damper: float) -> CompiledLaw:
         return PD(stiffness=stiffness, damping=damper).compile(period)

@@ -158,7 +158,8 @@ def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> fl
         return None
     if verdict(grid[-1]):
         return math.inf
-    low, high = 0, len(grid) - 1
+    low = 0
+    high = len(grid) - 1
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if verdict(grid[middle]) else (low, middle)

@@ -111,7 +111,8 @@ def stiffest(scene: TermScene) -> float | None:
 
     None if the chain has neither.
     """
-    laws, plant = scene.instead.law, plant_of(scene)
+    laws = scene.instead.law
+    plant = plant_of(scene)
     law = scene.laws.all[-1]
     if scene.shortened and laws is not None:
         law = [laws, *(swap.law for swap in scene.instead.swaps)][-1]
@@ -137,7 +138,8 @@ def measured_outcome(
     Distances and forces are Euclidean norms.
     """
     tail = max(2, len(position) // _TAIL)
-    end, rest = position[-tail:], force[-tail:].mean(axis=0)
+    end = position[-tail:]
+    rest = force[-tail:].mean(axis=0)
     travel = float(np.ptp(position, axis=0).max())
     away = np.flatnonzero(~(np.linalg.norm(position - end.mean(axis=0), axis=1) <= 0.01 * travel))
     return Outcome(

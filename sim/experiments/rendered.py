@@ -143,7 +143,8 @@ def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: P
         low = found
     else:
         last = max(i for i, value in enumerate(values) if value <= plant.damping)
-        low, high = float(grid[last]), float(grid[min(last + 1, len(grid) - 1)])
+        low = float(grid[last])
+        high = float(grid[min(last + 1, len(grid) - 1)])
     while high - low > PRECISION * high:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if needed(middle) <= plant.damping else (low, middle)
@@ -157,9 +158,11 @@ def _least_between(
 
     The K is None if there is none.
     """
-    low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, len(grid) - 1)])
+    low = float(grid[max(at - 1, 0)])
+    high = float(grid[min(at + 1, len(grid) - 1)])
     for _ in range(24 if np.isfinite(needed(float(grid[at]))) else 0):
-        left, right = low + (high - low) / 3.0, high - (high - low) / 3.0
+        left = low + (high - low) / 3.0
+        right = high - (high - low) / 3.0
         values = needed(left), needed(right)
         if min(values) <= enough:
             return low, high, left if values[0] <= enough else right

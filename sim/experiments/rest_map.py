@@ -61,7 +61,8 @@ def rest_map(
 
     def over(count: int) -> tuple[Any, Any, Any]:
         factors = np.logspace(-DECADES, DECADES, count)
-        frictions, steps = friction * factors, resolution * factors
+        frictions = friction * factors
+        steps = resolution * factors
         k = np.array(
             [
                 [stiffest_at_rest(derivative, step, force) for force in frictions]

@@ -134,7 +134,8 @@ class Rig(Running):
     def _await_end(self) -> None:
         """Wait for the launcher's end, extended by the time its processes wait for a processor."""
         waits: dict[int, ProcessorWait] = {}
-        begun, waited = time.monotonic(), 0.0
+        begun = time.monotonic()
+        waited = 0.0
         while time.monotonic() - begun < END + waited:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.5)
@@ -144,7 +145,8 @@ class Rig(Running):
 
     def _whereabouts(self) -> str:
         """Return where a launcher hangs: its threads' kernel waits and Python stack."""
-        threads, state = [], state_of(Path(f"/proc/{self.process.pid}"))
+        threads = []
+        state = state_of(Path(f"/proc/{self.process.pid}"))
         for path in Path(f"/proc/{self.process.pid}/task").iterdir():
             with contextlib.suppress(OSError):
                 threads.append(

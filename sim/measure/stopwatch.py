@@ -80,7 +80,8 @@ def interleaved(
 
 
 def _summary(values: list[float]) -> Timing:
-    ordered, last = sorted(values), len(values) - 1
+    ordered = sorted(values)
+    last = len(values) - 1
     return Timing(
         statistics.median(ordered), ordered[last // 4], ordered[last - last // 4], len(ordered)
     )

@@ -173,7 +173,8 @@ def answer(node: Any, message: Any) -> bytes:
 def _begin_environment(node: Any, instead: Instead) -> None:
     """Build the environment, as the node does or from `instead`."""
     if isinstance(node, MujocoEnvironment):
-        parameters, setup = node.store.current, node.setup
+        parameters = node.store.current
+        setup = node.setup
         node.begin_with(
             load_world(parameters, setup.period, setup.name)
             if instead.world is None

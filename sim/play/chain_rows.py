@@ -86,7 +86,8 @@ class Rows:
 
     def _motion(self, measured: Vector) -> Array:
         """Return true position [m] and velocity [m/s]; of a pair, the difference."""
-        found, signs = np.zeros((2, 3)), (1.0, -1.0)
+        found = np.zeros((2, 3))
+        signs = (1.0, -1.0)
         if len(self._wire.parts) != 1:
             found[0] = measured
         for sign, (name, parts) in zip(signs, self._wire.parts.items(), strict=False):
@@ -98,7 +99,8 @@ class Rows:
 
     def trace(self) -> ChainTrace:
         """Return the records as a trace."""
-        wire, s = self._wire, self._wire.driver.driving
+        wire = self._wire
+        s = self._wire.driver.driving
         bodies = {name: BodyTrace(positions) for name, positions in self.pair.items()}
         bodies |= {name: BodyTrace(*poses) for name, poses in self.bodies.items()}
         return ChainTrace(

@@ -112,7 +112,8 @@ def windowed_force(own: Any, history: Any, head: int) -> float:
 def pushed_force(own: Any, history: Any, head: int) -> float:
     """Return the force of a push [N]; `own` is a `Pushing`, whose state changes."""
     load: float = own.load
-    ticks, k = len(own.signal), own.state[0]
+    ticks = len(own.signal)
+    k = own.state[0]
     if k >= ticks:
         own.state[0] = min(k + 1, ticks + own.fade)
         lowered: float = faded(load, own.state[0] - ticks, own.fade)

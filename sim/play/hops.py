@@ -83,7 +83,8 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
 
 def setup_of(launch: Launch, name: str) -> Setup:
     """Return the setup of a played node: in lockstep, without connections."""
-    spec, namespace = launch.nodes[name], name.rpartition("/")[0]
+    spec = launch.nodes[name]
+    namespace = name.rpartition("/")[0]
     factory = node_kinds()[spec.kind]
     judges = has_plant(load(factory))
     return Setup(

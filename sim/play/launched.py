@@ -119,14 +119,17 @@ class LaunchedScene:
 
     def _met(self, measured: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return proxy [m], normal and contact at each tick, by the environment's rules."""
-        proxy, normal = measured.copy(), np.zeros(measured.shape)
+        proxy = measured.copy()
+        normal = np.zeros(measured.shape)
         kind = self.scene.surface.kind
         contact = np.full(len(measured), kind == "anchor")
         numbers = numbers_of(self.surface, self.scene.period)
         if kind == "anchor" and numbers is not None:
             proxy[:] = numbers.table[:3]
         elif kind == "plane":
-            place, side, i = self.scene.surface.position, self.scene.surface.normal, self.axis
+            place = self.scene.surface.position
+            side = self.scene.surface.normal
+            i = self.axis
             contact = (measured[:, i] - place) * side < 0.0
             proxy[contact, i] = place
             normal[:, i] = side
@@ -153,7 +156,8 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
     hops = hops_of(launch, namespace)
     axes = launch.axes.get(namespace) or launch.run.axes
     _refuse_more(launch, hops, list(axes))
-    axis, period = axes[0], launch.run.period
+    axis = axes[0]
+    period = launch.run.period
     driver: SimDriverParameters = convert(
         launch.nodes[hops.driver].parameters, SimDriverParameters, hops.driver
     )
@@ -205,7 +209,8 @@ def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
     coupling: CouplingParameters = convert(
         launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
     )
-    book, period = LawBook(hops.coupling, launch.run.period), launch.run.period
+    book = LawBook(hops.coupling, launch.run.period)
+    period = launch.run.period
     swaps = sorted(coupling.schedule, key=lambda swap: swap.at)
     names = (coupling.law, *(swap.law for swap in swaps))
     first, *later = (book.compile(coupling, name) for name in names)

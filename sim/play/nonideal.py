@@ -118,7 +118,10 @@ def _push(  # noqa: C901, PLR0915
     applied = 0.0
     beyond = mass * share
     step = period / 64.0
-    x, v, y, w = start, 0.0, start, 0.0
+    x = start
+    v = 0.0
+    y = start
+    w = 0.0
     given, acting, bristle = 0.0, 0.0, 0.0
     deflections = np.zeros(len(taps))
     arrived = 0
@@ -129,13 +132,15 @@ def _push(  # noqa: C901, PLR0915
         while now < 1.0:
             until, what = 1.0, 0
             if not sampled and sample[k] <= until:
-                until, what = max(sample[k], now), 1
+                until = max(sample[k], now)
+                what = 1
             if (
                 arrived < ticks
                 and (arrived < k or (arrived == k and sampled))
                 and arrive[arrived] - k < until
             ):
-                until, what = max(arrive[arrived] - k, now), 2
+                until = max(arrive[arrived] - k, now)
+                what = 2
             count = math.ceil((until - now) * period / step - 1e-9)
             for _ in range(count):
                 h = (until - now) * period / count
@@ -148,7 +153,8 @@ def _push(  # noqa: C901, PLR0915
                 u = mean
                 if deadband > 0.0:
                     u = math.copysign(max(abs(mean) - deadband, 0.0), mean)
-                mx, my = x + 0.5 * h * v, y + 0.5 * h * w
+                mx = x + 0.5 * h * v
+                my = y + 0.5 * h * w
                 if by_sign != 0.0:
                     u *= 1.0 + math.copysign(by_sign, u)
                 if sensor_lag > 0.0:
@@ -231,7 +237,8 @@ def pushed(
     noise = rng.normal(0.0, device.noise, ticks) if device.noise else np.zeros(ticks)
     rigid = device.rigid
     joint, loss = device.plant.joint if device.share else (0.0, 0.0)
-    positions, forces = np.zeros(ticks), np.zeros(ticks)
+    positions = np.zeros(ticks)
+    forces = np.zeros(ticks)
     odd = np.array([rigid.grip, *(getattr(device, name) for name in _ODD)])
     _push(
         wanted, np.asarray(taps, dtype=np.float64), law,

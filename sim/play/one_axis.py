@@ -206,7 +206,8 @@ def run_with_asked(
     own = law.own_code()
     if own is not None:
         numbered = None if interpreted else numbers_of(own, ticks)
-        interpreted, own = numbered is None, own if numbered is None else numbered
+        interpreted = numbered is None
+        own = own if numbered is None else numbered
     laws = [law, *(swap.law for swap in swaps)]
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
@@ -238,7 +239,8 @@ def run_with_asked(
     contact = contact_of(scene)
     if not interpreted:
         motion, contact = in_numbers(ticks, motion, contact, lockstep=arrivals is None)
-    final = (play if interpreted else play_compiled)(
+    loop = play if interpreted else play_compiled
+    final = loop(
         ticks,
         motion,
         contact,
@@ -363,5 +365,6 @@ def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None
     # Rounded like the driver's value, which comes from the device's latency in seconds.
     line, part = line_of(round(scene.device.delay, 9))
     late = 1.0 if scene.next_tick else 0.0
-    damping, allowance = scene.passivity.damping / scene.period, scene.passivity.allowance
+    damping = scene.passivity.damping / scene.period
+    allowance = scene.passivity.allowance
     return Guard(damping, scene.passivity.stiffness, late, numbers(list(line)), part, allowance)

@@ -45,7 +45,9 @@ def respond(
     length: int,
 ) -> tuple[int, float, bool]:
     """Environment and first half of the coupling: from the sample to the newest deflection."""
-    proxy, distance, contact = measured, 0.0, kind == ANCHOR
+    proxy = measured
+    distance = 0.0
+    contact = kind == ANCHOR
     if kind == PLANE:
         proxy, distance, contact = meet_plane(measured, surface, normal)
     elif contact:

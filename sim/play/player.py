@@ -84,7 +84,8 @@ def prepare(
     how: How = "fastest",
 ) -> Callable[[], ChainTrace]:
     """Check a chain once; return the function that plays it. Arguments as of `play`."""
-    instead, given = instead or Instead(), given or Given()
+    instead = instead or Instead()
+    given = given or Given()
     chain = _only_chain(launch) if namespace is None else namespace
     wanted = ticks or launch.run.ticks or round(10.0 / launch.run.period)
     if wanted > MAX_TICKS:

@@ -90,10 +90,8 @@ def call_times(
 
     Each includes the interpreter's overhead of under 1 µs.
     """
-    table, memory = (
-        np.array(scene_table(solids, tool_radius, period)),
-        np.array(new_memory(len(solids))),
-    )
+    table = np.array(scene_table(solids, tool_radius, period))
+    memory = np.array(new_memory(len(solids)))
     times = []
     for x, y, z in path[:most].tolist():
         begin = time.perf_counter_ns()

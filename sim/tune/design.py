@@ -45,12 +45,14 @@ def demand(found: Identified, wanted: Wanted) -> Demand:
 
     Raise ValueError if a needed quantity was not identified.
     """
-    (_, lightest, heaviest), (_, damping, _) = found.mass.known(), found.damping.known()
+    (_, lightest, heaviest) = found.mass.known()
+    (_, damping, _) = found.damping.known()
     found.delay.known()
     _, softest, stiffest = found.stiffness.known()
     lighter, heavier = wanted.poses
     # The remaining mass is at least a tenth of the identified one.
-    lightest, heaviest = max(lightest - lighter, 0.1 * lightest), heaviest + heavier
+    lightest = max(lightest - lighter, 0.1 * lightest)
+    heaviest = heaviest + heavier
     return Demand(
         mass=(lightest / wanted.spread, heaviest * wanted.spread),
         damping=damping,
@@ -72,15 +74,15 @@ def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
     if not {"actuator lag", "flexible mode"} & set(found.terms):
         return ()
     _, early, late = found.lag.known() if found.lag.value else (0.0, 0.0, 0.0)
-    shares, frequencies, loss = (0.0, 0.0), (math.inf, math.inf), 0.0
+    shares = (0.0, 0.0)
+    frequencies = (math.inf, math.inf)
+    loss = 0.0
     if found.frequency.value is not None:
         _, *ends = found.share.known()
         _, low, high = found.frequency.known()
-        shares, frequencies, loss = (
-            (ends[0], ends[1]),
-            (low / 1.05, high * 1.05),
-            found.loss.known()[1],
-        )
+        shares = (ends[0], ends[1])
+        frequencies = (low / 1.05, high * 1.05)
+        loss = found.loss.known()[1]
     return tuple(
         (lag, share, frequency, loss)
         for lag in sorted({early, late})
@@ -92,7 +94,8 @@ def _beyond(found: Identified) -> tuple[tuple[float, float, float, float], ...]:
 def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
     """Design taps, and tune PD for the same demand; return the stiffer, PD, and the demand."""
     asked = demand(found, wanted)
-    law, pd = designed(asked, wanted.taps), best_pd(asked)
+    law = designed(asked, wanted.taps)
+    pd = best_pd(asked)
     if pd.found is not None and (law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m):
         law = pd
     return law, pd, asked
@@ -107,7 +110,8 @@ def model(found: Identified) -> DeviceModel | NonidealDevice:
     hand = None
     if found.held and found.stiffness.value:
         hand = Hand(stiffness=found.stiffness.value, path=[(0.0, 0.0)])
-    friction, resolution = found.friction.value or None, found.encoder.value
+    friction = found.friction.value or None
+    resolution = found.encoder.value
     rigid = DeviceModel(
         mass=mass, damping=damping, delay=delay, hand=hand, friction=friction, resolution=resolution
     )
@@ -152,7 +156,8 @@ def linear_edge(
 
     low, high = 1.0, 1.0
     while high < 100.0 and radius(high) < 1.0:
-        low, high = high, high * 1.1
+        low = high
+        high = high * 1.1
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
@@ -163,7 +168,8 @@ def predict(
     law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
 ) -> tuple[PredictedStep, PlannedKnocks]:
     """Predict a law on the identified device; also return the plan of the steps on the device."""
-    plant, whole = plant_of(found), found.plant()
+    plant = plant_of(found)
+    whole = found.plant()
     rigid = whole.rigid and whole.lag == 0.0
     linear = linear_edge(law, plant) if rigid else linear_edge(law, whole, found.period)
     knock = knock_size(law.taps, linear, found, peak)
@@ -206,7 +212,8 @@ def _at_rest(
     """Add the friction and what it is enough for; nothing if encoder or friction is unknown."""
     if found.encoder.value is None or found.friction.value is None:
         return figures
-    answer, friction = rest(law, plant, found.encoder.value), found.friction.value
+    answer = rest(law, plant, found.encoder.value)
+    friction = found.friction.value
     return replace(
         figures,
         friction_n=friction,

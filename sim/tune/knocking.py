@@ -155,10 +155,12 @@ def climb(
                 break
             # The edge is within this large step: continue from the last that rested, by small
             # steps.
-            known, top = factor_of(step), step - 1
+            known = factor_of(step)
+            top = step - 1
             continue
         here = step
-    edge.ended, edge.complete = _ended("device", edge.factor), True
+    edge.ended = _ended("device", edge.factor)
+    edge.complete = True
     return edge
 
 

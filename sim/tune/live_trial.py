@@ -71,8 +71,13 @@ class Trials:
         rearm: bool = False,
     ) -> None:
         self._loop, self._held, self._say = loop, held, say
-        self._taps, self._knock, self._load = list(taps), knock, load
-        self._near, self._sign, self._rearm, self._stirs = 0, -1.0, rearm, math.inf
+        self._taps = list(taps)
+        self._knock = knock
+        self._load = load
+        self._near = 0
+        self._sign = -1.0
+        self._rearm = rearm
+        self._stirs = math.inf
         # A guard set by the launch is left unchanged.
         self._own = ask(loop.run, loop.driver, "param.get", name="passivity")
         self._guarded = not (self._own and self._own["guard"] == "on")
@@ -108,7 +113,10 @@ class Trials:
 
     def _verdict(self, step: int) -> KnockVerdict:
         """Knock until one verdict was undisturbed; repeat to confirm one that does not rest."""
-        factor, doubted, disturbed, rested = factor_of(step), False, "", 0
+        factor = factor_of(step)
+        doubted = False
+        disturbed = ""
+        rested = 0
         for _ in range(MAX_ATTEMPTS):
             verdict, disturbed = self._try(factor)
             if verdict.ended_by in ("stop", "fault"):
@@ -163,7 +171,8 @@ class Trials:
         loop.wait(WINDOW // 2)
         if cut.by != "stop" and loop.progress()["safety"] == "stopped":
             # After the window, but caused by this knock: the next one would be blamed for it.
-            why, disturbed = f"{STOPPED}: {loop.why_stopped()}", ""
+            why = f"{STOPPED}: {loop.why_stopped()}"
+            disturbed = ""
             verdict = KnockVerdict(factor, verdict.left, False, why, "stop")
             self._start_again(why)
         return verdict, disturbed
@@ -199,13 +208,18 @@ class Trials:
         loop = self._loop
         axis = loop.axes[0]
         positions: list[float] = []
-        began, late, energy, overruns = -1, 0, 0.0, 0
+        began = -1
+        late = 0
+        energy = 0.0
+        overruns = 0
         for state in loop.states():
             if state.safety == "stopped":
                 return np.array(positions), Cut("stop", f"{STOPPED}: {loop.why_stopped()}"), ""
             if began < 0:
                 receipt = loop.change(loop.coupling, "law.switch", law=TRIAL, ramp=0)
-                began, energy, overruns = int(receipt["seq"]), state.energy, state.overruns
+                began = int(receipt["seq"])
+                energy = state.energy
+                overruns = state.overruns
                 continue
             if state.seq < began:
                 continue

@@ -105,7 +105,8 @@ def headline(record: TuneRecord) -> str:
     )
     if designed is None:
         return f"No law: {stopped or 'none was designed'}."
-    law, lands = number(designed.h1_n_per_m, "N/m"), designed.lands
+    law = number(designed.h1_n_per_m, "N/m")
+    lands = designed.lands
     falls = "" if lands else "; it fails the drop test"
     if after is None or not (after.steps or after.ended):
         why = f" ({stopped})" if stopped else ""

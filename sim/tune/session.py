@@ -199,7 +199,8 @@ class Tuning:
         from sim.tune.design import predict
         from sim.tune.outcome import compared
 
-        designed, found = self._law, self._device.anyway()
+        designed = self._law
+        found = self._device.anyway()
         limits = self._need(self.record.limits, "limits")
         law = CompiledLaw(designed.taps_n_per_m)
         figures, steps = predict(law, designed.demand, found, limits.peak_n, limits.slew_n)
@@ -227,10 +228,12 @@ class Tuning:
                 how = (load, self._options.say, self._options.rearm)
                 Trials(loop, held, taps, predicted.knock_m, *how).climb(plan, edge)
             except KeyboardInterrupt:
-                edge.ended, edge.complete = edge.ended or "interrupted", False
+                edge.ended = edge.ended or "interrupted"
+                edge.complete = False
                 raise
             except RefusedError as error:
-                edge.ended, edge.complete = str(error), False
+                edge.ended = str(error)
+                edge.complete = False
                 raise
             finally:
                 self.record.verified = verified(predicted, edge)
@@ -290,7 +293,8 @@ class Tuning:
             )
             self.files = {}
             return
-        now.headline, now.command = headline(now), self._options.command
+        now.headline = headline(now)
+        now.command = self._options.command
         now.date = time.strftime("%Y-%m-%d %H:%M:%S %z")
         now.device = now.device or (self._loop.run.scenario if self._loop else "")
         now.write(self._file)

@@ -64,7 +64,8 @@ def tune(options: TuneOptions) -> TuneResult:
     from sim.measure.measured_launch import launched
     from sim.tune.session import Tuning
 
-    places, run_name = options.places or [0.0], options.run_name
+    places = options.places or [0.0]
+    run_name = options.run_name
 
     def identified() -> tuple[Path, str, Identified]:
         asked = replace(options, places=places, run_name=run_name)

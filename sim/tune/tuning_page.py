@@ -213,7 +213,8 @@ def _felt(record: TuneRecord) -> Figure | None:
     from sim.design.fall import fallen
     from sim.design.landing import HEIGHTS
 
-    designed, found = record.designed, record.identified.found.anyway()
+    designed = record.designed
+    found = record.identified.found.anyway()
     if None in (found.mass.value, found.damping.value, found.delay.value):
         return None
     # The dropped device is not held.

@@ -55,7 +55,10 @@ def _poses(poses: tuple[float, float]) -> str:
 
 def law_rows(law: DesignedStep) -> list[TextRow]:
     """Return the rows on the designed law."""
-    asked, gain, proof, (mass, delay) = law.demand, law.gain_over_pd, law.landing_proof, law.worst
+    asked = law.demand
+    gain = law.gain_over_pd
+    proof = law.landing_proof
+    (mass, delay) = law.worst
     compared = (
         "not compared: one of them fails the drop test"
         if gain is None
@@ -87,7 +90,9 @@ def law_rows(law: DesignedStep) -> list[TextRow]:
 def predicted_rows(found: PredictedStep) -> list[TextRow]:
     """Return the rows on the law's behaviour on the identified device."""
     knocked, later = found.edge_h1_n_per_m, found.stable_up_to_delay_ticks
-    held, left, rest = found.grasp.worst, found.remainder_pole_radius, found.limit_cycle_free
+    held = found.grasp.worst
+    left = found.remainder_pole_radius
+    rest = found.limit_cycle_free
     rows = [
         (
             "edge, by knocks on the model",

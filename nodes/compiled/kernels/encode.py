@@ -117,7 +117,8 @@ def make_write(table: Published) -> Callable[[Any, int], int]:
 
     @compilable
     def write(s: LoopState, at: int) -> int:
-        reals, wholes = reals_at(s.here, room), wholes_at(s.here, room)
+        reals = reals_at(s.here, room)
+        wholes = wholes_at(s.here, room)
         return encode(at, s.out_keys, reals, wholes, s.text, s.text_size)
 
     made: Callable[[Any, int], int] = write

@@ -89,7 +89,8 @@ def _store(bits: int, takes: Any) -> Intrinsic:
 
 
 byte, be16, be32, be64 = (_load(bits, types.int64) for bits in (8, 16, 32, 64))
-real32, real64 = _load(32, types.float64), _load(64, types.float64)
+real32 = _load(32, types.float64)
+real64 = _load(64, types.float64)
 put_byte, put_be16, put_be32, put_be64 = (_store(bits, types.int64) for bits in (8, 16, 32, 64))
 put_real = _store(64, types.float64)
 
@@ -106,7 +107,8 @@ def _shared(result: Any) -> Intrinsic:
     return _made(result, [types.int64], generate)
 
 
-_whole, _real = _shared(types.int64), _shared(types.float64)
+_whole = _shared(types.int64)
+_real = _shared(types.float64)
 overload(shared_whole)(lambda address: lambda address: _whole(address))  # noqa: ARG005
 overload(shared_real)(lambda address: lambda address: _real(address))  # noqa: ARG005
 

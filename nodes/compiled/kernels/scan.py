@@ -46,13 +46,17 @@ def text_size(at: int, end: int) -> tuple[int, int]:
     first = byte(at)
     size = -1
     if first & 0xE0 == 0xA0:
-        size, at = first & 0x1F, at + 1
+        size = first & 0x1F
+        at = at + 1
     elif first == 0xD9 and end - at >= 2:
-        size, at = byte(at + 1), at + 2
+        size = byte(at + 1)
+        at = at + 2
     elif first == 0xDA and end - at >= 3:
-        size, at = be16(at + 1), at + 3
+        size = be16(at + 1)
+        at = at + 3
     elif first == 0xDB and end - at >= 5:
-        size, at = be32(at + 1), at + 5
+        size = be32(at + 1)
+        at = at + 5
     if size > end - at:
         return -1, at
     return size, at
@@ -222,7 +226,10 @@ def make_scan(message: type[Message]) -> Callable[[int, int, Any, Any], bool]:
 
 def _make_find(table: _Table) -> Callable[[int, int, int], int]:
     """Return a function that finds the field of a name, -1 if there is none."""
-    names, begins, sizes, count = table.names, table.begins, table.sizes, len(table.sizes)
+    names = table.names
+    begins = table.begins
+    sizes = table.sizes
+    count = len(table.sizes)
 
     @compilable
     def find(at: int, size: int, guess: int) -> int:
@@ -289,7 +296,10 @@ def _make_decode(table: _Table) -> Callable[[int, int, int, Any, Any], int]:
 
 def _make_fill_in(table: _Table) -> Callable[[int, Any, Any], None]:
     """Return a function that stores the defaults of the fields that were not seen."""
-    kinds, slots, defaults, count = table.kinds, table.slots, table.defaults, len(table.kinds)
+    kinds = table.kinds
+    slots = table.slots
+    defaults = table.defaults
+    count = len(table.kinds)
     real, vector, text, texts = REAL, VECTOR, TEXT, TEXTS
 
     @compilable
@@ -313,7 +323,8 @@ def _make_fill_in(table: _Table) -> Callable[[int, Any, Any], None]:
 def make_match(text: str) -> Callable[[Any], bool]:
     """Return a function that compares the text of a scanned message with `text`."""
     letters = np.frombuffer(text.encode(), np.uint8).copy()
-    count, texts = len(letters), TEXTS
+    count = len(letters)
+    texts = TEXTS
 
     @compilable
     def match(wholes: Any) -> bool:

@@ -185,13 +185,15 @@ class ForceDimensionDevice(MailboxDevice):
             self._call("dhdSetEffectorMass", wants.tool_mass)
         self._call("dhdSetGravityCompensation", int(wants.gravity_compensation))
         servo = self._shared
-        has_wrist, has_gripper = dhd.dhdHasWrist(self._id), dhd.dhdHasGripper(self._id)
+        has_wrist = dhd.dhdHasWrist(self._id)
+        has_gripper = dhd.dhdHasGripper(self._id)
         self.facts |= {"wrist": has_wrist, "gripper": has_gripper}
         there = {"get_orientation": has_wrist, "get_gripper": has_gripper}
         for field, name in sdk.SERVO_CALLS.items():
             if there.get(field, True):
                 setattr(servo, field, ctypes.cast(getattr(dhd, name), ctypes.c_void_p).value)
-        servo.device, servo.period = self._id[0], 1.0 / wants.servo_rate
+        servo.device = self._id[0]
+        servo.period = 1.0 / wants.servo_rate
         if error := self._code.servo_start(ctypes.byref(servo)):
             raise OSError(error, "Force Dimension: the servo loop cannot be started")
         self.await_samples()
@@ -244,7 +246,8 @@ class ForceDimensionDevice(MailboxDevice):
         """Return the inertia that forces of the scene move at the present position [kg]."""
         if self._id is None:
             return None
-        joints, matrix = (ctypes.c_double * 8)(), (ctypes.c_double * 36)()
+        joints = (ctypes.c_double * 8)()
+        matrix = (ctypes.c_double * 36)()
         # While the servo loop runs, only it reads the device; the rest is computed.
         if self._shared.running:
             known = bool(self._code.servo_joints(ctypes.byref(self._shared), joints))

@@ -148,7 +148,8 @@ class Inverse3Device(MailboxDevice):
             return
         wants = self._wants
         address = f"ws://{wants.host}:{wants.port}"
-        begun, why = time.monotonic(), ""
+        begun = time.monotonic()
+        why = ""
         while self._socket is None:
             try:
                 self._socket = self._dial(address)
@@ -234,7 +235,8 @@ class Inverse3Device(MailboxDevice):
         socket, code, at = self._socket, self._code, self._at
         assert socket is not None  # noqa: S101  # it is connected
         force = (ctypes.c_double * 3)()
-        period, first = 1.0 / self._wants.servo_rate, True
+        period = 1.0 / self._wants.servo_rate
+        first = True
         due = begun = self._counted = time.monotonic()
         owed = blind = proven = False
         refused_since = math.inf
@@ -315,7 +317,8 @@ class Inverse3Device(MailboxDevice):
             self._forgiven = (
                 min(SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE) - 1.0
             )
-            self._surplus, self._counted = self._surplus + 1, now
+            self._surplus += 1
+            self._counted = now
             self.facts["surplus_answers"] = self._surplus
             if self._forgiven < 0.0:
                 raise _SurplusError
@@ -380,7 +383,8 @@ class Inverse3Device(MailboxDevice):
         for thread in self._threads:
             thread.join(timeout=1.5)
         self._threads.clear()
-        socket, self._socket = self._socket, None
+        socket = self._socket
+        self._socket = None
         if socket is not None:
             # a closed connection has already cleared every force
             with self._open, suppress(ConnectionClosed, OSError):

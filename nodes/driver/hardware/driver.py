@@ -85,7 +85,8 @@ class HardwareDriver(Driver):
             seen = (handle.orientation, handle.gripper, handle.buttons)
             silent += 1
             if seen != last or silent * HANDLE_PERIOD >= 1.0:
-                last, silent = seen, 0
+                last = seen
+                silent = 0
                 message = Handle(seq=self.counted().seq, stamp=self.clock.now(), **handle._asdict())
                 self.events.publish(self.setup.topic(topics.HANDLE), message)
 

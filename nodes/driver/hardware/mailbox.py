@@ -216,7 +216,8 @@ class MailboxDevice(ABC):
                 f"{self.TITLE}: servo loop and driver disagree about what they share; reinstall"
                 " haptic-nodes"
             )
-        doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.c_int64
+        doubles = ctypes.POINTER(ctypes.c_double)
+        whole = ctypes.c_int64
         self._code.device_read.argtypes = [whole, whole, doubles]
         self._code.device_write.argtypes = [whole, doubles, whole, ctypes.c_double]
         self._code.mailbox_sample.argtypes = [whole, doubles]
@@ -255,7 +256,8 @@ class MailboxDevice(ABC):
         Return the change [m].
         """
         mapping: Mapping = self.parameters.mapping
-        here, centre = self.read_position(0), mapping.centre
+        here = self.read_position(0)
+        centre = mapping.centre
         x, y, z = (c - at for c, at in zip(centre, here, strict=True))
         if not math.isfinite(x + y + z):
             raise OSError(f"{self.TITLE}: the device gives no position; it cannot be re-centred")

@@ -80,7 +80,8 @@ def matrix(mapping: Mapping, usual: Sequence[str]) -> Turn:
     turned = _rows(mapping.axes or usual)
     for axis, degrees in enumerate(mapping.rotation):
         cosine, sine = _cosine_sine(degrees)
-        j, k = (axis + 1) % 3, (axis + 2) % 3
+        j = (axis + 1) % 3
+        k = (axis + 2) % 3
         turn = np.eye(3)
         turn[j, j], turn[j, k], turn[k, j], turn[k, k] = cosine, -sine, sine, cosine
         turned = turn @ turned
@@ -97,7 +98,8 @@ def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> Devic
     ends = np.multiply(
         rows[:, :, None], limits.workspace, out=np.zeros((3, 3, 2)), where=rows[:, :, None] != 0.0
     )
-    low, high = ends.min(axis=2).sum(axis=1), ends.max(axis=2).sum(axis=1)
+    low = ends.min(axis=2).sum(axis=1)
+    high = ends.max(axis=2).sum(axis=1)
     # the device's position at opening is not known yet
     beyond = (mapping.reach if mapping.clutch is not None else 0.0) + (
         high - low if mapping.recentre else 0.0

@@ -134,7 +134,8 @@ class PairedDevice:
 
     def read_position(self, seq: int) -> Vector:
         """Return their distance; NaN if a position is unknown, or outside its own workspace."""
-        a, b = self.first.read_position(seq), self.second.read_position(seq)
+        a = self.first.read_position(seq)
+        b = self.second.read_position(seq)
         self.places = a, b
         # record jumps also while a position is unknown
         jumped = [jumps.again() for jumps in self._jumps]
@@ -143,11 +144,9 @@ class PairedDevice:
         if not self._known:
             return (math.nan, math.nan, math.nan)
         apart = (a[0] - b[0], a[1] - b[1], a[2] - b[2])
-        return (
-            apart
-            if self._alignment is None
-            else self._aligned(apart, seq, was_known, self._alignment)
-        )
+        if self._alignment is None:
+            return apart
+        return self._aligned(apart, seq, was_known, self._alignment)
 
     def _aligned(self, apart: Vector, seq: int, was_known: bool, alignment: Alignment) -> Vector:
         """Return the position of the pair: the devices' distance less an offset that decreases."""
@@ -165,7 +164,8 @@ class PairedDevice:
             left = size - alignment.step * (seq - self._read_at)
             share = left / size if left > 0.0 else 0.0
             x, y, z = x * share, y * share, z * share
-        self._offset, self._read_at = (x, y, z), seq
+        self._offset = (x, y, z)
+        self._read_at = seq
         self._place = apart[0] - x, apart[1] - y, apart[2] - z
         return self._place
 
@@ -213,7 +213,8 @@ class PairedDriver(Driver):
         cls, parameters: Mapping[str, Any], name: str, device: str
     ) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Replace both devices by a preset, if they are virtual."""
-        changed, plants = dict(parameters), []
+        changed = dict(parameters)
+        plants = []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             stood = _kind_of(member, f"{name}.{which}")[1].substitute_device(
                 member.parameters, f"{name}.{which}", device
@@ -236,8 +237,12 @@ class PairedDriver(Driver):
         if not all("mass" in one for one in known):
             scales = {one.get("scale", 1.0) for one in known}
             return {"scale": scales.pop()} if len(scales) == 1 else {}
-        heaviest = known[0].get("heaviest", known[0]["mass"])
-        return {**_pair(*known), **({"heaviest": heaviest} if heaviest > known[0]["mass"] else {})}
+        plant = _pair(*known)
+        lightest = known[0]["mass"]
+        heaviest = known[0].get("heaviest", lightest)
+        if heaviest > lightest:
+            plant["heaviest"] = heaviest
+        return plant
 
     @classmethod
     def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
@@ -284,7 +289,9 @@ class PairedDriver(Driver):
 
         Raises ParameterError if a real device does not declare the required limits.
         """
-        name, own, period = driver.setup.name, driver.store.current.safety, self.setup.period
+        name = driver.setup.name
+        own = driver.store.current.safety
+        period = self.setup.period
         pair: SafetyParameters = self.store.current.safety
         # each device gets the force of the pair
         peak = own.peak_force if own.peak_force is not None else pair.peak_force
@@ -292,7 +299,7 @@ class PairedDriver(Driver):
             own, peak_force=peak, without=[*own.without, *pair.without]
         )
         if not driver.virtual and (refusal := undeclared(declared, device.limits)):
-            raise ParameterError(f"{refusal}", path=name)
+            raise ParameterError(refusal, path=name)
         found = lower(own, device.limits, period, f"{name}.safety")
         for text in found.overruled:
             self.events.emit_each("limit", text)
@@ -314,7 +321,8 @@ class PairedDriver(Driver):
     def check_health(self) -> None:
         """Check health, and report devices that are brought together (control thread)."""
         super().check_health()
-        met, self.pair.met_apart = self.pair.met_apart, 0.0
+        met = self.pair.met_apart
+        self.pair.met_apart = 0.0
         if met > 0.0:
             speed = self.store.current.align
             how = f"are brought together at {speed:g} m/s" if speed > 0.0 else "keep that offset"

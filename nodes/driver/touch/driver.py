@@ -129,10 +129,8 @@ class TouchDevice(MailboxDevice):
         """Create the mailbox with the device's own limits."""
         ends = [end * self.UNIT for end in self._doubles(hdapi.MAX_WORKSPACE, 6)]
         workspace: Workspace = ((ends[0], ends[3]), (ends[1], ends[4]), (ends[2], ends[5]))
-        (peak,), (continuous,) = (
-            self._doubles(hdapi.MAX_FORCE, 1),
-            self._doubles(hdapi.MAX_CONTINUOUS_FORCE, 1),
-        )
+        (peak,) = self._doubles(hdapi.MAX_FORCE, 1)
+        (continuous,) = self._doubles(hdapi.MAX_CONTINUOUS_FORCE, 1)
         if not (peak > 0.0 and continuous > 0.0):
             raise OSError(
                 f"Touch: the device reports a peak force of {peak:g} N and {continuous:g} N"

@@ -103,8 +103,10 @@ REMEDY = (
 
 def load_library(name: str) -> Any:
     """Load the vendor's library and declare its functions."""
-    uint, void = ctypes.c_uint, None
-    doubles, whole = ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_int)
+    uint = ctypes.c_uint
+    void = None
+    doubles = ctypes.POINTER(ctypes.c_double)
+    whole = ctypes.POINTER(ctypes.c_int)
     functions: Functions = {
         "hdInitDevice": (uint, [ctypes.c_char_p]),
         **dict.fromkeys(

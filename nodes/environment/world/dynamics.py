@@ -63,7 +63,8 @@ class Implicit:
         del steps
         mass, damping, stiffness = body
         self._period = period
-        self._inertia, self._position = mass / period, mass / period**2 + damping / period
+        self._inertia = mass / period
+        self._position = mass / period**2 + damping / period
         self.compliance = 1.0 / (self._position + stiffness)
         self._y, self._v = at
 
@@ -74,7 +75,8 @@ class Implicit:
     def close(self, force: float) -> None:
         """Complete the tick."""
         y = self.free() - self.compliance * force
-        self._v, self._y = (y - self._y) / self._period, y
+        self._v = (y - self._y) / self._period
+        self._y = y
 
     def state(self) -> tuple[float, float]:
         """Return position [m] and velocity [m/s]."""
@@ -92,7 +94,8 @@ class Lossless:
     ) -> None:
         del steps
         mass, damping, stiffness = body
-        self._g, self._stiffness = 0.5 * period, stiffness
+        self._g = 0.5 * period
+        self._stiffness = stiffness
         self._massless = mass == 0.0
         inertia = mass / self._g
         self._impedance = inertia + damping + stiffness * self._g
@@ -118,7 +121,8 @@ class Lossless:
         """Complete the tick."""
         u = self._speed(-force)
         self._xi += self._g * (u + self._u)
-        self._u, self._push = u, -force
+        self._u = u
+        self._push = -force
 
     def state(self) -> tuple[float, float]:
         """Return position [m] and velocity [m/s]."""

@@ -122,7 +122,8 @@ class FeltWorld:
     """A body along some axes that follows the ticks of a loop."""
 
     def __init__(self, parameters: WorldParameters, period: float, axes: Sequence[str]) -> None:
-        self._period, self._axes = period, [AXIS_INDEX[axis] for axis in axes]
+        self._period = period
+        self._axes = [AXIS_INDEX[axis] for axis in axes]
         self._rest: Vector = ZERO
         self._tick = -1
         self._most = max(1, round(GAP / period))
