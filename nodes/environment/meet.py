@@ -28,7 +28,7 @@ from nodes.environment.state import MET, SHAPES
 
 
 class Numbers(NamedTuple):
-    """Arguments of `meet`: kind, table and memory of a surface; repairs and widths of its meshes.
+    """Arguments of `meet`: kind, table, memory; repairs and widths of its meshes.
 
     The table of a PLANE is (axis, coordinate, side), that of an ANCHOR the point.
     """

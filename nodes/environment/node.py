@@ -192,9 +192,10 @@ class Environment(Node):
         if new:
             stiffness, damping, lag = min(new)
             raise ParameterError(
-                f"{where}: stiffness {stiffness:g}, damping {damping:g}, time {lag:g} s are not"
+                f"stiffness {stiffness:g}, damping {damping:g}, time {lag:g} s are not"
                 " among the factors and regions of the launch file, with which laws were judged;"
-                " launch again with them"
+                " launch again with them",
+                path=where,
             )
 
     def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
@@ -275,8 +276,9 @@ class Environment(Node):
         if shape not in movers or isinstance(shape, bool):
             known = ", ".join(map(str, movers)) or "none"
             raise ParameterError(
-                f"{where}: shape {shape!r} does not move to a topic; shapes that do: {known}"
-                " (motion: {speed: 0.1} without a path)"
+                f"shape {shape!r} does not move to a topic; shapes that do: {known}"
+                " (motion: {speed: 0.1} without a path)",
+                path=where,
             )
         solid = movers[shape]
 

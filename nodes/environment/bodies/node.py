@@ -180,8 +180,9 @@ class MujocoEnvironment(Node):
         name, allowed = self.setup.name, self.store.current.controls
         if allowed is None:
             raise ParameterError(
-                f"{name}.controls: no controls from outside are accepted; allow them in the launch"
-                " file with controls: {age: 0.1}"
+                "no controls from outside are accepted; allow them in the launch"
+                " file with controls: {age: 0.1}",
+                path=f"{name}.controls",
             )
         wanted = controls_of(self._world.model, controls, name)
         ticks = math.ceil(allowed.age / self.setup.period)

@@ -42,8 +42,8 @@ def key_of(mujoco: Any, model: Any, keyframe: Keyframe | None, where: str) -> in
         found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
     if found < 0:
         raise ParameterError(
-            f"{where}.keyframe: no keyframe {keyframe!r}; the scene has"
-            f" {', '.join(names) or 'none'}"
+            f"no keyframe {keyframe!r}; the scene has {', '.join(names) or 'none'}",
+            path=f"{where}.keyframe",
         )
     return int(found)
 
@@ -111,26 +111,28 @@ def controls_of(model: Any, given: Any, where: str) -> dict[int, float]:
     """
     names = [model.actuator(i).name or str(i) for i in range(model.nu)]
     if not names:
-        raise ParameterError(f"{where}.controls: the scene has no actuators")
+        raise ParameterError("the scene has no actuators", path=f"{where}.controls")
     if isinstance(given, Mapping):
         unknown = next((name for name in given if str(name) not in names), None)
         if unknown is not None:
             raise ParameterError(
-                f"{where}.controls: no actuator {unknown!r}; {choices(str(unknown), names)}"
+                f"no actuator {unknown!r}; {choices(str(unknown), names)}", path=f"{where}.controls"
             )
         found = {names.index(str(name)): value for name, value in given.items()}
     elif isinstance(given, list | tuple) and len(given) == len(names):
         found = dict(enumerate(given))
     else:
         raise ParameterError(
-            f"{where}.controls: {given!r}, expected a mapping of actuators to numbers, or"
-            f" {len(names)} numbers, for {', '.join(names)}"
+            f"{given!r}, expected a mapping of actuators to numbers, or"
+            f" {len(names)} numbers, for {', '.join(names)}",
+            path=f"{where}.controls",
         )
     for at, value in found.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ParameterError(f"{where}.controls.{names[at]}: {value!r} is no number")
+            raise ParameterError(f"{value!r} is no number", path=f"{where}.controls.{names[at]}")
         if not (math.isfinite(value) and abs(value) <= LARGEST_CONTROL):
             raise ParameterError(
-                f"{where}.controls.{names[at]}: {value!r}, expected at most {LARGEST_CONTROL:g}"
+                f"{value!r}, expected at most {LARGEST_CONTROL:g}",
+                path=f"{where}.controls.{names[at]}",
             )
     return {at: float(value) for at, value in found.items()}

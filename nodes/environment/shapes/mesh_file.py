@@ -1,4 +1,4 @@
-"""Reading triangles from STL (binary or text), OBJ, PLY and OFF files; 3MF and glTF beside."""
+"""Triangles from STL (binary or text), OBJ, PLY and OFF files; 3MF and glTF beside."""
 
 from __future__ import annotations
 

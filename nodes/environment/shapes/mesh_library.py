@@ -53,8 +53,9 @@ def read_by_library(data: bytes, kind: str, where: str, largest: int) -> tuple[F
         import trimesh
     except ImportError as error:
         raise ParameterError(
-            f"{where}: {kind} needs a library ({error}): {EXTRA}, or export the mesh as .stl, .obj,"
-            " .ply or .off"
+            f"{kind} needs a library ({error}): {EXTRA}, or export the mesh as .stl, .obj,"
+            " .ply or .off",
+            path=where,
         ) from error
     if kind == ".3mf":
         _check_size(data, largest)
@@ -65,7 +66,7 @@ def read_by_library(data: bytes, kind: str, where: str, largest: int) -> tuple[F
         corners = np.asarray(whole.triangles, dtype=np.float64)
         unit = str(found.units or "")
     except ImportError as error:
-        raise ParameterError(f"{where}: {kind} needs a library ({error}): {EXTRA}") from error
+        raise ParameterError(f"{kind} needs a library ({error}): {EXTRA}", path=where) from error
     except Exception as error:  # a library may raise anything on a damaged file
         raise ValueError(
             f"cannot be read by trimesh {trimesh.__version__} ({type(error).__name__}:"

@@ -54,7 +54,8 @@ def scale_of(
     """
     if len(given) > 1:
         raise ParameterError(
-            f"{where}: {' and '.join(given)} each give the size of the mesh; leave all but one out"
+            f"{' and '.join(given)} each give the size of the mesh; leave all but one out",
+            path=where,
         )
     if "unit" in given:
         unit = given["unit"]
@@ -71,8 +72,9 @@ def scale_of(
         fitting = [f"unit: {one.unit} ({one.width:.3g} m)" for one in unit_candidates(width)]
         remedy = f"set {', '.join(fitting)}" if fitting else "set width, e.g. width: 0.08"
         raise ParameterError(
-            f"{where}: the mesh is {extent:.4g} m wide ({width:.4g} units, {how}), expected"
-            f" {SMALLEST:g} to {LARGEST:g} m; {remedy}, or width: 0.08 for 80 mm"
+            f"the mesh is {extent:.4g} m wide ({width:.4g} units, {how}), expected"
+            f" {SMALLEST:g} to {LARGEST:g} m; {remedy}, or width: 0.08 for 80 mm",
+            path=where,
         )
     if named_by_file:
         how += f"; the file names {named_by_file}"

@@ -403,6 +403,8 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         # The proxy is held, but by nothing at its end point: it stopped between many constraints.
         nx, ny, nz = ax - gx, ay - gy, az - gz
         length = sqrt(nx * nx + ny * ny + nz * nz)
+        if length <= STILL and (gx != x or gy != y or gz != z):
+            length = 0.0  # only a region moves the goal, by less than a step
     if length > 0.0:
         nx, ny, nz = nx / length, ny / length, nz / length
         away = nx * (x - ax) + ny * (y - ay) + nz * (z - az)

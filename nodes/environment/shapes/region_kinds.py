@@ -50,15 +50,16 @@ class Viscosity(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True
         shape = parse_surface(self.within, at)
         if not isinstance(shape, Shape) or isinstance(shape, Mesh):
             raise ParameterError(
-                f"{at}.kind: a region is a sphere, box, capsule, cylinder or oriented_plane, not"
-                f" {shape.kind!r}"
+                f"a region is a sphere, box, capsule, cylinder or oriented_plane, not"
+                f" {shape.kind!r}",
+                path=f"{at}.kind",
             )
         (solid,) = shape.solids(at)
         odd = [
             name for name in ("friction", "stiffness", "damping", "motion") if name in self.within
         ]
         if odd:
-            raise ParameterError(f"{at}.{odd[0]}: a region has no surface; leave it out")
+            raise ParameterError("a region has no surface; leave it out", path=f"{at}.{odd[0]}")
         return [FeltRegion(solid, VISCOSITY, self.band, self.time)]
 
     def effects(self, where: str) -> list[Effect]:
