@@ -65,11 +65,16 @@ def test_continuous_force_comes_down_at_the_slew_and_stays_at_its_limit() -> Non
         handed.append(port.force[2])
         heat = keep * heat + (1.0 - keep) * handed[-1] ** 2
         assert heat <= limit**2 * (1.0 + 1e-12)  # the last bits of 2000 sums
+        assert port.events is not None  # notes of a tick become events after it
     assert max(handed) > 2.0 * limit  # short forces are still large
     # and after ten time constants the limit is used, not less
     assert handed[-1] == pytest.approx(limit, rel=1e-3)
     assert max(abs(b - a) for a, b in pairwise(handed)) <= slew * (1.0 + 1e-12)
-    assert port.limited["continuous"] > 0
+    lowered = port.limited["continuous"]
+    assert lowered > 1000
+    # The first time is told, then the second, the fourth, the eighth.
+    reasons = [reason for _, reason in port.events if "continuous" in reason]
+    assert len(reasons) == lowered.bit_length(), port.events
 
 
 def test_heat_is_told_as_part_of_what_the_device_bears() -> None:

@@ -18,6 +18,7 @@ from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
 from sim.cli.bag.replay import at_most
 from sim.device.model import DeviceModel, Hand, path_position
+from sim.identify import counterfactual
 from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read
 from sim.identify.identify import identify
@@ -318,3 +319,31 @@ def test_nothing_read_from_a_recording_names_a_file(
     assert replay(rebuild(forged)).measured.tolist() == positions(buzz[0])
     assert precious.read_text(encoding="utf-8") == "mine"
     assert set(tmp_path.iterdir()) == {precious, forged}
+
+
+def test_the_smoother_is_the_conditional_mean_of_the_joint_normal_distribution() -> None:
+    """Its likelihood and its force are those of one large normal distribution, solved densely."""
+    ticks, noise, walk = 9, 0.3, 0.2
+    step = (1.0, 0.5, 0.0, 0.9, 0.1, 0.4)
+    rng = np.random.default_rng(1)
+    y, known = rng.normal(size=ticks), rng.normal(size=(ticks, 2))
+    a = np.array([[step[0], step[1], step[4]], [step[2], step[3], step[5]], [0.0, 0.0, 1.0]])
+    # Mean and covariance of all states, from the first on.
+    mean, covariance = [np.array([y[0], 0.0, 0.0])], np.zeros((3 * ticks, 3 * ticks))
+    covariance[:3, :3] = np.diag([noise**2, 1.0, 1.0])
+    for k in range(1, ticks):
+        mean.append(a @ mean[-1] + [*known[k - 1], 0.0])
+        now, before = slice(3 * k, 3 * k + 3), slice(3 * k - 3, 3 * k)
+        covariance[now, : 3 * k] = a @ covariance[before, : 3 * k]
+        covariance[: 3 * k, now] = covariance[now, : 3 * k].T
+        covariance[now, now] = a @ covariance[before, before] @ a.T
+        covariance[3 * k + 2, 3 * k + 2] += walk**2
+    seen = slice(0, None, 3)
+    spread = covariance[seen, seen] + noise**2 * np.eye(ticks)
+    off = y - np.array(mean)[:, 0]
+    likelihood, force = counterfactual._smooth(y, known, step, noise, walk)
+    expected = -0.5 * (np.linalg.slogdet(spread)[1] + off @ np.linalg.solve(spread, off))
+    # Two orders of elimination of a 9 × 9 system of condition below 1e3.
+    assert likelihood == pytest.approx(expected, rel=1e-10)
+    means = np.array(mean)[:, 2] + covariance[2::3, seen] @ np.linalg.solve(spread, off)
+    assert force == pytest.approx(means, rel=1e-9, abs=1e-10)
