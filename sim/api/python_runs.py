@@ -30,6 +30,7 @@ from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
 
 STARTS_WITHIN = 60.0  # time to the first tick before a launch is given up [s]
+COMPILES_WITHIN = 900.0  # the same where the tick is compiled first: once for each version [s]
 
 
 class LaunchError(HapticError):
@@ -405,7 +406,9 @@ def launch(
     started = StartedLaunch(scenario, *words)
     try:
         with deferred() as came:
-            started.await_tick(longest=STARTS_WITHIN, interrupts=came)
+            compiles = arguments.get("tick") == "compiled"
+            patience = COMPILES_WITHIN if compiles else STARTS_WITHIN
+            started.await_tick(longest=patience, interrupts=came)
         info = started.info()
         if info is None:
             printed = started.figures
