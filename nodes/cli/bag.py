@@ -60,8 +60,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         _export,
         "Write a recording as tables: one row per tick, and the parameters beside them.",
     )
-    for own in (info, play, cut, few, recover, export):
+    for own in (info, cut, recover, export):
         own.add_argument("file", type=Path)
+    for own in (play, few):
+        # Behind --topics, which takes all words, the file is the last of them.
+        own.add_argument("file", type=Path, nargs="?")
     _add_play(play)
     _add_formats(export)
     add_import(
@@ -225,6 +228,10 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
 
 def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
     """Run a sub-verb; for a bad file, print a one-line error and return exit code 1."""
+    if "file" in arguments and arguments.file is None:
+        if not getattr(arguments, "topics", None):
+            raise UsageError(f"bag {arguments.chosen}: needs the file of a recording")
+        arguments.file = Path(arguments.topics.pop())
     for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):
         # A ROS bag is a folder.
         if not file.exists():

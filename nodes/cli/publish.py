@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from messages.errors import RefusedError, UsageError
-from messages.topics import LOOP
+from messages.topics import LOOP, split
 from messages.types import Vector
-from nodes.cli.ask import chosen_chain
+from nodes.cli.ask import chosen_chain, chosen_run
 from nodes.cli.main import answer
 from nodes.client.launches import ask, roles
 from nodes.driver.pointer import PointerWriter, pointer_file
@@ -62,7 +62,7 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
     driver = roles(run).get("driver")
     if driver is None:
         raise UsageError(f"{run.run}: has no driver")
-    if arguments.topic == WRENCH:
+    if split(arguments.topic)[1] == WRENCH:
         force = _vector(arguments.values, "force")
         return lambda: ask(run, driver, "external", force=list(force))
     position = _vector(arguments.values, "position")
@@ -78,13 +78,19 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
 
 def publish(arguments: argparse.Namespace) -> int:
     """Publish until --once or --times is reached, Ctrl-C, or the end of the run."""
-    if arguments.topic not in (WRENCH, TARGET):
-        why = ": its own node publishes one per tick" if arguments.topic in LOOP else ""
+    # As in ROS, the full name of a chain's topic begins with its namespace.
+    namespace, inside = split(arguments.topic)
+    if inside not in (WRENCH, TARGET):
+        why = ": its own node publishes one per tick" if inside in LOOP else ""
         raise UsageError(
             f"{arguments.topic} cannot be published from outside{why}; there are {WRENCH} and"
             f" {TARGET}"
         )
-    run = chosen_chain(arguments)
+    run = (
+        chosen_run(arguments).within(namespace).only_chain()
+        if namespace
+        else chosen_chain(arguments)
+    )
     send = _sender(run, arguments)
     count, limit = 0, 1 if arguments.once else arguments.times
     following = time.monotonic()

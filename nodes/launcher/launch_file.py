@@ -156,7 +156,9 @@ def parse_assignments(words: list[str]) -> dict[str, Any]:
     for word in words:
         name, sign, text = word.partition(":=")
         if not sign:
-            raise ParameterError(f"{word!r}: expected name:=value")
+            name, sign, text = word.partition("=")
+            meant = f"; did you mean {name}:={text}?" if sign and name.isidentifier() else ""
+            raise ParameterError(f"{word!r}: expected name:=value{meant}")
         values[name] = parse_yaml(text, name) if text else ""
     return values
 

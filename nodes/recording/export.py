@@ -132,8 +132,13 @@ def _tick(row: Row, begin: float) -> list[Any]:
 
 
 def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
-    """Write a CSV file with a row per tick, one per topic, and the parameters as JSON."""
+    """Write a CSV file with a row per tick, one per topic, and the parameters as JSON.
+
+    An `out` that ends in ``.csv`` is the file of the ticks alone, with the parameters beside it.
+    """
     folder = Path(out)
+    if folder.suffix.lower() == ".csv":
+        return _export_ticks(recording, folder, overwrite=overwrite)
     files = {topic: folder / f"{name}.csv" for topic, name in plain_names(recording.topics).items()}
     made = list(files.values())
     mode, begin = "w" if overwrite else "x", begin_of(recording)
@@ -160,6 +165,25 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
     except OSError as error:
         raise RecordError(f"{error.filename or folder}: {error.strerror}") from error
     return [*made, _save_parameters(recording, folder / "parameters.json", overwrite)]
+
+
+def _export_ticks(recording: Recording, out: Path, *, overwrite: bool) -> list[Path]:
+    """Write the table of ticks into one file."""
+    if not overwrite:
+        _refuse_existing(recording, out)
+    recording.require_ticks()
+    begin = begin_of(recording)
+    try:
+        with out.open("w" if overwrite else "x", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(_tick_names())
+            writer.writerows(_tick(row, begin) for row in rows(recording))
+    except OSError as error:
+        raise RecordError(f"{out}: {error.strerror}") from error
+    except RecordError:
+        discard(out)
+        raise
+    return [out, _save_parameters(recording, _beside(out), overwrite)]
 
 
 def _save_parameters(recording: Recording, path: Path, overwrite: bool) -> Path:

@@ -167,7 +167,8 @@ class Run(Live):
         duration : float
             Length of the recording [s].
         out : str or Path, optional
-            File to create, which must not exist; by default a name with the time.
+            File to create, which must not exist; by default a name with the time, beside the
+            launch's own recording.
 
         Returns
         -------
@@ -177,7 +178,7 @@ class Run(Live):
         path = (
             Path(out)
             if out is not None
-            else Path(f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap")
+            else self._recordings() / f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
         )
         words = ["--run", self.info.chosen, "--duration", str(duration), "--out", str(path)]
         try:
@@ -185,6 +186,13 @@ class Run(Live):
         except MeasurementError as error:
             raise LaunchError(str(error)) from error
         return read(path)
+
+    def _recordings(self) -> Path:
+        """Return the folder of the launch's own recording; without one, the working directory."""
+        for name, setup in self.info.nodes.items():
+            if setup.kind == "logger" and not setup.control.startswith("tcp://"):
+                return Path(self.ask(name, "report")["recording"]).parent
+        return Path()
 
     def wait(self, timeout: float | None = None) -> RunSummary:
         """Wait until the launch ends; interrupting the cell stops the launch.
