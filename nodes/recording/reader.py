@@ -272,6 +272,9 @@ class Recording:
             text += f"; to extract one of its chains ({', '.join(chains)}): {take}"
         if self.foreign:
             text += f"; not read: {described(self.foreign)}"
+            if (folder := self.path.parent / "metadata.yaml").is_file():
+                bag = shlex.quote(str(folder.parent))
+                text += f"; topics of a ROS bag are imported: haptic bag import {bag}"
         raise RecordError(text)
 
     def _message(self, shift: int, record: Record) -> RawMessage:
