@@ -62,9 +62,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     for own in (info, cut, recover, export):
         own.add_argument("file", type=Path)
-    for own in (play, few):
-        # Behind --topics, which takes all words, the file is the last of them.
-        own.add_argument("file", type=Path, nargs="?")
     _add_play(play)
     _add_formats(export)
     add_import(
@@ -111,7 +108,13 @@ def _add_formats(own: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_file_after_topics(own: argparse.ArgumentParser) -> None:
+    """Declare the file; behind --topics, which takes all words, it is the last of them."""
+    own.add_argument("file", type=Path, nargs="?")
+
+
 def _add_topics(own: argparse.ArgumentParser) -> None:
+    _add_file_after_topics(own)
     own.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names")
 
 
@@ -166,6 +169,7 @@ def _add_record(own: argparse.ArgumentParser) -> None:
 
 
 def _add_play(own: argparse.ArgumentParser) -> None:
+    _add_file_after_topics(own)
     own.add_argument(
         "--endpoint",
         default="tcp://127.0.0.1:9872",
