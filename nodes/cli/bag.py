@@ -111,7 +111,13 @@ def _add_formats(own: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_file_after_topics(own: argparse.ArgumentParser) -> None:
+    """Declare the file; behind --topics, which takes all words, it is the last of them."""
+    own.add_argument("file", type=Path, nargs="?")
+
+
 def _add_topics(own: argparse.ArgumentParser) -> None:
+    _add_file_after_topics(own)
     own.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names")
 
 
@@ -166,6 +172,7 @@ def _add_record(own: argparse.ArgumentParser) -> None:
 
 
 def _add_play(own: argparse.ArgumentParser) -> None:
+    _add_file_after_topics(own)
     own.add_argument(
         "--endpoint",
         default="tcp://127.0.0.1:9872",

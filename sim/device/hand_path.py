@@ -43,8 +43,8 @@ def read_path(
     Returns
     -------
     dict of str to list of tuple of float
-        Times [s], from the first row on, and positions [m] of each axis. Only corners are kept: a
-        row on the line between its neighbours is left out.
+        Times [s], counted from the first row, and positions [m] of each axis; rows at rest between
+        two equal ones are left out.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Small things of the verbs on recordings: words in any order, one file where one is named."""
+"""Small things of the verbs on recordings: words in any order, one named file."""
 
 from __future__ import annotations
 
