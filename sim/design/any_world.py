@@ -27,6 +27,8 @@ _CUTS = 80
 # distance of a design from the condition, as a share of its taps: margin for the proof's rounding
 _INSIDE = 1e-7
 _LARGEST = 1e6  # largest tap, in units of b/T
+# least share between the smallest and the largest scale of a shape; a design is shrunk within it
+_WINDOW = 2e-3
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,9 @@ class _Table:
         self, conditions: Sequence[Requirement], basis: Array, bottom: Array, fineness: int = 64
     ) -> None:
         size = fineness * (basis.shape[1] + 4)
-        theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, size))
+        # A slow pole makes narrow dips far below ω_N.
+        low = size if len(bottom) == 1 else 6 * size
+        theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, low))
         below = Laurent(bottom)
         rows = [Laurent(row) for row in basis]
         linear = np.array(
@@ -306,7 +310,7 @@ def _for_device(
 def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
     """Return the largest factor of a shape at all angles, and its relative shortfall.
 
-    The shortfall is relative to the smallest factor required.
+    The shortfall is relative to the smallest factor required, which must leave a window.
     """
     linear, square, _ = table.parts(parameters)
     against = square < 0.0
@@ -315,7 +319,7 @@ def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
     low = float(np.max(-linear[with_it] / square[with_it], initial=0.0))
     if not high > 0.0:
         return 0.0, 1e3
-    return high, max(0.0, low / high - 1.0)
+    return high, max(0.0, low / (high * (1.0 - _WINDOW)) - 1.0)
 
 
 def zeros_inside(law: CompiledLaw) -> bool:

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
+from nodes.stability.landing_proof import law_polynomials
 from sim.arrays import Array
 from sim.design.any_world import Surroundings, WorldDesign, behind_poles, stiffest_for_any_world
 
@@ -17,6 +19,9 @@ ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))
 MOST_POLE = 0.995  # largest radius of a pole
 # poles of the section tried before the best is refined
 POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)
+# with a known device a slow pole adds static stiffness (THEORY.md §20)
+SLOW_POLES = (0.9, 0.97)
+FELT_AT = 10.0  # frequency at which a hand moves; there the stiffness is given as well [Hz]
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,7 @@ def stiffest_members(
     """Yield the stiffest member of each family, PD first.
 
     taps: number of taps of a family with a choice.
-    sections: also search taps over a pole and two poles, half a minute each.
+    sections: also search taps over a pole and two poles, up to a minute each.
     """
     yield stiffest_pd(surroundings)
     yield stiffest_pd_alpha(surroundings, taps)
@@ -91,7 +96,7 @@ def stiffest_one_pole(surroundings: Surroundings) -> Member:
     def at(pole: float) -> Member:
         return _behind("one_pole", surroundings, 2, behind_poles(pole))
 
-    return _refined(at, POLES, 0.05, (-0.995, 0.995))
+    return _refined(at, _poles(surroundings), 0.05, (-MOST_POLE, MOST_POLE))
 
 
 def stiffest_over_pole(surroundings: Surroundings, taps: int) -> Member:
@@ -100,7 +105,11 @@ def stiffest_over_pole(surroundings: Surroundings, taps: int) -> Member:
     def at(pole: float) -> Member:
         return _behind("taps_over_pole", surroundings, taps, behind_poles(pole))
 
-    return _refined(at, POLES, 0.05, (-0.995, 0.995))
+    return _refined(at, _poles(surroundings), 0.05, (-MOST_POLE, MOST_POLE))
+
+
+def _poles(surroundings: Surroundings) -> tuple[float, ...]:
+    return POLES if surroundings.mass is None else POLES + SLOW_POLES
 
 
 def stiffest_two_poles(surroundings: Surroundings, taps: int = 3) -> Member:
@@ -131,7 +140,11 @@ def stiffest_two_poles(surroundings: Surroundings, taps: int = 3) -> Member:
 
 
 def _behind(family: str, surroundings: Surroundings, taps: int, bottom: Array) -> Member:
-    design = stiffest_for_any_world(surroundings, np.eye(taps), bottom=bottom)
+    basis = np.eye(taps)
+    if surroundings.mass is not None:
+        # All but the first have no static gain: what they must be does not depend on a slow pole.
+        basis[1:] -= np.eye(taps)[:-1]
+    design = stiffest_for_any_world(surroundings, basis, bottom=bottom)
     return Member(family, None if design is None else _fir(design, surroundings.period), design)
 
 
@@ -193,14 +206,22 @@ def fractional_gain(members: list[Member]) -> float | None:
     return found["pd_alpha"] / found["pd"] if min(found["pd_alpha"], found["pd"]) > 0.0 else None
 
 
-def margin_figures(design: WorldDesign) -> dict[str, Any]:
-    """Return the figures of a design for JSON."""
+def felt_stiffness(law: CompiledLaw, period: float, frequency: float = FELT_AT) -> float:
+    """Return the stiffness that a motion of this frequency [Hz] meets, Re H [N/m]."""
+    top, bottom = law_polynomials(law)
+    theta = np.array([2.0 * math.pi * frequency * period])
+    return float((top.at(theta) / bottom.at(theta)).real[0])
+
+
+def margin_figures(design: WorldDesign, period: float) -> dict[str, Any]:
+    """Return the figures of a design for JSON; `period`: T [s]."""
     bound = design.bound_n_per_m
     return {
         "taps_n_per_m": list(design.law.taps),
         "sections": [list(section) for section in design.law.sections],
         "h1_n_per_m": design.h1_n_per_m,
         "h_nyquist_n_per_m": design.h_nyquist_n_per_m,
+        "stiffness_10_hz_n_per_m": felt_stiffness(design.law, period),
         "limit_n_per_m": design.limit_n_per_m,
         "bound_n_per_m": bound if bound is not None and math.isfinite(bound) else None,
         "proven": design.proven,

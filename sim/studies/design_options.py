@@ -37,7 +37,7 @@ class DesignOptions(SpreadOptions, FileOptions):
     )
     sections: bool = option(
         action="store_true",
-        help="with --for any_hand: more taps over a pole and two poles too, half a minute each",
+        help="with --for any_hand or any_world: taps over a pole and two poles too, a minute each",
     )
     grasp: HandBox | None = grasp_option("judge the law in every grasp of a box too")
     radius: float = option(

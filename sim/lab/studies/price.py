@@ -156,7 +156,7 @@ def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
         rows.append(
             {"world": world, "h1_n_per_m": None}
             if design is None
-            else {"world": world, **margin_figures(design)}
+            else {"world": world, **margin_figures(design, surroundings.period)}
         )
     return rows
 

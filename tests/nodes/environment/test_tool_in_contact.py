@@ -128,7 +128,8 @@ def comes_to_rest(case: Case, share: float) -> bool:
     calm, seen = len(case.pushes) * PHASE, []
     for tick in range(calm + LONGEST):
         if tick:
-            world.hand_over((*sent[0].tolist(),), tick - 1, float(delay))
+            fx, fy, fz = sent[0].tolist()
+            world.hand_over((fx, fy, fz), tick - 1, float(delay))
             world.advance(tick)
         history = [np.array(world.tool_position) - x, *history[:-1]]
         force = sum((tap * value for tap, value in zip(law.taps, history, strict=True)), 0.0 * x)

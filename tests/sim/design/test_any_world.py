@@ -25,6 +25,7 @@ from sim.design.any_world import (
     zeros_inside,
 )
 from sim.design.any_world_families import (
+    felt_stiffness,
     fractional_gain,
     stiffest_linear,
     stiffest_members,
@@ -292,6 +293,58 @@ def test_what_sections_buy_beyond_taps() -> None:
         assert least <= best / stiffness(members["taps"]) * (1.0 + 1e-6) <= most
         if delay == 1.5:
             assert stiffness(members["two_poles"]) == pytest.approx(limit, rel=1e-5)
+
+
+@given(st.floats(50.0, 5e3), st.floats(-0.9, 5.0), st.floats(-0.95, 0.95))
+@settings(max_examples=50, deadline=None)
+def test_compliance_is_a_mean_of_the_real_part(static: float, zero: float, pole: float) -> None:
+    """1/H(1) = (T/2π) ∫ Re{V/H}/(1 − cos θ) dθ, for 1/H of one zero and one pole."""
+    # The midpoint rule errs by pole^2048 for a periodic function.
+    theta = (np.arange(2048) + 0.5) * np.pi / 2048
+    w = np.exp(-1j * theta)
+    inverse = (1.0 + zero * w) / (1.0 - pole * w) * (1.0 - pole) / (1.0 + zero) / static
+    mean = float(np.mean(((1.0 - w) / T * inverse).real / (1.0 - np.cos(theta))))
+    assert T * mean == pytest.approx(1.0 / static, rel=1e-9)
+
+
+def test_a_slow_pole_adds_static_stiffness_to_a_known_device_without_bound() -> None:
+    """24 kN/m where a wall allows PD 1252: proven for any world, and no random world swings."""
+    rng = np.random.default_rng(4)
+    fast = np.array([800.0 + 3.0 / T, -3.0 / T])
+    for boost, kept in ((30.0, True), (1000.0, False)):
+        pole = 0.9999
+        law = over(np.convolve(fast, [1.0, -1.0 + boost * (1.0 - pole)]), behind_poles(pole))
+        assert law.h1 == pytest.approx(boost * 800.0, rel=1e-9)
+        assert keeps(device(1.0), law, 1) is kept
+        if kept:
+            for _ in range(300):
+                mass, damper, spring = (
+                    float(10.0 ** rng.uniform(*e)) for e in ((-4, 1), (-3, 2), (0, 5))
+                )
+                world = mass, damper, spring
+                assert closed_radius(law, Plant(T, 0.1, 1.0, 1.0), world) < 1.0
+    # At 10 Hz the pole is not felt.
+    slow = over(np.convolve(fast, [1.0, -0.997]), behind_poles(0.9999))
+    plain = CompiledLaw(tuple(fast.tolist()))
+    assert felt_stiffness(slow, T) == pytest.approx(felt_stiffness(plain, T), rel=0.02)
+    assert not keeps(any_hand(1.0), slow)
+
+
+@pytest.mark.slow
+def test_what_sections_buy_a_known_device() -> None:
+    """Static stiffness, and nothing at 10 Hz that free taps do not have."""
+    members = {one.family: one for one in stiffest_members(device(1.0), 4, sections=True)}
+    taps, slow = members["taps"].design, members["taps_over_pole"].design
+    assert taps is not None
+    assert slow is not None
+    assert slow.proven
+    assert slow.h1_n_per_m > 5.0 * taps.h1_n_per_m
+    felt = [
+        felt_stiffness(one.design.law, T)
+        for name, one in members.items()
+        if name in ("one_pole", "taps_over_pole", "two_poles") and one.design is not None
+    ]
+    assert max(felt) < 1.02 * felt_stiffness(taps.law, T)
 
 
 @pytest.mark.parametrize("delay", [0.25, 0.5, 0.9, 1.1, 1.5, 1.75])
