@@ -77,16 +77,20 @@ def add(parser: argparse.ArgumentParser) -> None:
         _plot,
         "Draw recordings: position, force, energy, response time; several as an overlay.",
     )
-    plot.add_argument("files", type=Path, nargs="+", metavar="file")
-    plot.add_argument(
-        "--xy", action="store_true", help="draw force over position instead of both over time"
-    )
+    _add_plot(plot)
     for own in (cut, few, plot):
         _add_span(own)
     for own in (cut, few):
         _add_patterns(own)
     for own in (recover, cut, few, export, plot):
         _add_out(own)
+
+
+def _add_plot(own: argparse.ArgumentParser) -> None:
+    own.add_argument("files", type=Path, nargs="+", metavar="file")
+    own.add_argument(
+        "--xy", action="store_true", help="draw force over position instead of both over time"
+    )
 
 
 _OUT = {

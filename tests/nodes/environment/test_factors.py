@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from typing import Any
 
 import numpy as np
@@ -18,36 +17,13 @@ from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer
-from nodes.environment.meet import meet
-from nodes.environment.note_tick import note_tick
-from nodes.environment.state import MET, SHAPES
 from nodes.environment.surfaces import parse_surface, surface_effects
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
+from tests.support.touched import T, Touched
 
-T = 1e-3
 FINITE = st.floats(-5.0, 5.0)
 BOX = {"kind": "box", "position": [0.0, 0.0, -0.05], "size": [0.1, 0.1, 0.1]}
-
-
-class Touched:
-    """A surface met tick by tick, with the compiled ticks' own function, interpreted."""
-
-    def __init__(self, surface: dict[str, Any]) -> None:
-        parsed = parse_surface(surface, "surface")
-        parsed.check("surface")
-        numbers = parsed.numbers(T)
-        assert numbers is not None
-        self.numbers, self.met, self.seq = numbers, array("d", [0.0] * MET), -1
-
-    def at(
-        self, place: tuple[float, float, float], force: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    ) -> tuple[np.ndarray, bool]:
-        """Return the deflection of the next tick [m], and whether anything is felt."""
-        self.seq += 1
-        note_tick(SHAPES, self.numbers.memory, self.seq, *force)
-        felt = meet(SHAPES, self.numbers.table, self.numbers.memory, *place, self.met)
-        return np.array(self.met[:3]) - np.array(place), felt
 
 
 def renderer(law: CompiledLaw) -> Renderer:

@@ -17,8 +17,8 @@ from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
 from sim.play.player import play
-from tests.nodes.environment.test_factors import T, Touched
 from tests.support.shapes import box_triangles
+from tests.support.touched import T, Touched
 
 SPEED = 0.1
 
