@@ -15,8 +15,9 @@ from nodes.driver.safety import rearm
 from nodes.driver.state import STOPPED
 from nodes.driver.tick import GOT, make_ticks
 from nodes.environment.meet import meet
+from nodes.environment.note_tick import note_tick
 from nodes.environment.shapes import tables
-from nodes.environment.state import JUMPED, SHAPES, tell_jump
+from nodes.environment.state import DAMPING, JUMPED, SHAPES, STIFFNESS, tell_jump
 from sim.device.model import coefficients
 from sim.device.state import read_axis, write_axis
 from sim.javascript.emitter import Emitter
@@ -29,6 +30,7 @@ _ROOTS: Final[tuple[Any, ...]] = (
     make_render,
     rearm,
     meet,
+    note_tick,
     tell_jump,
     read_axis,
     write_axis,
@@ -52,6 +54,8 @@ _HOST: Final = {
 _CONSTANTS: Final = {
     "SHAPES_": SHAPES,
     "JUMPED_": JUMPED,
+    "STIFFNESS_": STIFFNESS,
+    "DAMPING_": DAMPING,
     "PLACED_": tables.PLACED,
     "NEVER_": tables.NEVER,
     "INSIDE_": tables.INSIDE,

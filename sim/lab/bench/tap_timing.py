@@ -201,7 +201,8 @@ def _play(address: int, normals: Any, position: Any, proxy: Any, force: Any) -> 
         for i in range(3):
             proxy[i] = _RADIUS * normal[i]
             position[i] = (_RADIUS - _DEEP) * normal[i]
-        render(s, position, proxy, normal, -_DEEP, True, 0.0, force, s.pushes[s.axes - 1] + 1)
+        due = s.pushes[s.axes - 1] + 1
+        render(s, position, proxy, normal, -_DEEP, True, (0.0, 1.0, 1.0), force, due)
         felt += force[2]
     return felt
 

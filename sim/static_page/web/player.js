@@ -14,11 +14,23 @@ const stateWith = ({ fields, ...arrays }) => {
   return state;
 };
 
+// Stiffness of a law to a constant deflection, as nodes/coupling/law_on_axis.py, `still_of`.
+const stillOf = (taps, coefficients) => {
+  let still = exactSum(taps);
+  for (let i = 0; i < coefficients.length; i += 4) {
+    const [b0, b1, a1, a2] = coefficients.slice(i, i + 4), whole = 1.0 + a1 + a2;
+    if (whole === 0.0) return 0.0;
+    still += (b0 + b1) / whole;
+  }
+  return Number.isFinite(still) ? still : 0.0;
+};
+
 class Law {
   constructor(name, { taps, sections: coefficients, own }) {
     Object.assign(this, { name, taps, coefficients });
     this.state = new Float64Array(coefficients.length / 2);
     this.gain = newest_gain(taps, coefficients);
+    this.still = own.kind ? 0.0 : stillOf(taps, coefficients);
     this.own = null;
     if (own.kind === "windowed") this.own = (h, head) => windowed_force(own.numbers, h, head);
     if (own.kind === "pushed") {
@@ -172,6 +184,7 @@ class Player {
       }
       e.driver_rebased = s.rebased;
     }
+    note_tick(e.kind, this.memory, seq, s.force[0], s.force[1], s.force[2]);
     const contact = meet(e.kind, this.table, this.memory, p[0], p[1], p[2], met);
     if (e.kind === SHAPES_ || e.inside !== 0) {
       if (met[JUMPED_] !== 0) [e.rebased, e.ease] = [seq, 0];
@@ -185,7 +198,8 @@ class Player {
       this.swap(law, this.image.laws[law], ramp);
     }
     const c = this.coupling, due = c.pushes[this.axes.length - 1] + 1;
-    if (!this.render(c, p, proxy, normal, distance, contact, 0.0, this.force, due)) {
+    const feltAs = [0.0, met[STIFFNESS_], met[DAMPING_]]; // compliance [m/N], factors of the law
+    if (!this.render(c, p, proxy, normal, distance, contact, feltAs, this.force, due)) {
       throw new RangeError(`tick ${seq}: ${this.name} returned a force that is not finite`);
     }
     if (this.leaving.length && c.fade_ramp === 0) {
@@ -235,7 +249,10 @@ class Player {
     this.axes.forEach((_, n) => {
       const shares = [[this.active[n], 0.0], ...(this.leaving[n] ?? [])];
       this.laws[n] = shares.map(([law]) => law);
-      shares.forEach(([, weight], m) => { c.weight[SLOTS_ * n + m] = weight; });
+      shares.forEach(([law, weight], m) => {
+        c.weight[SLOTS_ * n + m] = weight;
+        c.still[SLOTS_ * n + m] = law.still;
+      });
     });
   }
 
