@@ -12,12 +12,16 @@
 | `CommandError` | a refused request of a page |
 | `LaunchFailedError` | a launch that cannot start, or fails, on the command line |
 | `LaunchError` | the same from Python |
+| `LaunchWarning` | a warning of a launch, in Python; no exception |
 | `RecordError` | a recording that cannot be read or written |
 | `CutError` | of those: a truncated recording |
 | `ResultsError` | a section of the results that cannot be measured or written |
 | `NotCompilableError` | a tick without a compiled form; the plain one runs |
 | `CacheRefusedError` | a folder that is not trusted for compiled code |
 | `CannotTellError` | a recorded contact that does not determine K_max |
+| `NotInBrowserError` | a scenario that the static page does not play |
+| `NotEmittedError` | Python that is not emitted as JavaScript; a programming error |
+| `StudyCancelledError` | a study that its caller cancelled |
 | `NotOneAxisError` | a launch that cannot be simulated as one axis |
 | `UsageError` | a request that cannot be done as asked; exit code 2 |
 | `RunError` | of those: no such run, or its directory is unusable |
@@ -28,8 +32,6 @@
 | `StalledError` | of those: a tuning on a machine that does not respond in time |
 | `UnknownEventError` | an event of an unregistered kind or number; a programming error |
 | `MeasurementError` | a benchmark, study or drill that could not measure |
-| `NotOneAxisError` | a chain that the loop of one axis does not play; its nodes do |
-| `ResultsError` | a section of sim/RESULTS.md that cannot be measured |
 | `NoCompilerError` | of those: no C compiler |
 | `FaultSkippedError` | of those: a fault that cannot be injected |
 """

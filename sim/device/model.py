@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -212,10 +213,13 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         """Return the paths in the file by axis; empty without a file."""
         if not self.file:
             return {}
-        # Only a hand that reads a file needs what reads it.
-        from sim.device.hand_path import read_path
-
-        return read_path(self.file, self.columns, self.units, self.rate or 0.0)
+        # Only a hand that reads a file needs what reads it. It is imported by name because a
+        # kernel is compiled anew when a module changes that it imports.
+        read_path = import_module("sim.device.hand_path").read_path
+        found: dict[str, list[tuple[float, float]]] = read_path(
+            self.file, self.columns, self.units, self.rate or 0.0
+        )
+        return found
 
     @property
     def corners(self) -> list[tuple[float, float]]:

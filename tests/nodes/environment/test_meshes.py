@@ -75,7 +75,7 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "written", "told"),
     [
-        ("a.3ds", b"MM", "is neither an .stl, .obj, .ply nor .off file; export"),
+        ("a.3ds", b"MM", "is neither an .stl, .obj, .ply nor .off file, nor .3mf, .glb or .gltf; "),
         ("a.ply", b"ply", "is no PLY file"),
         (
             "a.ply",

@@ -83,8 +83,8 @@ NAMED_RULES: Final = (
     Mutation(
         "an anchored device is judged as a free one",
         "nodes/stability/judge.py",
-        "law.h1 == 0.0 and not plant.anchored",
-        "law.h1 == 0.0",
+        "(springless or law.h1 == 0.0) and not plant.anchored",
+        "springless or law.h1 == 0.0",
         (JUDGE,),
     ),
     Mutation(

@@ -112,8 +112,8 @@ SAFETY_RULES: Final = (
     Mutation(
         "a force that stays at its limit does not count",
         f"{DRIVER}safety.py",
-        "s.pressed_at, s.peaked = seq, 1",
-        "s.pressed_at = seq",
+        "        s.pressed_at = seq\n        s.peaked = 1",
+        "        s.pressed_at = seq",
         (NO_PUSH,),
     ),
     Mutation(
