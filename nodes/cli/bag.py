@@ -62,9 +62,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     for own in (info, cut, recover, export):
         own.add_argument("file", type=Path)
-    for own in (play, few):
-        # Behind --topics, which takes all words, the file is the last of them.
-        own.add_argument("file", type=Path, nargs="?")
     _add_play(play)
     _add_formats(export)
     add_import(
