@@ -368,8 +368,10 @@ def _check_places(launch: Launch) -> None:
 def _into(launch: Launch, folder: Path) -> Launch:
     """Make all loggers of this machine write into `folder`."""
     nodes = dict(launch.nodes)
-    for name, path in _places(launch):
-        parameters = {**nodes[name].parameters, "path": str(folder / path.name)}
+    for name, _ in _places(launch):
+        # As written: its logger puts run and namespace into the name.
+        written = Path(nodes[name].parameters.get("path", LoggerParameters().path))
+        parameters = {**nodes[name].parameters, "path": str(folder / written.name)}
         nodes[name] = msgspec.structs.replace(nodes[name], parameters=parameters)
     return msgspec.structs.replace(launch, nodes=nodes)
 

@@ -19,7 +19,7 @@ from nodes.client.launches import ask, node_name
 from nodes.environment.surfaces import SURFACES
 from nodes.laws.base import LAWS
 from nodes.laws.presets import PRESETS
-from nodes.parameters.describe import described
+from nodes.parameters.describe import described, names_below
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
@@ -106,7 +106,11 @@ def _set(arguments: argparse.Namespace) -> int:
     run, node = chosen_node(arguments)
     words = arguments.pairs
     if len(words) % 2:
-        raise UsageError(f"param set {node}: {words[-1]!r} has no value; expected pairs NAME VALUE")
+        name, sign, value = words[-1].partition("=")
+        meant = f"; did you mean {name.rstrip(':')} {value}?" if sign else ""
+        raise UsageError(
+            f"param set {node}: {words[-1]!r} has no value; expected pairs NAME VALUE{meant}"
+        )
     values: dict[str, Any] = {}
     for name, text in zip(words[::2], words[1::2], strict=True):
         if name in values:
@@ -186,6 +190,8 @@ def _describe(arguments: argparse.Namespace) -> int:
     for name in names:
         try:
             found[name] = described(parameters, values, name, _struct_of)
+            for below in names_below(parameters, values, name, _struct_of) * bool(arguments.names):
+                found[below] = described(parameters, values, below, _struct_of)
         except ParameterError as error:
             raise UsageError(f"{node}.{error}") from error
     lines = []

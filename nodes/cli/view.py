@@ -68,6 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.static:
         return _static(arguments)
     check_address(arguments.address, arguments.port)
+    if arguments.replay is not None and arguments.foxglove is not None:
+        raise UsageError(
+            "view: --foxglove serves a running launch, but --replay shows a recording; write it for"
+            f" Foxglove with: haptic bag export {arguments.replay} --format foxglove"
+        )
     ended: list[int] = []
     try:
         with heeding(ended.append):

@@ -11,7 +11,7 @@ from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.laws import CompiledLaw, law_names, load_law
 from nodes.laws.parse import compile_law, law_to_dict, parse_law
 from nodes.laws.presets import PRESETS, expand, preset_names
-from nodes.parameters.refusals import choices
+from nodes.parameters.nearest import did_you_mean
 from nodes.parameters.store import ParameterError, describe
 
 FIXED = ("memory", "schedule")  # parameters that cannot change while the node runs
@@ -59,10 +59,13 @@ class LawBook:
                 "kind": name,
                 **{key: value for key, value in parameters.usual.items() if key in fields},
             }
-        raise ParameterError(
-            f"no law is named {name!r}; {choices(name, self.names(parameters))}",
-            path=f"{self._node}.law",
-        )
+        raise ParameterError(self._unknown(parameters, name), path=f"{self._node}.law")
+
+    def _unknown(self, parameters: CouplingParameters, name: str) -> str:
+        """Return the text about an unknown name; a kind that lacks parameters may be meant too."""
+        names = self.names(parameters)
+        meant = did_you_mean(name, [*names, *law_names()])
+        return f"no law is named {name!r}; available: {', '.join(names)}{meant}"
 
     def _usual(self, parameters: CouplingParameters, kind: str) -> bool:
         """Return whether law `kind` can be built from the default fields."""
@@ -115,8 +118,7 @@ class LawBook:
         for i, swap in sorted(enumerate(parameters.schedule), key=lambda numbered: numbered[1].at):
             where = f"{self._node}.schedule[{i}]"
             if swap.law not in [*parameters.laws, *PRESETS, *law_names()]:
-                there = choices(swap.law, self.names(parameters))
-                raise ParameterError(f"no law is named {swap.law!r}; {there}", path=f"{where}.law")
+                raise ParameterError(self._unknown(parameters, swap.law), path=f"{where}.law")
             self.compile(parameters, swap.law)
             tick = round(swap.at / self._period)
             if tick < taken_until:

@@ -212,7 +212,7 @@ class Coupling(Node):
         )
         if warning:
             self.events.emit_each("stability", warning)
-        before = self._judgement.verdict(wanted, self._renderer.law.compiled, self._felt_delay)
+        before = self._judgement.verdict(now, self._renderer.law.compiled, self._felt_delay)
         return self._judged(law.name, wanted, verdict, before)
 
     def _judge_moving(self, wanted: CouplingParameters, law: ActiveLaw) -> dict[str, Any]:
@@ -255,16 +255,14 @@ class Coupling(Node):
             )
             if warning:
                 self.events.emit_each("stability", warning)
-            figures = self._judged(name, wanted, verdict, self._before(now, wanted, name))
+            figures = self._judged(name, wanted, verdict, self._before(now, name))
         return figures
 
-    def _before(
-        self, now: CouplingParameters, wanted: CouplingParameters, name: str
-    ) -> Verdict | None:
-        """Return the verdict on a law as it was before a change, or None."""
+    def _before(self, now: CouplingParameters, name: str) -> Verdict | None:
+        """Return the verdict on a law as it was before a change, on the plant of then; or None."""
         # no law of that name, or too long to render
         with contextlib.suppress(ParameterError):
-            return self._judgement.verdict(wanted, self._book.compile(now, name), self._felt_delay)
+            return self._judgement.verdict(now, self._book.compile(now, name), self._felt_delay)
         return None
 
     def _bring_up(self, law: ActiveLaw, parameters: CouplingParameters) -> None:

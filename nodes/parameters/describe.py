@@ -23,10 +23,38 @@ class Description(msgspec.Struct, kw_only=True):
     meaning: str = ""  # one sentence
 
 
+_A_KIND = Description(
+    type="text", required=True, meaning="What it is: one of the kinds that are installed."
+)
+
+
 def described(
     target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
 ) -> Description:
     """Return the description of the parameter at `path`."""
+    return _reached(target, values, path, struct_of)[0]
+
+
+def names_below(
+    target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
+) -> list[str]:
+    """Return the names of the parameters directly below a branch; of a leaf, none."""
+    _, info, value = _reached(target, values, path, struct_of)
+    info = _without_none(info)
+    if isinstance(info, inspect.DictType) and not _kind(value):
+        return [f"{path}.{name}" for name in value or ()]
+    if isinstance(info, inspect.AnyType | inspect.DictType) and _kind(value):
+        own = struct_of(_kind(value))
+        info = inspect.type_info(own) if own is not None else info
+    if not isinstance(info, inspect.StructType):
+        return []
+    return [f"{path}.{field.encode_name}" for field in info.fields]
+
+
+def _reached(
+    target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
+) -> tuple[Description, inspect.Type, Any]:
+    """Return the description of the parameter at `path`, its type and its value."""
     info: inspect.Type = inspect.type_info(target)
     found = Description(
         type=_words(info), meaning=(target.__doc__ or "").strip().partition("\n")[0]
@@ -40,20 +68,10 @@ def described(
             info = inspect.type_info(own) if own is not None else info
         info = _without_none(info)
         if name == "kind" and _kind(values):
-            return Description(
-                type="text",
-                required=True,
-                meaning="What it is: one of the kinds that are installed.",
-            )
+            return _A_KIND, inspect.StrType(), _kind(values)
         step = f"[{index}]" if index else f".{name}" if done else name
         if name and isinstance(info, inspect.StructType):
             fields = {field.encode_name: field for field in info.fields}
-            if name == "kind" and name not in fields and _kind(values):
-                return Description(
-                    type="text",
-                    required=True,
-                    meaning="What it is: one of the kinds that are installed.",
-                )
             if name not in fields:
                 raise ParameterError(
                     f"no such parameter; {choices(name, fields)}", path=f"{done}{step}"
@@ -73,7 +91,7 @@ def described(
             )
         values = _below(values, name, index)
         done += step
-    return found
+    return found, info, values
 
 
 def _below(values: Any, name: str, index: str) -> Any:

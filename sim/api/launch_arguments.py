@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from messages.errors import UsageError
 from nodes.laws import CompiledLaw
 from sim.api.laws import law, plain
 
@@ -27,6 +28,10 @@ def launch_arguments(
     dict of str to object
         Name to value, e.g. ``stiffness`` or ``driver.device.mass``.
     """
+    if not isinstance(params, Mapping | None):
+        raise UsageError(
+            f"params: expected a mapping, e.g. {{'driver.device.mass': 0.2}}, got {params!r:.80}"
+        )
     found = {**given, **dict(_flat(params or {}, ""))}
     if not isinstance(named := found.get("law", ""), str | CompiledLaw):
         found["law"] = law(named)
@@ -40,3 +45,12 @@ def _flat(tree: Mapping[str, Any], path: str) -> Iterator[tuple[str, Any]]:
             yield from _flat(value, place)
         else:
             yield place, value
+
+
+def left_out(without: str | Sequence[str]) -> list[str]:
+    """Return the names of the nodes to leave out; a text is one name."""
+    names = [without] if isinstance(without, str) else list(without)
+    for name in names:
+        if not isinstance(name, str):
+            raise UsageError(f"without: expected names of nodes, e.g. ['logger'], got {name!r:.80}")
+    return names

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from nodes.launcher import launch_file
 from nodes.laws import CompiledLaw, Law, law_kinds
 from nodes.laws.described_laws import public_kinds
-from nodes.laws.parse import compile_law, law_to_dict, parse_law
+from nodes.laws.parse import LawRefusedError, compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
 
 # A law, or its description: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or
@@ -126,15 +126,28 @@ def law(kind: LawLike, **parameters: Any) -> Law:
     if isinstance(kind, Law):
         return parse_law({**law_to_dict(kind), **parameters}) if parameters else kind
     if isinstance(kind, str):
-        return parse_law({"kind": kind, **parameters}, kind)
+        try:
+            return parse_law({"kind": kind, **parameters}, kind)
+        except LawRefusedError as error:
+            if not parameters and kind in law_kinds():
+                error.args = (f"{error.text}; e.g. {_example(law_kinds()[kind])}", error.path)
+            raise
     if isinstance(kind, Mapping):
         return parse_law(plain({**kind, **parameters}))
     if not isinstance(kind, Sequence | np.ndarray):
+        is_class = isinstance(kind, type) and issubclass(kind, Law)
+        example = f"; did you mean {_example(kind)}?" if is_class else ""
         raise TypeError(
             f"{kind!r} is no law: expected a kind, a preset, a mapping as in YAML, taps [N/m] or"
-            " a law"
+            f" a law{example}"
         )
     return parse_law({"kind": "fir", "taps": [float(tap) for tap in kind], **parameters})
+
+
+def _example(kind: type[Law]) -> str:
+    """Return a call that makes a law of a class, as Python writes it."""
+    given = ", ".join(f"{name}={value!r}" for name, value in kind.example.items())
+    return f"haptic.{kind.__name__}({given})"
 
 
 def compiled(kind: LawLike, period: float) -> CompiledLaw:

@@ -14,6 +14,7 @@ import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from dataclasses import dataclass
+from numbers import Real
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from messages.errors import HapticError, UsageError
@@ -296,8 +297,10 @@ class Live:
         """
         from nodes.recording.table import columns_of, joined
 
-        if not 0.0 < seconds <= LONGEST:
-            raise UsageError(f"table: {seconds} s; expected more than 0 and at most {LONGEST:g} s")
+        if not isinstance(seconds, Real) or not 0.0 < seconds <= LONGEST:
+            raise UsageError(
+                f"table: seconds is {seconds!r}; expected more than 0 and at most {LONGEST:g} s"
+            )
         self.info.only_chain()
         topics = tuple(
             topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in self.info.endpoints()

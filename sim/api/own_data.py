@@ -202,18 +202,26 @@ def identify_arrays(
 
 
 def hand_path(
-    position: ArrayLike, *, rate: float | None = None, time: ArrayLike | None = None
+    position: ArrayLike | str | Path,
+    *,
+    rate: float | None = None,
+    time: ArrayLike | None = None,
+    columns: Mapping[str, str | Sequence[str]] | None = None,
+    units: str | Mapping[str, str | float] | None = None,
 ) -> dict[str, Any]:
-    """Return an array as the path of a virtual device's hand.
+    """Return an array or a file as the path of a virtual device's hand.
 
     Parameters
     ----------
-    position : array_like, shape (N,) or (N, 3)
-        Points to which the hand pulls [m].
+    position : array_like, shape (N,) or (N, 3), str or Path
+        Points to which the hand pulls [m], or a CSV, NPZ, MAT or Parquet file, or a recording,
+        with a column of them.
     rate : float, optional
-        Points per second [Hz].
+        Points per second [Hz]; of a file, if it has no column of times.
     time : array_like, shape (N,), optional
         In place of `rate`: increasing times [s], counted from the first.
+    columns, units : mapping, optional
+        Of a file: as of `read`, e.g. ``columns={"position": "x", "time": "t"}``, ``units="mm"``.
 
     Returns
     -------
@@ -224,15 +232,33 @@ def hand_path(
     Raises
     ------
     UsageError
-        If the arrays do not fit each other, hold no numbers, or are in another unit.
+        If the arrays do not fit each other, hold no numbers, or are in another unit, or the file
+        holds no path.
 
     Examples
     --------
-    >>> hand_path([0.0, 0.01, 0.0], rate=2)
+    >>> hand = hand_path([0.0, 0.01, 0.0], rate=2)
+    >>> hand
     {'path': [[0.0, 0.0], [0.5, 0.01], [1.0, 0.0]]}
-    """
-    from sim.device.hand_path import corners
 
+    A launch takes it, or of three columns ``{"hand": {"path": …}, "axes": …}``:
+
+    >>> from sim.api.played import play
+    >>> play("wall_press", duration=0.1, params={"driver": {"device": {"hand": hand}}}).axes
+    'x'
+    """
+    from sim.device.hand_path import corners, read_path
+
+    if isinstance(position, str | Path):
+        if time is not None:
+            raise UsageError("hand_path: times of a file are a column of it; name it in columns")
+        try:
+            found = read_path(str(position), columns or {}, _units(units), rate or 0.0)
+        except ValueError as error:
+            raise UsageError(f"hand_path: {error}") from None
+        return _as_hand([[list(corner) for corner in path] for path in found.values()])
+    if columns or units:
+        raise UsageError("hand_path: columns and units are of a file, but an array is given")
     where = _checked("position", position)
     if (rate is None) == (time is None):
         given = "needs rate or time" if rate is None else "takes rate or time, not both"
@@ -256,6 +282,11 @@ def hand_path(
         [list(corner) for corner in corners(at, column)]
         for column in (where.T if where.ndim == 2 else [where])
     ]
+    return _as_hand(paths)
+
+
+def _as_hand(paths: Sequence[list[list[float]]]) -> dict[str, Any]:
+    """Return paths along x, or along x, y and z, as fields of a device's hand."""
     if len(paths) == 1:
         return {"path": paths[0]}
     own = {axis: {"hand": {"path": path}} for axis, path in zip("yz", paths[1:], strict=True)}

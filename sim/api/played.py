@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nodes.parameters.store import ParameterError
 from nodes.stability.plant import Plant
-from sim.api.launch_arguments import launch_arguments
+from sim.api.launch_arguments import launch_arguments, left_out
 from sim.api.laws import LawLike, compiled
 from sim.api.python_words import speaking_python
 from sim.arrays import Array
@@ -180,7 +180,7 @@ def play(
     chain: str | None = None,
     *,
     params: Mapping[str, Any] | None = None,
-    without: Sequence[str] = (),
+    without: str | Sequence[str] = (),
     **arguments: Any,
 ) -> Played:
     """Play a scenario's launch file in this process; bit-identical to its lockstep launch.
@@ -193,7 +193,7 @@ def play(
         Namespace of the chain to play, if the launch file has several.
     params : mapping of str to object, optional
         Parameters of nodes, e.g. ``{"driver.device.mass": 0.2}``.
-    without : sequence of str
+    without : str or sequence of str
         Nodes to leave out.
     **arguments : object
         Arguments of the launch file, e.g. ``stiffness=1500``; ``law=`` takes any law, e.g.
@@ -222,7 +222,7 @@ def play(
 
     with speaking_python():
         given = launch_arguments(arguments, params)
-        launch = launch_file.without(launch_file.read(scenario, given), list(without))
+        launch = launch_file.without(launch_file.read(scenario, given), left_out(without))
         try:
             trace = play_chain(launch, chain)
         except ParameterError as error:

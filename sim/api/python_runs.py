@@ -19,7 +19,7 @@ from messages.errors import HapticError
 from nodes.client import launches
 from nodes.launcher.runs import RunInfo, alive
 from sim.api.controls import Laws, Parameters
-from sim.api.launch_arguments import launch_arguments
+from sim.api.launch_arguments import launch_arguments, left_out
 from sim.api.live_data import Live
 from sim.api.progress import progress
 from sim.api.python_words import in_python, speaking_python
@@ -350,7 +350,7 @@ def launch(
     view: bool = False,
     out_dir: str | Path | None = None,
     params: Mapping[str, Any] | None = None,
-    without: Sequence[str] = (),
+    without: str | Sequence[str] = (),
     **arguments: Any,
 ) -> Run:
     """Start a scenario in its own processes; return at its first tick.
@@ -365,7 +365,7 @@ def launch(
         Directory of recordings; by default the launch file's.
     params : mapping of str to object, optional
         Parameters of nodes, e.g. ``{"driver.device.mass": 0.2}``; checked as in the file.
-    without : sequence of str
+    without : str or sequence of str
         Nodes to leave out, e.g. ``["logger"]``.
     **arguments : object
         Arguments of the launch file, e.g. ``stiffness=1500, pace="lockstep"``; ``law=`` takes any
@@ -397,7 +397,7 @@ def launch(
         f"{name}:={value if isinstance(value, str) else json.dumps(value)}"
         for name, value in launch_arguments(arguments, params).items()
     ]
-    for node in without:
+    for node in left_out(without):
         words += ["--without", node]
     if view:
         words.append("--view")

@@ -58,10 +58,20 @@ class Staircase:
 
     def __post_init__(self) -> None:
         """Check the parameters."""
-        if not (self.value > 0.0 and self.factor > 1.0 and self.down >= 1 and self.reversals >= 2):
+        real = all(isinstance(one, int | float | np.number) for one in (self.value, self.factor))
+        whole = all(isinstance(one, int | np.integer) for one in (self.down, self.reversals))
+        if not (
+            real
+            and whole
+            and 0.0 < self.value < np.inf
+            and 1.0 < self.factor < np.inf
+            and self.down >= 1
+            and self.reversals >= 2
+        ):
             raise UsageError(
-                f"staircase: value {self.value!r} (above 0), factor {self.factor!r} (above 1), down"
-                f" {self.down!r} (at least 1), reversals {self.reversals!r} (at least 2)"
+                f"staircase: value {self.value!r} (finite, above 0), factor {self.factor!r}"
+                f" (finite, above 1), down {self.down!r} (whole, at least 1), reversals"
+                f" {self.reversals!r} (whole, at least 2)"
             )
         self.values = [self.value]
 

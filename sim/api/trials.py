@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from messages.errors import UsageError
+from nodes.cli.dispatch import refuse_unwritable
 from sim.api.laws import plain
 from sim.studies.notebook_results import Result, figure_of, new_figure, pandas
 
@@ -241,11 +242,10 @@ def trials(
     >>> sorted(table.columns()["outcome"].tolist())
     [1000, 1000, 3000, 3000]
     """
-    named = (
-        dict(conditions)
-        if isinstance(conditions, Mapping)
-        else {name: dict[str, Any]() for name in conditions}
-    )
+    named = _by_name(conditions)
+    for what, number in (("blocks", blocks), ("repeats", repeats)):
+        if not isinstance(number, int | np.integer):
+            raise UsageError(f"trials: {what} {number!r}: expected a whole number")
     if not named or blocks < 1 or repeats < 1:
         raise UsageError(
             f"trials: {len(named)} conditions, {blocks} blocks, {repeats} repeats; expected at"
@@ -263,13 +263,37 @@ def trials(
             PlannedTrial(len(plan) + i, block, name, named[name]) for i, name in enumerate(drawn, 1)
         ]
     made = TrialTable(named, blocks, seed, plan, out=None if out is None else Path(out))
-    if made.out is not None and made.out.exists():
-        made.rows += _read(made.out, made)
+    if made.out is not None:
+        # Before the first trial, not behind it.
+        refuse_unwritable(made.out, "out")
+        if made.out.exists():
+            made.rows += _read(made.out, made)
     return made
 
 
+def _by_name(
+    conditions: Mapping[str, Mapping[str, Any]] | Sequence[str],
+) -> dict[str, Mapping[str, Any]]:
+    """Return the conditions by name; refuse what is no list of names and no mapping."""
+    if isinstance(conditions, str):
+        raise UsageError(f"trials: {conditions!r}: expected names of conditions, [{conditions!r}]")
+    if isinstance(conditions, Mapping):
+        for name, arguments in conditions.items():
+            if not isinstance(arguments, Mapping):
+                raise UsageError(
+                    f"condition {name!r}: expected a mapping of what differs, e.g."
+                    f" {{'stiffness': 500}}, got {arguments!r:.80}"
+                )
+        return dict(conditions)
+    names = list(conditions)
+    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        raise UsageError(f"condition {twice[0]!r} is named twice; repeats= repeats conditions")
+    return {name: {} for name in names}
+
+
 def _append(path: Path, row: Mapping[str, Any]) -> None:
-    begins = not path.exists()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    begins = not path.exists() or not path.stat().st_size
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(row))
         if begins:
@@ -278,19 +302,39 @@ def _append(path: Path, row: Mapping[str, Any]) -> None:
 
 
 def _read(path: Path, made: TrialTable) -> list[dict[str, Any]]:
-    """Return the rows of a file that an earlier run of the same plan wrote."""
+    """Return the rows of a file that an earlier run of the same plan wrote.
+
+    What the plan decides is taken from the plan: a condition ``007`` is no number.
+    """
     with path.open(newline="", encoding="utf-8") as file:
-        rows = [{name: _value(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    for row, trial in zip(rows, made.plan, strict=False):
-        wanted = trial.row()
-        if any(str(row.get(name)) != str(wanted[name]) for name in _PLAN):
+        reader = csv.DictReader(file)
+        lines = list(reader)
+    if len(lines) > len(made.plan):
+        raise UsageError(f"{path}: {len(lines)} rows, this plan has {len(made.plan)} trials")
+    rows = []
+    for line, trial in zip(lines, made.plan, strict=False):
+        if None in line or None in line.values():
             raise UsageError(
-                f"{path}: row {trial.number} is {row.get('condition')!r} in block"
-                f" {row.get('block')}, this plan has {trial.condition!r} in {trial.block}: another"
+                f"{path}: row {trial.number} has other columns than the first line; if it was cut"
+                " off while it was written, delete it, and its trial is done again"
+            )
+        wanted = trial.row()
+        if any(line.get(name) != str(wanted[name]) for name in _PLAN):
+            raise UsageError(
+                f"{path}: row {trial.number} is {line.get('condition')!r} in block"
+                f" {line.get('block')}, this plan has {trial.condition!r} in {trial.block}: another"
                 " plan or seed; choose another file"
             )
-    if len(rows) > len(made.plan):
-        raise UsageError(f"{path}: {len(rows)} rows, this plan has {len(made.plan)} trials")
+        planned = {name: wanted.get(name) for name in made.factors()}
+        for name, value in planned.items():
+            there = line.get(name)
+            if there != ("" if value is None else str(value)):
+                raise UsageError(
+                    f"{path}: row {trial.number} has {name} {there}, this plan {value}: the"
+                    " condition has changed; choose another file"
+                )
+        outcome = {name: _value(text) for name, text in line.items() if name not in planned}
+        rows.append({**planned, **outcome})
     return rows
 
 
