@@ -18,6 +18,7 @@ from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
 
 SILENT_AFTER: Final = 0.5  # time without a state after which a driver counts as silent [s]
 NO_FORCE: Final = 1e-9  # a force below this counts as zero [N]
+LEAST_SHOWN: Final = 0.005  # a force below this would be told as 0.00 N [N]
 
 
 class StateWords(NamedTuple):
@@ -311,5 +312,7 @@ def _in_contact(
         )
     if given <= NO_FORCE:
         return "rest", f"No force: {law} renders none at this deflection."
+    if given < LEAST_SHOWN:
+        return "rest", f"No force to feel: {law} renders less than 0.01 N."
     depth = f", {abs(proxy.distance) * 1e3:.2f} mm deep" if any(proxy.normal) else ""
     return "ok", f"{given:.2f} N: {law} pushes back{depth}."

@@ -117,12 +117,14 @@ class Comparison:
         busy = self._job is not None and not self._job.done()
         if self.law and self._targets and not busy and now - self._played_at > PLAY_PERIOD:
             self._played_at = now
+            late = round(max(0.0, delay - self._late) + self.later, 2)
             self._job = asyncio.get_running_loop().create_task(
-                self._play_on(round(max(0.0, delay - self._late) + self.later, 2))
+                self._play_on(self.law, self._from, late)
             )
 
-    async def _play_on(self, late: float) -> None:
-        law, begun = self.law, self._from
+    async def _play_on(self, law: str, begun: int, late: float) -> None:
+        if law != self.law or begun != self._from or not self._targets:
+            return  # another law, or none, was chosen before this task began
         work = partial(
             _play, self._kind, self._setups, self._described, list(self._targets), self._begin, late
         )
@@ -130,7 +132,7 @@ class Comparison:
         try:
             position, force = await asyncio.get_running_loop().run_in_executor(self._pool, work)
         except (HapticError, ValueError) as error:
-            if law == self.law:
+            if law == self.law and begun == self._from:
                 self.law = ""
                 self._put("beside", {"law": "", "why": str(error)})
             return

@@ -80,6 +80,8 @@ class Emitter(Expressions):
 
     def _new_name(self, function: Callable[..., Any]) -> str:
         name = identifier(function.__name__.lstrip("_"))
+        if function.__name__.startswith("_"):
+            name += "$"  # its name without the underscore may be that of a variable
         taken = {*self._names.values(), *self._host.values()}
         return name if name not in taken else f"{name}_{function.__module__.rpartition('.')[2]}"
 

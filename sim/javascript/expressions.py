@@ -95,10 +95,10 @@ class Expressions:
         """Return an expression as JavaScript."""
         is_known, value = self._outside(node, scope)
         if is_known:
-            return self._of_module(node, value)
+            return self._of_module(node, value, scope)
         match node:
             case ast.Constant(value=value):
-                return self._of_module(node, value)
+                return self._of_module(node, value, scope)
             case ast.Name(id=name):
                 return identifier(name)
             case ast.Attribute(value=base, attr=name):
@@ -140,9 +140,9 @@ class Expressions:
     def _note_inexact(self, node: ast.AST, what: str) -> None:
         self.inexact[f"{self.module}:{getattr(node, 'lineno', '?')}"] = what
 
-    def _of_module(self, node: ast.AST, value: Any) -> str:
+    def _of_module(self, node: ast.expr, value: Any, scope: Scope) -> str:
         if self.is_emitted(value):
-            return self.function(value)
+            return self._function_at(node, value, scope)
         try:
             return literal(value)
         except NotEmittedError as error:
@@ -159,6 +159,13 @@ class Expressions:
             if is_known and isinstance(value, types.ModuleType):
                 return True, getattr(value, node.attr)
         return False, None
+
+    def _function_at(self, node: ast.expr, function: Any, scope: Scope) -> str:
+        """Return the name of an emitted function where no variable hides it."""
+        name = self.function(function)
+        if scope.knows(name):
+            raise self.refusal(node, f"a variable that has the name of a function called, {name},")
+        return name
 
     def _subscript(self, node: ast.Subscript, scope: Scope) -> str:
         base = self.expression(node.value, scope)
@@ -206,7 +213,7 @@ class Expressions:
                 text = f"{called.__name__}_({text}, {other})"
             return text
         if self.is_emitted(called):
-            return f"{self.function(called)}({', '.join(given)})"
+            return f"{self._function_at(node, called, scope)}({', '.join(given)})"
         if isinstance(called, type) and hasattr(called, "_fields"):
             names = ", ".join(f'"{name}"' for name in called._fields[: len(given)])
             return f"named_([{names}], [{', '.join(given)}])"

@@ -55,8 +55,7 @@ const map = new StabilityMap($("map"), $("margin"), $("far"), (wanted, beyond) =
 });
 const laws = new Laws({ picker: $("laws"), sliders: $("sliders"), ramp: $("ramp"), undo: $("undo"), refusal: $("refusal") }, ask);
 const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"), beyond: $("beyond"), allowed: $("beyond-switch") },
-  // A law without a nominal stiffness is scaled as a whole: H(1) is the dial.
-  (stiffness, beyond) => laws.change(laws.state.laws[laws.state.active].stiffness === undefined ? "hardness" : "stiffness", stiffness, beyond));
+  (stiffness, beyond) => laws.change(stiffnessField(), stiffness, beyond));
 const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("delay-told"), beyond: $("beyond") },
   (ticks, beyond) => laws.change("delay", ticks, beyond));
 
@@ -65,6 +64,9 @@ let overlaid = null;
 let asked = false; // whether this page requested a recording
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
+
+// A law without a nominal stiffness is scaled as a whole: H(1) is the dial.
+function stiffnessField(law = laws.state.active) { return laws.state.laws[law]?.stiffness === undefined ? "hardness" : "stiffness"; }
 
 function refused(text) { log.refused(text, scene.now?.t ?? 0); }
 
@@ -175,7 +177,7 @@ const link = new Link({
     refused(found.error);
   },
 });
-const sing = new Sing({ button: $("sing"), told: $("sung") }, ask);
+const sing = new Sing({ button: $("sing"), told: $("sung"), beyond: $("beyond") }, ask);
 const page = new StaticPage({ banner: $("banner"), python: $("python"), restart: $("restart"), scenarios: $("scenarios"), title: $("scenario") }, ask);
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
@@ -221,12 +223,20 @@ function turn() {
 let wanted = readState();
 $("lab").open = wanted.lab;
 
+// A link pasted into a page that is already open.
+addEventListener("hashchange", () => {
+  const scenario = new URLSearchParams(location.hash.slice(1)).get("scenario");
+  if (scenario && page.scenario && scenario !== page.scenario) location.reload();
+  wanted = readState();
+  if (laws.state && !hello.replay) open();
+});
+
 // Apply the link's state in order, once the laws are known.
 async function open() {
   const { law, stiffness, delay: later, beside: other } = wanted;
   wanted = {};
   if (law && law !== laws.state.active) await laws.choose(law);
-  if (stiffness) laws.change("stiffness", stiffness, false, law ?? laws.state.active);
+  if (stiffness) laws.change(stiffnessField(law ?? laws.state.active), stiffness, false, law ?? laws.state.active);
   if (later && hello.delays) laws.change("delay", later);
   if (other && hello.compares) await beside.choose(other);
 }

@@ -2,13 +2,18 @@
 import { figure, fixed, unbroken } from "./format.js";
 
 export class Sing {
-  constructor({ button, told }, ask) {
+  constructor({ button, told, beyond }, ask) {
     Object.assign(this, { button, told, facts: null });
     button.addEventListener("click", async () => {
       button.disabled = true;
       const answer = await ask({ op: "sing" });
       button.disabled = false;
-      if (answer.ok) this.facts = answer.result;
+      if (answer.ok) {
+        this.facts = answer.result;
+        // A is past its edge now, so the dials show what lies there.
+        beyond.checked = true;
+        beyond.dispatchEvent(new Event("change"));
+      }
       this.show(null);
     });
   }

@@ -112,7 +112,7 @@ class Player {
     this.devices = image.devices.map(stateWith);
     this.environment = stateOf(image.environment);
     this.coupling = stateOf(image.coupling);
-    this.table = image.table;
+    this.table = image.table.slice(); // shapes that move are written there
     this.memory = image.memory.slice();
     this.rings = this.axes.map(() => new Float64Array(2 * this.coupling.length));
     this.laws = this.axes.map(() => []); // laws of an axis, slot by slot

@@ -64,6 +64,9 @@ class Session {
     return numbers.own.kind ? true : loopIsStable(this.device(delay), numbers);
   }
 
+  // Whether the map says that the active law rests; not for a law with code of its own.
+  get rests() { return !this.numbersOf(this.law).own.kind && this.stable(this.law); }
+
   // -- changes ------------------------------------------------------------------------------------
 
   // Render a law, perhaps changed, from the next tick on. Return the receipt's facts.

@@ -34,7 +34,7 @@ const noted = ([code, tick, change, ...numbers]) => {
 const length = (vector) => Math.sqrt(vector.reduce((sum, part) => sum + part * part, 0));
 
 // Level and sentence, from the loop's present state.
-const NO_FORCE = 1e-9;
+const NO_FORCE = 1e-9, LEAST_SHOWN = 0.005; // [N]; less than the second is 0.00 N in words
 const explained = ({ safety, force, asked, age, contact, normal, distance, law }, why, ringing) => {
   const given = length(force), words = STATES_[safety] ?? "", because = why ? ` (${why})` : "";
   const n = given.toFixed(2);
@@ -56,6 +56,7 @@ const explained = ({ safety, force, asked, age, contact, normal, distance, law }
     return ["warn", `${n} N of the ${wanted.toFixed(2)} N that the law asks for: the driver's limits hold the rest back.`];
   }
   if (given <= NO_FORCE) return ["rest", `No force: ${law} renders none at this deflection.`];
+  if (given < LEAST_SHOWN) return ["rest", `No force to feel: ${law} renders less than 0.01 N.`];
   const deep = surface ? `, ${(Math.abs(distance) * 1e3).toFixed(2)} mm deep` : "";
   return ["ok", `${n} N: ${law} pushes back${deep}.`];
 };

@@ -59,7 +59,9 @@ const status = () => {
   const { driver: s, environment: e, force, contact, name } = session.player, safety = SAFETY_[s.safety];
   const state = { safety, force: s.force, asked: force, age: 0, contact, normal: e.met.subarray(3, 6), distance: e.met[6], law: name };
   const active = safety === "active" || safety === "ramp";
-  const [level, words] = explained(state, active ? "" : why, ringWords(rings()));
+  // What settles is no wall that is too hard: where the map says stable, it does not ring.
+  const ringing = session.rests ? "" : ringWords(rings());
+  const [level, words] = explained(state, active ? "" : why, ringing);
   say("status", {
     level, words, safety, stop: safety === "stopped" ? stop : null, tick: s.seq, t: s.seq * PERIOD,
     rate_hz: 1 / PERIOD, missed: 0, missed_lately: 0, overruns: 0, delay_ticks: session.delay + DATA.image.next_tick,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 from pathlib import Path
@@ -120,3 +121,28 @@ def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
     played.follow({"pd": hard})
     assert told == [{"law": "pd"}] * 2, "it begins anew"
     assert played._described == hard
+
+
+@pytest.mark.parametrize("other", ["", "gone"])
+def test_a_law_unchosen_before_its_simulation_begins_is_no_error(other: str) -> None:
+    """The task of a step begins later than the step: "nothing" may be chosen in between."""
+    told: list[dict[str, Any]] = []
+    played = Comparison(
+        RunInfo(run="r", scenario="s", launcher=0, nodes={}),
+        "driver",
+        lambda _, document: told.append(document),
+    )
+
+    async def visit() -> None:
+        played.choose("pd", {"kind": "pd", "stiffness": 500.0, "damping": 3.0})
+        for seq in (0, 1):
+            zero = (0.0, 0.0, 0.0)
+            played.take("", DeviceState(seq=seq, stamp=0.0, position=zero, force=zero))
+        played.step(1.0, 1.0)
+        assert played._job is not None
+        played.choose(other, {})
+        await played._job
+        await played.close()
+
+    asyncio.run(visit())
+    assert told == [{"law": "pd"}, {"law": other}]

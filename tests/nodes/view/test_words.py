@@ -75,6 +75,17 @@ def told(
             "rest",
             "renders none at this deflection",
         ),
+        # No sentence says that 0.00 N push back: half of the last digit is the limit.
+        (
+            {"state": {"force": (0.00499, 0.0, 0.0)}, "force": {"force": (0.00499, 0.0, 0.0)}},
+            "rest",
+            "No force to feel: pd renders less than 0.01 N.",
+        ),
+        (
+            {"state": {"force": (0.00501, 0.0, 0.0)}, "force": {"force": (0.00501, 0.0, 0.0)}},
+            "ok",
+            "0.01 N: pd pushes back",
+        ),
         (
             {"state": {"safety": "stopped", "force": NONE}},
             "stop",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from sim.javascript.values import Plain, value
 from tests.support.in_node import node
 
 EDGES = (0.0, -0.0, 1.0, -1.0, 2.5, -2.5, 0.1, 7.0, -7.0, 1e300, 5e-324, math.inf, -math.inf)
+
+
+here = sys.modules[__name__]
 
 
 def least(a: float, b: float) -> float:
@@ -57,6 +61,15 @@ def chained(a: float, b: float) -> float:
     return total
 
 
+def _share(a: float, b: float) -> float:
+    return a + b
+
+
+def hidden(a: float, b: float) -> float:
+    share = _share(a, b)  # in JavaScript, a function without its underscore would be hidden
+    return share + _share(b, b)
+
+
 def masked(a: float, b: float) -> float:
     whole = 2**40 + 5 if a > b else 3
     return float(whole & (whole - 1))
@@ -75,6 +88,7 @@ FUNCTIONS: tuple[Callable[[float, float], float], ...] = (
     rounded_up,
     swapped,
     chained,
+    hidden,
     masked,
     signed,
 )
@@ -126,6 +140,10 @@ def with_exception(a: float) -> float:
     return a
 
 
+def with_a_hidden_function(masked: float) -> float:
+    return here.masked(masked, 1.0)
+
+
 def calls_another(a: float) -> str:
     return with_text(a)
 
@@ -138,6 +156,7 @@ def calls_another(a: float) -> str:
         (from_the_end, "an index from the end"),
         (with_comprehension, "expression ListComp"),
         (with_exception, "statement Raise"),
+        (with_a_hidden_function, "a variable that has the name of a function called, masked,"),
         (calls_another, "expression JoinedStr"),
         (with_unknown_call, ""),
     ],

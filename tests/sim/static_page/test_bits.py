@@ -82,6 +82,13 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("touch_wall", {"stiffness": 12000.0}),
 )
 
+SURFACES: dict[str, dict[str, Any]] = {
+    "a softer shape": {"stiffness": 0.3, "damping": 0.6},
+    "a shape that moves": {
+        "motion": {"path": [[0.0, 0.0, 0.0, 0.0], [0.4, 0.0, 0.0, 0.02]], "repeat": 0.5}
+    },
+}
+
 SWAPS: tuple[Swap, ...] = tuple(
     Swap(250 + 3 * n, ("pd_alpha", "multi_term", "pd", "recursive")[n % 4], (40, 90, 1, 60)[n % 4])
     for n in range(24)
@@ -133,11 +140,18 @@ def cases() -> dict[str, Case]:
     launches["ramp and heat"] = with_driver(
         "wall_press", {}, ramp=0.2, continuous_force=1.0, thermal_time=0.3
     )
+    for name, more in SURFACES.items():
+        launch = read("sphere_feel", {"friction": 0.4})
+        surface = {**launch.nodes["environment"].parameters["surface"], **more}
+        launches[name] = changed(launch, "environment", surface=surface)
     found = {name: Case(launch, TICKS) for name, launch in launches.items()}
     recursive = {"kind": "fir", **LAWS["fir"]}
     laws = read("touch_wall").nodes["coupling"].parameters["laws"]
     launch = changed(read("touch_wall"), "coupling", laws={**laws, "recursive": recursive})
     found["swaps"] = Case(launch, TICKS, swaps=SWAPS)
+    # What rests of a mixed law is scaled as the rest of it.
+    launch = changed(launches["a softer shape"], "coupling", laws={**laws, "recursive": recursive})
+    found["swaps on a softer shape"] = Case(launch, TICKS, swaps=SWAPS)
     rng = np.random.default_rng(5)
     target = np.zeros((TICKS, 3))
     corners = np.arange(0, TICKS + 50, 50)

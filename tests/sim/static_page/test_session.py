@@ -142,7 +142,7 @@ def state_of(**more: Any) -> DeviceState:
 def test_sentences_are_those_of_the_driver(tmp_path: Path) -> None:
     cases = []
     for safety in SAFETY:
-        for force, asked in ((0.0, 0.0), (1.5, 1.5), (10.0, 31.25)):
+        for force, asked in ((0.0, 0.0), (0.0049, 0.0049), (1.5, 1.5), (10.0, 31.25)):
             for contact, normal in ((False, 0.0), (False, -1.0), (True, -1.0), (True, 0.0)):
                 for why in ("", "ramp of 50 ticks done"):
                     for ringing in ("", "It rings at 22 Hz, up to 3.1 N"):
@@ -375,3 +375,21 @@ def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> No
     # It holds the hand, and rests: the peak to peak force is below what counts as a reversal.
     assert end.min() > 0.5
     assert np.ptp(end) < 0.1
+
+
+def test_a_law_rests_up_to_its_edge_and_one_with_own_code_is_not_judged(tmp_path: Path) -> None:
+    found = run(
+        tmp_path,
+        """
+        const session = new Session(DATA), most = session.edge("pd"), said = [];
+        for (const by of [0.99, 1.01]) {
+          session.setLaw("stiffness", by * most, true);
+          said.push(session.rests);
+        }
+        session.setLaw("stiffness", 0.5 * most, true);
+        session.numbersOf = () => ({ own: { kind: "windowed" } });
+        result = [...said, session.rests];
+        """,
+        "touch_wall",
+    )
+    assert found == [True, False, False]

@@ -73,6 +73,15 @@ def test_a_smaller_script_is_the_same_without_comments_and_indentation() -> None
     assert smaller("  a();\n\n  // why\n  b(); // c\n") == "a();\nb(); // c\n"
 
 
+SMALL_TARGETS = """[...document.querySelectorAll("button, select, input, summary")]
+  .filter((each) => each.offsetParent)
+  .map((each) => [each, (each.matches("[type=checkbox], [type=radio]") ? each.closest("label")
+    : each).getBoundingClientRect()])
+  .filter(([, { width, height }]) => Math.min(width, height) < 39.9)
+  .map(([each, { width, height }]) => [each.id || each.outerHTML, width, height])"""
+"""What a finger would miss: below 40 px."""
+
+
 @contextlib.contextmanager
 def served(folder: Path) -> Iterator[str]:
     """Serve a folder as any static host does."""
@@ -180,3 +189,27 @@ def test_the_page_goes_on_offline_and_by_touch(site: Path) -> None:
         )
         width = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
         assert width[0] <= width[1]
+        page.evaluate("document.querySelector('#lab').open = true")
+        assert page.evaluate(SMALL_TARGETS) == []
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@needs_browser
+def test_a_link_sets_h1_and_make_it_sing_shows_what_lies_past_the_edge(site: Path) -> None:
+    """Also a link pasted into the open page."""
+    stiffness = "haptic.dial.stiffness"
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(f"file://{site}/index.html#law=designed_d1&k=9000")
+        page.wait_for_function(f"Math.abs({stiffness} - 9000) < 1")
+        page.evaluate("location.hash = '#law=pd&k=1500'")
+        page.wait_for_function(f"haptic.laws.state.active === 'pd' && {stiffness} === 1500")
+        page.locator("#sing").click()
+        page.wait_for_function("haptic.dial.isPast(haptic.dial.stiffness)")
+        page.wait_for_function("document.querySelector('#sung').textContent.includes('sings')")
+        # Both dials show where the edge is: their ends are red.
+        for dial in ("dial", "delay"):
+            part = f"getComputedStyle({dial}).getPropertyValue('--safe-part')"
+            page.wait_for_function(f"parseFloat({part}) < 99")
+        page.wait_for_function("document.querySelector('#sung').textContent.includes('rests')")
