@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 
 from nodes.laws import CompiledLaw, Law, law_names, load_law, with_gain
+from nodes.laws.own_code_reads import reads_outside
 from nodes.laws.presets import PRESETS, expand, preset_names
 from nodes.parameters.refusals import choices, short
 from nodes.parameters.registry import NotInstalledError
@@ -122,12 +123,19 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
         )
     if compiled.evaluate is not None:
         try:
-            compiled.own_code()
+            own = compiled.own_code()
         except Exception as error:  # as above
             raise LawRefusedError(
                 f"its own code cannot be made for an axis: {type(error).__name__}: {error}",
                 path=path,
             ) from error
+        count = len(compiled.taps)
+        if own is not None and (place := reads_outside(own, count)):
+            raise LawRefusedError(
+                f"its own code reads {place}, but with {count} tap{'s' if count > 1 else ''} it"
+                f" may read ring[head] to ring[head + {count - 1}]; fill up the taps with zeros",
+                path=path,
+            )
         # its force appears in no transfer function; the coupling monitors it at run time
         return compiled
     h1 = compiled.h1

@@ -87,7 +87,8 @@ def read_bag(path: Path, columns: Mapping[str, Sequence[str]]) -> tuple[ForeignT
         raise
     # rosbags raises many kinds for a damaged bag.
     except Exception as error:
-        raise RecordError(f"{path}: cannot be read as a ROS bag: {error}") from error
+        text = " ".join(str(error).split())  # of a broken metadata.yaml it has several lines
+        raise RecordError(f"{path}: cannot be read as a ROS bag: {text}") from error
 
 
 def _table(path: Path, bag: Any, columns: Mapping[str, Sequence[str]]) -> tuple[ForeignTable, Any]:

@@ -134,6 +134,8 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         reader: Callable[[Path], ForeignTable] = lambda file: _read_text(file, decimal_comma)  # noqa: E731
     elif suffix in _READERS:
         reader = _READERS[suffix]
+    elif path.is_dir():
+        raise RecordError(f"{path}: is a folder without metadata.yaml, so it is no ROS bag")
     else:
         known = ", ".join(TABLES)
         raise RecordError(f"{path}: the suffix {suffix!r} is no table read here; read are {known}")

@@ -6,6 +6,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -264,7 +265,9 @@ def hand_path(
         given = "needs rate or time" if rate is None else "takes rate or time, not both"
         raise UsageError(f"hand_path: {given}")
     if time is None:
-        if rate is None or not SLOWEST <= rate <= FASTEST:
+        if not isinstance(rate, Real):
+            raise UsageError(f"rate {rate!r} is no number of points per second")
+        if not SLOWEST <= rate <= FASTEST:
             raise UsageError(f"rate {rate:g} Hz; expected {SLOWEST:g} to {FASTEST:g} Hz")
         at = np.arange(len(where)) / rate
     else:

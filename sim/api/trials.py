@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from messages.errors import UsageError
-from nodes.cli.dispatch import refuse_unwritable
 from sim.api.laws import plain
 from sim.studies.notebook_results import Result, figure_of, new_figure, pandas
 
@@ -265,9 +264,13 @@ def trials(
     made = TrialTable(named, blocks, seed, plan, out=None if out is None else Path(out))
     if made.out is not None:
         # Before the first trial, not behind it.
-        refuse_unwritable(made.out, "out")
-        if made.out.exists():
-            made.rows += _read(made.out, made)
+        try:
+            made.out.parent.mkdir(parents=True, exist_ok=True)
+            with made.out.open("a"):
+                pass
+        except OSError as error:
+            raise UsageError(f"trials: out: {error}; choose another file") from error
+        made.rows += _read(made.out, made)
     return made
 
 
@@ -292,7 +295,6 @@ def _by_name(
 
 
 def _append(path: Path, row: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
     begins = not path.exists() or not path.stat().st_size
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(row))

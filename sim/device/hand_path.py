@@ -137,4 +137,8 @@ def _in_a_launch_file(text: str) -> str:
     """Return an error's text with the options of ``bag import`` as fields of a hand."""
     text = re.sub(r"--(columns|units) (\w+)=([^\s,;?]+)", r"\1: {\2: \3}", text)
     text = re.sub(r" --ignore-times", "", text)
+    text = text.replace(
+        "read it as a number with --decimal-comma",
+        "make a recording of it, which file: reads too, with haptic bag import --decimal-comma",
+    )
     return re.sub(r"--rate HZ", "rate: HZ", text).replace(", or time=s if it is", ", or s")

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -27,8 +28,15 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.base.kept_line import ERASE
 from nodes.cli import main
 from nodes.cli.completion import candidates
+from nodes.cli.launch import _into
 from nodes.cli.main import VERBS, coloured
+from nodes.cli.param import _struct_of
 from nodes.cli.status_line import ORDER, PRIORITY, fitted
+from nodes.coupling.parameters import CouplingParameters, PlantParameters
+from nodes.launcher.launch_file import read as read_launch
+from nodes.laws.multi_term import MultiTerm
+from nodes.parameters.describe import names_below
+from nodes.recording.logger import file_of
 from nodes.recording.reader import Recording
 from tests.support import slowly
 from tests.support.launching import (
@@ -180,7 +188,9 @@ def test_param_describe(launch: Running) -> None:
     assert found["parameters"]["memory"]["limits"] == "at least 2, at most 1e+06"
     assert found["parameters"]["memory"]["default"] == 2048
     assert found["parameters"]["stability"]["type"] == "one of changes, off, refuse, warn"
-    assert found["parameters"]["plant"]["type"] == "parameters or null"
+    assert found["parameters"]["plant"]["type"] == "parameters or nothing"
+    done = typed(launch, "param", "set", "coupling", "laws.pd.stiffness=900", code=2)
+    assert "did you mean laws.pd.stiffness 900?" in done.stderr
     text = typed(launch, "param", "describe", "environment").stdout
     assert "surface.position: number" in text
     assert "[" in typed(launch, "param", "describe", "driver").stdout
@@ -201,6 +211,44 @@ def test_every_parameter_of_every_node_is_described(launch: Running) -> None:
         for name, one in found.items():
             assert one["type"] != "anything", f"{node}.{name}"
             assert one["meaning"], f"{node}.{name}"
+
+
+@pytest.mark.parametrize("name", ["laws.aside", "laws.preset", "plant", "laws", "law"])
+def test_a_branch_describes_what_is_below_it(name: str) -> None:
+    laws = {"aside": {"kind": "pd", "stiffness": 900.0}, "preset": "paper_optimum"}
+    below = names_below(CouplingParameters, {"law": "pd", "laws": laws}, name, _struct_of)
+    fields = {
+        "laws.aside": ["stiffness", "damping"],
+        "laws.preset": [field.encode_name for field in msgspec.structs.fields(MultiTerm)],
+        "plant": [field.encode_name for field in msgspec.structs.fields(PlantParameters)],
+        "laws": ["aside", "preset"],
+        "law": [],
+    }[name]
+    assert below == [f"{name}.{field}" for field in fields]
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--replay", "run.mcap", "--foxglove"], "haptic bag export run.mcap --format foxglove"),
+        (["--replay", "run.mcap", "--foxglove", "9000"], "--foxglove serves a running launch"),
+    ],
+)
+def test_a_replay_refuses_what_it_would_not_serve(
+    words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["view", *words]) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_out_dir_names_a_chain_once(tmp_path: Path) -> None:
+    launch = _into(read_launch("two_hands", {}), tmp_path)
+    names = {
+        file_of(s.parameters["path"], "run", n)
+        for n, s in launch.nodes.items()
+        if s.kind == "logger"
+    }
+    assert names == {str(tmp_path / f"run-{chain}.mcap") for chain in ("left", "right")}
 
 
 def test_launch_shows_its_arguments_by_s(capsys: pytest.CaptureFixture[str]) -> None:

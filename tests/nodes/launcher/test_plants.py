@@ -271,3 +271,18 @@ def test_a_plant_that_flatters_the_device_is_refused_while_it_runs() -> None:
     node.prepare_forced(node.store.changed({"plant.mass": 10.0}))
     # A page moves a virtual device's own delay, which it tells the judge first.
     node.prepare(node.store.changed({"plant.device_delay": 1.0}))(0)
+
+
+def test_what_was_before_is_judged_on_the_plant_of_before() -> None:
+    def told(change: dict[str, Any]) -> dict[str, Any]:
+        node = coupling()
+        found: dict[str, Any] = node.prepare_forced(node.store.changed(change))(0)["stability"]
+        return found
+
+    # Of a change of the law alone the plant of before is that of now.
+    rendered = told({"laws.pd.stiffness": 700.0})["was_pole_radius"]
+    heavier = told({"plant.mass": 0.4})
+    assert heavier["was_pole_radius"] == rendered != heavier["pole_radius"]
+    aside = told({"laws.aside.stiffness": 700.0})["was_pole_radius"]
+    both = told({"laws.aside.stiffness": 700.0, "plant.mass": 0.4})
+    assert both["was_pole_radius"] == {"aside": aside, "pd": rendered}[both["law"]]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -82,3 +82,28 @@ def test_code_that_cannot_be_made_for_an_axis_is_refused() -> None:
         match=r"law: its own code cannot be made for an axis: RuntimeError: no axis 0",
     ):
         compile_law(Broken(), 0.002)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.parametrize("far", [-1, 0, 1, 2, 6, 7, 400])
+@pytest.mark.parametrize("how", ["index", "slice"])
+def test_own_code_reads_no_further_than_its_taps_or_is_refused(
+    count: int, far: int, how: str
+) -> None:
+    def own(ring: Any, head: int) -> float:
+        if ring[head] <= 0.0:
+            return 0.0  # at rest it reads nothing else
+        return float(ring[head + far] if how == "index" else ring[head + far : head + far + 1][0])
+
+    class Far(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
+        kind: ClassVar[str] = "far"
+
+        def compile(self, _period: float) -> CompiledLaw:
+            return CompiledLaw((100.0, *(count - 1) * [0.0]), evaluate=own)
+
+    if 0 <= far < count:
+        assert compile_law(Far(), 0.002).evaluate is own
+        return
+    place = f"ring[head {'+' if far > 0 else '-'} {abs(far)}]"
+    with pytest.raises(LawRefusedError, match=re.escape(f"law: its own code reads {place}, but")):
+        compile_law(Far(), 0.002)

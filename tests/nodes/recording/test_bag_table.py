@@ -163,3 +163,11 @@ def test_our_own_bag_returns_what_it_holds(tmp_path: Path) -> None:
     was, now = read(source), read(found.path)
     for column in ("seq", "stamp", "time", "position", "force", "proxy", "force_asked"):
         np.testing.assert_array_equal(was[column], now[column], err_msg=column)
+
+
+def test_a_folder_that_is_no_bag_and_a_broken_one_are_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"without metadata\.yaml, so it is no ROS bag$"):
+        import_table(tmp_path, tmp_path / "out.mcap")
+    (tmp_path / "metadata.yaml").write_text(":\n- [", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"^[^\n]* cannot be read as a ROS bag: [^\n]*$"):
+        import_table(tmp_path, tmp_path / "out.mcap")

@@ -16,6 +16,7 @@ import haptic
 import numpy as np
 import pytest
 
+from messages.errors import UsageError
 from nodes.launcher.launch_file import read as read_scene
 from nodes.laws.fir import FIR
 from nodes.laws.pd import PD
@@ -333,3 +334,26 @@ def test_a_program_that_ends_leaves_nothing(place: Path, end: str) -> None:
             program.stdout.close()
         wait_for(lambda: not processes_of(folder), "the end of the launch")
         assert_nothing_left(folder)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: haptic.compare(["pd"]), r"e\.g\. haptic\.PD\(stiffness="),
+        (lambda: haptic.play("floor_drop", law="pd_filterd"), "did you mean pd_filtered"),
+        (lambda: haptic.play("floor_drop", law=haptic.PD), r"did you mean haptic\.PD\(stiffness="),
+        (lambda: haptic.play("floor_drop", params=["x"]), "params: expected a mapping"),  # type: ignore[arg-type]
+        (lambda: haptic.play("floor_drop", without=[3]), "without: expected names"),  # type: ignore[list-item]
+        (lambda: haptic.play("floor_drop", without="loger"), "no node 'loger'.*mean logger"),
+    ],
+)
+def test_a_newcomers_mistake_names_the_way_out(call: Any, text: str) -> None:
+    with pytest.raises((UsageError, ParameterError, TypeError), match=text):
+        call()
+
+
+def test_one_node_is_left_out_by_its_name() -> None:
+    whole = haptic.play("floor_drop", duration=0.1)
+    np.testing.assert_array_equal(
+        haptic.play("floor_drop", duration=0.1, without="logger").position_m, whole.position_m
+    )

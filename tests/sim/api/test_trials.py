@@ -155,3 +155,73 @@ def test_a_staircase_refuses_what_it_cannot_do() -> None:
             haptic.Staircase(**bad)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="a threshold needs two"):
         _ = haptic.Staircase(1.0).threshold
+
+
+def test_names_that_look_like_numbers_are_read_again_as_names(tmp_path: Path) -> None:
+    names, out = ["007", "1e3", "True", "nan", "1_0"], tmp_path / "deep" / "trials.csv"
+    first = haptic.trials(names, out=out)
+    for trial in list(first)[:3]:
+        first.record(trial, 1.5)
+    again = haptic.trials(names, out=out)
+    assert again.rows == first.rows
+    assert len(list(again)) == 2
+
+
+@pytest.mark.parametrize(
+    ("kept", "text"),
+    [
+        ("trial,block,condition,stiffness,outcome\n1,1", "row 1 has other columns"),
+        ("trial,block,condition,stiffness,outcome\n1,1,a,500,2,3\n", "row 1 has other columns"),
+        ("trial,block,condition,stiffness,outcome\n1,1,a,600,2\n", "stiffness 600, this plan 500"),
+    ],
+)
+def test_a_cut_file_and_that_of_a_changed_condition_are_refused(
+    kept: str, text: str, tmp_path: Path
+) -> None:
+    (tmp_path / "trials.csv").write_text(kept, encoding="utf-8")
+    with pytest.raises(UsageError, match=text):
+        haptic.trials({"a": {"stiffness": 500}}, out=tmp_path / "trials.csv")
+
+
+def test_an_empty_file_gets_its_first_line(tmp_path: Path) -> None:
+    out = tmp_path / "trials.csv"
+    out.touch()
+    haptic.trials(["a"], out=out).run(lambda _: 1)
+    assert len(haptic.trials(["a"], out=out).rows) == 1
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path, tmp_path / "file" / "trials.csv"):
+        with pytest.raises(UsageError, match="choose another file"):
+            haptic.trials(["a"], out=out)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "options", "text"),
+    [
+        ("soft", {}, "expected names of conditions"),
+        (["a", "a"], {}, "'a' is named twice"),
+        ({"a": 5}, {}, "expected a mapping of what differs"),
+        (["a"], {"blocks": 2.5}, "blocks 2.5: expected a whole number"),
+        (["a"], {"repeats": "2"}, "repeats '2': expected a whole number"),
+    ],
+)
+def test_what_is_no_plan_is_refused(conditions: Any, options: Any, text: str) -> None:
+    with pytest.raises(UsageError, match=text):
+        haptic.trials(conditions, **options)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"value": "100"},
+        {"value": math.inf},
+        {"down": 1.5},
+        {"reversals": 2.5},
+        {"factor": math.inf},
+    ],
+)
+def test_a_staircase_that_could_not_end_is_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=f"{next(iter(bad))} {next(iter(bad.values()))!r}"):
+        haptic.Staircase(**{"value": 100.0} | bad)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import haptic
 import numpy as np
 import pytest
 
+from messages.errors import UsageError
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.parameters.store import ParameterError, convert
@@ -246,3 +248,27 @@ def test_an_array_is_a_path(tmp_path: Path) -> None:
     ):
         with pytest.raises(haptic.HapticError, match=words):
             haptic.hand_path(**given)
+
+
+def test_a_file_is_a_hand_in_python_as_in_a_launch_file(tmp_path: Path) -> None:
+    path = tmp_path / "hand.csv"
+    rows = [(0.004 * i, 1e-3 * math.sin(0.02 * i)) for i in range(250)]
+    path.write_text("t,position\n" + "".join(f"{t!r},{x!r}\n" for t, x in rows), "utf-8")
+    times, where = zip(*rows, strict=True)
+    hand = haptic.hand_path(path)
+    assert hand == haptic.hand_path(where, time=times)
+
+    def played(own: Any) -> Any:
+        device = {"hand": {"repeat": None, **own}}
+        return haptic.play("wall_press", duration=0.5, params={"driver": {"device": device}})
+
+    assert np.ptp(played(hand).position_m) > 1e-4
+    in_a_file = played({"path": [], "file": str(path)})
+    np.testing.assert_array_equal(played(hand).position_m, in_a_file.position_m)
+    with pytest.raises(UsageError, match="columns and units are of a file"):
+        haptic.hand_path(where, time=times, units="mm")
+    with pytest.raises(UsageError, match=r"hand_path: .*No such file"):
+        haptic.hand_path(tmp_path / "none.csv")
+    path.write_text("t;position\n0,000;0,0\n0,004;0,1\n", "utf-8")
+    with pytest.raises(UsageError, match="with haptic bag import --decimal-comma"):
+        haptic.hand_path(path)
