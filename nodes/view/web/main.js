@@ -112,7 +112,7 @@ const link = new Link({
     page.start(found);
     sing.start(found);
     // What cannot act on a recording is not there.
-    $("tour-begin").hidden = $("dial").closest(".ask").hidden = found.replay;
+    $("tour-begin").hidden = document.querySelector(".question").hidden = $("ramp").closest(".row").hidden = found.replay;
     $("replay").hidden = !found.replay;
     replay.start(found);
     if (found.replay && Number.isFinite(wanted.time ?? NaN)) {

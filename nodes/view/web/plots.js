@@ -264,7 +264,7 @@ function entry(tint, label) {
 // Widens at once and narrows slowly, so that the axis does not flicker.
 function calm(range, low, high) {
   if (low === null || high === null || !Number.isFinite(low)) return [range.low ?? -1, range.high ?? 1];
-  const margin = Math.max((high - low) * 0.08, Math.abs(high) * 1e-3, 1e-6);
+  const margin = Math.max((high - low) * 0.08, Math.abs(high) * 1e-3, 1e-4); // what its labels have room for
   low -= margin; high += margin;
   range.low = range.low === null || low < range.low ? low : range.low + (low - range.low) * 0.03;
   range.high = range.high === null || high > range.high ? high : range.high + (high - range.high) * 0.03;

@@ -141,6 +141,12 @@ def test_it_opens_in_a_browser_without_us_at_the_time_of_its_link(page: Path) ->
         opened.wait_for_function("haptic.scene.now?.t === 2.5")
         assert opened.locator("#play").text_content() == "Play"
         assert not opened.locator("#dial").is_visible()
+        # Nothing empty stands above the scene, and nothing asks for what a recording cannot do.
+        above = "document.querySelector('.felt').getBoundingClientRect().top"
+        assert opened.evaluate(f"{above} - document.querySelector('.first').offsetTop") < 1.0
+        opened.locator("#lab > summary").click()
+        assert not opened.locator("#ramp").is_visible()
+        opened.locator("#lab > summary").click()
         seek: Any = opened.locator("#seek")
         seek.evaluate(
             "s => { s.value = 1.5; s.dispatchEvent(new Event('input'));"

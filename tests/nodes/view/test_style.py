@@ -10,8 +10,8 @@ import pytest
 import nodes.view
 
 _STYLE = (Path(nodes.view.__file__).parent / "web" / "style.css").read_text(encoding="utf-8")
-TEXT = ["ink", "soft", "device", "proxy", "force", "target", "beside", "good", "warn", "bad"]
-ON_THE_WALL = ("soft", "force", "target", "beside")  # names, arrows and figures of the scene
+TEXT = ["ink", "soft", "device", "proxy", "force", "target", "beside-ink", "good", "warn", "bad"]
+ON_THE_WALL = ("soft", "force", "target", "beside-ink")  # names, arrows and figures of the scene
 LEAST = 4.5  # WCAG 2.2, 1.4.3 (AA), of normal text
 
 
