@@ -41,9 +41,10 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     name : str
-        Parameter path of the shape or region.
+        Parameter path of the shape or region; of several regions where they overlap.
     stiffness, damping : float
-        Factors of the law's force at rest, and of the rest of the law; at most 1.
+        Factors of the law's force at rest, and of the rest of the law; at most 1, but for lines
+        that overlap.
     lag : float
         Time by which the proxy trails behind the device [s]; 0 for one that does not.
     line : bool

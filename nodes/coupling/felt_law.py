@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import zip_longest
 
 from nodes.base.setup import Effect
 from nodes.coupling.law_on_axis import still_of
@@ -30,7 +31,15 @@ def felt_laws(law: CompiledLaw, effect: Effect, period: float) -> list[CompiledL
     scaled = factored(law, effect.stiffness, effect.damping)
     if effect.lag == 0.0:
         return [scaled]
+    if effect.line:  # a viscous region and a line: the sum of both
+        return [added(trailing(law, part * effect.lag, period), scaled) for part in LAGS]
     return [trailing(scaled, part * effect.lag, period) for part in LAGS]
+
+
+def added(law: CompiledLaw, other: CompiledLaw) -> CompiledLaw:
+    """Return the sum of two laws."""
+    taps = zip_longest(law.taps, other.taps, fillvalue=0.0)
+    return CompiledLaw(tuple(a + b for a, b in taps), law.sections + other.sections)
 
 
 def factored(law: CompiledLaw, stiffness: float, damping: float) -> CompiledLaw:
@@ -97,9 +106,11 @@ def effective(law: CompiledLaw, effect: Effect, period: float) -> str:
     They are those of slow motion: the force at rest, and the first derivative in the frequency.
     """
     stiffness, slope = _slow(law, period)
-    if effect.lag > 0.0:
-        return f"K 0 N/m, B {effect.stiffness * stiffness * effect.lag:.3g} N s/m"
-    text = f"K {effect.stiffness * stiffness:.4g} N/m, B {effect.damping * slope:.3g} N s/m"
+    drag = stiffness * effect.lag
+    if effect.lag > 0.0 and not effect.line:
+        return f"K 0 N/m, B {effect.stiffness * drag:.3g} N s/m"
+    slope = effect.damping * slope + drag
+    text = f"K {effect.stiffness * stiffness:.4g} N/m, B {slope:.3g} N s/m"
     if effect.line:
         text += f", and −{effect.stiffness * stiffness:.4g} N/m from half its reach on"
     return text

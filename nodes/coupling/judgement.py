@@ -123,7 +123,7 @@ class Judgement:
         for effect in self._effects:
             for felt in felt_laws(law, effect, self._period):
                 for plant in plants:
-                    verdict = judge(felt, plant, effect.lag > 0.0)
+                    verdict = judge(felt, plant, effect.lag > 0.0 and not effect.line)
                     if verdict is not None and not verdict.stable:
                         return replace(verdict, felt=effect.name)
         return worst

@@ -21,6 +21,7 @@ from nodes.environment.shapes.tables import (
     LOST,
     NORMAL,
     ON,
+    PASSED,
     PLACED,
     PROXY,
 )
@@ -65,8 +66,9 @@ def meet(
     met[6] = memory[DISTANCE]
     met[8] = memory[INSIDE]
     met[9], met[10] = memory[FELT_AS], memory[FELT_AS + 1]
-    # Lost, or back; or pinched by a shape that moves, and free of it.
+    # Lost, or back; or pinched by a shape that moves, and free of it or passed by it.
     jumped = was_lost != (memory[PLACED] == LOST) or (was_on and memory[INSIDE] > inside)
+    jumped = jumped or memory[PASSED] == 1.0
     met[7] = 1.0 if jumped else 0.0
     return contact
 

@@ -273,7 +273,8 @@ class Environment(Node):
         where = f"{self.setup.name}.surface"
         offset: Vector = convert(position, Vector, f"{where}.position")
         movers = parse_surface(self.store.current.surface, where).movers()
-        if shape not in movers or isinstance(shape, bool):
+        is_number = isinstance(shape, (int, float)) and not isinstance(shape, bool)
+        if not is_number or shape not in movers:
             known = ", ".join(map(str, movers)) or "none"
             raise ParameterError(
                 f"shape {shape!r} does not move to a topic; shapes that do: {known}"

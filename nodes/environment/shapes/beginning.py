@@ -14,6 +14,7 @@ from nodes.environment.shapes.tree import mesh_gap, mesh_winding
 
 _SHALLOW = 5e-4  # depth up to which the tool begins on the nearest surface [m]
 _MOST_ROUNDS = 200
+_STUCK = 0.95  # part of the depth left by the second half of the rounds above which none comes out
 
 
 def shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float) -> Vector4:
@@ -56,15 +57,26 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
             memory[mode] = t.UNFELT
             inside += 1.0
     memory[t.INSIDE] = inside
-    for _ in range(_MOST_ROUNDS):
-        deepest, nx, ny, nz = -t.TOUCH, 0.0, 0.0, 1.0
+    rounds, halfway = 0, 0.0
+    while True:
+        deepest, which, nx, ny, nz = -t.TOUCH, 0, 0.0, 0.0, 1.0
         for n in range(shapes):
             if memory[t.LAST + shapes + n] == t.FELT:
                 away, px, py, pz = shape_gap(scene, memory, n, x, y, z)
                 if away < deepest:
-                    deepest, nx, ny, nz = away, px, py, pz
+                    deepest, which, nx, ny, nz = away, n, px, py, pz
         if deepest >= -t.TOUCH:
             break
+        rounds += 1
+        if rounds == _MOST_ROUNDS // 2:
+            halfway = deepest
+        if rounds == _MOST_ROUNDS:
+            if deepest > _STUCK * halfway:
+                break  # in a narrow wedge it comes out more slowly
+            # No place is outside of all: the tool does not fit between them.
+            memory[t.LAST + shapes + which], rounds = t.UNFELT, 0
+            memory[t.INSIDE] += 1.0
+            continue
         x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz
     memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
 

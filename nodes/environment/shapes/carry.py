@@ -13,13 +13,18 @@ from math import sqrt
 from messages.types import Vector
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.beginning import shape_gap
+from nodes.environment.shapes.convex import convex_hit
 from nodes.environment.shapes.tables import Memory, MovingTable, Table
+from nodes.environment.shapes.tree import mesh_hit
+
+_LONGEST = 0.01  # time that a shape makes up at once after ticks without a position [s]
 
 
 def advance(scene: MovingTable, memory: Memory) -> int:
     """Choose the step of each moving shape in this tick. Return how many shapes move.
 
-    At a start, and after a jump, they stand where they should be at once: none moves.
+    At a start, and after a jump, they stand where they should be at once: none moves. After missing
+    ticks they make up `_LONGEST` at most, and lag behind.
     """
     ticks = memory[t.NOW] - memory[t.BEFORE]
     if memory[t.PLACED] != t.ON or ticks <= 0.0:
@@ -27,19 +32,19 @@ def advance(scene: MovingTable, memory: Memory) -> int:
     memory[t.BEFORE], memory[t.TICKS] = memory[t.NOW], ticks
     if scene[t.MOVERS] == 0.0:
         return 0
-    shapes = int(scene[t.SHAPES])
+    shapes, period = int(scene[t.SHAPES]), scene[t.CALL_PERIOD]
+    span = max(min(ticks * period, _LONGEST), period)
     for n in range(shapes):
         row = t.ROWS + t.ROW * n
         if scene[row + t.SPEED] == 0.0:
             continue
-        gx, gy, gz = _aim(scene, row, memory[t.NOW] * scene[t.CALL_PERIOD])
+        gx, gy, gz = _aim(scene, row, memory[t.NOW] * period)
         on = row + t.SHIFT
         dx, dy, dz = gx - scene[on], gy - scene[on + 1], gz - scene[on + 2]
         if ticks == 0.0:
             scene[on], scene[on + 1], scene[on + 2] = gx, gy, gz
             dx = dy = dz = 0.0
         else:
-            span = ticks * scene[t.CALL_PERIOD]
             length, most = sqrt(dx * dx + dy * dy + dz * dz), scene[row + t.SPEED] * span
             if length > most:
                 dx, dy, dz = dx * (most / length), dy * (most / length), dz * (most / length)
@@ -147,10 +152,22 @@ def begin_carry(scene: MovingTable, memory: Memory, n: int) -> bool:
     return carries
 
 
-def end_carry(scene: Table, memory: Memory, n: int) -> None:
-    """Feel a shape again that has carried the proxy; place a pinched proxy anew."""
+def end_carry(scene: Table, memory: Memory, n: int, tx: float, ty: float, tz: float) -> None:
+    """Feel a shape again that has carried the proxy towards a place; note where it could not.
+
+    A proxy inside of it is placed anew. One on its other side, of a sheet or a plate thinner than
+    the step, has been passed: that is a jump.
+    """
     memory[t.LAST + int(scene[t.SHAPES]) + n], memory[t.TOUCHED] = t.FELT, 0.0
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
     if away < -t.TOUCH:
         memory[t.PLACED] = t.CARRIED
+    elif x != tx or y != ty or z != tz:
+        row, sx, sy, sz = t.ROWS + t.ROW * n, x - tx, y - ty, z - tz
+        if scene[row + t.KIND] == t.MESH:
+            part, _, _, _, _ = mesh_hit(scene, row, tx, ty, tz, sx, sy, sz)
+        else:
+            part, _, _, _ = convex_hit(scene, row, tx, ty, tz, sx, sy, sz)
+        if part < 1.0:
+            memory[t.PASSED] = 1.0

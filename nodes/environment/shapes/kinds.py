@@ -14,6 +14,7 @@ from nodes.base.setup import Axis, Effect
 from nodes.environment.meet import Numbers
 from nodes.environment.shapes import scene
 from nodes.environment.shapes.motion_parameters import MotionParameters, motion_of
+from nodes.environment.shapes.region_overlap import overlap_effects
 from nodes.environment.shapes.scene import WHOLE, Factors, FeltRegion, Friction, Solid
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import Surface, parse_surface
@@ -388,8 +389,17 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return [region for at, part in self._parts(where) for region in part.regions(at)]
 
     def effects(self, where: str) -> list[Effect]:
-        """Return what all shapes do to a law."""
-        return [effect for at, part in self._parts(where) for effect in part.effects(at)]
+        """Return what all shapes do to a law, and regions where several of them act."""
+        found: list[Effect] = []
+        regions: list[FeltRegion] = []
+        acting: list[Effect] = []
+        for at, part in self._parts(where):
+            effects, own = part.effects(at), part.regions(at)
+            found += effects
+            if own:
+                regions += own
+                acting += effects
+        return found + overlap_effects(regions, acting)
 
     def movers(self) -> dict[int, int]:
         """Return the shapes that a topic moves: place in `shapes` to place among solids."""

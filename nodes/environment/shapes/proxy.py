@@ -55,7 +55,7 @@ def meet(scene: MovingTable, memory: Memory, x: float, y: float, z: float) -> No
 
     Shapes that move do so first, for the tick that the node noted in `memory`.
     """
-    memory[t.ROUNDS] = 0.0
+    memory[t.ROUNDS] = memory[t.PASSED] = 0.0
     if not (abs(x) < _FAR and abs(y) < _FAR and abs(z) < _FAR):
         if memory[t.PLACED] == t.ON:
             memory[t.PLACED] = t.LOST
@@ -88,7 +88,7 @@ def meet(scene: MovingTable, memory: Memory, x: float, y: float, z: float) -> No
         # Called at one place only: numba inlines it, and it is the largest part.
         held = _descend(scene, memory, tx, ty, tz, turn == 0)
         if turn < 0:
-            end_carry(scene, memory, carrier)
+            end_carry(scene, memory, carrier, tx, ty, tz)
             tx, ty, tz = gx, gy, gz
             continue
         if trying:

@@ -110,7 +110,8 @@ WAKE: Final = NOW + 8  # where a viscous region holds the proxy (3) [m]
 GOAL: Final = NOW + 11  # where the proxy would be without shapes (3) [m]
 ENERGY: Final = NOW + 14  # energy that moving shapes have put into the device [J]
 MOST_POWER: Final = NOW + 15  # largest power of it in a tick [W]
+PASSED: Final = NOW + 16  # 1 if a shape that moves went past a proxy that something held
 # nearest triangle of the last call for each shape; behind them the mode of each shape
-LAST: Final = NOW + 16
+LAST: Final = NOW + 17
 # felt; not felt until the tool is outside; kept in contact during a jump (before placing)
 FELT, UNFELT, HELD = 0.0, 1.0, 2.0

@@ -112,11 +112,14 @@ def _prepared(arguments: argparse.Namespace) -> tuple[RecordedScene, Any, str]:
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.recorded_scene import rebuild
+    from sim.play.launched import NotOneAxisError
 
     name = arguments.model
     if name in (None, "declared"):
         try:
             return rebuild(arguments.file), None, "declared"
+        except NotOneAxisError:
+            raise  # no model of the device makes it one
         except ValueError:
             if name is not None:
                 raise

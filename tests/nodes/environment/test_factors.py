@@ -17,6 +17,8 @@ from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer
+from nodes.environment.shapes.convex import gap
+from nodes.environment.shapes.tables import ROW, ROWS
 from nodes.environment.surfaces import parse_surface, surface_effects
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError, convert
@@ -208,6 +210,64 @@ def test_a_law_is_judged_as_it_is_felt() -> None:
         ParameterError, match=r"pole radius 1\.0.*as it is felt at s\[3\].*law itself"
     ):
         judgement.at_start(parameters, 1.0)
+
+
+def test_regions_that_overlap_are_judged_together() -> None:
+    """Two lines that cross pull with twice the law; a law beyond half of its bound is refused."""
+    line = {"kind": "magnetic_line", "reach": 0.01}
+    lines = [
+        {**line, "start": [-1, 0, 0], "end": [1, 0, 0]},
+        {**line, "start": [0, -1, 0], "end": [0, 1, 0]},
+        {**line, "start": [-1, 0, 0.5], "end": [1, 0, 0.5]},
+    ]
+    within = {"kind": "sphere", "position": [0.5, 0, 0], "radius": 0.1}
+    ball = {"kind": "viscosity", "within": within, "time": 0.01}
+    surface = {"kind": "union", "shapes": [*lines, ball]}
+    effects = surface_effects(surface, "s")
+    assert effects[4:] == [
+        Effect(name="s.shapes[0] with s.shapes[1]", stiffness=2.0, damping=2.0, line=True),
+        Effect(name="s.shapes[0] with s.shapes[3]", lag=0.01, line=True),
+    ]
+    # It is what a device feels: above the crossing, both pull it down.
+    felt = Touched(surface)
+    deflection, _ = felt.at((0.0, 0.0, 0.003))
+    assert deflection == pytest.approx([0.0, 0.0, -0.006], abs=1e-12)
+    law = {"kind": "pd", "stiffness": 1500.0, "damping": 20.0}
+    judgement, parameters = judged(law, effects[:4])
+    assert judgement.at_start(parameters, 1.0) == []
+    judgement, parameters = judged(law, effects)
+    assert "K 3000 N/m" in judgement.of_effects(parameters)[4]
+    assert "B 35 N s/m" in judgement.of_effects(parameters)[5]
+    with pytest.raises(ParameterError, match=r"s.shapes\[0\] with s.shapes\[1\]"):
+        judgement.at_start(parameters, 1.0)
+
+
+@given(st.integers(0, 2**31))
+def test_no_place_has_more_than_the_regions_that_are_judged_together(seed: int) -> None:
+    """Sampled places of random regions against the sums of `surface_effects`."""
+    random = np.random.default_rng(seed)
+    shapes: list[dict[str, Any]] = []
+    for _ in range(int(random.integers(2, 9))):
+        a, b = random.uniform(-0.05, 0.05, (2, 3)).tolist()
+        turn, size = random.uniform(-3.0, 3.0, 3).tolist(), random.uniform(0.01, 0.06, 3).tolist()
+        within: dict[str, Any] = [
+            {"kind": "sphere", "position": a, "radius": size[0]},
+            {"kind": "box", "position": a, "size": size, "rotation": turn},
+            {"kind": "capsule", "start": a, "end": b, "radius": size[0]},
+            {"kind": "cylinder", "start": a, "end": b, "radius": size[0]},
+            {"kind": "oriented_plane", "position": a, "normal": b},
+        ][random.integers(5)]
+        shapes.append({"kind": "viscosity", "within": within, "time": 0.01})
+    surface = {"kind": "union", "tool_radius": 0.0, "shapes": shapes}
+    parsed = parse_surface(surface, "s")
+    numbers = parsed.numbers(T)
+    assert numbers is not None
+    most = max(one.lag for one in parsed.effects("s"))
+    for place in random.uniform(-0.08, 0.08, (20, 3)).tolist():
+        acting = sum(
+            gap(numbers.table, ROWS + ROW * n, *place)[0] < -1e-9 for n in range(len(shapes))
+        )
+        assert 0.01 * acting <= most + 1e-12
 
 
 @given(st.floats(0.05, 1.0), st.floats(0.05, 1.0))

@@ -78,14 +78,52 @@ def test_a_pinched_proxy_is_free_until_it_is_outside() -> None:
     wall = {"kind": "box", "position": [0.0, 0.0, 0.055], "size": [0.2, 0.2, 0.1]}
     felt = Touched({"kind": "union", "tool_radius": 0.0, "shapes": [tile(along(path)), wall]})
     told = []
-    for _ in range(250):
+    for k in range(250):
         deflection, _ = felt.at((0.0, 0.0, 0.004))
-        assert np.isfinite(deflection).all()
+        # It is never pushed into both: until one is free, it is outside of each.
+        top = float(np.interp(k * T, [row[0] for row in path], [row[3] for row in path]))
+        if not felt.numbers.memory[INSIDE]:
+            assert top - 1e-9 <= 0.004 + deflection[2] <= 0.005 + 1e-9
         assert abs(deflection[2]) < 0.011
         told.append((felt.numbers.memory[INSIDE], felt.met[JUMPED]))
     assert max(inside for inside, _ in told) == 1.0
     assert sum(jumped for _, jumped in told) == 1.0  # the coupling eases it
     assert told[-1][0] == 0.0
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.002])
+def test_a_sheet_that_passes_a_held_proxy_is_a_jump(radius: float, tmp_path: Any) -> None:
+    """A device held below the sheet goes through it at a wall: the coupling eases its force."""
+    corners = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3\nf 1 3 4\n"
+    (tmp_path / "sheet.obj").write_text(corners, encoding="ascii")
+    path = [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.02]]
+    sheet = {"kind": "mesh", "file": str(tmp_path / "sheet.obj"), "sides": "both", "scale": 0.1}
+    wall = {"kind": "box", "position": [0.0, 0.0, 0.06], "size": [0.2, 0.2, 0.1]}
+    shapes = [{**sheet, "motion": along(path)}, wall]
+    felt = Touched({"kind": "union", "tool_radius": radius, "shapes": shapes})
+    felt.at((0.0, 0.0, 0.005))
+    last, jumps = 0.0, 0.0
+    for k in range(220):
+        deflection, _ = felt.at((0.0, 0.0, -0.004))
+        jumps += felt.met[JUMPED]
+        if not felt.met[JUMPED] and k > 0:
+            # otherwise the deflection changes as fast as the sheet moves
+            assert abs(deflection[2] - last) <= 0.1 * T + 1e-9
+        last = deflection[2]
+    assert jumps == 1.0
+
+
+def test_after_missing_ticks_a_shape_is_no_faster() -> None:
+    """Half a second without a position: it makes up 10 ms at once, and lags behind its path."""
+    path = [[0.0, 0.0, 0.0, -0.01], [2.0, 0.0, 0.0, 0.19]]
+    felt = Touched(tile(along(path)))
+    for _ in range(50):
+        felt.at((0.0, 0.0, 0.0))
+    felt.seq += 500
+    deflection, _ = felt.at((0.0, 0.0, 0.0))
+    # The motion of this test may be as fast as 1 m/s: 1 cm, in place of 5.
+    assert felt.numbers.table[ROWS + SHIFT + 2] == pytest.approx(-0.01 + 0.0049 + 0.01, abs=1e-12)
+    assert deflection[2] == pytest.approx(0.0049, abs=1.1e-5)
 
 
 @settings(max_examples=40, deadline=None)
