@@ -68,12 +68,17 @@ def done_by(
         while waiting:
             done, waiting = wait(waiting, PERIOD, FIRST_COMPLETED)
             check()
-            for future in done:
+            # Those that failed last: what is done beside them is kept.
+            for future in sorted(done, key=_failed):
                 yield pending[future], _result(future)
     finally:
         # Cancel jobs not yet started, also after Ctrl-C.
         for future in pending:
             future.cancel()
+
+
+def _failed(future: Future[list[R]]) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 def _result(future: Future[list[R]]) -> list[R]:
