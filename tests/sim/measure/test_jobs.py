@@ -155,6 +155,7 @@ class AtOnce(Executor):
     """All jobs are done when the first is waited for, in whatever order a set has."""
 
     def submit(self, job: Any, /, *words: Any, **named: Any) -> Future[Any]:
+        """Run a job at once."""
         future: Future[Any] = Future()
         try:
             future.set_result(job(*words, **named))
