@@ -17,6 +17,7 @@ from nodes.driver.notes import HELD_UP, REFUSED_FIRST
 from nodes.driver.passivity import count_step
 from nodes.driver.response_times import note_response
 from nodes.driver.safety import (
+    REGAIN,
     STALE,
     admit,
     command,
@@ -82,6 +83,12 @@ def lost(s: DriverState, seq: int, late: float) -> None:
         s.has_following = 0
         let_go(s, s.seq, s.written + s.device_hold_ticks)
         note(s, HELD_UP, s.seq, -1, float(s.written))
+    elif not held and s.safety == RAMP:
+        # Nothing is felt meanwhile: it costs the ramp, and what waits has the share from before.
+        s.regained = max(s.regained - REGAIN * ticks, 0.0)
+        s.has_following = 0
+        for i in range(3):
+            s.force[i] = s.handed[i]
     elif s.has_following != 0 and s.seq - s.force_seq > s.max_age:
         s.has_following = 0  # the force for the next deadline is too old by now
         for i in range(3):

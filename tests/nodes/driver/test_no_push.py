@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, seed, settings
+from hypothesis import example, given, seed, settings
 from hypothesis import strategies as st
 
 from messages.codec import Decoder
@@ -336,6 +336,17 @@ def _feels_no_push(
 @seed(int(commit()[:12], 16))
 @settings(max_examples=60)
 @HAPPENINGS
+# Released during a first delay, and again no force during a second one: the ramp went on meanwhile.
+@example(
+    held={},
+    late={14: 49000, 39: 30000},
+    silent=[],
+    outside=[],
+    jumps=[],
+    asked=[1.0],
+    apply="next_tick",
+    slew=None,
+)
 def test_whatever_happens_to_a_driver_its_device_feels_no_push(
     tmp_path: Path, **happens: Any
 ) -> None:
