@@ -41,7 +41,9 @@ class Decoder(Generic[M]):
 
     def __init__(self, message_type: type[M]) -> None:
         self.message_type = message_type
-        self._decode: Callable[[bytes], M] = msgspec.msgpack.Decoder(message_type).decode
+        self._decode: Callable[[bytes], M] = msgspec.msgpack.Decoder(
+            message_type
+        ).decode
 
     def decode(self, payload: bytes) -> M:
         """Decode one `payload`, the second frame of the wire format.
@@ -64,4 +66,6 @@ class Decoder(Generic[M]):
         try:
             return self._decode(payload)
         except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-            raise MessageRefusedError(f"{self.message_type.__name__}: {error}") from error
+            raise MessageRefusedError(
+                f"{self.message_type.__name__}: {error}"
+            ) from error

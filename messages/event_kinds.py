@@ -146,7 +146,8 @@ MARK: Final = "mark"
 
 EVENTS: Final[dict[EventKind, Kind]] = {
     "axes": Kind(
-        "the surface has a force along an axis that the scene does not compute", ("axis",)
+        "the surface has a force along an axis that the scene does not compute",
+        ("axis",),
     ),
     "bodies": Kind(
         "the scene of bodies was loaded, or its tool was reset to the device",
@@ -164,7 +165,9 @@ EVENTS: Final[dict[EventKind, Kind]] = {
         "the device failed, stalled, was identified or was paired with another",
         ("cause", "tick", "from_tick", "apart_m", "align_m_per_s"),
     ),
-    "device_force": Kind("the device itself suppresses forces; `reason` gives the cause"),
+    "device_force": Kind(
+        "the device itself suppresses forces; `reason` gives the cause"
+    ),
     "device_force_back": Kind("the device renders forces again"),
     "device_waits": Kind("the device waits for something outside"),
     "eased": Kind(
@@ -199,7 +202,8 @@ EVENTS: Final[dict[EventKind, Kind]] = {
     "recording": Kind("a recording continues in another file, or failed"),
     "refused": Kind("a message or a changed file was refused"),
     "refused_future": Kind(
-        "a force for a later tick was refused", ("cause", "tick", "refused", "answers_tick")
+        "a force for a later tick was refused",
+        ("cause", "tick", "refused", "answers_tick"),
     ),
     "refused_not_finite": Kind(
         "a force that is not finite was refused",
@@ -228,14 +232,18 @@ EVENTS: Final[dict[EventKind, Kind]] = {
         ),
     ),
     "stability": Kind("the active law is judged unstable, or could not be judged"),
-    "stale": Kind("a ROS 2 message was refused because of its age", ("age_s", "limit_s")),
+    "stale": Kind(
+        "a ROS 2 message was refused because of its age", ("age_s", "limit_s")
+    ),
     "stopped": Kind(
         "the loop generated energy; the driver stopped it until `rearm`",
         (*CHANGE, "limit_n", "strokes", "span_s", "energy_j"),
     ),
     "target": Kind("a ROS 2 target was refused"),
     "tick": Kind("the compiled tick is not available"),
-    "unanswered": Kind("a lockstep tick was not answered and is published again", ("tick",)),
+    "unanswered": Kind(
+        "a lockstep tick was not answered and is published again", ("tick",)
+    ),
     "world": Kind("the world was built, or a law is unsuitable for it"),
     "wrench": Kind("a ROS 2 force was refused"),
 }
@@ -244,7 +252,9 @@ EVENTS: Final[dict[EventKind, Kind]] = {
 _KNOWN: Final[Mapping[str, Kind]] = {str(kind): known for kind, known in EVENTS.items()}
 
 
-def checked_data(kind: EventKind | OtherKind, data: Mapping[str, float]) -> dict[str, float]:
+def checked_data(
+    kind: EventKind | OtherKind, data: Mapping[str, float]
+) -> dict[str, float]:
     """Return the finite numbers in the `data` of an event of a `kind`.
 
     Returns

@@ -76,7 +76,9 @@ def write(topic: str, message: Mapping[str, Any]) -> bytes:
     MessageRefusedError
         As `read`, also for a field that this protocol does not have.
     """
-    full = _checked(topic, _Map((name, _mapped(value)) for name, value in message.items()))
+    full = _checked(
+        topic, _Map((name, _mapped(value)) for name, value in message.items())
+    )
     unknown = sorted(set(message) - set(full))
     if unknown:
         raise MessageRefusedError(f"{topic}: no such field: {', '.join(unknown)}")
@@ -99,10 +101,14 @@ def _checked(topic: str, found: Any) -> dict[str, Any]:
     info = inspect.type_info(kind)
     assert isinstance(info, inspect.StructType)  # noqa: S101  # every message is a struct
     if not isinstance(found, _Map):
-        raise MessageRefusedError(f"{topic}: a map is wanted, this is {type(found).__name__}")
+        raise MessageRefusedError(
+            f"{topic}: a map is wanted, this is {type(found).__name__}"
+        )
     for name, _ in found:
         if not isinstance(name, str):
-            raise MessageRefusedError(f"{topic}: the name of a field is a text, not {name!r}")
+            raise MessageRefusedError(
+                f"{topic}: the name of a field is a text, not {name!r}"
+            )
     named = dict(found)
     full: dict[str, Any] = {}
     for field in info.fields:
@@ -112,7 +118,11 @@ def _checked(topic: str, found: Any) -> dict[str, Any]:
         elif field.required:
             raise MessageRefusedError(f"{topic}: {name} is missing")
         elif field.default is not msgspec.NODEFAULT:
-            full[name] = list(field.default) if isinstance(field.default, tuple) else field.default
+            full[name] = (
+                list(field.default)
+                if isinstance(field.default, tuple)
+                else field.default
+            )
         else:
             full[name] = field.default_factory()
     return full
@@ -128,24 +138,35 @@ def _value(place: str, info: inspect.Type, value: Any) -> Any:
     if isinstance(info, inspect.TupleType):
         vector = isinstance(value, list | tuple) and not isinstance(value, _Map)
         if not vector or len(value) != len(info.item_types):
-            raise MessageRefusedError(f"{place}: {len(info.item_types)} numbers are wanted")
-        return [_value(place, of, one) for of, one in zip(info.item_types, value, strict=True)]
+            raise MessageRefusedError(
+                f"{place}: {len(info.item_types)} numbers are wanted"
+            )
+        return [
+            _value(place, of, one)
+            for of, one in zip(info.item_types, value, strict=True)
+        ]
     if isinstance(info, inspect.DictType):
         if not isinstance(value, _Map) or len(value) > (info.max_length or math.inf):
-            raise MessageRefusedError(f"{place}: a map of at most {info.max_length} is wanted")
+            raise MessageRefusedError(
+                f"{place}: a map of at most {info.max_length} is wanted"
+            )
         return {
             _value(place, info.key_type, name): _value(place, info.value_type, one)
             for name, one in value
         }
     if isinstance(info, inspect.StrType):
         if not isinstance(value, str) or len(value) > (info.max_length or math.inf):
-            raise MessageRefusedError(f"{place}: a text of at most {info.max_length} is wanted")
+            raise MessageRefusedError(
+                f"{place}: a text of at most {info.max_length} is wanted"
+            )
         if not _is_text(value):
             raise MessageRefusedError(f"{place}: this is no UTF-8")
         return value
     if isinstance(info, inspect.BoolType):
         if not isinstance(value, bool):
-            raise MessageRefusedError(f"{place}: true or false is wanted, this is {value!r}")
+            raise MessageRefusedError(
+                f"{place}: true or false is wanted, this is {value!r}"
+            )
         return value
     assert isinstance(info, inspect.IntType | inspect.FloatType)  # noqa: S101  # no other types
     return _number(place, info, value)
@@ -153,11 +174,23 @@ def _value(place: str, info: inspect.Type, value: Any) -> Any:
 
 def _number(place: str, info: inspect.IntType | inspect.FloatType, value: Any) -> float:
     whole = isinstance(info, inspect.IntType)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise MessageRefusedError(f"{place}: a finite number is wanted, this is {value!r}")
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not math.isfinite(value)
+    ):
+        raise MessageRefusedError(
+            f"{place}: a finite number is wanted, this is {value!r}"
+        )
     if whole and not isinstance(value, int):
-        raise MessageRefusedError(f"{place}: a whole number is wanted, this is {value!r}")
+        raise MessageRefusedError(
+            f"{place}: a whole number is wanted, this is {value!r}"
+        )
     number = int(value) if whole else float(value)
-    if (info.ge is not None and number < info.ge) or (info.le is not None and number > info.le):
-        raise MessageRefusedError(f"{place}: {number!r}, limits {info.ge!r} to {info.le!r}")
+    if (info.ge is not None and number < info.ge) or (
+        info.le is not None and number > info.le
+    ):
+        raise MessageRefusedError(
+            f"{place}: {number!r}, limits {info.ge!r} to {info.le!r}"
+        )
     return number

@@ -78,8 +78,15 @@ def _inline(info: msgspec.inspect.Type, path: str) -> dict[str, Any]:
         info.value_type, msgspec.inspect.FloatType
     ):
         # Foxglove reads only the properties of an object, and requires the keyword.
-        known = {name: {"type": "number", "description": meaning} for name, meaning in DATA.items()}
-        return {"type": "object", "properties": known, "additionalProperties": {"type": "number"}}
+        known = {
+            name: {"type": "number", "description": meaning}
+            for name, meaning in DATA.items()
+        }
+        return {
+            "type": "object",
+            "properties": known,
+            "additionalProperties": {"type": "number"},
+        }
     if type(info) not in _SCALARS:
         raise TypeError(
             f"{path}: {type(info).__name__} has no flat JSON schema; use numbers, text, equal"
@@ -101,10 +108,14 @@ def _schema(message_type: type[Message]) -> dict[str, Any]:
         raise TypeError(f"{message_type!r} is not a message type")
     meanings: dict[str, str] = {}
     for base in reversed(message_type.__mro__):
-        meanings.update(attributes(base.__doc__ or "") if issubclass(base, Message) else {})
+        meanings.update(
+            attributes(base.__doc__ or "") if issubclass(base, Message) else {}
+        )
     properties: dict[str, Any] = {}
     for field in info.fields:
-        properties[field.encode_name] = _inline(field.type, f"{message_type.__name__}.{field.name}")
+        properties[field.encode_name] = _inline(
+            field.type, f"{message_type.__name__}.{field.name}"
+        )
         if field.name in meanings:
             properties[field.encode_name]["description"] = meanings[field.name]
         if field.default_factory is not msgspec.NODEFAULT:

@@ -1,6 +1,15 @@
 """Topics and the message type of each."""
 
-from messages.types import DeviceState, Event, Force, Handle, Message, NodeStatus, Proxy, Receipt
+from messages.types import (
+    DeviceState,
+    Event,
+    Force,
+    Handle,
+    Message,
+    NodeStatus,
+    Proxy,
+    Receipt,
+)
 
 __all__ = [
     "DEVICE_STATE",
@@ -28,7 +37,12 @@ PARTNER = "/partner/state"
 LOOP: dict[str, type[Message]] = {DEVICE_STATE: DeviceState, PROXY: Proxy, FORCE: Force}
 """Topics with one message per tick."""
 
-FIXED: dict[str, type[Message]] = {**LOOP, RECEIPT: Receipt, HANDLE: Handle, PARTNER: DeviceState}
+FIXED: dict[str, type[Message]] = {
+    **LOOP,
+    RECEIPT: Receipt,
+    HANDLE: Handle,
+    PARTNER: DeviceState,
+}
 
 
 def status(node: str) -> str:

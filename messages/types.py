@@ -32,7 +32,9 @@ __all__ = [
     "Vector",
 ]
 
-Real: TypeAlias = Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
+Real: TypeAlias = Annotated[
+    float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)
+]
 """A finite number; MessagePack also has NaN and infinity, which no device must get."""
 
 Vector: TypeAlias = tuple[Real, Real, Real]

@@ -6,7 +6,9 @@ import sys
 
 if __name__ == "__main__":
     # Before any thread starts: signals during the import wait until the node handles them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    signal.pthread_sigmask(
+        signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    )
     # Imported objects stay, and collecting again and again takes a tenth of the start-up.
     gc.disable()
     from nodes.base.process import start

@@ -24,7 +24,12 @@ def plane_distance(position: float, surface: float, normal: float) -> float:
 
 @rule
 def deflection(
-    position: float, proxy: float, distance: float, normal: float, contact: bool, raw: bool
+    position: float,
+    proxy: float,
+    distance: float,
+    normal: float,
+    contact: bool,
+    raw: bool,
 ) -> float:
     """Return the deflection from the device to its proxy [m].
 
@@ -80,7 +85,9 @@ def one_sided(
 
 
 @rule
-def limit(force: float, previous: float, peak: float | None, slew: float | None) -> float:
+def limit(
+    force: float, previous: float, peak: float | None, slew: float | None
+) -> float:
     """Limit a force and its change from the previous tick's [N]; None is no limit."""
     if peak is not None:
         if force > peak:
@@ -107,7 +114,10 @@ def limit_within_tick(
 
 @rule
 def sections(
-    coefficients: Sequence[float], state: MutableSequence[float], newest: float, previous: float
+    coefficients: Sequence[float],
+    state: MutableSequence[float],
+    newest: float,
+    previous: float,
 ) -> float:
     """Return the force of parallel second-order recursive sections [N], summed in order.
 
@@ -172,7 +182,9 @@ def cross_fade(old: float, new: float, done: int, ramp: int) -> float:
     return (1.0 - weight) * old + weight * new
 
 
-def settle(coefficients: Sequence[float], state: MutableSequence[float], value: float) -> None:
+def settle(
+    coefficients: Sequence[float], state: MutableSequence[float], value: float
+) -> None:
     """Set recursive sections to their equilibrium under a constant deflection, in place.
 
     A section that does not forget (its poles sum to 1) has none and starts at zero.

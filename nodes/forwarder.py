@@ -21,7 +21,9 @@ QUEUE = 20_000  # messages queued while strangers keep this process busy
 LAST_MS = 50  # silence after which all messages are forwarded at the end [ms]
 
 
-class ForwarderParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ForwarderParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of a forwarder.
 
     ports: Node to the tcp port on loopback at which everybody may subscribe to it.
@@ -59,9 +61,13 @@ class Forwarder(Node):
     ) -> None:
         """Subscribe to the nodes."""
         for node, port in self._ports.items():
-            self._lines.append((subscribe([self.setup.sources[node]], [""], QUEUE), port))
+            self._lines.append(
+                (subscribe([self.setup.sources[node]], [""], QUEUE), port)
+            )
 
-    def _pass_on(self, subscription: Subscription, port: OpenPort, timeout_ms: int = 0) -> bool:
+    def _pass_on(
+        self, subscription: Subscription, port: OpenPort, timeout_ms: int = 0
+    ) -> bool:
         frames = subscription.receive(timeout_ms)
         if frames is None:
             return False

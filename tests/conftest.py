@@ -42,8 +42,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 sys.dont_write_bytecode = False
 # No test asserts an absolute time, as hypothesis does unasked: 200 ms for an example. Examples may
 # share their test's folder.
-UNCHECKED = [hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.function_scoped_fixture]
-hypothesis.settings.register_profile("untimed", deadline=None, suppress_health_check=UNCHECKED)
+UNCHECKED = [
+    hypothesis.HealthCheck.too_slow,
+    hypothesis.HealthCheck.function_scoped_fixture,
+]
+hypothesis.settings.register_profile(
+    "untimed", deadline=None, suppress_health_check=UNCHECKED
+)
 hypothesis.settings.load_profile("untimed")
 
 
@@ -74,16 +79,18 @@ LONG_FILES = (
 def _asks_for_all(config: pytest.Config) -> bool:
     """Whether folders, files or tests are named without markers: then all but slow ones run."""
     named = config.args_source is pytest.Config.ArgsSource.ARGS
-    return named and not any(word.startswith("-m") for word in config.invocation_params.args)
+    return named and not any(
+        word.startswith("-m") for word in config.invocation_params.args
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Refuse an installation older than pyproject.toml; include process tests if named."""
     if not hasattr(config, "workerinput") and _asks_for_all(config):
         config.option.markexpr = "not slow"
-    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
-        "entry-points"
-    ]
+    groups = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]["entry-points"]
     for group, wanted in groups.items():
         found = {point.name: point.value for point in entry_points(group=group)}
         if not wanted.items() <= found.items():
@@ -102,13 +109,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     A browser draws with both processors of a small machine: two at once, each beside a real-time
     launch, would only test the load.
     """
-    alone = {item.path for item in items if item.get_closest_marker("realtime") is not None}
+    alone = {
+        item.path for item in items if item.get_closest_marker("realtime") is not None
+    }
     for item in items:
         # Whatever stands in a file of theirs would hold up those of all files: it needs the whole
         # machine, each of them half.
         if item.path in alone:
             item.add_marker("realtime")
-    drawn = {item.path for item in items if "browser" in getattr(item, "fixturenames", ())} - alone
+    drawn = {
+        item.path for item in items if "browser" in getattr(item, "fixturenames", ())
+    } - alone
 
     def length(item: pytest.Item) -> int:
         return next(
@@ -123,7 +134,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             dict.fromkeys(item.path for item in items if item.path not in drawn)
         )
     }
-    for i, path in enumerate(dict.fromkeys(item.path for item in items if item.path in drawn)):
+    for i, path in enumerate(
+        dict.fromkeys(item.path for item in items if item.path in drawn)
+    ):
         # So far apart that one is done before the next begins.
         order[path] = 2 * WORKERS * i - 0.5
     items.sort(key=lambda item: (item.path in alone, order[item.path]))
@@ -152,7 +165,9 @@ def _million_additions() -> float:
 def pytest_xdist_auto_num_workers() -> int:
     """Return the workers for `-n auto`: WORKERS, or one per processor on a slow machine."""
     return (
-        WORKERS if statistics.median(_million_additions() for _ in range(7)) < SLOW else WORKERS - 2
+        WORKERS
+        if statistics.median(_million_additions() for _ in range(7)) < SLOW
+        else WORKERS - 2
     )
 
 
@@ -163,7 +178,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     # What will be skipped needs no machine, and must not wait until it has one.
     if worker is None or any(all(mark.args) for mark in item.iter_markers("skipif")):
         return (yield)
-    with machine(worker["testrunuid"], alone=item.get_closest_marker("realtime") is not None):
+    with machine(
+        worker["testrunuid"], alone=item.get_closest_marker("realtime") is not None
+    ):
         return (yield)
 
 

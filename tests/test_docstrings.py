@@ -34,17 +34,26 @@ def surface() -> list[ModuleType]:
     # An __init__ that passes names on has nothing of its own.
     return [
         haptic,
-        *(module for module in modules() if hasattr(module, "__all__") and any(own(module))),
+        *(
+            module
+            for module in modules()
+            if hasattr(module, "__all__") and any(own(module))
+        ),
     ]
 
 
 def own(module: ModuleType) -> Iterator[tuple[str, Any]]:
     if module is haptic:
         # It loads what it offers from where that stands.
-        yield from ((f"haptic.{name}", getattr(haptic, name)) for name in haptic.__all__)
+        yield from (
+            (f"haptic.{name}", getattr(haptic, name)) for name in haptic.__all__
+        )
         return
     for name, thing in vars(module).items():
-        if not name.startswith("_") and getattr(thing, "__module__", None) == module.__name__:
+        if (
+            not name.startswith("_")
+            and getattr(thing, "__module__", None) == module.__name__
+        ):
             yield f"{module.__name__}.{name}", thing
 
 
@@ -61,9 +70,14 @@ def functions(module: ModuleType) -> Iterator[tuple[str, FunctionType, bool]]:
                 value = getattr(value, "__func__", value)
                 # A function that is a field's default is documented where it is defined.
                 defined_here = (
-                    getattr(value, "__qualname__", "") == f"{thing.__qualname__}.{member}"
+                    getattr(value, "__qualname__", "")
+                    == f"{thing.__qualname__}.{member}"
                 )
-                if not member.startswith("_") and isinstance(value, FunctionType) and defined_here:
+                if (
+                    not member.startswith("_")
+                    and isinstance(value, FunctionType)
+                    and defined_here
+                ):
                     yield (
                         f"{name}.{member}",
                         value,
@@ -72,7 +86,11 @@ def functions(module: ModuleType) -> Iterator[tuple[str, FunctionType, bool]]:
 
 
 def test_every_module_tells_its_reason() -> None:
-    silent = [module.__name__ for module in modules() if len((module.__doc__ or "").strip()) < 20]
+    silent = [
+        module.__name__
+        for module in modules()
+        if len((module.__doc__ or "").strip()) < 20
+    ]
     assert silent == []
 
 
@@ -105,7 +123,8 @@ def test_the_surface_documents_arguments_and_results() -> None:
             faults += [
                 f"{name}: {parameter} is not documented"
                 for parameter in signature.parameters
-                if parameter not in ("self", "cls") and not re.search(rf"\b{parameter}\b", text)
+                if parameter not in ("self", "cls")
+                and not re.search(rf"\b{parameter}\b", text)
             ]
             silent = not re.search(r"^(Returns|Yields)\n-", text, re.MULTILINE)
             if silent and signature.return_annotation not in (
@@ -122,7 +141,11 @@ def test_the_surface_documents_arguments_and_results() -> None:
 def test_the_surface_names_what_is_there_and_stands_on_the_page() -> None:
     page = (ROOT / "nodes" / "EXTENDING.md").read_text(encoding="utf-8")
     listed = set(
-        re.findall(r"^\| `([\w.]+)` \|", page.partition("## The public surface")[2], re.MULTILINE)
+        re.findall(
+            r"^\| `([\w.]+)` \|",
+            page.partition("## The public surface")[2],
+            re.MULTILINE,
+        )
     )
     assert listed == {module.__name__ for module in surface()}
     for module in surface():

@@ -30,7 +30,9 @@ OFFLINE = {
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Path, Path]]:
+def places(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[Path, Path, Path]]:
     """Write the page's files and create an environment; return folder, runtime dir, programs."""
     folder = tmp_path_factory.mktemp("extending")
     for name, text in FILES.items():
@@ -56,7 +58,9 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Pat
 
 @pytest.mark.process
 @pytest.mark.parametrize("block", BLOCKS)
-def test_examples_install_and_run(block: Block, places: tuple[Path, Path, Path]) -> None:
+def test_examples_install_and_run(
+    block: Block, places: tuple[Path, Path, Path]
+) -> None:
     said = ""
     with shell(*places) as terminal:
         for line in block.lines:
@@ -69,15 +73,26 @@ def test_examples_install_and_run(block: Block, places: tuple[Path, Path, Path])
 
 
 def test_every_group_has_an_example() -> None:
-    groups = {"haptic.laws", "haptic.surfaces", "haptic.nodes", "haptic.launch", "haptic.verbs"}
+    groups = {
+        "haptic.laws",
+        "haptic.surfaces",
+        "haptic.nodes",
+        "haptic.launch",
+        "haptic.verbs",
+    }
     shown = {
-        group for text in FILES.values() for group in groups if f'entry-points."{group}"' in text
+        group
+        for text in FILES.values()
+        for group in groups
+        if f'entry-points."{group}"' in text
     }
     assert shown == groups
 
 
 @pytest.mark.slow  # as is the block that writes the tape
-def test_the_tape_holds_the_forces_of_the_floor(places: tuple[Path, Path, Path]) -> None:
+def test_the_tape_holds_the_forces_of_the_floor(
+    places: tuple[Path, Path, Path],
+) -> None:
     """The page's device gets a 500 N/m floor's force at 3 mm, and a soft stop to zero."""
     lines = (places[0] / "forces.txt").read_text(encoding="ascii").splitlines()
     forces = [[float(word) for word in line.split()[1:]] for line in lines]

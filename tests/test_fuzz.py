@@ -162,11 +162,15 @@ def _parts(recording: bytes) -> list[Target]:
     }
     with _file(recording) as path:
         records = list(mcap_walk.walk(path))
-        for record in [record for record in records if record.opcode == mcap_walk.CHUNK]:
+        for record in [
+            record for record in records if record.opcode == mcap_walk.CHUNK
+        ]:
             records += mcap_walk.unpack_chunk(path, record)
     targets = []
     for name, (opcode, parse) in kinds.items():
-        corpus = [bytes(record.content) for record in records if record.opcode == opcode][:20]
+        corpus = [
+            bytes(record.content) for record in records if record.opcode == opcode
+        ][:20]
         assert corpus, name
 
         def attempt(
@@ -232,7 +236,9 @@ def _setup(starter: Starter) -> bytes:
             sources={"/device/state": f"tcp://127.0.0.1:5600#{'ab' * 32}"},
             lease=10.0,
             by_hand=True,
-            parameters={"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}},
+            parameters={
+                "surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}
+            },
         )
     )
 
@@ -244,7 +250,10 @@ def _key_file(content: bytes) -> None:
     ):
         patch.setenv("HAPTIC_KEYS", folder)
         (Path(folder) / "allowed").mkdir(mode=0o700)
-        for path in (Path(folder) / "identity.key", Path(folder) / "allowed" / "robot.key"):
+        for path in (
+            Path(folder) / "identity.key",
+            Path(folder) / "allowed" / "robot.key",
+        ):
             path.write_bytes(content)
             path.chmod(0o600)
         # It never raises: what cannot be read lets in nobody.
@@ -287,11 +296,15 @@ class _NoHand:
 def targets() -> list[Target]:
     """Return every parser of the project that reads external data."""
     wire = [(topic, encode(message)) for topic, message in drop(12, switch=5)]
-    wire += [("/a/event", encode(Event(seq=1, stamp=0.1, node="a", kind="k", reason="r")))]
+    wire += [
+        ("/a/event", encode(Event(seq=1, stamp=0.1, node="a", kind="k", reason="r")))
+    ]
     wire += [
         (
             "/a/status",
-            encode(NodeStatus(seq=1, stamp=0.1, node="a", kind="k", state="ready", pid=1)),
+            encode(
+                NodeStatus(seq=1, stamp=0.1, node="a", kind="k", state="ready", pid=1)
+            ),
         )
     ]
     requests = [
@@ -316,7 +329,11 @@ def targets() -> list[Target]:
         kind = topics.message_type(topic)
         assert kind is not None
         corpus = [payload for name, payload in wire if name == topic]
-        found.append(Target(f"wire {topic}", corpus, Decoder(kind).decode, (MessageRefusedError,)))
+        found.append(
+            Target(
+                f"wire {topic}", corpus, Decoder(kind).decode, (MessageRefusedError,)
+            )
+        )
     found += [
         Target(
             "request",

@@ -19,8 +19,20 @@ COMPILER = ("numba", "llvmlite")
 
 WITHOUT: dict[str, tuple[str, ...]] = {
     "--version": (*NETWORK, *COMPILER, "numpy", "scipy", "matplotlib"),
-    "study --help": (*NETWORK, *COMPILER, "numpy", "scipy", "matplotlib", "sim.studies.kmax"),
-    "study kmax --law pd --gain 3": (*NETWORK, *COMPILER, "matplotlib.pyplot", "sim.play"),
+    "study --help": (
+        *NETWORK,
+        *COMPILER,
+        "numpy",
+        "scipy",
+        "matplotlib",
+        "sim.studies.kmax",
+    ),
+    "study kmax --law pd --gain 3": (
+        *NETWORK,
+        *COMPILER,
+        "matplotlib.pyplot",
+        "sim.play",
+    ),
     "study world --gain 3": (*NETWORK, *COMPILER, "matplotlib.pyplot", "sim.play"),
     "lab two_rate --help": (*NETWORK, *COMPILER, "sim.play"),
     "tune --help": ("matplotlib", "sim.play", *COMPILER),
@@ -40,7 +52,9 @@ open(sys.argv[1], "w").write(json.dumps([code, sorted(sys.modules)]))
 
 @pytest.mark.process
 @pytest.mark.parametrize("command", WITHOUT)
-def test_a_command_imports_nothing_that_it_does_not_need(command: str, tmp_path: Path) -> None:
+def test_a_command_imports_nothing_that_it_does_not_need(
+    command: str, tmp_path: Path
+) -> None:
     told = tmp_path / "modules.json"
     subprocess.run(
         [sys.executable, "-c", CODE, str(told), *command.split()],
@@ -70,7 +84,9 @@ def test_the_python_api_starts_no_process_itself() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Import | ast.ImportFrom)
         for name in (
-            [one.name for one in node.names] if isinstance(node, ast.Import) else [str(node.module)]
+            [one.name for one in node.names]
+            if isinstance(node, ast.Import)
+            else [str(node.module)]
         )
         if name.partition(".")[0] in ("subprocess", "multiprocessing")
     ]

@@ -8,7 +8,13 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of
-from tests.support.mutations.mutation import copy_sources, mutated, near, stages, survives
+from tests.support.mutations.mutation import (
+    copy_sources,
+    mutated,
+    near,
+    stages,
+    survives,
+)
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
 from tests.support.mutations.score import Tried, as_lines, as_record, counts, wilson
@@ -38,7 +44,9 @@ def test_what_is_drawn_is_another_program(room: str) -> None:
     assert drawn == draw(40, "one", [room]) != draw(40, "two", [room])
 
 
-def test_comparisons_signs_numbers_conditions_and_statements_are_changed(tmp_path: Path) -> None:
+def test_comparisons_signs_numbers_conditions_and_statements_are_changed(
+    tmp_path: Path,
+) -> None:
     file = tmp_path / "rule.py"
     file.write_text(
         'def rule(x: int = 3) -> str:\n    """Add 1."""\n    if x < 2 and x:\n        x += 5\n'
@@ -64,7 +72,12 @@ def test_files_are_tried_before_the_rest_of_their_folders() -> None:
     tests = (*("tests/test_house.py", "tests/test_imports.py"), "tests/a", "tests/c")
     assert stages(tests) == [
         tests[:2],
-        ("tests/a", "tests/c", "--ignore=tests/test_house.py", "--ignore=tests/test_imports.py"),
+        (
+            "tests/a",
+            "tests/c",
+            "--ignore=tests/test_house.py",
+            "--ignore=tests/test_imports.py",
+        ),
     ]
     assert stages(tests[:2]) == [tests[:2]]
     assert near(tests) == tests
@@ -72,8 +85,12 @@ def test_files_are_tried_before_the_rest_of_their_folders() -> None:
     assert stages(law.tests)[-1][:1] == ROOMS["nodes/laws"]
 
 
-@pytest.mark.parametrize(("noticed", "tried"), [(0, 7), (7, 7), (27, 30), (1, 1), (90, 180)])
-def test_wilson_bounds_are_the_shares_that_lie_a_quantile_away(noticed: int, tried: int) -> None:
+@pytest.mark.parametrize(
+    ("noticed", "tried"), [(0, 7), (7, 7), (27, 30), (1, 1), (90, 180)]
+)
+def test_wilson_bounds_are_the_shares_that_lie_a_quantile_away(
+    noticed: int, tried: int
+) -> None:
     """Each bound p solves (k/n - p)² = z² p (1 - p) / n, which is how Wilson derived them."""
     share = noticed / tried
     low, high = wilson(noticed, tried)

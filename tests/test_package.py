@@ -21,12 +21,21 @@ import pytest
 from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+    "project"
+]
 PACKAGES = ("haptic", "messages", "nodes", "sim")
 
 
 def pip(*words: str) -> None:
-    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", *words]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "--no-input",
+        *words,
+    ]
     done = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
     )
@@ -80,7 +89,9 @@ def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None
         apart = ("sim/figures/", "sim/notebooks/", "sim/python/")
         assert {name for name in sources if not name.startswith(apart)} <= set(files)
         assert f"{package}/py.typed" in files
-    scenarios = {path.name: path.read_bytes() for path in (ROOT / "launch").glob("*.yaml")}
+    scenarios = {
+        path.name: path.read_bytes() for path in (ROOT / "launch").glob("*.yaml")
+    }
     packed = {
         name.rpartition("/")[2]: text
         for name, text in files.items()
@@ -88,7 +99,9 @@ def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None
     }
     assert packed == scenarios
     assert files[f"{metadata}/licenses/LICENSE"] == (ROOT / "LICENSE").read_bytes()
-    assert not [name for name in files if name.endswith((".pyc", ".png", ".mcap", ".so"))]
+    assert not [
+        name for name in files if name.endswith((".pyc", ".png", ".mcap", ".so"))
+    ]
 
 
 @pytest.mark.process
@@ -119,7 +132,9 @@ def test_wheel_says_what_it_is_and_what_it_needs(wheel: Path) -> None:
 
 
 @pytest.mark.slow
-def test_scenarios_run_from_the_wheel_in_another_folder(installed: Path, tmp_path: Path) -> None:
+def test_scenarios_run_from_the_wheel_in_another_folder(
+    installed: Path, tmp_path: Path
+) -> None:
     with private_runtime_dir() as runtime_dir:
         environment = {
             **os.environ,
@@ -142,9 +157,8 @@ def test_scenarios_run_from_the_wheel_in_another_folder(installed: Path, tmp_pat
 
         haptic = str(installed / "bin" / "haptic")
         assert run(haptic, "--version").split()[-1] == PROJECT["version"]
-        where = (
-            "import messages, nodes, sim; print(messages.__file__, nodes.__file__, sim.__file__)"
-        )
+        where = "import messages, nodes, sim; "
+        where += "print(messages.__file__, nodes.__file__, sim.__file__)"
         assert all(
             Path(path).is_relative_to(installed)
             for path in run(sys.executable, "-c", where).split()
@@ -152,7 +166,9 @@ def test_scenarios_run_from_the_wheel_in_another_folder(installed: Path, tmp_pat
         listed = json.loads(run(haptic, "launch", "--list", "--json"))["scenarios"]
         assert set(listed) == {path.stem for path in (ROOT / "launch").glob("*.yaml")}
         figures = json.loads(
-            run(haptic, "launch", "floor_drop", "duration:=1", "--json").splitlines()[-1]
+            run(haptic, "launch", "floor_drop", "duration:=1", "--json").splitlines()[
+                -1
+            ]
         )
         assert figures["exit_reason"] == "done"
         assert figures["ticks"] + figures["overruns"] == 500

@@ -77,7 +77,10 @@ SHORTER = {
 """Options that make a command short enough for a test, by its first words."""
 
 INSTALLING = [
-    line for block in blocks(README) for line in block.lines if line.startswith("python3 -m venv")
+    line
+    for block in blocks(README)
+    for line in block.lines
+    if line.startswith("python3 -m venv")
 ]
 """The two installation lines, run by `.ci/run` and in a fresh clone."""
 
@@ -90,7 +93,8 @@ BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
         marks=[
             pytest.mark.process,
             *[pytest.mark.slow] * (name != "README.md"),
-            *[pytest.mark.smoke] * (block.lines[-1].startswith("haptic launch touch_wall --view")),
+            *[pytest.mark.smoke]
+            * (block.lines[-1].startswith("haptic launch touch_wall --view")),
         ],
     )
     for name, text in PAGES.items()
@@ -100,7 +104,9 @@ BLOCKS = [  # tests/test_extending.py runs those of nodes/EXTENDING.md
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str, Path], Path]]:
+def places(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[dict[str, Path], Path]]:
     """Create a folder per page and one runtime directory; later blocks read earlier output."""
     with private_runtime_dir() as runtime_dir:
         yield {name: tmp_path_factory.mktemp("page") for name in PAGES}, runtime_dir
@@ -108,7 +114,10 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str,
 
 @pytest.mark.parametrize(("name", "block"), BLOCKS)
 def test_commands_run_as_they_are_written(
-    name: str, block: Block, places: tuple[dict[str, Path], Path], monkeypatch: pytest.MonkeyPatch
+    name: str,
+    block: Block,
+    places: tuple[dict[str, Path], Path],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folders, runtime_dir = places
     said = ""
@@ -175,7 +184,9 @@ def test_the_pasted_lines_install_launch_and_test() -> None:
 
 
 def test_the_template_of_a_report_is_a_test_that_passes() -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", PAGES[".github/CONTRIBUTING.md"], re.DOTALL)
+    (code,) = re.findall(
+        r"```python\n(.*?)```", PAGES[".github/CONTRIBUTING.md"], re.DOTALL
+    )
     names: dict[str, Any] = {}
     exec(compile(code, "CONTRIBUTING.md", "exec"), names)  # noqa: S102  # our own page
     (test,) = (found for name, found in names.items() if name.startswith("test_"))
@@ -193,8 +204,13 @@ def test_templates_and_citation_are_what_github_reads() -> None:
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert {"cff-version", "message", "title", "authors"} <= set(cited)
     assert cited["cff-version"] == "1.2.0"
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert (cited["version"], cited["license"]) == (project["version"], project["license"])
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    assert (cited["version"], cited["license"]) == (
+        project["version"],
+        project["license"],
+    )
     assert f"## [{cited['version']}] - {cited['date-released']}" in CHANGES
 
 
@@ -216,7 +232,9 @@ def test_lines_have_at_most_100_columns(name: str) -> None:
     """Except rows of tables and pictures, which Markdown cannot break."""
     text = PAGES.get(name, CHANGES)
     assert [
-        line for line in text.splitlines() if len(line) > 100 and not line.startswith(("|", "!["))
+        line
+        for line in text.splitlines()
+        if len(line) > 100 and not line.startswith(("|", "!["))
     ] == []
 
 
@@ -225,7 +243,9 @@ def test_changes_are_kept_as_the_page_says() -> None:
     versions = re.split(r"^## ", CHANGES, flags=re.MULTILINE)[1:]
     heads = [version.partition("\n")[0] for version in versions]
     assert heads[0] == "[Unreleased]"
-    assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", head) for head in heads[1:])
+    assert all(
+        re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", head) for head in heads[1:]
+    )
     kinds = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
     assert set(re.findall(r"^### (.+)$", CHANGES, re.MULTILINE)) <= kinds
     (released,) = (version for version in versions if version.startswith("[0.2.0]"))
@@ -245,7 +265,12 @@ TABLED = sorted(
         if not re.search(r"\b[A-Z]+\b|…|\[", line)
     }
 )
-QUICK = ("haptic study kmax", "haptic study world", "haptic law show", "haptic launch --list")
+QUICK = (
+    "haptic study kmax",
+    "haptic study world",
+    "haptic law show",
+    "haptic launch --list",
+)
 
 
 @pytest.mark.parametrize(("name", "line"), TABLED)
@@ -275,7 +300,9 @@ def test_commands_of_tables_run(name: str, line: str, tmp_path: Path) -> None:
 def test_links_lead_somewhere(name: str) -> None:
     page = ROOT / name
     targets = [
-        target for target in links(PAGES[name]) if not target.startswith(("https://", "mailto:"))
+        target
+        for target in links(PAGES[name])
+        if not target.startswith(("https://", "mailto:"))
     ]
     paths = []
     for target in targets:
@@ -288,7 +315,11 @@ def test_links_lead_somewhere(name: str) -> None:
         paths.append(str(there.relative_to(ROOT)))
     if (ROOT / ".git").exists() and paths:
         listed = subprocess.run(
-            ["git", "ls-files", "--", *paths], cwd=ROOT, capture_output=True, text=True, check=True
+            ["git", "ls-files", "--", *paths],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         for path in paths:
             tracked = [
@@ -303,7 +334,12 @@ def test_every_page_is_reached_from_the_first() -> None:
     reached = {"README.md"}
     while True:
         more = {
-            str((ROOT / name).parent.joinpath(target.partition("#")[0]).resolve().relative_to(ROOT))
+            str(
+                (ROOT / name)
+                .parent.joinpath(target.partition("#")[0])
+                .resolve()
+                .relative_to(ROOT)
+            )
             for name in reached & set(PAGES)
             for target in links(PAGES[name])
             if not target.startswith(("https://", "mailto:", "#"))
@@ -328,10 +364,14 @@ def test_every_scenario_and_every_verb_is_mentioned() -> None:
 
 def leaves(parser: argparse.ArgumentParser) -> Iterator[tuple[str, ...]]:
     """Yield the words of each command below a parser."""
-    below = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    below = [
+        one for one in parser._actions if isinstance(one, argparse._SubParsersAction)
+    ]
     if not below:
         yield ()
-    for name, own in ((name, own) for one in below for name, own in one.choices.items()):
+    for name, own in (
+        (name, own) for one in below for name, own in one.choices.items()
+    ):
         for words in leaves(own):
             yield (name, *words)
 
@@ -339,7 +379,9 @@ def leaves(parser: argparse.ArgumentParser) -> Iterator[tuple[str, ...]]:
 def constants(words: Sequence[ast.expr]) -> Iterator[tuple[str, ...]]:
     """Yield the runs of string constants in an argument list, split at blanks, from each on."""
     for first in range(len(words)):
-        found = itertools.takewhile(lambda one: isinstance(one, ast.Constant), words[first:])
+        found = itertools.takewhile(
+            lambda one: isinstance(one, ast.Constant), words[first:]
+        )
         yield tuple(" ".join(str(one.value) for one in found).split()[:3])  # type: ignore[attr-defined]
 
 
@@ -364,7 +406,9 @@ def test_every_verb_is_run_by_a_page_or_a_test() -> None:
         words
         for verb in verbs()
         if VERBS.points()[verb].package == OURS
-        for words in ({(verb, name) for name in sub_verbs(verb)} | {*leaves(parser_for(verb))})
+        for words in (
+            {(verb, name) for name in sub_verbs(verb)} | {*leaves(parser_for(verb))}
+        )
         if words != (verb,) or not sub_verbs(verb)
     }
     assert len(ours) > 75
@@ -383,7 +427,9 @@ def test_every_study_is_explained() -> None:
     for name, point in VERBS.points().items():
         group, _, verb = name.partition(".")
         if point.package == OURS and group in ("study", "lab"):
-            assert re.search(rf"\b{group} {verb}\b|`{verb}`", page), f"haptic {group} {verb}"
+            assert re.search(rf"\b{group} {verb}\b|`{verb}`", page), (
+                f"haptic {group} {verb}"
+            )
 
 
 def test_nothing_is_shortened_that_is_not_there() -> None:

@@ -36,7 +36,8 @@ def imports_of_tests(path: Path) -> list[str]:
         found += [
             f"{path}:{node.lineno} imports {name}"
             for name in names
-            if f"{name}.".startswith("tests.") and not f"{name}.".startswith("tests.support.")
+            if f"{name}.".startswith("tests.")
+            and not f"{name}.".startswith("tests.support.")
         ]
     return found
 
@@ -64,7 +65,8 @@ def test_tests_stand_where_their_subject_stands() -> None:
     strangers = {
         str(folder)
         for folder in folders
-        if not (ROOT / folder.relative_to("tests")).is_dir() and str(folder) not in OF_NO_ROOM
+        if not (ROOT / folder.relative_to("tests")).is_dir()
+        and str(folder) not in OF_NO_ROOM
     }
     assert strangers == set()
 

@@ -41,7 +41,9 @@ DOMAIN = b"haptic"
 # [bytes]
 MAX_MESSAGE = 16 * MAX_PAYLOAD
 MAX_UPSTREAM = 1024  # longest frame that a listener may send to a publisher: a subscription [bytes]
-KEEPALIVE_S = 1  # interval of the kernel's keep-alive probes on a silent tcp connection [s]
+KEEPALIVE_S = (
+    1  # interval of the kernel's keep-alive probes on a silent tcp connection [s]
+)
 KEEPALIVE_PROBES = 2  # unanswered probes after which the connection is closed
 # longest handshake of a local peer [ms]; ZeroMQ's 30 s would accumulate idle connections
 HANDSHAKE_MS = 3000
@@ -156,7 +158,9 @@ def await_given_back(endpoint: str, deadline: float) -> None:
 
 def is_open_place(endpoint: str) -> bool:
     """Return whether an endpoint may be open to local users: tcp on loopback, without a key."""
-    return endpoint.startswith("tcp://") and "#" not in endpoint and _is_loopback(endpoint)
+    return (
+        endpoint.startswith("tcp://") and "#" not in endpoint and _is_loopback(endpoint)
+    )
 
 
 def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
@@ -167,8 +171,12 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     where `is_open_place`; only for sockets that take no commands. Raises EndpointRefusedError or
     KeyRefusedError if the endpoint or this machine's keys cannot be used, or the address is taken.
     """
-    bare, key = (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
-    socket.setsockopt(zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE)
+    bare, key = (
+        (endpoint, "") if is_open and is_open_place(endpoint) else split(endpoint)
+    )
+    socket.setsockopt(
+        zmq.MAXMSGSIZE, MAX_UPSTREAM if socket.type == zmq.XPUB else MAX_MESSAGE
+    )
     # See above: the input of a bound socket must not stop. Never on a socket that is bound again:
     # libzmq 4.3.5 applies it to peers that are just being closed, and crashes.
     if socket.rcvhwm:
@@ -193,7 +201,9 @@ def bind(socket: Socket, endpoint: str, is_open: bool = False) -> None:
     try:
         socket.bind(bare)
     except zmq.ZMQError as error:
-        raise EndpointRefusedError(f"{bare}: cannot be bound: {error.strerror}") from error
+        raise EndpointRefusedError(
+            f"{bare}: cannot be bound: {error.strerror}"
+        ) from error
 
 
 def remove_ipc(endpoint: str) -> None:

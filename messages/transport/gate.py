@@ -16,7 +16,13 @@ from collections.abc import Callable, Sequence
 
 import zmq
 
-from messages.transport.endpoints import DOMAIN, Context, EndpointRefusedError, Socket, bind
+from messages.transport.endpoints import (
+    DOMAIN,
+    Context,
+    EndpointRefusedError,
+    Socket,
+    bind,
+)
 from messages.transport.keys import identity, key_dir, trusted
 
 REVIEW = 0.5  # interval of checking the keys of connected peers [s]
@@ -107,7 +113,12 @@ class Gate(threading.Thread):
         begin: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(name="gate", daemon=True)
-        self._context, self._denied, self._evict, self._begin = context, denied, evict, begin
+        self._context, self._denied, self._evict, self._begin = (
+            context,
+            denied,
+            evict,
+            begin,
+        )
         self._folder = key_dir()
         identity(self._folder)
         self._entered: set[str] = set()
@@ -128,7 +139,11 @@ class Gate(threading.Thread):
         """Guard until stopped."""
         self._begin()
         poller = zmq.Poller()
-        for socket in (self._zap, self._stop_in, *(events for _, events in self._watched)):
+        for socket in (
+            self._zap,
+            self._stop_in,
+            *(events for _, events in self._watched),
+        ):
             poller.register(socket, zmq.POLLIN)
         following = time.monotonic() + REVIEW
         while True:
@@ -146,7 +161,11 @@ class Gate(threading.Thread):
         self._close()
 
     def _close(self) -> None:
-        for socket in (self._zap, self._stop_in, *(events for _, events in self._watched)):
+        for socket in (
+            self._zap,
+            self._stop_in,
+            *(events for _, events in self._watched),
+        ):
             socket.close(linger=0)
 
     def _tell_failure(self, frames: list[bytes]) -> None:

@@ -41,7 +41,11 @@ def key_dir() -> Path:
     """Return the directory of the keys."""
     if "HAPTIC_KEYS" in os.environ:
         return Path(os.environ["HAPTIC_KEYS"])
-    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "haptic" / "keys"
+    return (
+        Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+        / "haptic"
+        / "keys"
+    )
 
 
 def _others_may(found: os.stat_result) -> bool:
@@ -68,7 +72,9 @@ def _write(path: Path, text: str, replace: bool = False) -> None:
     _private_dir(path.parent)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     descriptor = os.open(
-        draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+        draft,
+        os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC,
+        0o600,
     )
     try:
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
@@ -108,7 +114,9 @@ def parse_key(text: str) -> str:
         try:
             return bytes(z85.decode(text)).hex()
         except (ValueError, KeyError, struct.error) as error:
-            raise KeyRefusedError(f"{text!r}: 40 characters that are not Z85") from error
+            raise KeyRefusedError(
+                f"{text!r}: 40 characters that are not Z85"
+            ) from error
     key = text.lower()
     if not _KEY.fullmatch(key):
         raise KeyRefusedError(
@@ -136,7 +144,10 @@ def identity(folder: Path | None = None) -> Identity:
         raise KeyRefusedError(
             f"{path}: not a public and a secret key; make new ones: haptic keys new --replace"
         )
-    if bytes(z85.decode(zmq.curve_public(z85.encode(bytes.fromhex(words[1]))))).hex() != words[0]:
+    if (
+        bytes(z85.decode(zmq.curve_public(z85.encode(bytes.fromhex(words[1]))))).hex()
+        != words[0]
+    ):
         raise KeyRefusedError(
             f"{path}: public and secret key do not belong together: haptic keys new --replace"
         )
@@ -146,7 +157,9 @@ def identity(folder: Path | None = None) -> Identity:
 def allow(name: str, key: str, replace: bool = False) -> Path:
     """Allow another machine."""
     if not _NAME.fullmatch(name):
-        raise KeyRefusedError(f"{name!r}: a name is letters, digits, dots, - and _, at most 63")
+        raise KeyRefusedError(
+            f"{name!r}: a name is letters, digits, dots, - and _, at most 63"
+        )
     path = key_dir() / "allowed" / f"{name}.key"
     _write(path, f"{parse_key(key)}\n", replace)
     return path

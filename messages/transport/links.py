@@ -16,7 +16,13 @@ from collections.abc import Callable, Iterable
 
 import zmq
 
-from messages.transport.endpoints import MAX_MESSAGE, TCP_HANDSHAKE_MS, Context, Socket, connect
+from messages.transport.endpoints import (
+    MAX_MESSAGE,
+    TCP_HANDSHAKE_MS,
+    Context,
+    Socket,
+    connect,
+)
 from messages.transport.gate import FAILURES, monitor, monitored
 from messages.transport.keys import trusted
 
@@ -54,7 +60,12 @@ class _Link:
     def __init__(self, socket: Socket, endpoint: str) -> None:
         self.socket, self.endpoint = socket, endpoint
         self.bare, _, self.key = endpoint.partition("#")
-        self.state, self.since, self.was_open, self.failed = "connected", time.monotonic(), True, ""
+        self.state, self.since, self.was_open, self.failed = (
+            "connected",
+            time.monotonic(),
+            True,
+            "",
+        )
         self.renewed, self.is_revoked = 0.0, False
 
     def take(self, event: int, now: float) -> str:
@@ -88,10 +99,14 @@ class _Link:
         if self.state == "given up" and now - self.since > GIVEN_UP:
             if self.was_open:
                 return (
-                    f"the data received exceeded {MAX_MESSAGE} bytes, the limit, or was no message"
+                    f"the data received exceeded {MAX_MESSAGE} bytes, the limit,"
+                    " or was no message"
                 )
             return self.failed or _NO_NODE
-        if self.state == "no handshake" and now - self.since > 1e-3 * TCP_HANDSHAKE_MS + GIVEN_UP:
+        if (
+            self.state == "no handshake"
+            and now - self.since > 1e-3 * TCP_HANDSHAKE_MS + GIVEN_UP
+        ):
             return f"{_NO_NODE}: no handshake"
         return ""
 
@@ -110,7 +125,12 @@ class Links:
         denied: Callable[[str], None],
         call: Callable[[], None] = lambda: None,
     ) -> None:
-        self._context, self._tell, self._denied, self._call = context, tell, denied, call
+        self._context, self._tell, self._denied, self._call = (
+            context,
+            tell,
+            denied,
+            call,
+        )
         self._following = 0.0
         self._asked: deque[tuple[_Link, bool]] = deque()
         self._monitors: list[tuple[Socket, list[_Link]]] = []

@@ -25,7 +25,9 @@ from messages.transport.endpoints import (
     remove_ipc,
 )
 
-MAX_GROWTH = 128 << 20  # growth of memory at which all listeners are disconnected [bytes]
+MAX_GROWTH = (
+    128 << 20
+)  # growth of memory at which all listeners are disconnected [bytes]
 QUEUE = 4096  # messages queued for one listener before its newest ones are dropped
 # longest time for ZeroMQ to free a closed port, under thousands of connections [s]
 GIVEN_BACK = 10.0
@@ -40,7 +42,9 @@ class OpenPort:
     `denied` is called with one sentence when the listeners are disconnected.
     """
 
-    def __init__(self, context: Context, endpoint: str, denied: Callable[[str], None]) -> None:
+    def __init__(
+        self, context: Context, endpoint: str, denied: Callable[[str], None]
+    ) -> None:
         self._context, self._endpoint, self._denied = context, endpoint, denied
         self._is_open = is_open_place(endpoint)
         self._following = 0.0
@@ -82,7 +86,9 @@ class OpenPort:
             if not int(self._socket.get(zmq.EVENTS)) & zmq.POLLIN:
                 break
             # other input is discarded
-            self._wanted += {b"\x00": -1, b"\x01": 1}.get(self._socket.recv(zmq.NOBLOCK)[:1], 0)
+            self._wanted += {b"\x00": -1, b"\x01": 1}.get(
+                self._socket.recv(zmq.NOBLOCK)[:1], 0
+            )
         return self._wanted
 
     def _renew(self) -> None:

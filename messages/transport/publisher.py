@@ -10,7 +10,13 @@ from collections.abc import Iterable
 
 import zmq
 
-from messages.transport.endpoints import Context, Socket, bind, closed_if_refused, remove_ipc
+from messages.transport.endpoints import (
+    Context,
+    Socket,
+    bind,
+    closed_if_refused,
+    remove_ipc,
+)
 from messages.transport.gate import Gate, Reopening
 
 # messages queued for one stalled listener before its newest are dropped: 8 s at 500 Hz, 1 MB
@@ -48,7 +54,9 @@ class Publisher:
             if places:
                 with closed_if_refused(*self._sockets):
                     self._sockets.append(self._bound(context, thread, places))
-        self.apart = len(self._sockets) > 1  # whether listeners have a socket of their own
+        self.apart = (
+            len(self._sockets) > 1
+        )  # whether listeners have a socket of their own
         # pyzmq's own send, without the layer above it that checks unused arguments
         self._hop = super(zmq.Socket, self._sockets[0]).send
         self._aside = super(zmq.Socket, self._sockets[-1]).send
@@ -124,7 +132,9 @@ class Publisher:
             while most and int(socket.get(_EVENTS)) & _POLLIN:
                 most -= 1
                 frame = socket.recv(_NOBLOCK)
-                self._subscriptions[frame[1:]] += {b"\x00": -1, b"\x01": 1}.get(frame[:1], 0)
+                self._subscriptions[frame[1:]] += {b"\x00": -1, b"\x01": 1}.get(
+                    frame[:1], 0
+                )
         # the end of an unknown subscription must not count, nor be remembered
         self._subscriptions = +self._subscriptions
         return not most
@@ -136,7 +146,9 @@ class Publisher:
 
     def watched_by(self, gate: Gate) -> None:
         """Make a gate monitor connections to encrypted endpoints."""
-        for socket, places in zip(self._sockets, filter(None, self._endpoints), strict=True):
+        for socket, places in zip(
+            self._sockets, filter(None, self._endpoints), strict=True
+        ):
             if any("#" in place for place in places):
                 gate.watch(socket)
 

@@ -279,7 +279,9 @@ class Connection:
             self._socket = None
 
 
-def call(context: Context, endpoint: str, op: str, timeout: float = 2.0, **args: object) -> Any:
+def call(
+    context: Context, endpoint: str, op: str, timeout: float = 2.0, **args: object
+) -> Any:
     """Send one request `op` with `args` to the node at `endpoint` and return the result.
 
     The connection is made in this `context`; `timeout` is the longest wait [s].

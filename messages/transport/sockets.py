@@ -133,7 +133,11 @@ class Subscription:
 
         A message of one frame has none; a third frame appears as the next message's first.
         """
-        return (topic, self.next_frame()) if self._returned or self._get(_MORE) else (b"", b"")
+        return (
+            (topic, self.next_frame())
+            if self._returned or self._get(_MORE)
+            else (b"", b"")
+        )
 
     def receive(self, timeout_ms: int) -> tuple[bytes, bytes] | None:
         """Wait for the next message for at most `timeout_ms` [ms], with one wake-up; 0: no wait.
@@ -149,7 +153,11 @@ class Subscription:
             topic = self.next_frame()
         except TimedOut:
             return None
-        return None if self._waker is not None and topic == self._waker.frame else self._rest(topic)
+        return (
+            None
+            if self._waker is not None and topic == self._waker.frame
+            else self._rest(topic)
+        )
 
     def resynchronise(self) -> None:
         """Discard the rest of the present message, so that the next frame is a topic again.

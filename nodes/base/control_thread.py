@@ -99,7 +99,9 @@ class ControlServer(threading.Thread):
             **node.operations(),
         }
         kept = (
-            Path(node.setup.run_dir) / f"{node.setup.name}.leases" if node.setup.run_dir else None
+            Path(node.setup.run_dir) / f"{node.setup.name}.leases"
+            if node.setup.run_dir
+            else None
         )
         self._leases = Leases(node.setup.name, self._perform, kept)
         self._operations |= self._leases.operations()
@@ -114,7 +116,9 @@ class ControlServer(threading.Thread):
         self._requests = ReplySocket(self._context)
         self._socket = self._requests.socket
         # The thread that serves listeners carries requests, off the loop's processor if possible.
-        self._socket.setsockopt(zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1))
+        self._socket.setsockopt(
+            zmq.AFFINITY, 1 << (int(self._context.get(zmq.IO_THREADS)) - 1)
+        )
         self._socket.rcvtimeo = self._patience_ms
         with closed_if_refused(self._socket):
             bind(self._socket, node.setup.control)
@@ -134,7 +138,8 @@ class ControlServer(threading.Thread):
                 topics.event(name),
             ],
             "listens_to": [
-                topic if topic == "*" else node.setup.topic(topic) for topic in node.listens_to
+                topic if topic == "*" else node.setup.topic(topic)
+                for topic in node.listens_to
             ],
             "operations": sorted(self._operations),
             "endpoint": node.setup.publish,
@@ -201,7 +206,8 @@ class ControlServer(threading.Thread):
                 )
             else:
                 self._node.events.emit_each(
-                    "lease", f"lease {name!r} expired without a renewal: {op} {args}"[:4000]
+                    "lease",
+                    f"lease {name!r} expired without a renewal: {op} {args}"[:4000],
                 )
         if over:
             # Parameters first: if the process dies in between, a borrower's must not remain without
@@ -226,7 +232,8 @@ class ControlServer(threading.Thread):
         # e.g. an exception of another package's law while it is compiled
         except Exception as error:  # noqa: BLE001
             return Reply(
-                False, error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000]
+                False,
+                error=f"{name}: {request.op}: {type(error).__name__}: {error}"[:4000],
             )
 
     def _perform(self, op: str, args: Mapping[str, Any]) -> Any:
@@ -277,7 +284,9 @@ class ControlServer(threading.Thread):
         try:
             save_parameters(self._node)
         except OSError as error:
-            self._node.events.emit("kept", f"the parameters cannot be saved for a restart: {error}")
+            self._node.events.emit(
+                "kept", f"the parameters cannot be saved for a restart: {error}"
+            )
 
     def run(self) -> None:
         """Serve until stopped."""
@@ -286,7 +295,9 @@ class ControlServer(threading.Thread):
             try:
                 self._serve()
             except zmq.ZMQError as error:
-                self._node.events.emit("control", f"a request could not be served: {error}")
+                self._node.events.emit(
+                    "control", f"a request could not be served: {error}"
+                )
             for duty in (
                 self._node.check_health,
                 self._save_parameters,
@@ -310,7 +321,9 @@ class ControlServer(threading.Thread):
         """Stop the node, because code outside its loop failed."""
         node = self._node
         if not node.failing:
-            reason = f"{node.setup.name}: {type(error).__name__} outside the loop: {error}"
+            reason = (
+                f"{node.setup.name}: {type(error).__name__} outside the loop: {error}"
+            )
             node.events.emit("control", f"{reason}; the node ends")
             node.failing = True
             node.stop(reason)
@@ -329,7 +342,9 @@ class ControlServer(threading.Thread):
             self._review_memory()
             # A node that answers every tick should hear one all the time, from the first one on.
             self._links.poll(
-                node.counted().ticks or None if node.answers and node.state == "running" else None
+                node.counted().ticks or None
+                if node.answers and node.state == "running"
+                else None
             )
 
     def _watch_descriptors(self) -> None:
@@ -355,9 +370,13 @@ class ControlServer(threading.Thread):
         except Exception as error:  # noqa: BLE001  # as for requests: refuse, report, keep serving
             known = isinstance(error, ParameterError)
             reason = (
-                f"{where}{error}" if known else f"{watched.path}: {type(error).__name__}: {error}"
+                f"{where}{error}"
+                if known
+                else f"{watched.path}: {type(error).__name__}: {error}"
             )
-            node.events.emit_each("refused", f"{reason}; the running parameters are untouched")
+            node.events.emit_each(
+                "refused", f"{reason}; the running parameters are untouched"
+            )
         finally:
             node.watched = watched.applied
 
@@ -367,7 +386,10 @@ class ControlServer(threading.Thread):
         if self.is_alive():
             # The thread may be ending by itself, so that nobody receives this. Without a free
             # descriptor for the wake-up, it notices by itself soon.
-            with contextlib.suppress(zmq.ZMQError), self._context.socket(zmq.REQ) as waker:
+            with (
+                contextlib.suppress(zmq.ZMQError),
+                self._context.socket(zmq.REQ) as waker,
+            ):
                 waker.linger = 0
                 waker.connect(self._wake)
                 waker.send(msgspec.msgpack.encode(Request("clock")), zmq.NOBLOCK)
@@ -385,5 +407,9 @@ def _change_log(receipt: dict[str, Any]) -> str:
         f"{path} {str(old)[:SHOWN_CHARACTERS]} → {str(new)[:SHOWN_CHARACTERS]}"
         for path, (old, new) in receipt["changed"].items()
     ]
-    more = f", {len(changed) - LISTED_CHANGES} more" if len(changed) > LISTED_CHANGES else ""
+    more = (
+        f", {len(changed) - LISTED_CHANGES} more"
+        if len(changed) > LISTED_CHANGES
+        else ""
+    )
     return f"{', '.join(changed[:LISTED_CHANGES])}{more} from tick {receipt['seq']} on"

@@ -39,7 +39,11 @@ class Clock:
 
     def now(self) -> float:
         """Return the time for stamps: the launcher's clock, or simulated time in lockstep."""
-        return self._seq() * self._period if self.simulated else time.monotonic() + self.offset
+        return (
+            self._seq() * self._period
+            if self.simulated
+            else time.monotonic() + self.offset
+        )
 
     def set(self, offset: float, error: float) -> None:
         """Set the offset of this host's clock to the launcher's, and its uncertainty [s]."""
@@ -72,7 +76,9 @@ class Events:
         # nodes are created on the thread that runs their loop
         self.loop_thread = threading.get_ident()  # identifier of the loop's thread
         self.refused = self.denied = 0  # messages refused; connections refused
-        self.quiet = False  # publish events without logging them: a node without a process
+        self.quiet = (
+            False  # publish events without logging them: a node without a process
+        )
         self._counts: dict[str, int] = {}
 
     def log(self, text: str) -> None:
@@ -155,11 +161,18 @@ class Events:
         seq, stamp = self._publish_event(MARK, text, {})
         return {"tick": seq, "stamp": stamp}
 
-    def _publish_event(self, kind: str, reason: str, data: dict[str, float]) -> tuple[int, float]:
+    def _publish_event(
+        self, kind: str, reason: str, data: dict[str, float]
+    ) -> tuple[int, float]:
         seq = self._seq()
         stamp = self._clock.now()
         message = Event(
-            seq=seq, stamp=stamp, node=self._name, kind=kind, reason=reason[:4000], data=data
+            seq=seq,
+            stamp=stamp,
+            node=self._name,
+            kind=kind,
+            reason=reason[:4000],
+            data=data,
         )
         self.publish(topics.event(self._name), message)
         return seq, stamp

@@ -114,7 +114,10 @@ def _count_gap(node: Node, topic: str, seq: int, last: int) -> None:
 
 
 def _pass_on(
-    node: Node, hear: Callable[[bytes], None], next_frame: Callable[[], bytes], frame: bytes
+    node: Node,
+    hear: Callable[[bytes], None],
+    next_frame: Callable[[], bytes],
+    frame: bytes,
 ) -> None:
     """Pass the payload of another topic to its callback."""
     try:

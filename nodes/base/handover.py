@@ -69,7 +69,12 @@ class Changes:
         notify: Callable[[], None],
         lives: Callable[[], bool],
     ) -> None:
-        self._setup, self._store, self._notify, self._lives = setup, store, notify, lives
+        self._setup, self._store, self._notify, self._lives = (
+            setup,
+            store,
+            notify,
+            lives,
+        )
         self._waiting: deque[Change] = deque()
         self.serving = Stopwatch()  # working time of the control thread
 
@@ -128,7 +133,9 @@ class Changes:
                     [Path(folder) for folder in self._setup.allow_paths],
                     self._setup.name,
                 )
-            receipt = self.hand_over(self._unless_changed(base, parameters, prepare(parameters)))
+            receipt = self.hand_over(
+                self._unless_changed(base, parameters, prepare(parameters))
+            )
             if receipt is not None:
                 return {**receipt, "changed": differences(base, parameters)}
 

@@ -62,13 +62,19 @@ def _last_place(setup: Setup) -> Path:
 def held_in(setup: Setup) -> str:
     """Return how long and where a process hung that `LastResort` ended, or ""."""
     path = _last_place(setup)
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+    lines = (
+        path.read_text(encoding="utf-8", errors="replace").splitlines()
+        if path.exists()
+        else []
+    )
     # The main thread comes last, its innermost call first.
     heads = [number for number, line in enumerate(lines) if line.startswith("Thread ")]
     places = lines[heads[-1] + 1 :] if heads else lines[1:]
     if not places:
         return ""
-    hours, minutes, seconds = lines[0].removeprefix("Timeout (").removesuffix(")!").split(":")
+    hours, minutes, seconds = (
+        lines[0].removeprefix("Timeout (").removesuffix(")!").split(":")
+    )
     return f"{3600 * int(hours) + 60 * int(minutes) + float(seconds):g} s: {places[0].strip()}"
 
 
@@ -94,7 +100,9 @@ class HangWatchdog:
             self._checked = now
             self._waited = waited
         elif passed >= CHECK_INTERVAL:
-            self._stood += max(0.0, min(passed, 2.0 * CHECK_INTERVAL) - (waited - self._waited))
+            self._stood += max(
+                0.0, min(passed, 2.0 * CHECK_INTERVAL) - (waited - self._waited)
+            )
             self._checked, self._waited = now, waited
         return self._stood
 

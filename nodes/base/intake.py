@@ -28,7 +28,9 @@ class Intake:
     def __init__(self, node: Any) -> None:
         self._node = node
 
-    def take(self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes) -> M | None:
+    def take(
+        self, decoder: Decoder[M], frames: tuple[bytes, bytes], topic: bytes
+    ) -> M | None:
         """Decode a received message of the expected topic; None if it was refused."""
         if frames[0] != topic:
             self.out_of_step(frames[0], topic)
@@ -46,4 +48,6 @@ class Intake:
         """Refuse a message with an unexpected topic, and find the beginning of the next one."""
         if self._node.inbox is not None:
             self._node.inbox.resynchronise()
-        self._node.events.refuse(f"a message on {frame[:64]!r} where {topic.decode()} was expected")
+        self._node.events.refuse(
+            f"a message on {frame[:64]!r} where {topic.decode()} was expected"
+        )

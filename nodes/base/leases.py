@@ -47,7 +47,10 @@ class Leases:
     """Leases of one node, saved in `path` for a successor; for its control thread only."""
 
     def __init__(
-        self, node: str, perform: Callable[[str, Mapping[str, Any]], Any], path: Path | None = None
+        self,
+        node: str,
+        perform: Callable[[str, Mapping[str, Any]], Any],
+        path: Path | None = None,
     ) -> None:
         self._node = node
         self._perform = perform
@@ -78,7 +81,12 @@ class Leases:
         }
 
     def _take(
-        self, name: str, seconds: float, then: str, args: Mapping[str, Any], holder: str = ""
+        self,
+        name: str,
+        seconds: float,
+        then: str,
+        args: Mapping[str, Any],
+        holder: str = "",
     ) -> dict[str, Any]:
         if not (isinstance(seconds, int | float) and 0.0 < seconds <= MAX_LEASE):
             raise ParameterError(
@@ -116,7 +124,9 @@ class Leases:
                 self._held[name].renew()
         return {"run_out": [name for name in names if not self._is_held(name, holder)]}
 
-    def _change(self, name: str, operation: str, args: Mapping[str, Any], holder: str = "") -> Any:
+    def _change(
+        self, name: str, operation: str, args: Mapping[str, Any], holder: str = ""
+    ) -> Any:
         """Perform an operation under a lease; refuse it if the lease has expired."""
         if not self._is_held(name, holder):
             raise ParameterError(

@@ -109,7 +109,10 @@ class Node:
         self.clock = Clock(setup, lambda: self.counted().seq)
         self.events = Events(setup.name, self.clock, lambda: self.counted().seq)
         self.changes = Changes(
-            setup, self.store, self.events.notify, lambda: self.state not in ("finished", "failed")
+            setup,
+            self.store,
+            self.events.notify,
+            lambda: self.state not in ("finished", "failed"),
         )
         self.inbox: Subscription | None = None
         self.links: Links | None = None
@@ -254,7 +257,9 @@ class Node:
         return False
 
     @classmethod
-    def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
+    def largest_force(
+        cls, parameters: Mapping[str, Any], name: str, period: float
+    ) -> float | None:
         """Return the largest force of node `name` with these `parameters`, at a `period` [s].
 
         Returns
@@ -315,7 +320,9 @@ class Node:
             Of this node.
         """
         del kernel
-        raise TypeError(f"node kind {self.setup.kind!r} does not define compiled_ticks()")
+        raise TypeError(
+            f"node kind {self.setup.kind!r} does not define compiled_ticks()"
+        )
 
     def connect(
         self, subscribe: Callable[[Iterable[str], Iterable[str], int], Subscription]
@@ -326,12 +333,16 @@ class Node:
         """
         if self.listens_to == ("*",):
             self.inbox = subscribe(
-                set(self.setup.sources.values()), self.subscribes(self.store.current), self.queue
+                set(self.setup.sources.values()),
+                self.subscribes(self.store.current),
+                self.queue,
             )
         elif self.listens_to:
             wanted = [self.setup.topic(topic) for topic in self.listens_to]
             self.inbox = subscribe(
-                {self.setup.sources[topic] for topic in self.listens_to}, wanted, self.queue
+                {self.setup.sources[topic] for topic in self.listens_to},
+                wanted,
+                self.queue,
             )
 
     def respond(self, message: Any) -> bytes | None:
@@ -380,7 +391,8 @@ class Node:
         """
         del parameters
         raise ParameterError(
-            f"parameters of a {self.setup.kind} are fixed while it runs", path=self.setup.name
+            f"parameters of a {self.setup.kind} are fixed while it runs",
+            path=self.setup.name,
         )
 
     def prepare_forced(self, parameters: Any) -> Callable[[int], Any]:
@@ -427,7 +439,9 @@ class Node:
             Tick, number of ticks, and missing ones.
         """
         counters = self.counters
-        return Counted(max(counters.seq, 0), counters.ticks, counters.gaps, counters.skipped)
+        return Counted(
+            max(counters.seq, 0), counters.ticks, counters.gaps, counters.skipped
+        )
 
     def set_clock(self, offset: float, error: float) -> None:
         """Set the `offset` of this host's clock to the launcher's, and its `error` [s]."""

@@ -16,7 +16,8 @@ def printable(text: str) -> str:
     """
     # every second part is one of our colours
     return "".join(
-        part if n % 2 else "".join(map(_shown, part)) for n, part in enumerate(_OURS.split(text))
+        part if n % 2 else "".join(map(_shown, part))
+        for n, part in enumerate(_OURS.split(text))
     )
 
 

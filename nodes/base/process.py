@@ -67,7 +67,9 @@ def _heed_signals(node: Node) -> None:
         while True:
             node.stop(signal.Signals(signal.sigwait(asking)).name)
 
-    threading.Thread(target=wait, name=f"{node.setup.name}-signals", daemon=True).start()
+    threading.Thread(
+        target=wait, name=f"{node.setup.name}-signals", daemon=True
+    ).start()
     # sent when a process opens a watched file that is read under a lease; the default ends the
     # process
     signal.signal(signal.SIGIO, signal.SIG_IGN)
@@ -89,7 +91,9 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
 
     is_encrypted = any("#" in place for place in bound)
     gate = (
-        Gate(context, events.deny, evict, partial(realtime.step_aside, setup.scheduling))
+        Gate(
+            context, events.deny, evict, partial(realtime.step_aside, setup.scheduling)
+        )
         if is_encrypted
         else None
     )
@@ -103,7 +107,9 @@ def _make_sockets(node: Node, context: Context) -> tuple[ControlServer, Gate | N
         )
         node.publisher = Publisher(context, setup.publish, hops, listeners, batch)
         node.connect(
-            lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue, links)
+            lambda endpoints, wanted, queue: Subscription(
+                context, endpoints, wanted, queue, links
+            )
         )
         if node.answers and node.inbox is not None:
             node.waker = Waker(context, node.setup.topic(node.listens_to[0]).encode())
@@ -133,7 +139,9 @@ def live(node: Node, load_kernel: Callable[[Node], None]) -> int:
     _heed_signals(node)
     descriptors.take()
     refused = realtime.apply(node.setup.scheduling)
-    instead_of_stderr(partial(realtime.step_aside, node.setup.scheduling), stdout_too=True)
+    instead_of_stderr(
+        partial(realtime.step_aside, node.setup.scheduling), stdout_too=True
+    )
     load_kernel(node)
     resume(node)
     try:

@@ -29,7 +29,9 @@ class ProcessorWait:
         for path in Path(f"/proc/{pid}/task").glob("[0-9]*"):
             # a thread that has ended waits for nothing
             with contextlib.suppress(OSError):
-                ran, waited = map(int, (path / "schedstat").read_text(encoding="ascii").split()[:2])
+                ran, waited = map(
+                    int, (path / "schedstat").read_text(encoding="ascii").split()[:2]
+                )
                 seen[path.name] = ran, waited
                 before = self._threads.get(path.name)
                 if before == (ran, waited) and state_of(path) == "R":
@@ -45,5 +47,8 @@ class ProcessorWait:
 def state_of(path: Path) -> str:
     """Return the kernel's state letter of a process or thread, from its folder in /proc."""
     return (
-        (path / "stat").read_text(encoding="ascii", errors="replace").rsplit(")", 1)[1].split()[0]
+        (path / "stat")
+        .read_text(encoding="ascii", errors="replace")
+        .rsplit(")", 1)[1]
+        .split()[0]
     )

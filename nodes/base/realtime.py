@@ -40,11 +40,15 @@ def apply(scheduling: Scheduling) -> list[str]:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(scheduling.fifo))
         except OSError as error:
-            refused.append(f"SCHED_FIFO {scheduling.fifo}: {error.strerror}; see haptic doctor")
+            refused.append(
+                f"SCHED_FIFO {scheduling.fifo}: {error.strerror}; see haptic doctor"
+            )
     try:
         Path("/proc/self/timerslack_ns").write_text("1", encoding="ascii")
     except OSError as error:
-        refused.append(f"timer slack 1 ns: {error.strerror}; ticks come about 50 µs later")
+        refused.append(
+            f"timer slack 1 ns: {error.strerror}; ticks come about 50 µs later"
+        )
     return refused
 
 
@@ -54,7 +58,9 @@ def quietest_processor(interrupts: str = "/proc/interrupts") -> int:
     counts = dict.fromkeys(sorted(available), 0)
     try:
         with open(interrupts, encoding="ascii", errors="replace") as table:
-            columns = [int(name.removeprefix("CPU")) for name in table.readline().split()]
+            columns = [
+                int(name.removeprefix("CPU")) for name in table.readline().split()
+            ]
             for line in table:
                 name, *numbers = line.split()[: len(columns) + 1]
                 # timers and calls between processors have names, and follow the load

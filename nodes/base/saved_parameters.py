@@ -47,11 +47,15 @@ def resume(node: Node) -> None:
         kept = msgspec.json.decode(path.read_bytes(), type=Kept)
         node.store.accept(convert(kept.parameters, node.Parameters, node.setup.name))
     except (msgspec.DecodeError, ParameterError) as error:
-        node.events.log(f"its saved parameters cannot be used: {error}; using the launch file's")
+        node.events.log(
+            f"its saved parameters cannot be used: {error}; using the launch file's"
+        )
         return
     node.saved_parameters = node.store.current
     node.resumed_at = kept.seq
     node.watched = kept.watched
     node.events.emit_each(
-        "resumed", f"continues with its parameters of tick {kept.seq}", {"tick": kept.seq}
+        "resumed",
+        f"continues with its parameters of tick {kept.seq}",
+        {"tick": kept.seq},
     )

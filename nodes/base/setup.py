@@ -8,7 +8,16 @@ import msgspec
 from messages import topics
 from messages.types import Real
 
-__all__ = ["AXIS_INDEX", "Apply", "Axis", "Effect", "Pace", "Scheduling", "Setup", "Tick"]
+__all__ = [
+    "AXIS_INDEX",
+    "Apply",
+    "Axis",
+    "Effect",
+    "Pace",
+    "Scheduling",
+    "Setup",
+    "Tick",
+]
 
 Pace = Literal["realtime", "lockstep"]
 Apply = Literal["on_arrival", "next_tick"]

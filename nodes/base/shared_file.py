@@ -10,7 +10,9 @@ from pathlib import Path
 
 from nodes.base.setup import Setup
 
-FILE_TIMEOUT = 10.0  # longest wait for a file that another node creates when it starts [s]
+FILE_TIMEOUT = (
+    10.0  # longest wait for a file that another node creates when it starts [s]
+)
 
 
 def mapped(path: Path, size: int, make: bool) -> mmap.mmap:
@@ -36,7 +38,11 @@ def awaited(
     A node on another machine never creates it, and is not waited for.
     """
     deadline = time.monotonic() + patience
-    while maker.control.startswith("ipc:") and time.monotonic() < deadline and not given_up():
+    while (
+        maker.control.startswith("ipc:")
+        and time.monotonic() < deadline
+        and not given_up()
+    ):
         if path.exists() and path.stat().st_size == size:
             break
         time.sleep(0.005)

@@ -61,7 +61,12 @@ def report_of(node: Any, figures: Mapping[str, Any]) -> dict[str, Any]:
     status = msgspec.to_builtins(node.status())
     # empty for a node without ticks
     tick = "compiled" if node.kernel is not None else "plain" if node.publishes else ""
-    return {"status": status, "tick": tick, "ticks_compiled": node.ticks_compiled, **figures}
+    return {
+        "status": status,
+        "tick": tick,
+        "ticks_compiled": node.ticks_compiled,
+        **figures,
+    }
 
 
 def write_whole(path: Path, content: Any) -> None:

@@ -31,14 +31,18 @@ class StderrQueue(io.TextIOBase):
     `aside` moves its thread off a loop's processor.
     """
 
-    def __init__(self, descriptor: int = STDERR, aside: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, descriptor: int = STDERR, aside: Callable[[], None] = lambda: None
+    ) -> None:
         self._descriptor = descriptor
         self._aside = aside
         # its put takes no lock that a signal handler or another thread could hold
         self._queue: SimpleQueue[str] = SimpleQueue()
         self._taken = self._put = 0
         self._gone = False
-        self.dropped = 0  # pieces of text dropped, because the queue was full or nobody reads
+        self.dropped = (
+            0  # pieces of text dropped, because the queue was full or nobody reads
+        )
         self._thread = threading.Thread(target=self._run, name="words", daemon=True)
         self._thread.start()
 

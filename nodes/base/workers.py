@@ -54,7 +54,9 @@ class Workers(Executor):
         self._there: list[_Worker] = []
         self._over = False
 
-    def submit(self, work: Callable[P, R], /, *args: P.args, **options: P.kwargs) -> Future[R]:
+    def submit(
+        self, work: Callable[P, R], /, *args: P.args, **options: P.kwargs
+    ) -> Future[R]:
         """Run `work`, a function of a module, with picklable arguments in a worker."""
         packed = pickle.dumps((work, args, options))
         with _later():
@@ -79,7 +81,9 @@ class Workers(Executor):
             for worker in self._there:
                 worker.pipe.close()
                 # Linux 6.18 was seen to take a minute to reap a dead process
-                threading.Thread(target=worker.process.wait, name="reap", daemon=True).start()
+                threading.Thread(
+                    target=worker.process.wait, name="reap", daemon=True
+                ).start()
             self._there.clear()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -161,7 +165,9 @@ def serve(pipe: Connection) -> None:
         try:
             pipe.send(answer)
         except (pickle.PicklingError, TypeError, AttributeError) as error:
-            pipe.send((False, TypeError(f"{answer[1]!r:.200} cannot be sent back: {error}")))
+            pipe.send(
+                (False, TypeError(f"{answer[1]!r:.200} cannot be sent back: {error}"))
+            )
 
 
 def main() -> None:

@@ -41,10 +41,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "Record a running launch into an MCAP file, until it ends or Ctrl-C."
     _add_record(declare("record", _record, text))
     info = declare(
-        "info", _info, "Show a recording's topics, message counts, gaps in seq and losses."
+        "info",
+        _info,
+        "Show a recording's topics, message counts, gaps in seq and losses.",
     )
     play = declare(
-        "play", _play, "Publish a recording at its original pace, for PlotJuggler or a node."
+        "play",
+        _play,
+        "Publish a recording at its original pace, for PlotJuggler or a node.",
     )
     cut = declare("cut", _extract, "Copy a part of a recording into a new one.")
     cut.set_defaults(topics=[])
@@ -66,7 +70,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     _add_formats(export)
     add_import(
         declare(
-            "import", run_import, "Write a table of another program (CSV, NPZ, …) as a recording."
+            "import",
+            run_import,
+            "Write a table of another program (CSV, NPZ, …) as a recording.",
         )
     )
     plot = declare(
@@ -86,7 +92,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def _add_plot(own: argparse.ArgumentParser) -> None:
     own.add_argument("files", type=Path, nargs="+", metavar="file")
     own.add_argument(
-        "--xy", action="store_true", help="draw force over position instead of both over time"
+        "--xy",
+        action="store_true",
+        help="draw force over position instead of both over time",
     )
 
 
@@ -94,7 +102,9 @@ _OUT = {
     "recover": "FILE.recovered.mcap",
     "cut": "FILE.cut.mcap",
     "filter": "FILE.filter.mcap",
-    "export": ("the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap"),
+    "export": (
+        "the directory FILE_csv or FILE_ros2, or FILE.npz, .mat, .parquet, .foxglove.mcap"
+    ),
     "plot": "FILE.png, FILE_xy.png or FILE_overlay.png; the suffix .svg or .pdf sets the format",
 }
 
@@ -119,7 +129,9 @@ def _add_file_after_topics(own: argparse.ArgumentParser) -> None:
 
 def _add_topics(own: argparse.ArgumentParser) -> None:
     _add_file_after_topics(own)
-    own.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names")
+    own.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="full topic names"
+    )
 
 
 def _add_span(own: argparse.ArgumentParser) -> None:
@@ -131,7 +143,11 @@ def _add_span(own: argparse.ArgumentParser) -> None:
         help="start at this time of the run [s]",
     )
     own.add_argument(
-        "--to", type=not_negative, dest="stop", metavar="S", help="stop at this time [s]"
+        "--to",
+        type=not_negative,
+        dest="stop",
+        metavar="S",
+        help="stop at this time [s]",
     )
 
 
@@ -148,11 +164,19 @@ def _add_out(own: argparse.ArgumentParser) -> None:
 
 
 def _add_record(own: argparse.ArgumentParser) -> None:
-    own.add_argument("topics", nargs="*", metavar="TOPIC", help="full topic names (default: all)")
-    _add_patterns(own)
-    own.add_argument("--all", "-a", action="store_true", help="record all topics (the default)")
     own.add_argument(
-        "--out", "-o", type=Path, metavar="FILE", help="output file (default: OUT_DIR/RUN-PID.mcap)"
+        "topics", nargs="*", metavar="TOPIC", help="full topic names (default: all)"
+    )
+    _add_patterns(own)
+    own.add_argument(
+        "--all", "-a", action="store_true", help="record all topics (the default)"
+    )
+    own.add_argument(
+        "--out",
+        "-o",
+        type=Path,
+        metavar="FILE",
+        help="output file (default: OUT_DIR/RUN-PID.mcap)",
     )
     own.add_argument(
         "--out-dir",
@@ -198,10 +222,17 @@ def _add_play(own: argparse.ArgumentParser) -> None:
         help="start S seconds into the recording",
     )
     own.add_argument(
-        "--remap", "-m", nargs="+", default=[], metavar="OLD:=NEW", help="publish topic OLD as NEW"
+        "--remap",
+        "-m",
+        nargs="+",
+        default=[],
+        metavar="OLD:=NEW",
+        help="publish topic OLD as NEW",
     )
     own.add_argument(
-        "--wait", action="store_true", help="wait for a subscriber before the first message"
+        "--wait",
+        action="store_true",
+        help="wait for a subscriber before the first message",
     )
 
 
@@ -216,7 +247,11 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     """Return the topics that names and patterns select; all if neither is given."""
     try:
         wanted = re.compile(arguments.regex or "")
-        unwanted = None if arguments.exclude_regex is None else re.compile(arguments.exclude_regex)
+        unwanted = (
+            None
+            if arguments.exclude_regex is None
+            else re.compile(arguments.exclude_regex)
+        )
     except re.error as error:
         raise UsageError(
             f"bag {arguments.chosen}: {error.pattern!r} is not a regular expression: {error}"
@@ -230,17 +265,23 @@ def _chosen(known: Iterable[str], arguments: argparse.Namespace) -> list[str]:
     chosen = named if arguments.topics or arguments.regex else known
     left = [topic for topic in chosen if unwanted is None or not unwanted.search(topic)]
     if not left:
-        raise UsageError(f"bag {arguments.chosen}: no topic matches; there are {', '.join(known)}")
+        raise UsageError(
+            f"bag {arguments.chosen}: no topic matches; there are {', '.join(known)}"
+        )
     return left
 
 
-def _checked(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
+def _checked(
+    run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace
+) -> int:
     """Run a sub-verb; for a bad file, print a one-line error and return exit code 1."""
     if "file" in arguments and arguments.file is None:
         if not getattr(arguments, "topics", None):
             raise UsageError(f"bag {arguments.chosen}: needs the file of a recording")
         arguments.file = Path(arguments.topics.pop())
-    for file in [arguments.file] if "file" in arguments else getattr(arguments, "files", []):
+    for file in (
+        [arguments.file] if "file" in arguments else getattr(arguments, "files", [])
+    ):
         # A ROS bag is a folder.
         if not file.exists():
             raise UsageError(f"{file}: no such file")
@@ -286,9 +327,12 @@ def _record(arguments: argparse.Namespace) -> int:
         topics = _chosen(run.endpoints(), arguments) if patterns else arguments.topics
         # The process number gives each of several recorders beside one launch its own file.
         out = _free(
-            arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap", arguments.force
+            arguments.out or arguments.out_dir / f"{run.run}-{os.getpid()}.mcap",
+            arguments.force,
         )
-        print(f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True)
+        print(
+            f"recording {run.run} into {out}; Ctrl-C ends", file=sys.stderr, flush=True
+        )
         count = record(
             run,
             str(out),
@@ -298,7 +342,9 @@ def _record(arguments: argparse.Namespace) -> int:
             arguments.force,
         )
         return answer(
-            arguments.json, {"recording": str(out), "messages": count}, f"{out}: {count} messages"
+            arguments.json,
+            {"recording": str(out), "messages": count},
+            f"{out}: {count} messages",
         )
 
 
@@ -310,7 +356,9 @@ def _in_order(start: float | None, stop: float | None) -> tuple[float, float]:
     begin = start or 0.0
     end = math.inf if stop is None else stop
     if begin >= end:
-        raise UsageError(f"--from {begin:g} --to {end:g}: the end must come after the beginning")
+        raise UsageError(
+            f"--from {begin:g} --to {end:g}: the end must come after the beginning"
+        )
     return begin, end
 
 
@@ -321,7 +369,9 @@ def _info_text(
     facts = dict(recording.manifest)
     with contextlib.suppress(KeyError, ValueError, OverflowError):
         begin = recording.first_log + float(facts["wall_minus_monotonic_s"])
-        facts["started"] = datetime.fromtimestamp(begin).astimezone().isoformat(" ", "seconds")
+        facts["started"] = (
+            datetime.fromtimestamp(begin).astimezone().isoformat(" ", "seconds")
+        )
     for name in ("scenario", "run", "imported", "started", "host", "pace", "rate_hz"):
         if name in facts:
             lines.append(f"  {name:9} {facts[name]}")
@@ -395,11 +445,19 @@ def _info(arguments: argparse.Namespace) -> int:
             for topic, figures in recording.topics.items()
         },
         "foreign": {
-            topic: {"messages": one.messages, "encoding": one.encoding, "schema": one.schema}
+            topic: {
+                "messages": one.messages,
+                "encoding": one.encoding,
+                "schema": one.schema,
+            }
             for topic, one in recording.foreign.items()
         },
         "nodes": {
-            node: {"sent": account.sent, "recorded": account.recorded, "lost": account.lost}
+            node: {
+                "sent": account.sent,
+                "recorded": account.recorded,
+                "lost": account.lost,
+            }
             for node, account in verdict.nodes.items()
         },
         "clocks": {
@@ -424,7 +482,9 @@ def _play(arguments: argparse.Namespace) -> int:
     recording = _opened(arguments.file)
     names = _remapped(recording, arguments.remap)
     if arguments.start_offset > (length := length_of(recording)):
-        raise UsageError(f"--start-offset {arguments.start_offset:g}: it lasts {length:g} s")
+        raise UsageError(
+            f"--start-offset {arguments.start_offset:g}: it lasts {length:g} s"
+        )
     counts: dict[str, int] = {}
     interrupts = []
 
@@ -441,7 +501,11 @@ def _play(arguments: argparse.Namespace) -> int:
         raise
     before = signal.signal(signal.SIGINT, interrupt)
     try:
-        print(f"publishing on {arguments.endpoint}; Ctrl-C ends", file=sys.stderr, flush=True)
+        print(
+            f"publishing on {arguments.endpoint}; Ctrl-C ends",
+            file=sys.stderr,
+            flush=True,
+        )
         while arguments.wait and not publisher.listeners():
             time.sleep(0.01)
         while True:
@@ -470,7 +534,9 @@ def _play(arguments: argparse.Namespace) -> int:
         if math.isinf(arguments.rate)
         else f"at {arguments.rate:g} times the original pace"
     )
-    return answer(arguments.json, {"published": counts}, f"published {pace}:\n{_counted(counts)}")
+    return answer(
+        arguments.json, {"published": counts}, f"published {pace}:\n{_counted(counts)}"
+    )
 
 
 def _remapped(recording: Recording, words: Iterable[str]) -> dict[str, str]:
@@ -478,7 +544,9 @@ def _remapped(recording: Recording, words: Iterable[str]) -> dict[str, str]:
     for word in words:
         old, sign, new = word.partition(":=")
         if not sign or not new.startswith("/"):
-            raise UsageError(f"--remap {word}: expected OLD:=NEW, both with a leading slash")
+            raise UsageError(
+                f"--remap {word}: expected OLD:=NEW, both with a leading slash"
+            )
         if old not in recording.topics:
             raise UsageError(
                 f"--remap {word}: no topic {old!r}; there are {', '.join(recording.topics)}"
@@ -496,25 +564,34 @@ def _extract(arguments: argparse.Namespace) -> int:
     known = [*recording.topics, *recording.foreign]
     for topic in arguments.topics:
         if topic not in known:
-            raise UsageError(f"{arguments.file}: no topic {topic!r}; there are {', '.join(known)}")
+            raise UsageError(
+                f"{arguments.file}: no topic {topic!r}; there are {', '.join(known)}"
+            )
     topics = _chosen(known, arguments)
     out = _free(
-        arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"), arguments.force
+        arguments.out or arguments.file.with_suffix(f".{arguments.chosen}.mcap"),
+        arguments.force,
     )
     counts = extract(recording, out, topics, start, stop, overwrite=arguments.force)
     return answer(
-        arguments.json, {"out": str(out), "messages": counts}, f"{out}:\n{_counted(counts)}"
+        arguments.json,
+        {"out": str(out), "messages": counts},
+        f"{out}:\n{_counted(counts)}",
     )
 
 
 def _recover(arguments: argparse.Namespace) -> int:
     from nodes.recording.recover import recover
 
-    out = _free(arguments.out or arguments.file.with_suffix(".recovered.mcap"), arguments.force)
+    out = _free(
+        arguments.out or arguments.file.with_suffix(".recovered.mcap"), arguments.force
+    )
     saved = recover(arguments.file, out, overwrite=arguments.force)
     lines = [f"{out}: {sum(saved.messages.values())} messages saved"]
     lines += [f"  {topic}: {count}" for topic, count in saved.messages.items()]
-    lines += saved.problems or ["the recording was complete and sound; nothing was lost"]
+    lines += saved.problems or [
+        "the recording was complete and sound; nothing was lost"
+    ]
     figures = {
         "out": str(out),
         "messages": saved.messages,
@@ -530,7 +607,12 @@ def _export(arguments: argparse.Namespace) -> int:
     from nodes.view.foxglove_scene import export_foxglove
     from nodes.view.replay_file import export_html
 
-    formats = {**TABLES, "ros2": export_ros2, "foxglove": export_foxglove, "html": export_html}
+    formats = {
+        **TABLES,
+        "ros2": export_ros2,
+        "foxglove": export_foxglove,
+        "html": export_html,
+    }
     source: Path = arguments.file
     ending = arguments.out.suffix.removeprefix(".") if arguments.out else ""
     form = arguments.format or ending or "csv"
@@ -539,8 +621,12 @@ def _export(arguments: argparse.Namespace) -> int:
             f"{arguments.out}: {ending!r} is not a format; choose one of {', '.join(formats)}"
             " with --format"
         )
-    ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(form, f".{form}")
-    out = _free(arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force)
+    ending = {"csv": "_csv", "ros2": "_ros2", "foxglove": ".foxglove.mcap"}.get(
+        form, f".{form}"
+    )
+    out = _free(
+        arguments.out or source.with_name(f"{source.stem}{ending}"), arguments.force
+    )
     recording = _opened(source)
     files = formats[form](recording, out, overwrite=arguments.force)
     if form in TABLES:
@@ -549,7 +635,9 @@ def _export(arguments: argparse.Namespace) -> int:
         except RecordError as error:
             complain(error)  # the other tables are written anyway
     return answer(
-        arguments.json, {"files": [str(file) for file in files]}, "\n".join(map(str, files))
+        arguments.json,
+        {"files": [str(file) for file in files]},
+        "\n".join(map(str, files)),
     )
 
 
@@ -562,7 +650,8 @@ def _plot(arguments: argparse.Namespace) -> int:
     alone = len(files) == 1 and not arguments.xy
     ending = "" if alone else "_xy" if arguments.xy else "_overlay"
     out = _free(
-        arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"), arguments.force
+        arguments.out or files[0].with_name(f"{files[0].stem}{ending}.png"),
+        arguments.force,
     )
     recordings = [_opened(file) for file in files]
     if alone:

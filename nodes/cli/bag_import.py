@@ -14,7 +14,9 @@ from nodes.recording.writer import RecordError
 def add_import(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "file", type=Path, help="the table, with a line of names if it is text; or a ROS bag"
+        "file",
+        type=Path,
+        help="the table, with a line of names if it is text; or a ROS bag",
     )
     parser.add_argument(
         "--out",
@@ -46,13 +48,21 @@ def add_import(parser: argparse.ArgumentParser) -> None:
     )
     declare(parser, rate=None)
     parser.add_argument(
-        "--ignore-times", action="store_true", help="each row is a tick, whatever its time"
+        "--ignore-times",
+        action="store_true",
+        help="each row is a tick, whatever its time",
     )
     parser.add_argument(
-        "--axis", choices=("x", "y", "z"), help="axis of a single column (default: as named, or x)"
+        "--axis",
+        choices=("x", "y", "z"),
+        help="axis of a single column (default: as named, or x)",
     )
-    parser.add_argument("--decimal-comma", action="store_true", help="the file writes 0,5 for 0.5")
-    parser.add_argument("--force", action="store_true", help="replace an existing recording")
+    parser.add_argument(
+        "--decimal-comma", action="store_true", help="the file writes 0,5 for 0.5"
+    )
+    parser.add_argument(
+        "--force", action="store_true", help="replace an existing recording"
+    )
     # A CSV export is a directory.
     parser.set_defaults(run=run_import)
 

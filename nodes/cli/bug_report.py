@@ -83,7 +83,11 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
         return platform.machine()
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    named = (
+        line.partition(":")[2].strip()
+        for line in lines
+        if line.startswith("model name")
+    )
     return next(named, platform.machine())
 
 
@@ -121,7 +125,9 @@ def gathered() -> dict[str, dict[str, str]]:
     load = ", ".join(f"{mean:.2f}" for mean in os.getloadavg())
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
     try:
-        launched = [f"{run.scenario} ({len(run.nodes)} nodes)" for run in runs().values()]
+        launched = [
+            f"{run.scenario} ({len(run.nodes)} nodes)" for run in runs().values()
+        ]
     except (HapticError, OSError) as error:
         launched = [str(error)]
     settings = {
@@ -140,7 +146,9 @@ def gathered() -> dict[str, dict[str, str]]:
             "processor": f"{_processor()}, {os.cpu_count()} cores,"
             f" {len(os.sched_getaffinity(0))} to be used",
             "memory": f"{memory:.1f} GiB",
-            "system": ", ".join(filter(None, (system, platform.release(), platform.machine()))),
+            "system": ", ".join(
+                filter(None, (system, platform.release(), platform.machine()))
+            ),
             "load over 1, 5 and 15 min": load,
         },
         "configuration": {
@@ -151,7 +159,9 @@ def gathered() -> dict[str, dict[str, str]]:
     }
 
 
-def markdown(found: Mapping[str, Mapping[str, str]], checks: Iterable[Mapping[str, Any]]) -> str:
+def markdown(
+    found: Mapping[str, Mapping[str, str]], checks: Iterable[Mapping[str, Any]]
+) -> str:
     """Render a report, with what `haptic doctor` found, as Markdown."""
     lines = []
     for section, rows in found.items():
@@ -159,6 +169,7 @@ def markdown(found: Mapping[str, Mapping[str, str]], checks: Iterable[Mapping[st
         lines += [f"- {name}: {value}" for name, value in rows.items()] + [""]
     lines += ["### haptic doctor", ""]
     lines += [
-        f"- {check['state']}: {check['name']}: {without_home(check['found'])}" for check in checks
+        f"- {check['state']}: {check['name']}: {without_home(check['found'])}"
+        for check in checks
     ]
     return "\n".join(lines)

@@ -58,7 +58,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="the shell; words: print completions (used by the scripts)",
     )
     parser.add_argument(
-        "typed", nargs="*", help="with words: the words typed so far, the last one unfinished"
+        "typed",
+        nargs="*",
+        help="with words: the words typed so far, the last one unfinished",
     )
     parser.set_defaults(run=run)
 
@@ -120,7 +122,9 @@ def _descend(
             None,
         )
         below = parser.get_default("sub_verbs")
-        place = next((i for i, word in enumerate(rest) if not word.startswith("-")), None)
+        place = next(
+            (i for i, word in enumerate(rest) if not word.startswith("-")), None
+        )
         if place is None:
             return parser, rest
         word = rest[place]
@@ -167,7 +171,10 @@ def _run() -> RunInfo:
 
 def _assignments(given: list[str]) -> list[str]:
     return (
-        [f"{name}:=" for name in launch_file.read_arguments(launch_file.find(given[0]))[1]]
+        [
+            f"{name}:="
+            for name in launch_file.read_arguments(launch_file.find(given[0]))[1]
+        ]
         if given
         else []
     )

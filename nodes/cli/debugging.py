@@ -34,9 +34,15 @@ class Debugging:
             self._pids[name] = process.pid
             setup = child.setup
             where = f"processors {', '.join(map(str, setup.scheduling.cpus)) or 'any'}"
-            how = f"FIFO {setup.scheduling.fifo}" if setup.scheduling.fifo else "no FIFO"
-            command = shlex.join([*PYTHON, "-m", "nodes", f"{setup.run_dir}/{name}.json"])
-            self._say(f"{name}: pid {process.pid}, {where}, {how}, tick {setup.tick}: {command}")
+            how = (
+                f"FIFO {setup.scheduling.fifo}" if setup.scheduling.fifo else "no FIFO"
+            )
+            command = shlex.join(
+                [*PYTHON, "-m", "nodes", f"{setup.run_dir}/{name}.json"]
+            )
+            self._say(
+                f"{name}: pid {process.pid}, {where}, {how}, tick {setup.tick}: {command}"
+            )
             for topic, source in setup.sources.items():
                 self._say(f"  receives {topic} from {source}")
             self._say(f"  publishes at {setup.publish}, replies at {setup.control}")

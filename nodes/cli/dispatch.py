@@ -24,7 +24,9 @@ def dispatch(
     verb: str,
     noun: str,
     moved: Mapping[str, str] | None = None,
-    declare: Callable[[Any, argparse.ArgumentParser], None] = lambda found, own: found.add(own),
+    declare: Callable[[Any, argparse.ArgumentParser], None] = lambda found, own: (
+        found.add(own)
+    ),
 ) -> None:
     """Pass the arguments of a verb on to one of its sub-verbs.
 
@@ -41,7 +43,9 @@ def dispatch(
     """
     known = sub_verbs(verb)
     width = max(map(len, known))
-    names = "".join(f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items())
+    names = "".join(
+        f"  {name:{width}}  {first_line(full)}\n" for name, full in known.items()
+    )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{noun}:\n{names}\nDetails: haptic {verb} {noun.upper()} --help"
     parser.add_argument(
@@ -51,11 +55,15 @@ def dispatch(
         choices=list(known),
         help="one of those below",
     )
-    parser.add_argument("rest", metavar="...", nargs=argparse.REMAINDER, help="its own arguments")
+    parser.add_argument(
+        "rest", metavar="...", nargs=argparse.REMAINDER, help="its own arguments"
+    )
 
     def run(arguments: argparse.Namespace) -> int:
         full = known[arguments.chosen]
-        own = Parser(prog=f"{parser.prog} {arguments.chosen}", description=first_line(full))
+        own = Parser(
+            prog=f"{parser.prog} {arguments.chosen}", description=first_line(full)
+        )
         declare(VERBS.load(full), own)
         chosen, left_over = own.parse_known_args(arguments.rest)
         if left_over:
@@ -68,7 +76,12 @@ def dispatch(
         except KeyboardInterrupt as interrupt:
             sys.stderr.write(erased(sys.stderr))
             complain(
-                ": ".join([f"{verb} {arguments.chosen} was interrupted", *map(str, interrupt.args)])
+                ": ".join(
+                    [
+                        f"{verb} {arguments.chosen} was interrupted",
+                        *map(str, interrupt.args),
+                    ]
+                )
             )
             raise
 
@@ -78,14 +91,18 @@ def dispatch(
 def _current(verb: str, moved: Mapping[str, str], name: str) -> str:
     """Return the name of a sub-verb; a former one is refused with the command that it is now."""
     if name in moved:
-        raise argparse.ArgumentTypeError(f"haptic {verb} {name} is now haptic {moved[name]}")
+        raise argparse.ArgumentTypeError(
+            f"haptic {verb} {name} is now haptic {moved[name]}"
+        )
     return name
 
 
 def refuse_unwritable(path: Path, option: str = "--out") -> None:
     """Raise UsageError early if `path` cannot be written; name `option` as the remedy."""
     there = next(
-        place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink()
+        place
+        for place in (path, *path.absolute().parents)
+        if place.exists() or place.is_symlink()
     )
     if there != path and not there.is_dir():
         raise UsageError(f"{path}: {there} is not a directory; choose another {option}")

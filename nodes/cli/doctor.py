@@ -83,7 +83,9 @@ def _fifo() -> Diagnosis:
             " rtprio=90. Until then another process may cost ticks",
         )
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    return Diagnosis("ok", f"priority {FIFO} granted (rtprio limit {allowed}; root needs none)")
+    return Diagnosis(
+        "ok", f"priority {FIFO} granted (rtprio limit {allowed}; root needs none)"
+    )
 
 
 def _throttling() -> Diagnosis:
@@ -121,14 +123,18 @@ def _processors() -> Diagnosis:
             f"{text}; pinning refused: {error.strerror}",
             "allow sched_setaffinity in the container",
         )
-    return Diagnosis("ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}")
+    return Diagnosis(
+        "ok", f"{text}; the chain is pinned to {realtime.quietest_processor()}"
+    )
 
 
 def _governor() -> Diagnosis:
     core = realtime.quietest_processor()
     governor = _read(f"/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor")
     if governor is None:
-        return Diagnosis("ok", "not readable here (a virtual machine, or fixed by the firmware)")
+        return Diagnosis(
+            "ok", "not readable here (a virtual machine, or fixed by the firmware)"
+        )
     if governor == "performance":
         return Diagnosis("ok", governor)
     remedy = (
@@ -164,7 +170,9 @@ def _open_files() -> Diagnosis:
     soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     limit = _limit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < OPEN_FILES:
-        return Diagnosis("missing", f"{limit}, needed: {OPEN_FILES}", f"ulimit -n {OPEN_FILES}")
+        return Diagnosis(
+            "missing", f"{limit}, needed: {OPEN_FILES}", f"ulimit -n {OPEN_FILES}"
+        )
     return Diagnosis("ok", limit)
 
 
@@ -172,7 +180,9 @@ def _runtime() -> Diagnosis:
     try:
         path = runtime_dir()
     except (RunError, OSError) as error:
-        return Diagnosis("missing", str(error), "set HAPTIC_RUNTIME_DIR to a writable directory")
+        return Diagnosis(
+            "missing", str(error), "set HAPTIC_RUNTIME_DIR to a writable directory"
+        )
     longest = len(os.fsencode(path)) + RUN_NAME
     if longest > MAX_IPC_PATH:
         text = f"{path}: socket paths would reach {longest} bytes, limit {MAX_IPC_PATH}"
@@ -181,7 +191,9 @@ def _runtime() -> Diagnosis:
         )
     if not os.access(path, os.W_OK | os.X_OK):
         return Diagnosis(
-            "missing", f"{path}: not writable", "set HAPTIC_RUNTIME_DIR to a writable directory"
+            "missing",
+            f"{path}: not writable",
+            "set HAPTIC_RUNTIME_DIR to a writable directory",
         )
     return Diagnosis("ok", f"{path}, private")
 
@@ -191,10 +203,14 @@ def _zeromq() -> Diagnosis:
 
     text = f"pyzmq {zmq.__version__}, libzmq {zmq.zmq_version()}"
     if not zmq.has("ipc"):
-        return Diagnosis("missing", f"{text} without ipc", "pip install --force-reinstall pyzmq")
+        return Diagnosis(
+            "missing", f"{text} without ipc", "pip install --force-reinstall pyzmq"
+        )
     if not zmq.has("curve"):
         text += " without CURVE (libsodium): no encrypted connections to other machines"
-        return Diagnosis("limited", text, "pip install --force-reinstall --only-binary :all: pyzmq")
+        return Diagnosis(
+            "limited", text, "pip install --force-reinstall --only-binary :all: pyzmq"
+        )
     return Diagnosis("ok", f"{text} with ipc and CURVE (libsodium)")
 
 
@@ -210,7 +226,8 @@ def interpreter() -> Diagnosis:
         # Distributions run the profiling build by hand, so its flags are not in the configuration.
         return Diagnosis("ok", f"{text}, the distribution's build")
     remedy = (
-        "use a build with --enable-optimizations (distributions' and uv's are): nodes answer faster"
+        "use a build with --enable-optimizations (distributions' and uv's are):"
+        " nodes answer faster"
     )
     return Diagnosis("limited", f"{text}, built without PGO", remedy)
 
@@ -239,7 +256,9 @@ def _packages() -> Diagnosis:
     from nodes.laws.derivatives import DERIVATIVES
     from nodes.view.comparison import PLAYERS
 
-    registries = {one.group: one for one in (VERBS, NODES, LAWS, SURFACES, DERIVATIVES, PLAYERS)}
+    registries = {
+        one.group: one for one in (VERBS, NODES, LAWS, SURFACES, DERIVATIVES, PLAYERS)
+    }
     broken: dict[str, str] = {}
     found = []
     for group in groups():
@@ -267,8 +286,12 @@ def _compiled_tick() -> Diagnosis:
     try:
         entries = {module: find(module) for module in sorted(modules)}
     except CacheRefusedError as error:
-        remedy = "remove it, or set XDG_CACHE_HOME to a folder that only you can write to"
-        return Diagnosis("limited", f"compiled code is not loaded from there: {error}", remedy)
+        remedy = (
+            "remove it, or set XDG_CACHE_HOME to a folder that only you can write to"
+        )
+        return Diagnosis(
+            "limited", f"compiled code is not loaded from there: {error}", remedy
+        )
     missing = [module for module, entry in entries.items() if entry is None]
     failed = list(filter(None, map(reason, entries.values())))
     if failed:
@@ -279,7 +302,9 @@ def _compiled_tick() -> Diagnosis:
             " launch floor_drop --tick compiled compiles it again",
         )
     if not missing:
-        return Diagnosis("ok", f"built for this version and processor, auto uses it: {folder()}")
+        return Diagnosis(
+            "ok", f"built for this version and processor, auto uses it: {folder()}"
+        )
     seconds, _ = expected_seconds(missing)
     return Diagnosis(
         "limited",
@@ -331,7 +356,10 @@ def _findings(measured: dict[str, dict[str, float]]) -> dict[str, Diagnosis]:
     realtime.apply(Scheduling(cpus=cpus))
     measured["normal"] = wake_ups()
     findings["timer slack"] = _slack()
-    if not any("FIFO" in refused for refused in realtime.apply(Scheduling(cpus=cpus, fifo=FIFO))):
+    if not any(
+        "FIFO" in refused
+        for refused in realtime.apply(Scheduling(cpus=cpus, fifo=FIFO))
+    ):
         measured["fifo"] = wake_ups()
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     return findings | {"wake-ups": _punctuality(measured)}
@@ -341,7 +369,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     if not sys.platform.startswith("linux"):
         text = f"{sys.platform}: haptic nodes run on Linux only"
-        answer(arguments.json, {"fine": False, "checks": [], "wake_up_us": {}, "error": text}, text)
+        answer(
+            arguments.json,
+            {"fine": False, "checks": [], "wake_up_us": {}, "error": text},
+            text,
+        )
         return 1
     from nodes.cli.bug_report import gathered, markdown
 
@@ -358,7 +390,9 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{marks[finding.state]} {name:18} {finding.found}")
         lines += [f"    {'':18} → {finding.remedy}"] if finding.remedy else []
     verdict = "nothing essential is missing" if fine else "a loop cannot run here"
-    lines.append(f"{verdict}{f'; {limited} settings could be better' if limited else ''}")
+    lines.append(
+        f"{verdict}{f'; {limited} settings could be better' if limited else ''}"
+    )
     checks = [{"name": name, **finding._asdict()} for name, finding in findings.items()]
     figures: dict[str, Any] = {"fine": fine, "checks": checks, "wake_up_us": measured}
     text = "\n".join(lines)

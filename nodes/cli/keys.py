@@ -10,7 +10,9 @@ from nodes.cli.main import add_json, answer
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="new|allow|revoke|list", required=True)
+    sub = parser.add_subparsers(
+        dest="chosen", metavar="new|allow|revoke|list", required=True
+    )
 
     def declare(
         name: str, run: Callable[[argparse.Namespace], int], text: str
@@ -20,7 +22,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         own.set_defaults(run=lambda arguments: _told(run, arguments))
         return own
 
-    new = declare("new", _new, "Create this machine's key pair and print the public key.")
+    new = declare(
+        "new", _new, "Create this machine's key pair and print the public key."
+    )
     new.add_argument("--replace", action="store_true", help="replace the existing pair")
     allow = declare(
         "allow",
@@ -29,8 +33,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         " file).",
     )
     allow.add_argument("name")
-    allow.add_argument("key", help="64 hexadecimal digits, printed there by haptic keys list")
-    allow.add_argument("--replace", action="store_true", help="replace another key under that name")
+    allow.add_argument(
+        "key", help="64 hexadecimal digits, printed there by haptic keys list"
+    )
+    allow.add_argument(
+        "--replace", action="store_true", help="replace another key under that name"
+    )
     revoke = declare(
         "revoke",
         _revoke,
@@ -40,7 +48,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare("list", _list, "Print this machine's public key and the allowed machines.")
 
 
-def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace) -> int:
+def _told(
+    run: Callable[[argparse.Namespace], int], arguments: argparse.Namespace
+) -> int:
     try:
         return run(arguments)
     except keys.KeyRefusedError as error:
@@ -49,15 +59,23 @@ def _told(run: Callable[[argparse.Namespace], int], arguments: argparse.Namespac
 
 def _new(arguments: argparse.Namespace) -> int:
     made = keys.new_identity(arguments.replace)
-    text = f"{made.public}\n(on the other machines: haptic keys allow NAME {made.public})"
+    text = (
+        f"{made.public}\n(on the other machines: haptic keys allow NAME {made.public})"
+    )
     return answer(
-        arguments.json, {"public_key": made.public, "directory": str(keys.key_dir())}, text
+        arguments.json,
+        {"public_key": made.public, "directory": str(keys.key_dir())},
+        text,
     )
 
 
 def _allow(arguments: argparse.Namespace) -> int:
     path = keys.allow(arguments.name, arguments.key, arguments.replace)
-    figures = {"name": arguments.name, "public_key": keys.key_of(arguments.name), "file": str(path)}
+    figures = {
+        "name": arguments.name,
+        "public_key": keys.key_of(arguments.name),
+        "file": str(path),
+    }
     return answer(arguments.json, figures, f"{arguments.name} is allowed ({path})")
 
 
@@ -77,7 +95,10 @@ def _list(arguments: argparse.Namespace) -> int:
         mine = ""
         own = str(error)
     there = keys.allowed()
-    lines = [f"this machine  {own}", *(f"{name:12}  {key}" for name, key in there.items())]
+    lines = [
+        f"this machine  {own}",
+        *(f"{name:12}  {key}" for name, key in there.items()),
+    ]
     return answer(
         arguments.json,
         {"public_key": mine, "allowed": there, "directory": str(keys.key_dir())},

@@ -40,14 +40,24 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("scenario", nargs="?", help="name or path of a launch file")
     parser.add_argument(
-        "assignments", nargs="*", metavar="name:=value", help="arguments of the launch file"
+        "assignments",
+        nargs="*",
+        metavar="name:=value",
+        help="arguments of the launch file",
     )
     parser.add_argument("--list", action="store_true", help="list the scenarios")
     parser.add_argument(
-        "--show-args", "-s", action="store_true", help="show the arguments of a scenario"
+        "--show-args",
+        "-s",
+        action="store_true",
+        help="show the arguments of a scenario",
     )
     parser.add_argument(
-        "--without", action="append", default=[], metavar="NODE", help="omit a node, e.g. logger"
+        "--without",
+        action="append",
+        default=[],
+        metavar="NODE",
+        help="omit a node, e.g. logger",
     )
     parser.add_argument(
         "--params",
@@ -55,12 +65,16 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=Path,
         metavar="FILE",
-        help=("override node parameters with a file from haptic param dump or haptic study design"),
+        help=(
+            "override node parameters with a file from haptic param dump or haptic study design"
+        ),
     )
     parser.add_argument(
         "--tick",
         choices=("auto", "compiled", "plain"),
-        help=("run the loop's ticks compiled or in the interpreter (plain); same as tick:="),
+        help=(
+            "run the loop's ticks compiled or in the interpreter (plain); same as tick:="
+        ),
     )
     parser.add_argument(
         "--law",
@@ -74,7 +88,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="directory of recordings and plot (default: from the launch file)",
     )
     parser.add_argument(
-        "--debug", "-d", action="store_true", help="print the resolved launch and each process"
+        "--debug",
+        "-d",
+        action="store_true",
+        help="print the resolved launch and each process",
     )
     parser.add_argument(
         "--no-plot", action="store_true", help="do not draw the recording at the end"
@@ -111,7 +128,11 @@ def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
         unit = f" {argument.unit}" if argument.unit else ""
         bounds = f" ({'; '.join(limits)})" if limits else ""
         lines.append(f"  {name}:={argument.default}{unit}   {argument.help}{bounds}")
-        figures[name] = {"default": argument.default, "unit": argument.unit, "help": argument.help}
+        figures[name] = {
+            "default": argument.default,
+            "unit": argument.unit,
+            "help": argument.help,
+        }
     return {"scenario": path.stem, "arguments": figures}, "\n".join(lines)
 
 
@@ -134,7 +155,9 @@ def _path_of(setup: Setup, run: str) -> str:
     """Return the existing file that a local logger records to; else an empty string."""
     if setup.kind != "logger" or setup.control.startswith("tcp://"):
         return ""
-    path = file_of(msgspec.convert(setup.parameters, LoggerParameters).path, run, setup.name)
+    path = file_of(
+        msgspec.convert(setup.parameters, LoggerParameters).path, run, setup.name
+    )
     return path if os.path.exists(path) else ""
 
 
@@ -149,7 +172,9 @@ def _note_cut(supervisor: Supervisor, ticks: int) -> None:
 def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
     """Collect the figures of a run from the reports of its nodes."""
     drivers = {
-        name.rpartition("/")[0]: name for name, child in supervisor.children.items() if child.drives
+        name.rpartition("/")[0]: name
+        for name, child in supervisor.children.items()
+        if child.drives
     }
     chains = {
         chain: _of_chain(launch, chain, supervisor.reports.get(name, {}))
@@ -168,7 +193,8 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
             if (tick := report.get("tick"))
         },
         "ticks_compiled": {
-            name: report.get("ticks_compiled", 0) for name, report in supervisor.reports.items()
+            name: report.get("ticks_compiled", 0)
+            for name, report in supervisor.reports.items()
         },
         "spent_us": {
             name: spent
@@ -186,9 +212,13 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "exit_reason": supervisor.exit_reason,
         "failures": supervisor.failures,
         "not_judged": supervisor.unjudged,
-        "load": None if supervisor.load is None else msgspec.to_builtins(supervisor.load),
+        "load": None
+        if supervisor.load is None
+        else msgspec.to_builtins(supervisor.load),
         "startup_s": round(supervisor.startup_s, 3),
-        "nodes": {name: report["status"] for name, report in supervisor.reports.items()},
+        "nodes": {
+            name: report["status"] for name, report in supervisor.reports.items()
+        },
         **({"chains": chains} if len(chains) > 1 else {}),
     }
 
@@ -226,7 +256,9 @@ def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, A
 def _safety_text(safety: dict[str, Any]) -> list[str]:
     """Return lines about the driver's safety actions; none if there were none."""
     counts = [
-        f"{number} refused ({why})" for why, number in safety.get("refused", {}).items() if number
+        f"{number} refused ({why})"
+        for why, number in safety.get("refused", {}).items()
+        if number
     ]
     counts += [
         f"{number} lowered ({which})"
@@ -235,7 +267,9 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
     ]
     first = ("waiting", "active")  # happens in every run, so not shown
     changes = [
-        one["reason"] for one in safety.get("changes", []) if (one["before"], one["after"]) != first
+        one["reason"]
+        for one in safety.get("changes", [])
+        if (one["before"], one["after"]) != first
     ]
     lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
     lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
@@ -245,20 +279,30 @@ def _safety_text(safety: dict[str, Any]) -> list[str]:
 def _ending(final: dict[str, Any], stopped: bool) -> str:
     """Return a line about the final motion: stopped, at rest, swinging, falling or moving."""
     motion = final["motion"]
-    where = f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
+    where = (
+        f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
+    )
     swing = f"{final['swing_m'] * 1e3:.3g} mm"
     speed = f"{final['velocity_m_per_s']:+.3g} m/s"
     if stopped:
         return f"  stopped   {where}, {motion}: no force acts any more"
     if motion == "swinging":
-        return f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
+        return (
+            f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
+        )
     if motion == "falling":
         return f"  falling   {where}, {speed}: it touches nothing"
-    return f"  at rest   {where}" if motion == "at rest" else f"  moving    {where}, {speed}"
+    return (
+        f"  at rest   {where}"
+        if motion == "at rest"
+        else f"  moving    {where}, {speed}"
+    )
 
 
 def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
-    lines = [f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"]
+    lines = [
+        f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"
+    ]
     lines += [
         f"  failed    {failure}"
         for failure in figures["failures"]
@@ -274,7 +318,9 @@ def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
         lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
     if overload:
         lines.append(f"  overload  {overload}")
-    lines += [f"  stability not judged: {why}" for why in figures["not_judged"].values()]
+    lines += [
+        f"  stability not judged: {why}" for why in figures["not_judged"].values()
+    ]
     for chain, own in figures.get("chains", {"": figures}).items():
         lines += [f" /{chain}"] if chain else []
         lines += _chain_text(own)
@@ -318,7 +364,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     if arguments.list:
         figures = _list()
-        lines = [f"{name:18} {entry['summary']}" for name, entry in figures["scenarios"].items()]
+        lines = [
+            f"{name:18} {entry['summary']}"
+            for name, entry in figures["scenarios"].items()
+        ]
         return answer(arguments.json, figures, "\n".join(lines))
     if arguments.scenario is None:
         raise UsageError("name a scenario; haptic launch --list shows them")
@@ -332,7 +381,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.law is not None:
             given["law"] = parse_yaml(arguments.law, "law")
         launch = launch_file.without(
-            launch_file.read(arguments.scenario, given, arguments.params), arguments.without
+            launch_file.read(arguments.scenario, given, arguments.params),
+            arguments.without,
         )
         if arguments.out_dir:
             launch = _into(launch, arguments.out_dir)
@@ -349,7 +399,13 @@ def _places(launch: Launch) -> Iterator[tuple[str, Path]]:
         if spec.kind == "logger" and not spec.host:
             yield (
                 name,
-                Path(file_of(spec.parameters.get("path", LoggerParameters().path), "{run}", name)),
+                Path(
+                    file_of(
+                        spec.parameters.get("path", LoggerParameters().path),
+                        "{run}",
+                        name,
+                    )
+                ),
             )
 
 
@@ -438,7 +494,11 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         # Print before drawing, which takes a second.
         _print(
             printable(
-                _text(launch, figures, "" if supervisor.load is None else supervisor.load.text)
+                _text(
+                    launch,
+                    figures,
+                    "" if supervisor.load is None else supervisor.load.text,
+                )
             )
         )
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
@@ -459,10 +519,14 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     return _exit_code(launch, supervisor)
 
 
-def _compile_later(launch: Launch, supervisor: Supervisor, say: Callable[[str], None]) -> None:
+def _compile_later(
+    launch: Launch, supervisor: Supervisor, say: Callable[[str], None]
+) -> None:
     """Compile the tick of the next launch in the background, off the loop's processors."""
     processors = {
-        cpu for child in supervisor.children.values() for cpu in child.setup.scheduling.cpus
+        cpu
+        for child in supervisor.children.values()
+        for cpu in child.setup.scheduling.cpus
     }
     with realtime.off(processors):
         compile_later(kernel_modules(launch), say)

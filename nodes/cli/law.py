@@ -34,7 +34,11 @@ DEFAULTS = {
 ROWS = (
     ("h1_n_per_m", "H(1), stiffness felt at rest", "N/m"),
     ("h_nyquist_n_per_m", "H(−1), gain of encoder noise", "N/m"),
-    ("f_min_n_s_per_m", "least f(ω), H(1) as spring (the lower, the more damping)", "N s/m"),
+    (
+        "f_min_n_s_per_m",
+        "least f(ω), H(1) as spring (the lower, the more damping)",
+        "N s/m",
+    ),
     ("f_nyquist_n_s_per_m", "f(ω_N), H(1) as spring", "N s/m"),
     ("damping_needed_n_s_per_m", "device damping needed to be passive", "N s/m"),
     ("delay_ticks", "delay of the loop", "ticks"),
@@ -54,28 +58,36 @@ _NO_PARAMETERS = (
 )
 
 
-_DESCRIBE = "Describe kinds of law without a launch: formula, parameters, judgement, example."
+_DESCRIBE = (
+    "Describe kinds of law without a launch: formula, parameters, judgement, example."
+)
 
 LEAK = 0.05  # relative difference between H(1) and K above which a warning is shown
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="describe|list|show|switch", required=True)
+    sub = parser.add_subparsers(
+        dest="chosen", metavar="describe|list|show|switch", required=True
+    )
 
     def declare(
         name: str, run: Callable[[argparse.Namespace], int], text: str
     ) -> argparse.ArgumentParser:
         own = sub_verb(sub, name, run, text)
         own.add_argument(
-            "--node", default="coupling", help="name of the coupling (default: %(default)s)"
+            "--node",
+            default="coupling",
+            help="name of the coupling (default: %(default)s)",
         )
         return own
 
     describe = sub.add_parser("describe", help=_DESCRIBE, description=_DESCRIBE)
     describe.set_defaults(run=_describe)
     describe.add_argument(
-        "kind", nargs="?", help="kind of law or preset (default: every installed kind, in short)"
+        "kind",
+        nargs="?",
+        help="kind of law or preset (default: every installed kind, in short)",
     )
     add_json(describe)
     declare(
@@ -84,7 +96,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "List the laws that a running coupling can switch to; * marks the active one.",
     )
     switch = declare(
-        "switch", _switch, "Switch the law between two ticks; print what both really render."
+        "switch",
+        _switch,
+        "Switch the law between two ticks; print what both really render.",
     )
     switch.add_argument("law", help="name of a law, or a mapping {kind: ...}")
     switch.add_argument(
@@ -117,9 +131,13 @@ def _declare_show(show: argparse.ArgumentParser) -> None:
         help="parameters of the law, or of the launch file",
     )
     show.add_argument(
-        "--launch", metavar="SCENARIO", help="use law, rate and device of this launch file"
+        "--launch",
+        metavar="SCENARIO",
+        help="use law, rate and device of this launch file",
     )
-    declare_quantities(show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None)
+    declare_quantities(
+        show, rate=None, mass=None, damping=None, delay=None, hand=None, gain=None
+    )
     declare_law(show)
     show.add_argument(
         "--heaviest",
@@ -136,7 +154,9 @@ def _describe(arguments: argparse.Namespace) -> int:
     if arguments.kind is None:
         found = [describe_law(kind) for kind in public_kinds()]
         lines = [f"{one['kind']:15} {one['formula']}" for one in found]
-        lines.append(f"presets: {', '.join(preset_names())}; haptic law describe KIND shows more")
+        lines.append(
+            f"presets: {', '.join(preset_names())}; haptic law describe KIND shows more"
+        )
         return answer(arguments.json, {"laws": found}, "\n".join(lines))
     known = [*law_names(), *preset_names()]
     if arguments.kind not in known:
@@ -145,7 +165,9 @@ def _describe(arguments: argparse.Namespace) -> int:
             f" {choices(arguments.kind, known)}"
         )
     described = describe_law(arguments.kind)
-    return answer(arguments.json, {"laws": [described]}, "\n".join(_described_lines(described)))
+    return answer(
+        arguments.json, {"laws": [described]}, "\n".join(_described_lines(described))
+    )
 
 
 def _described_lines(described: dict[str, Any]) -> list[str]:
@@ -159,21 +181,31 @@ def _described_lines(described: dict[str, Any]) -> list[str]:
             if one["required"]
             else _short("none" if one["default"] is None else one["default"])
         )
-        rows.append((one["name"], one["unit"], limits_text(one), default, one["meaning"]))
+        rows.append(
+            (one["name"], one["unit"], limits_text(one), default, one["meaning"])
+        )
         for inner in one.get("fields", ()):
             name = f"  {inner['name']}"
             rows.append((name, inner["unit"], limits_text(inner), "", inner["meaning"]))
     widths = [max((len(row[i]) for row in rows), default=0) for i in range(4)]
     lines = [f"{described['kind']}: {described['formula']}"]
     for *cells, meaning in rows:
-        shown = "  ".join(f"{cell:{wide}}" for cell, wide in zip(cells, widths, strict=True))
+        shown = "  ".join(
+            f"{cell:{wide}}" for cell, wide in zip(cells, widths, strict=True)
+        )
         lines.append(f"  {shown}  {meaning}")
     for one in described["parameters"]:
         if "one of those below" in limits_text(one):
-            lines.append(f"  {one['name']} is one of {', '.join(map(str, one['choices']))}")
+            lines.append(
+                f"  {one['name']} is one of {', '.join(map(str, one['choices']))}"
+            )
     for name, gain in described.get("gains", {}).items():
-        lines.append(f"  gains {name:10} D^α is multiplied by {gain['gain']} [{gain['unit']}]")
-    lines.append(f"  stability is judged by {described['judged_by'] or 'nothing known'}")
+        lines.append(
+            f"  gains {name:10} D^α is multiplied by {gain['gain']} [{gain['unit']}]"
+        )
+    lines.append(
+        f"  stability is judged by {described['judged_by'] or 'nothing known'}"
+    )
     if described["presets"]:
         lines.append(f"  presets: {', '.join(described['presets'])}")
     return [*lines, *(f"  {text}" for text in calls(described).values())]
@@ -185,12 +217,16 @@ def _list(arguments: argparse.Namespace) -> int:
     width = max(map(len, found["laws"]))
     lines = []
     for name, law in found["laws"].items():
-        values = ", ".join(f"{key} {_short(value)}" for key, value in law.items() if key != "kind")
+        values = ", ".join(
+            f"{key} {_short(value)}" for key, value in law.items() if key != "kind"
+        )
         lines.append(
             f"{'*' if name == found['active'] else ' '} {name:{width}}  {law['kind']}: {values}"
         )
     if found["active"] not in found["laws"]:
-        lines.append(f"* {found['active']}: a law failed; choose another with haptic law switch")
+        lines.append(
+            f"* {found['active']}: a law failed; choose another with haptic law switch"
+        )
     return answer(arguments.json, {"run": run.run, **found}, "\n".join(lines))
 
 
@@ -201,7 +237,8 @@ def _short(value: Any) -> str:
         return (
             "["
             + "; ".join(
-                ", ".join(f"{key} {inner}" for key, inner in term.items()) for term in value
+                ", ".join(f"{key} {inner}" for key, inner in term.items())
+                for term in value
             )
             + "]"
         )
@@ -218,7 +255,8 @@ def _table(columns: dict[str, dict[str, Any]]) -> list[str]:
         values = [figures.get(key) for figures in columns.values()]
         if any(value is not None for value in values):
             shown = "  ".join(
-                f"{'—' if value is None else format(value, '.6g'):>14}" for value in values
+                f"{'—' if value is None else format(value, '.6g'):>14}"
+                for value in values
             )
             lines.append(f"  {label:{wide}}  {shown} {unit}".rstrip())
     return lines
@@ -234,9 +272,14 @@ def _switch(arguments: argparse.Namespace) -> int:
     lines = [receipt_text(node, receipt)]
     if "was" in receipt:
         lines += _table(
-            {f"was {receipt['from']}": receipt["was"], f"is {receipt['to']}": receipt["is"]}
+            {
+                f"was {receipt['from']}": receipt["was"],
+                f"is {receipt['to']}": receipt["is"],
+            }
         )
-    return answer(arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines))
+    return answer(
+        arguments.json, {"run": run.run, "node": node, **receipt}, "\n".join(lines)
+    )
 
 
 def _show(arguments: argparse.Namespace) -> int:
@@ -253,7 +296,12 @@ def _show(arguments: argparse.Namespace) -> int:
         figures = {"run": run.run, "rate_hz": 1.0 / run.nodes[node].period}
         figures |= ask(run, node, "law.show", law=arguments.law or "")
     worlds = world_figures(figures)
-    skipped = {*_NO_PARAMETERS, "masses_kg", "worst_mass_kg", *(key for key, _, _ in ROWS)}
+    skipped = {
+        *_NO_PARAMETERS,
+        "masses_kg",
+        "worst_mass_kg",
+        *(key for key, _, _ in ROWS),
+    }
     parameters = ", ".join(
         f"{key} {_short(value)}"
         for key, value in figures.items()
@@ -266,14 +314,18 @@ def _show(arguments: argparse.Namespace) -> int:
         f" {', '.join(f'{tap:.6g}' for tap in taps[:8])}"
         + (f", … ({len(taps)})" if len(taps) > 8 else "")
         + " N/m"
-        + (f", {figures['sections']} recursive sections" if figures["sections"] else ""),
+        + (
+            f", {figures['sections']} recursive sections" if figures["sections"] else ""
+        ),
         *_table({"": figures}),
         *world_lines(worlds, max(len(label) for _, label, _ in ROWS)),
     ]
     if "masses_kg" in figures:
         low, high = figures["masses_kg"]
         worst = f"{figures['worst_mass_kg']:.4g} kg"
-        lines.append(f"  with {worst}, the worst of the device's {low:g} to {high:g} kg")
+        lines.append(
+            f"  with {worst}, the worst of the device's {low:g} to {high:g} kg"
+        )
     lines += _leak(figures)
     if "landing_proof" in figures:
         lines.append(f"  {figures['landing_proof']['text']}")
@@ -281,7 +333,11 @@ def _show(arguments: argparse.Namespace) -> int:
         lines.append(
             "  H(1) is that of its taps, without its own code; the other figures need taps alone"
         )
-    if arguments.damping is not None and arguments.gain is None and "damping" in figures:
+    if (
+        arguments.damping is not None
+        and arguments.gain is None
+        and "damping" in figures
+    ):
         lines.append(
             f"  --damping {arguments.damping:g} is the device's; the law's own is --gain,"
             f" {figures['damping']:g} here"
@@ -293,7 +349,11 @@ def _leak(figures: dict[str, Any]) -> list[str]:
     """Return a warning if H(1) differs from K because the taps of a short memory leak."""
     nominal = figures.get("stiffness")
     felt = figures["h1_n_per_m"]
-    if not isinstance(nominal, int | float) or felt is None or figures["h_nyquist_n_per_m"] is None:
+    if (
+        not isinstance(nominal, int | float)
+        or felt is None
+        or figures["h_nyquist_n_per_m"] is None
+    ):
         return []
     if abs(felt - nominal) <= LEAK * max(abs(nominal), abs(felt)):
         return []
@@ -303,7 +363,9 @@ def _leak(figures: dict[str, Any]) -> list[str]:
     ]
 
 
-def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) -> dict[str, Any]:
+def _landing(
+    law: CompiledLaw, plants: list[Plant], contact: str | None = None
+) -> dict[str, Any]:
     """Return whether every drop is proven to settle, on the worst of the `plants`.
 
     `contact` names the launch's contact convention; a proof covers one convention only.
@@ -311,7 +373,8 @@ def _landing(law: CompiledLaw, plants: list[Plant], contact: str | None = None) 
     from nodes.stability.landing_proof import prove_landing
 
     worst = min(
-        (prove_landing(law, plant) for plant in plants), key=lambda one: (one.proven, one.margin)
+        (prove_landing(law, plant) for plant in plants),
+        key=lambda one: (one.proven, one.margin),
     )
     text = worst.text()
     if contact is not None and contact != worst.convention:
@@ -330,7 +393,9 @@ def _describes(arguments: argparse.Namespace) -> bool:
     from nodes.launcher.runs import runs
 
     options = any(getattr(arguments, name) is not None for name in (*OF_LAW, *OF_LOOP))
-    described = arguments.assignments or options or arguments.law.lstrip().startswith("{")
+    described = (
+        arguments.assignments or options or arguments.law.lstrip().startswith("{")
+    )
     return bool(described) or (arguments.run_name is None and not runs())
 
 
@@ -362,10 +427,22 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
     )
     compiled = compile_law(law, period)
     figures = worst_figures(compiled, plant, period, loop["delay"])
-    figures["landing_proof"] = _landing(compiled, plant.over_workspace(period, loop["delay"]))
+    figures["landing_proof"] = _landing(
+        compiled, plant.over_workspace(period, loop["delay"])
+    )
     device = {name: getattr(plant, name) for name in ("mass", "damping", "stiffness")}
-    name = arguments.law if not isinstance(data, dict) or "{" not in arguments.law else law.kind
-    return {"law": name, "rate_hz": loop["rate"], **law_to_dict(law), "plant": device, **figures}
+    name = (
+        arguments.law
+        if not isinstance(data, dict) or "{" not in arguments.law
+        else law.kind
+    )
+    return {
+        "law": name,
+        "rate_hz": loop["rate"],
+        **law_to_dict(law),
+        "plant": device,
+        **figures,
+    }
 
 
 def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -419,7 +496,9 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
             f" {'clamped' if parameters.clamp else 'not clamped'}"
         )
         plants = parameters.plant.over_workspace(period, delay)
-        proof["landing_proof"] = _landing(book.compile(parameters, name), plants, contact)
+        proof["landing_proof"] = _landing(
+            book.compile(parameters, name), plants, contact
+        )
     return {
         "law": name,
         "rate_hz": arguments.rate or launch.run.rate,

@@ -35,7 +35,10 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
     declared = msgspec.convert(shown["plant"], PlantParameters)
     fields = load_law(shown["kind"]).__struct_fields__
     law = parse_law(
-        {"kind": shown["kind"], **{name: shown[name] for name in fields if name in shown}}
+        {
+            "kind": shown["kind"],
+            **{name: shown[name] for name in fields if name in shown},
+        }
     )
     period = 1.0 / shown["rate_hz"]
     late = shown["delay_ticks"] - declared.device_delay
@@ -47,12 +50,16 @@ def world_figures(shown: Mapping[str, Any]) -> dict[str, Any]:
     }
     found: dict[str, float | None] = {}
     for mass in masses:
-        loop = msgspec.structs.replace(declared, mass=mass, delay=max(late, 0.0)).at(period, 0.0)
+        loop = msgspec.structs.replace(declared, mass=mass, delay=max(late, 0.0)).at(
+            period, 0.0
+        )
         alone = dataclasses.replace(loop, partner=None)
         if declared.partner_mass is not None and loop.other is not None:
             other = OtherDevice(loop.other.damping, loop.other.delay)
             limits = {
-                "two_hands": world_k_max(derivative, alone, other, any_hand=True).k_max_n_per_m
+                "two_hands": world_k_max(
+                    derivative, alone, other, any_hand=True
+                ).k_max_n_per_m
             }
         else:
             limits = dict(world_limits(derivative, alone).k_max_n_per_m)

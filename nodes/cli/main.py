@@ -34,7 +34,8 @@ VERBS = Registry(
     "verb",
     lambda name, found: (
         ""
-        if callable(getattr(found, "add", None)) or ("." in name and takes_options(found))
+        if callable(getattr(found, "add", None))
+        or ("." in name and takes_options(found))
         else f"{found!r} has no add(parser)"
     ),
 )
@@ -52,7 +53,9 @@ class _Listed(argparse.Action):
         option_string: str | None = None,  # noqa: ARG002
     ) -> None:
         before = getattr(namespace, self.dest, self.default)
-        setattr(namespace, self.dest, [*(() if before is self.default else before), *values])
+        setattr(
+            namespace, self.dest, [*(() if before is self.default else before), *values]
+        )
 
 
 class Parser(argparse.ArgumentParser):
@@ -104,7 +107,11 @@ def verbs() -> list[str]:
 
 def sub_verbs(verb: str) -> dict[str, str]:
     """Return the sub-verbs of a verb: name to registered name."""
-    return {name.partition(".")[2]: name for name in VERBS.names() if name.startswith(f"{verb}.")}
+    return {
+        name.partition(".")[2]: name
+        for name in VERBS.names()
+        if name.startswith(f"{verb}.")
+    }
 
 
 def add_run_name(parser: argparse.ArgumentParser) -> None:
@@ -138,7 +145,10 @@ def heeding(
     heed: Callable[[int], Any], numbers: Iterable[signal.Signals] = ASKING
 ) -> Iterator[None]:
     """Call `heed` for signals that ask for an end, during the block."""
-    before = {number: signal.signal(number, lambda number, _: heed(number)) for number in numbers}
+    before = {
+        number: signal.signal(number, lambda number, _: heed(number))
+        for number in numbers
+    }
     try:
         yield
     finally:
@@ -157,22 +167,30 @@ def coloured(text: str, colour: str, stream: TextIO) -> str:
 
 def complain(error: object) -> None:
     """Print an error to standard error."""
-    print(coloured("haptic:", "red", sys.stderr), printable(str(error)), file=sys.stderr)
+    print(
+        coloured("haptic:", "red", sys.stderr), printable(str(error)), file=sys.stderr
+    )
     # A launch in this process replaced standard error by a queue: write it out before exiting.
     drain_stderr()
 
 
 def parser_for(chosen: str | None) -> Parser:
     """Return the parser: of one verb, which is imported, or with the names of all."""
-    parser = Parser(prog="haptic", description="Haptic virtual coupling in separate processes.")
-    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    parser = Parser(
+        prog="haptic", description="Haptic virtual coupling in separate processes."
+    )
+    parser.add_argument(
+        "--version", action="store_true", help="print the version and exit"
+    )
     sub = parser.add_subparsers(dest="verb", metavar="VERB")
     if chosen is None:
         for name in verbs():
             sub.add_parser(name, help=first_line(name).replace("%", "%%"))
     else:
         module = VERBS.load(chosen)
-        own = sub.add_parser(chosen, description=(module.__doc__ or "").strip().partition("\n")[0])
+        own = sub.add_parser(
+            chosen, description=(module.__doc__ or "").strip().partition("\n")[0]
+        )
         module.add(own)
         _add_registered(own, chosen)
     return parser
@@ -181,7 +199,9 @@ def parser_for(chosen: str | None) -> Parser:
 def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
     """Add the sub-verbs registered as ``"VERB.NAME"`` after a verb's own."""
     places = [
-        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+        action
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
     ]
     for place in places:
         for name, full in sub_verbs(verb).items():
@@ -189,7 +209,9 @@ def _add_registered(parser: argparse.ArgumentParser, verb: str) -> None:
                 continue
             place.metavar = f"{place.metavar}|{name}"
             own = place.add_parser(
-                name, help=first_line(full).replace("%", "%%"), description=first_line(full)
+                name,
+                help=first_line(full).replace("%", "%%"),
+                description=first_line(full),
             )
             try:
                 VERBS.load(full).add(own)
@@ -216,7 +238,11 @@ def first_line(name: str) -> str:
     """Return the help of a verb without importing its module, which would cost half a second."""
     try:
         spec = find_spec(VERBS.points()[name].module)
-        text = "" if spec is None or spec.origin is None else Path(spec.origin).read_bytes()
+        text = (
+            ""
+            if spec is None or spec.origin is None
+            else Path(spec.origin).read_bytes()
+        )
         help_text = ast.get_docstring(ast.parse(text)) if text else "(not installed)"
     except (Exception, SystemExit) as error:  # noqa: BLE001  # raised by its package or its text
         return f"(cannot be imported: {type(error).__name__}: {error})"
@@ -258,7 +284,9 @@ def _run(argv: list[str]) -> int:
     arguments, left_over = parser.parse_known_args(argv)
     if left_over:
         # argparse accepts no positional words after options, but name:=value may stand anywhere.
-        if not hasattr(arguments, "assignments") or any(":=" not in word for word in left_over):
+        if not hasattr(arguments, "assignments") or any(
+            ":=" not in word for word in left_over
+        ):
             arguments.parser.refuse(left_over)
         arguments.assignments = [*arguments.assignments, *left_over]
     if arguments.version:

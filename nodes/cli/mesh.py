@@ -48,7 +48,9 @@ def _run(arguments: argparse.Namespace) -> int:
     out = arguments.close
     if out is not None:
         if out.suffix.lower() not in (".stl", ".obj"):
-            raise UsageError(f"--close {out}: expected a name that ends with .stl or .obj")
+            raise UsageError(
+                f"--close {out}: expected a name that ends with .stl or .obj"
+            )
         if out.exists():
             raise UsageError(f"--close {out}: exists already; choose another name")
         refuse_unwritable(out, "--close")
@@ -58,7 +60,11 @@ def _run(arguments: argparse.Namespace) -> int:
     code = 0
     if out is not None:
         left, filled = _close(found, out)
-        figures["close"] = {"file": str(out), "filled": filled, "holes_left": _holes(left)}
+        figures["close"] = {
+            "file": str(out),
+            "filled": filled,
+            "holes_left": _holes(left),
+        }
         limit = f"more than {_MOST_EDGES} edges or {_MOST_WIDTH:.0%} of the width"
         rest = (
             f"{len(left)} left ({limit}, or crossing itself): {_hole(left[0])}"
@@ -79,10 +85,15 @@ def _close(found: MeshReport, out: Path) -> tuple[list[Hole], int]:
     from nodes.environment.shapes.mesh_report import write_mesh
 
     closed = repair(
-        found.read.corners, height=SLIVER / found.scale, widest=_MOST_EDGES, part=_MOST_WIDTH
+        found.read.corners,
+        height=SLIVER / found.scale,
+        widest=_MOST_EDGES,
+        part=_MOST_WIDTH,
     )
     write_mesh(out, closed.points, closed.ids)
-    return holes(closed.points, closed.ids, rims(closed.partner)), closed.counts["holes"]
+    return holes(closed.points, closed.ids, rims(closed.partner)), closed.counts[
+        "holes"
+    ]
 
 
 def _holes(found: list[Hole]) -> list[dict[str, float]]:
@@ -122,9 +133,13 @@ def _lines(found: MeshReport) -> list[str]:
         f"{count} of {corners} corners" for corners, count in found.read.faces.items()
     )
     size = " x ".join(f"{length:.6g}" for length in found.size)
-    units = ", ".join(f"{one.unit} {1e3 * one.width:.4g} mm wide" for one in found.units)
+    units = ", ".join(
+        f"{one.unit} {1e3 * one.width:.4g} mm wide" for one in found.units
+    )
     likely = [one.unit for one in found.units if one.is_likely]
-    known = f"; likely {' or '.join(likely)}: a hand feels 20 to 500 mm" if likely else ""
+    known = (
+        f"; likely {' or '.join(likely)}: a hand feels 20 to 500 mm" if likely else ""
+    )
     lines = [
         f"faces     {faces}; {len(mesh.ids)} triangles after repairs",
         f"size      {size} units of the file, which do not say what they are",
@@ -133,10 +148,13 @@ def _lines(found: MeshReport) -> list[str]:
         f" {int(mesh.cavity.sum())} cavities",
         f"holes     {f'{len(found.holes)}, {_hole(found.holes[0])}' if found.holes else 'none'}",
     ]
-    lines += [f"repair    {text}" for text in (*found.read.notes, *mesh.texts(found.scale))]
+    lines += [
+        f"repair    {text}" for text in (*found.read.notes, *mesh.texts(found.scale))
+    ]
     if found.probes:
         crossed = (
-            f"at {found.crossings} of {found.probes} places of its faces the mesh crosses itself"
+            f"at {found.crossings} of {found.probes} places of its faces"
+            " the mesh crosses itself"
         )
         lines.append(
             f"crossing  {crossed}, or its shells overlap"

@@ -13,9 +13,13 @@ from nodes.launcher.runs import RunError, RunInfo
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
-    sub = parser.add_subparsers(dest="chosen", metavar="list|info|start|rearm|reset", required=True)
+    sub = parser.add_subparsers(
+        dest="chosen", metavar="list|info|start|rearm|reset", required=True
+    )
     sub_verb(sub, "list", _list, "List the nodes with kind, state and process number.")
-    info = sub_verb(sub, "info", _info, "Show a node's state, counters, topics and operations.")
+    info = sub_verb(
+        sub, "info", _info, "Show a node's state, counters, topics and operations."
+    )
     info.add_argument("node")
     start = sub_verb(
         sub,
@@ -25,10 +29,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     start.add_argument("node")
     start.add_argument(
-        "--bind", metavar="HOST:PORT", help="address of this node, for a launch on another machine"
+        "--bind",
+        metavar="HOST:PORT",
+        help="address of this node, for a launch on another machine",
     )
     start.add_argument(
-        "--kind", default="", help="with --bind: the only kind allowed (default: the node's name)"
+        "--kind",
+        default="",
+        help="with --bind: the only kind allowed (default: the node's name)",
     )
     start.add_argument(
         "--allow-path",
@@ -45,13 +53,17 @@ def add(parser: argparse.ArgumentParser) -> None:
         " law first."
     )
     again = sub_verb(sub, "rearm", _rearm, text)
-    again.add_argument("node", nargs="?", help="the driver (default: the run's only one)")
+    again.add_argument(
+        "node", nargs="?", help="the driver (default: the run's only one)"
+    )
     text = (
         "Reset a scene of bodies to its start (its keyframe), with the tool at the device and"
         " without a force step."
     )
     fresh = sub_verb(sub, "reset", _reset, text)
-    fresh.add_argument("node", nargs="?", help="the environment (default: the run's only one)")
+    fresh.add_argument(
+        "node", nargs="?", help="the environment (default: the run's only one)"
+    )
 
 
 def _state(run: RunInfo, name: str) -> dict[str, Any]:
@@ -60,7 +72,12 @@ def _state(run: RunInfo, name: str) -> dict[str, Any]:
         return {key: found[key] for key in ("kind", "state", "pid", "ticks")}
     except (RefusedError, KeyError, TypeError) as error:
         # A node that is down, restarting or foreign must not hide the others.
-        return {"kind": run.nodes[name].kind, "state": "unreachable", "pid": 0, "error": str(error)}
+        return {
+            "kind": run.nodes[name].kind,
+            "state": "unreachable",
+            "pid": 0,
+            "error": str(error),
+        }
 
 
 def _list(arguments: argparse.Namespace) -> int:
@@ -89,7 +106,11 @@ def _info(arguments: argparse.Namespace) -> int:
         "control": setup.control,
         **info,
     }
-    asked = {op: ask(run, name, op) for op in ("force", "inertia") if op in info["operations"]}
+    asked = {
+        op: ask(run, name, op)
+        for op in ("force", "inertia")
+        if op in info["operations"]
+    }
     figures |= (device := {op: told for op, told in asked.items() if told is not None})
     counters = ("ticks", "sent", "received", "refused", "skipped", "gaps", "denied")
     offset, error = status["clock_offset"], status["clock_error"]
@@ -172,7 +193,11 @@ def _start(arguments: argparse.Namespace) -> int:
                 f"--bind {arguments.bind}: expected HOST:PORT with a port from 1 to 65534"
             )
         return join.start_for(
-            arguments.node, host.strip("[]"), int(port), arguments.kind, arguments.allow_path
+            arguments.node,
+            host.strip("[]"),
+            int(port),
+            arguments.kind,
+            arguments.allow_path,
         )
     except (ValueError, RunError) as error:
         # Invalid keys, endpoints and parameters all raise ValueError.

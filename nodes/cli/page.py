@@ -29,16 +29,23 @@ def with_view(launch: Launch) -> Launch:
         return launch
     realtime = launch.run.pace == "realtime"
     again = {
-        driver: msgspec.structs.replace(spec, respawn=True, respawn_delay=0.0, respawn_max=-1)
+        driver: msgspec.structs.replace(
+            spec, respawn=True, respawn_delay=0.0, respawn_max=-1
+        )
         for driver, spec in launch.nodes.items()
         if realtime and (spec.parameters.get("pointer") or {}).get("beyond")
     }
     view = NodeSpec(
-        kind=KIND, required=False, respawn=True, parameters={"again": True} if again else {}
+        kind=KIND,
+        required=False,
+        respawn=True,
+        parameters={"again": True} if again else {},
     )
     chains = chains_of(launch)  # a page shows one chain
     pages = {
-        free_name(launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND): view
+        free_name(
+            launch, f"{chain}/{KIND}" if len(chains) > 1 and chain else KIND
+        ): view
         for chain in chains or [""]
     }
     return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, **pages})
@@ -47,7 +54,9 @@ def with_view(launch: Launch) -> Launch:
 def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) -> None:
     """Print the URL of the page, and open it in a browser if there is a screen."""
     print(
-        json.dumps({"url": url}) if as_json else f"page  {url}", file=out or sys.stdout, flush=True
+        json.dumps({"url": url}) if as_json else f"page  {url}",
+        file=out or sys.stdout,
+        flush=True,
     )
     screen = "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     if screen and not as_json and sys.stdout.isatty():
@@ -99,5 +108,7 @@ class PageAnnouncer:
                     self._announced.add(name)
                     self._words = self._words or StderrQueue(sys.stdout.fileno())
                     announce(
-                        msgspec.json.decode(path.read_bytes())["url"], self._as_json, self._words
+                        msgspec.json.decode(path.read_bytes())["url"],
+                        self._as_json,
+                        self._words,
                     )

@@ -45,7 +45,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         return own
 
     get = declare("get", _get, "Read one parameter, or a group of parameters.")
-    get.add_argument("name", help="e.g. laws.pd.stiffness, or laws.multi_term.terms[0].gain")
+    get.add_argument(
+        "name", help="e.g. laws.pd.stiffness, or laws.multi_term.terms[0].gain"
+    )
     change = declare(
         "set",
         _set,
@@ -58,21 +60,29 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="parameter and YAML value, e.g. laws.pd.stiffness 1500",
     )
     describe = declare(
-        "describe", _describe, "Describe parameters: type, unit, limits, default, meaning."
+        "describe",
+        _describe,
+        "Describe parameters: type, unit, limits, default, meaning.",
     )
     describe.add_argument(
         "names", nargs="*", metavar="NAME", help="e.g. laws.pd.stiffness (default: all)"
     )
     dump = declare(
-        "dump", _dump, "Write all parameters of a node as YAML, for load or a launch file."
+        "dump",
+        _dump,
+        "Write all parameters of a node as YAML, for load or a launch file.",
     )
-    dump.add_argument("--out", "-o", type=Path, metavar="FILE", help="write to a new file")
+    dump.add_argument(
+        "--out", "-o", type=Path, metavar="FILE", help="write to a new file"
+    )
     load = declare(
         "load",
         _load,
         "Apply a YAML file, complete or partial, to a node's parameters; all or nothing.",
     )
-    load.add_argument("file", help="file written by dump or a study; - for standard input")
+    load.add_argument(
+        "file", help="file written by dump or a study; - for standard input"
+    )
     for own in (change, load):
         own.add_argument("--force", action="store_true", help=FORCE)
 
@@ -88,7 +98,9 @@ def _list(arguments: argparse.Namespace) -> int:
     lines = []
     for name, values in found.items():
         lines.append(f"/{name}:")
-        lines += [f"  {path}: {_flow(value)}" for path, value in values.items()] or ["  (none)"]
+        lines += [f"  {path}: {_flow(value)}" for path, value in values.items()] or [
+            "  (none)"
+        ]
     return answer(arguments.json, {"run": run.run, "nodes": found}, "\n".join(lines))
 
 
@@ -142,7 +154,11 @@ def receipt_text(node: str, receipt: dict[str, Any]) -> str:
         fade = f", cross-fade of {receipt['ramp']} ticks" if receipt["ramp"] else ""
         lines[0] += f", law {laws}, force step {receipt['force_step_n']:.3g} N{fade}"
     lines += [f"  {change}" for change in changes[1:CHANGES_SHOWN]]
-    lines += [f"  and {len(changes) - CHANGES_SHOWN} more"] if len(changes) > CHANGES_SHOWN else []
+    lines += (
+        [f"  and {len(changes) - CHANGES_SHOWN} more"]
+        if len(changes) > CHANGES_SHOWN
+        else []
+    )
     return "\n".join([*lines, *_stability(receipt)])
 
 
@@ -158,9 +174,15 @@ def _stability(receipt: dict[str, Any]) -> list[str]:
         return worlds
     if found["why"]:
         return [f"  stability not judged: {found['why']}", *worlds]
-    before = "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
-    now = "stable below 1" if found["stable"] else "UNSTABLE: applied because of --force"
-    of_law = "" if found.get("law") in (None, receipt.get("to")) else f" of {found['law']}"
+    before = (
+        "" if found["was_pole_radius"] is None else f"{found['was_pole_radius']:.4g} → "
+    )
+    now = (
+        "stable below 1" if found["stable"] else "UNSTABLE: applied because of --force"
+    )
+    of_law = (
+        "" if found.get("law") in (None, receipt.get("to")) else f" of {found['law']}"
+    )
     return [
         f"  pole radius{of_law} {before}{found['pole_radius']:.4g} ({now}) at a delay of"
         f" {found['delay_ticks']:.3g} ticks",
@@ -177,7 +199,12 @@ def _struct_of(kind: str) -> type[Any] | None:
     """Return the struct of an installed law, preset or surface; None for anything else."""
     kind = str(PRESETS.get(kind, {"kind": kind})["kind"])
     return next(
-        (registry.load(kind) for registry in (LAWS, SURFACES) if kind in registry.names()), None
+        (
+            registry.load(kind)
+            for registry in (LAWS, SURFACES)
+            if kind in registry.names()
+        ),
+        None,
     )
 
 
@@ -190,7 +217,9 @@ def _describe(arguments: argparse.Namespace) -> int:
     for name in names:
         try:
             found[name] = described(parameters, values, name, _struct_of)
-            for below in names_below(parameters, values, name, _struct_of) * bool(arguments.names):
+            for below in names_below(parameters, values, name, _struct_of) * bool(
+                arguments.names
+            ):
                 found[below] = described(parameters, values, below, _struct_of)
         except ParameterError as error:
             raise UsageError(f"{node}.{error}") from error
@@ -201,7 +230,9 @@ def _describe(arguments: argparse.Namespace) -> int:
         lines.append(f"{name}: {', '.join(filter(None, (kind, what.limits, default)))}")
         lines += [f"  {what.meaning}"] if what.meaning else []
     figures = {"run": run.run, "node": node, "parameters": msgspec.to_builtins(found)}
-    return answer(arguments.json, figures, "\n".join(lines) or f"{node} has no parameters")
+    return answer(
+        arguments.json, figures, "\n".join(lines) or f"{node} has no parameters"
+    )
 
 
 def _dump(arguments: argparse.Namespace) -> int:
@@ -216,7 +247,9 @@ def _dump(arguments: argparse.Namespace) -> int:
             raise RefusedError(f"{arguments.out}: {error.strerror}") from error
         text = f"{arguments.out}\n"
     return answer(
-        arguments.json, {"run": run.run, "node": node, "parameters": parameters}, text.rstrip("\n")
+        arguments.json,
+        {"run": run.run, "node": node, "parameters": parameters},
+        text.rstrip("\n"),
     )
 
 

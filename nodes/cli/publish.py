@@ -51,7 +51,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="rate of publishing (default: %(default)g)",
     )
-    parser.add_argument("--once", "-1", action="store_true", help="publish once, then exit")
+    parser.add_argument(
+        "--once", "-1", action="store_true", help="publish once, then exit"
+    )
     parser.add_argument(
         "--times",
         "-t",
@@ -66,7 +68,9 @@ def _vector(text: str, name: str) -> Vector:
     given = parse_yaml(text, "values")
     if isinstance(given, dict) and set(given) != {name}:
         raise UsageError(f"{text}: expected {{{name}: [x, y, z]}}")
-    found: Vector = convert(given[name] if isinstance(given, dict) else given, Vector, name)
+    found: Vector = convert(
+        given[name] if isinstance(given, dict) else given, Vector, name
+    )
     return found
 
 
@@ -74,15 +78,24 @@ def _sender(run: RunInfo, arguments: argparse.Namespace) -> Callable[[], Any]:
     inside = split(arguments.topic)[1]
     if inside == CONTROLS:
         environment = roles(run).get("environment", "")
-        if "mujoco" not in {run.nodes[name].kind for name in run.nodes if name == environment}:
-            raise UsageError(f"{run.run}: has no scene of bodies (kind mujoco) with actuators")
+        if "mujoco" not in {
+            run.nodes[name].kind for name in run.nodes if name == environment
+        }:
+            raise UsageError(
+                f"{run.run}: has no scene of bodies (kind mujoco) with actuators"
+            )
         controls = parse_yaml(arguments.values, "values")
         return lambda: ask(run, environment, "controls", controls=controls)
     if inside == SHAPE:
         environment = roles(run).get("environment", "")
         given = parse_yaml(arguments.values, "values")
-        if not isinstance(given, dict) or not {"position"} <= set(given) <= {"shape", "position"}:
-            raise UsageError(f"{arguments.values}: expected {{shape: 0, position: [x, y, z]}}")
+        if not isinstance(given, dict) or not {"position"} <= set(given) <= {
+            "shape",
+            "position",
+        }:
+            raise UsageError(
+                f"{arguments.values}: expected {{shape: 0, position: [x, y, z]}}"
+            )
         return lambda: ask(run, environment, "move", **given)
     driver = roles(run).get("driver")
     if driver is None:

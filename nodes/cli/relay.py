@@ -53,7 +53,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="endpoint to publish on (default: %(default)s)",
     )
     parser.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", default=[], help="full topic names (default: all)"
+        "--topics",
+        nargs="+",
+        metavar="TOPIC",
+        default=[],
+        help="full topic names (default: all)",
     )
     add_run_name(parser)
     parser.add_argument(
@@ -75,7 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             _say(f"publishing on {arguments.endpoint}; Ctrl-C ends")
             while True:
-                found = chosen_run(arguments) if arguments.once else _next(arguments, names)
+                found = (
+                    chosen_run(arguments) if arguments.once else _next(arguments, names)
+                )
                 names.append(found.run)
                 _say(f"relaying {found.run}")
                 _relay(found, arguments.topics, publisher, relayed)
@@ -89,7 +95,9 @@ def run(arguments: argparse.Namespace) -> int:
         context.destroy(linger=0)
     counted = "".join(f"\n  {topic}: {count}" for topic, count in relayed.items())
     figures = {"endpoint": arguments.endpoint, "runs": names, "relayed": dict(relayed)}
-    return answer(arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{counted}")
+    return answer(
+        arguments.json, figures, f"relayed {', '.join(names) or 'nothing'}{counted}"
+    )
 
 
 def _say(text: str) -> None:
@@ -118,7 +126,9 @@ def _next(arguments: argparse.Namespace, before: list[str]) -> RunInfo:
         time.sleep(0.1)
 
 
-def _relay(found: RunInfo, topics: list[str], publisher: OpenPort, relayed: Counter[str]) -> None:
+def _relay(
+    found: RunInfo, topics: list[str], publisher: OpenPort, relayed: Counter[str]
+) -> None:
     known = found.endpoints()
     wanted = {known_topic(found, topic).encode(): topic for topic in topics or known}
     places = {known[topic] for topic in wanted.values()}

@@ -20,7 +20,9 @@ from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor
 from nodes.parameters.store import ParameterError
 
-ANSWER_TIMEOUT = 0.2  # time a node may take to answer; otherwise its parts are omitted [s]
+ANSWER_TIMEOUT = (
+    0.2  # time a node may take to answer; otherwise its parts are omitted [s]
+)
 # Law and surface are asked for in every SLOW-th update: each request costs a loop microseconds.
 SLOW = 3
 
@@ -92,13 +94,20 @@ class StatusLine:
             return
         if self._asked % SLOW == 0:
             self._law = (self._ask(supervisor, FORCE, "progress") or {}).get("law", "")
-            self._meet = _meeting(self._ask(supervisor, PROXY, "param.get", name="surface"))
+            self._meet = _meeting(
+                self._ask(supervisor, PROXY, "param.get", name="surface")
+            )
         self._asked += 1
         parts = self._parts(now, self._distance(now["position_m"]))
-        chosen = [self._painted(name, parts[name]) for name in fitted(parts, columns(sys.stderr))]
+        chosen = [
+            self._painted(name, parts[name])
+            for name in fitted(parts, columns(sys.stderr))
+        ]
         rewrite(sys.stderr, "  ".join(chosen))
 
-    def _ask(self, supervisor: Supervisor, topic: str, op: str, **arguments: object) -> Any:
+    def _ask(
+        self, supervisor: Supervisor, topic: str, op: str, **arguments: object
+    ) -> Any:
         """Ask the node that publishes a topic; None if it does not answer."""
         for child in supervisor.children.values():
             if child.running and topic in load(child.setup.factory).publishes:
@@ -153,8 +162,12 @@ class StatusLine:
         }
 
     def _painted(self, name: str, text: str) -> str:
-        colours = dict.fromkeys(("penetration", "force", "law"), "bold") | {"device": "red"}
-        colours["safety"] = {"active": "green", "waiting": "dim", "ramp": "yellow"}.get(text, "red")
+        colours = dict.fromkeys(("penetration", "force", "law"), "bold") | {
+            "device": "red"
+        }
+        colours["safety"] = {"active": "green", "waiting": "dim", "ramp": "yellow"}.get(
+            text, "red"
+        )
         return coloured(text, colours[name], sys.stderr) if name in colours else text
 
     def clear(self) -> None:

@@ -23,7 +23,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="RUN",
         help="run or scenario (default: $HAPTIC_RUN, or the only one)",
     )
-    parser.add_argument("--all", "-a", action="store_true", help="stop all launches of this user")
+    parser.add_argument(
+        "--all", "-a", action="store_true", help="stop all launches of this user"
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 

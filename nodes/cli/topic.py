@@ -40,28 +40,43 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare = partial(sub_verb, sub)
     listing = declare("list", _list, "List the topics with their types and publishers.")
     listing.add_argument(
-        "--show-types", "-t", action="store_true", help="print name and [type] only, as ROS 2 does"
+        "--show-types",
+        "-t",
+        action="store_true",
+        help="print name and [type] only, as ROS 2 does",
     )
-    declare("info", _info, "Show a topic's type, fields with units, and publisher.").add_argument(
-        "topic"
-    )
+    declare(
+        "info", _info, "Show a topic's type, fields with units, and publisher."
+    ).add_argument("topic")
     echo = declare(
-        "echo", _echo, "Print the messages of a topic (with --json: one JSON object per line)."
+        "echo",
+        _echo,
+        "Print the messages of a topic (with --json: one JSON object per line).",
     )
-    echo.add_argument("--once", action="store_true", help="print one message, then exit (-n 1)")
     echo.add_argument(
-        "--field", metavar="NAME", help="print only this field, e.g. position or position[2]"
+        "--once", action="store_true", help="print one message, then exit (-n 1)"
+    )
+    echo.add_argument(
+        "--field",
+        metavar="NAME",
+        help="print only this field, e.g. position or position[2]",
     )
     add_publish(
         declare(
-            "pub", publish, "Publish an external force or hand target, within the driver's limits."
+            "pub",
+            publish,
+            "Publish an external force or hand target, within the driver's limits.",
         )
     )
     figures = [
         declare(
-            "hz", partial(_measure, _Measure), "Measure rate and intervals of a topic, as received."
+            "hz",
+            partial(_measure, _Measure),
+            "Measure rate and intervals of a topic, as received.",
         ),
-        declare("bw", partial(_measure, _Bandwidth), "Measure the bandwidth of a topic."),
+        declare(
+            "bw", partial(_measure, _Bandwidth), "Measure the bandwidth of a topic."
+        ),
         declare(
             "delay",
             partial(_measure, _Delay),
@@ -80,10 +95,19 @@ def add(parser: argparse.ArgumentParser) -> None:
     for own in (echo, *figures):
         own.add_argument("topic")
         own.add_argument(
-            "--count", "-n", type=_count, default=0, metavar="N", help="exit after N messages"
+            "--count",
+            "-n",
+            type=_count,
+            default=0,
+            metavar="N",
+            help="exit after N messages",
         )
         own.add_argument(
-            "--duration", type=above_zero, default=0.0, metavar="S", help="exit after S seconds"
+            "--duration",
+            type=above_zero,
+            default=0.0,
+            metavar="S",
+            help="exit after S seconds",
         )
 
 
@@ -108,14 +132,16 @@ def _type_name(topic: str) -> str:
 def _list(arguments: argparse.Namespace) -> int:
     run = chosen_run(arguments)
     found = {
-        topic: {"type": _type_name(topic), "node": node} for topic, node in _published(run).items()
+        topic: {"type": _type_name(topic), "node": node}
+        for topic, node in _published(run).items()
     }
     width = max(map(len, found))
     if arguments.show_types:
         lines = [f"{topic} [haptic.{shown['type']}]" for topic, shown in found.items()]
     else:
         lines = [
-            f"{topic:{width}}  {shown['type']:12} {shown['node']}" for topic, shown in found.items()
+            f"{topic:{width}}  {shown['type']:12} {shown['node']}"
+            for topic, shown in found.items()
         ]
     return answer(arguments.json, {"run": run.run, "topics": found}, "\n".join(lines))
 
@@ -169,7 +195,9 @@ def _field(value: Any, path: str) -> Any:
         found = value[name]
         return found[int(index.rstrip("]"))] if index else found
     except (KeyError, IndexError, ValueError, TypeError) as error:
-        raise UsageError(f"--field {path}: no such field; there are {', '.join(value)}") from error
+        raise UsageError(
+            f"--field {path}: no such field; there are {', '.join(value)}"
+        ) from error
 
 
 def _echo(arguments: argparse.Namespace) -> int:
@@ -226,14 +254,21 @@ class Spread:
 
     def figures(self) -> dict[str, float]:
         """Return mean, minimum, maximum and standard deviation."""
-        return {"mean": self.mean, "min": self.low, "max": self.high, "std": self.deviation}
+        return {
+            "mean": self.mean,
+            "min": self.low,
+            "max": self.high,
+            "std": self.deviation,
+        }
 
 
 class _Measure:
     """Measurement of ``hz``, and base of ``bw`` and ``delay``."""
 
     def __init__(self) -> None:
-        self.count = self.refused = self._gaps = 0  # messages, malformed ones, missing seq
+        self.count = self.refused = self._gaps = (
+            0  # messages, malformed ones, missing seq
+        )
         self._first = self._last = 0.0
         self._seq: int | None = None
         self._spread = Spread()
@@ -253,7 +288,11 @@ class _Measure:
 
     def _value(self, heard: Heard) -> float | None:
         """Return the measured value of a message, if it has one."""
-        return heard.time - self._last if self.count and heard.message is not None else None
+        return (
+            heard.time - self._last
+            if self.count and heard.message is not None
+            else None
+        )
 
     def figures(self) -> dict[str, Any]:
         span = self._last - self._first
@@ -313,11 +352,16 @@ class _Delay(_Measure):
 
     def _own(self, rate: float) -> dict[str, Any]:
         del rate
-        shares = dict(zip(("p50", "p99"), self._times.percentiles(0.5, 0.99), strict=True))
+        shares = dict(
+            zip(("p50", "p99"), self._times.percentiles(0.5, 0.99), strict=True)
+        )
         return {"delay_s": self._spread.figures() | shares}
 
     def line(self) -> str:
-        shown = {name: f"{value * 1e6:.0f}" for name, value in self.figures()["delay_s"].items()}
+        shown = {
+            name: f"{value * 1e6:.0f}"
+            for name, value in self.figures()["delay_s"].items()
+        }
         return (
             f"average delay: {shown['mean']} µs   min {shown['min']}, p50 {shown['p50']}, p99"
             f" {shown['p99']}, max {shown['max']}, std {shown['std']} µs   window: {self.count}"
@@ -351,7 +395,10 @@ def _measure(kind: type[_Measure], arguments: argparse.Namespace) -> int:
             window.append(heard)
         if not arguments.json and time.monotonic() >= following:
             following += REPORT_PERIOD
-            print(now().line() if measure.count != shown else "no new messages", flush=True)
+            print(
+                now().line() if measure.count != shown else "no new messages",
+                flush=True,
+            )
             shown = measure.count
     answer(arguments.json, {"topic": arguments.topic, **now().figures()}, now().line())
     return 0 if measure.count else 1

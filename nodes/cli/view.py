@@ -22,10 +22,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add_run_name(parser)
     parser.add_argument(
-        "--replay", type=Path, metavar="FILE", help="show a recording instead of a running launch"
+        "--replay",
+        type=Path,
+        metavar="FILE",
+        help="show a recording instead of a running launch",
     )
     parser.add_argument(
-        "--over", type=Path, metavar="FILE", help="with --replay: draw another recording over it"
+        "--over",
+        type=Path,
+        metavar="FILE",
+        help="with --replay: draw another recording over it",
     )
     parser.add_argument(
         "--static",
@@ -56,7 +62,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         ),
     )
     parser.add_argument(
-        "--json", action="store_true", help='print the URL as {"url": …} on the first line'
+        "--json",
+        action="store_true",
+        help='print the URL as {"url": …} on the first line',
     )
     parser.set_defaults(run=run)
 
@@ -81,7 +89,9 @@ def run(arguments: argparse.Namespace) -> int:
             found = chosen_chain(arguments)
             return _beside(found, arguments, ended)
     except OSError as error:
-        raise RefusedError(f"port {arguments.port}: {error.strerror or error}") from error
+        raise RefusedError(
+            f"port {arguments.port}: {error.strerror or error}"
+        ) from error
 
 
 def _static(arguments: argparse.Namespace) -> int:
@@ -102,7 +112,10 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
     from nodes.view.run_pages import RunPages
 
     # Threads started here inherit a processor set without the loop's.
-    with listening(found, set(found.publishers().values()), [""], QUEUE) as (inbox, links):
+    with listening(found, set(found.publishers().values()), [""], QUEUE) as (
+        inbox,
+        links,
+    ):
         pages = RunPages(found, inbox)
 
         async def serve() -> None:
@@ -117,7 +130,8 @@ def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> 
                 )
             # A launch announces its end; a killed one does not.
             await pages.run(
-                lambda: bool(ended or pages.live.ended or not alive(found.launcher)), links.keep
+                lambda: bool(ended or pages.live.ended or not alive(found.launcher)),
+                links.keep,
             )
 
         asyncio.run(serve())
@@ -140,7 +154,11 @@ def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
             raise KeyboardInterrupt
         if time.monotonic() - told > PROGRESS_PERIOD:
             told = time.monotonic()
-            print(f"reading {arguments.replay}: {100.0 * share:.0f} %", file=sys.stderr, flush=True)
+            print(
+                f"reading {arguments.replay}: {100.0 * share:.0f} %",
+                file=sys.stderr,
+                flush=True,
+            )
 
     try:
         pages = ReplayPages(arguments.replay, arguments.over, progress)
@@ -155,6 +173,7 @@ def _replay(arguments: argparse.Namespace, ended: list[int]) -> int:
     asyncio.run(serve())
     if arguments.json:
         print(
-            json.dumps({"replay": str(arguments.replay), "duration_s": pages.duration}), flush=True
+            json.dumps({"replay": str(arguments.replay), "duration_s": pages.duration}),
+            flush=True,
         )
     return 0

@@ -19,7 +19,11 @@ from nodes.parameters.nearest import nearest
 TIMEOUT = 10.0  # longest wait for an answer [s]: judging a law of thousands of taps takes seconds
 FIND_TIMEOUT = 2.0  # longest wait for a launch that has just been started [s]
 
-_PUBLISHES = {"driver": topics.DEVICE_STATE, "environment": topics.PROXY, "coupling": topics.FORCE}
+_PUBLISHES = {
+    "driver": topics.DEVICE_STATE,
+    "environment": topics.PROXY,
+    "coupling": topics.FORCE,
+}
 
 
 class NoSuchNameError(UsageError):
@@ -68,7 +72,9 @@ def known_topic(run: RunInfo, topic: str) -> str:
     """Check that a topic (full name) is published in a run; the error has the nearest name."""
     known = list(run.endpoints())
     if topic not in known:
-        raise NoSuchNameError(f"{run.run}: no topic {topic!r}; {_hint(topic, known, 'there are')}")
+        raise NoSuchNameError(
+            f"{run.run}: no topic {topic!r}; {_hint(topic, known, 'there are')}"
+        )
     return topic
 
 
@@ -85,7 +91,9 @@ def roles(run: RunInfo) -> dict[str, str]:
     from nodes.base.node_kinds import load
 
     run.only_chain()
-    published = {name: load(setup.factory).publishes for name, setup in run.nodes.items()}
+    published = {
+        name: load(setup.factory).publishes for name, setup in run.nodes.items()
+    }
     return {
         role: name
         for role, topic in _PUBLISHES.items()

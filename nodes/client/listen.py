@@ -49,17 +49,20 @@ def listening(
             context.destroy(linger=0)
 
 
-def listen(run: RunInfo, topics: Collection[str], duration: float = 0.0) -> Iterator[Heard | None]:
+def listen(
+    run: RunInfo, topics: Collection[str], duration: float = 0.0
+) -> Iterator[Heard | None]:
     """Yield messages until the run ends or `duration` [s] is over; None while nothing arrives."""
     endpoints = run.endpoints()
     names = {within(run.namespace, topic).encode(): topic for topic in topics}
     decoders = {
-        topic: Decoder(kind) for topic in topics if (kind := message_type(topic)) is not None
+        topic: Decoder(kind)
+        for topic in topics
+        if (kind := message_type(topic)) is not None
     }
-    with listening(run, {endpoints[topic] for topic in topics}, map(bytes.decode, names)) as (
-        inbox,
-        links,
-    ):
+    with listening(
+        run, {endpoints[topic] for topic in topics}, map(bytes.decode, names)
+    ) as (inbox, links):
         until = time.monotonic() + duration if duration else float("inf")
         while True:
             frames = inbox.receive(QUIET_MS)

@@ -41,14 +41,22 @@ def moved_delay(declared: float, new: float, before: float) -> float:
 
 
 def set_moved(
-    run: RunInfo, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool
+    run: RunInfo,
+    driver: str,
+    values: Mapping[str, Any],
+    ask: Callable[..., Any],
+    force: bool,
 ) -> Any:
     """Set `values` of a driver as `set_device` does, with the coupling of its chain."""
     return set_device(_coupling(run, driver), driver, values, ask, force)
 
 
 def set_device(
-    coupling: str, driver: str, values: Mapping[str, Any], ask: Callable[..., Any], force: bool
+    coupling: str,
+    driver: str,
+    values: Mapping[str, Any],
+    ask: Callable[..., Any],
+    force: bool,
 ) -> Any:
     """Set `values` of a driver and return its receipt; `ask` sends a request to a node.
 
@@ -68,7 +76,9 @@ def set_device(
         if not isinstance(new, int | float):
             continue
         if field == "device_delay":
-            new = moved_delay(plant[field], new, before=ask(driver, "param.get", name=name))
+            new = moved_delay(
+                plant[field], new, before=ask(driver, "param.get", name=name)
+            )
         wanted[f"plant.{field}"] = max(0.0, round(new, 9))
     declared = {path: plant[path.removeprefix("plant.")] for path in wanted}
     if wanted:

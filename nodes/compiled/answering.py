@@ -45,7 +45,9 @@ class CompiledTicks:
         self._node = node
         self._kernel = kernel
         self._inbox = node.inbox
-        self.state = state = node.counters  # the node's state, in which the kernel ticks
+        self.state = state = (
+            node.counters
+        )  # the node's state, in which the kernel ticks
         self.inside = False  # whether the kernel runs
         self._posting = threading.Lock()
         self._at = state.here = ctypes.addressof(state)
@@ -165,7 +167,10 @@ class CompiledTicks:
         if state.outgoing:
             topic, payload = self._outgoing
             self._node.events.outbox.appendleft(
-                (topic.raw[: state.outgoing_topic_size], payload.raw[: state.outgoing_size])
+                (
+                    topic.raw[: state.outgoing_topic_size],
+                    payload.raw[: state.outgoing_size],
+                )
             )
             state.outgoing = 0
             self._node.events.waiting = True
@@ -194,7 +199,9 @@ class CompiledTicks:
                 # The previous message was skipped for this unusual one: the plain tick decides
                 # whether rightly.
                 state.skipped -= 1
-                inbox.put_back((self._expected, ctypes.string_at(state.spare, state.spare_size)))
+                inbox.put_back(
+                    (self._expected, ctypes.string_at(state.spare, state.spare_size))
+                )
             inbox.put_back(self._frames())
             return take()
 
@@ -208,6 +215,8 @@ class CompiledTicks:
             # a payload too long for the buffer is refused for its length only
             size = state.payload_size
             frames.append(
-                ctypes.string_at(state.payload, size) if size <= MAX_PAYLOAD else bytes(size)
+                ctypes.string_at(state.payload, size)
+                if size <= MAX_PAYLOAD
+                else bytes(size)
             )
         return frames

@@ -27,7 +27,9 @@ from nodes.compiled.machine_code import linked, object_file
 from nodes.compiled.message_fields import NotCompilableError
 
 TIMEOUT: Final = 300.0  # longest time to compile one kernel [s]
-USUAL: Final = 10.0  # assumed processor time of a kernel that was never compiled here [s]
+USUAL: Final = (
+    10.0  # assumed processor time of a kernel that was never compiled here [s]
+)
 _FAILED: Final = "Failed in nopython mode pipeline"
 
 
@@ -41,7 +43,9 @@ def find(module: str) -> cache.CacheEntry | None:
 
 def reason(entry: cache.CacheEntry | None) -> str:
     """Return why a kernel could not be compiled in the background, or ""."""
-    return entry.content.decode() if entry is not None and entry.kind == "failed" else ""
+    return (
+        entry.content.decode() if entry is not None and entry.kind == "failed" else ""
+    )
 
 
 def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
@@ -63,9 +67,13 @@ def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
 
 def build_in_background(modules: Sequence[str]) -> None:
     """Compile kernels at idle priority, in processes that outlive this one."""
-    nothing = [(os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)]
+    nothing = [
+        (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
+    ]
     command = [sys.executable, "-m", "nodes.compiled.build", "--idle", *modules]
-    os.posix_spawn(sys.executable, command, os.environ, file_actions=nothing, setsid=True)
+    os.posix_spawn(
+        sys.executable, command, os.environ, file_actions=nothing, setsid=True
+    )
 
 
 def build(modules: Sequence[str]) -> None:
@@ -135,7 +143,10 @@ def _cause(error: Exception) -> str:
 
 def _compile(module: str, keep_failure: bool) -> None:
     # before compiling: later changes were not compiled
-    sources = {**cache.sources_of(module), **cache.sources_of("nodes.compiled.machine_code")}
+    sources = {
+        **cache.sources_of(module),
+        **cache.sources_of("nodes.compiled.machine_code"),
+    }
     begin = time.process_time()
     try:
         kind, content = linked(object_file(module))
@@ -144,11 +155,15 @@ def _compile(module: str, keep_failure: bool) -> None:
         if not keep_failure:
             raise NotCompilableError(_cause(error)) from error
         # it would fail at each launch
-        entry = cache.CacheEntry(kind="failed", content=f"{module}: {_cause(error)}".encode())
+        entry = cache.CacheEntry(
+            kind="failed", content=f"{module}: {_cause(error)}".encode()
+        )
     cache.write(f"{module}.tick", entry, sources)
     if entry.kind != "failed":
         took = f"{time.process_time() - begin:.1f}".encode()
-        cache.write(f"{module}.seconds", cache.CacheEntry(kind="seconds", content=took), {})
+        cache.write(
+            f"{module}.seconds", cache.CacheEntry(kind="seconds", content=took), {}
+        )
 
 
 def _idle(modules: Sequence[str]) -> None:

@@ -42,7 +42,9 @@ LARGEST: Final = 256 * 2**20
 LOCK_TIMEOUT: Final = 120.0
 _DIGEST: Final = 64
 _BARE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_SEALS: Final = fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
+_SEALS: Final = (
+    fcntl.F_SEAL_SEAL | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_WRITE
+)
 
 
 class CacheRefusedError(HapticError, OSError):
@@ -85,11 +87,19 @@ def _versions() -> str:
     for package in ("numba", "llvmlite", "numpy"):
         text.append(version(package) or "none")
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = (
+            Path("/proc/cpuinfo")
+            .read_text(encoding="utf-8", errors="replace")
+            .splitlines()
+        )
     except OSError:
         lines = []
     text += sorted(
-        {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
+        {
+            line
+            for line in lines
+            if line.startswith(("model name", "flags", "Features", "CPU part"))
+        }
     )
     return hashlib.sha256("|".join(text).encode()).hexdigest()[:16]
 
@@ -131,8 +141,12 @@ def _safe(path: Path, depth: int = 0) -> None:
                 raise CacheRefusedError(f"{step}: a symbolic link of another user")
             _safe((step.parent / step.readlink()).absolute(), depth + 1)
         # in a sticky folder like /tmp only the owner can replace an entry
-        elif _others_write(found) and not (found.st_uid == 0 and found.st_mode & stat.S_ISVTX):
-            raise CacheRefusedError(f"{step}: others than user {os.getuid()} may write there")
+        elif _others_write(found) and not (
+            found.st_uid == 0 and found.st_mode & stat.S_ISVTX
+        ):
+            raise CacheRefusedError(
+                f"{step}: others than user {os.getuid()} may write there"
+            )
 
 
 def _enter(name: str, make: bool) -> int:
@@ -153,7 +167,9 @@ def _enter(name: str, make: bool) -> int:
                     with contextlib.suppress(FileExistsError):
                         os.mkdir(step, 0o700, dir_fd=outer)
                 at = os.open(
-                    step, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=outer
+                    step,
+                    os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC,
+                    dir_fd=outer,
                 )
             finally:
                 os.close(outer)
@@ -186,7 +202,10 @@ def _code_digest(content: bytes) -> str:
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     tree = ast.parse(content)
     for node in ast.walk(tree):
-        if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+        if (
+            isinstance(node, documented)
+            and ast.get_docstring(node, clean=False) is not None
+        ):
             del node.body[0]
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
@@ -253,7 +272,11 @@ def read(name: str) -> CacheEntry | None:
     finally:
         os.close(at)
     found = os.fstat(descriptor)
-    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.getuid() or _others_write(found):
+    if (
+        not stat.S_ISREG(found.st_mode)
+        or found.st_uid != os.getuid()
+        or _others_write(found)
+    ):
         os.close(descriptor)
         raise CacheRefusedError(
             f"{folder() / name}: must be a file of user {os.getuid()} that nobody else may write"
@@ -267,7 +290,9 @@ def read(name: str) -> CacheEntry | None:
     about, _, content = rest.partition(b"\n")
     try:
         known = msgspec.json.decode(about, type=_About)
-        fresh = all(_is_current(ROOT / name, source) for name, source in known.sources.items())
+        fresh = all(
+            _is_current(ROOT / name, source) for name, source in known.sources.items()
+        )
         return CacheEntry(kind=known.kind, content=content) if fresh else None
     except (msgspec.DecodeError, OSError):
         return None
@@ -331,11 +356,16 @@ def _locked(at: int, lock: str) -> int | None:
 
     The holder may remove the file in the end.
     """
-    held = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at)
+    held = os.open(
+        lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600, dir_fd=at
+    )
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         # it may have been removed between opening and locking
-        if os.stat(lock, dir_fd=at, follow_symlinks=False).st_ino == os.fstat(held).st_ino:
+        if (
+            os.stat(lock, dir_fd=at, follow_symlinks=False).st_ino
+            == os.fstat(held).st_ino
+        ):
             return held
     except (BlockingIOError, FileNotFoundError):
         pass
@@ -361,7 +391,9 @@ _open: list[int] = []
 
 def load(library: bytes) -> Any:
     """Load a shared library from sealed memory, which nobody can change."""
-    descriptor = os.memfd_create("haptic-compiled", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    descriptor = os.memfd_create(
+        "haptic-compiled", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
+    )
     with open(descriptor, "wb", closefd=False) as file:
         file.write(library)
     fcntl.fcntl(descriptor, fcntl.F_ADD_SEALS, _SEALS)

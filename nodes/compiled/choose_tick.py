@@ -6,7 +6,13 @@ import os
 from collections.abc import Callable, Collection
 from typing import Final, Literal, TypeAlias
 
-from nodes.compiled.build import build, build_in_background, expected_seconds, find, reason
+from nodes.compiled.build import (
+    build,
+    build_in_background,
+    expected_seconds,
+    find,
+    reason,
+)
 from nodes.compiled.cache import CacheRefusedError
 from nodes.compiled.message_fields import NotCompilableError
 
@@ -18,7 +24,10 @@ SCARCE: Final = 1000.0
 
 
 def choose(
-    wanted: WantedTick, modules: Collection[str], say: Callable[[str], None], scarce: bool = True
+    wanted: WantedTick,
+    modules: Collection[str],
+    say: Callable[[str], None],
+    scarce: bool = True,
 ) -> Literal["compiled", "plain"]:
     """Return which tick the nodes of a launch use.
 
@@ -51,10 +60,14 @@ def choose(
     if missing:
         seconds, is_measured = expected_seconds(missing)
         source = (
-            "as it took here last time" if is_measured else "an estimate: it is the first time here"
+            "as it took here last time"
+            if is_measured
+            else "an estimate: it is the first time here"
         )
         kernels = f"{len(missing)} kernel{'s' if len(missing) > 1 else ''}"
-        say(f"compiling {kernels}, once for this version: about {seconds:.0f} s ({source})")
+        say(
+            f"compiling {kernels}, once for this version: about {seconds:.0f} s ({source})"
+        )
         try:
             build(missing)
         except NotCompilableError as error:

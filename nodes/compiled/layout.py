@@ -21,7 +21,9 @@ from typing import (
 )
 
 NEVER: Final = 2**62  # a tick that does not come
-LONGEST_OUT: Final = 1024  # buffer for one message sent [bytes]; the longest is below 600
+LONGEST_OUT: Final = (
+    1024  # buffer for one message sent [bytes]; the longest is below 600
+)
 # buffer for one received message [bytes]; a longer one is refused
 LONGEST_IN: Final = 65536 + 64
 # buffer for a first frame [bytes]; only the beginning of a longer one is reported
@@ -58,7 +60,8 @@ def struct(declared: type[S]) -> type[S]:
     hints = get_type_hints(declared, include_extras=True)
     # All fields go into one list, because numpy and numba do not look at base classes.
     fields = [
-        (name, _laid_out(f"{declared.__name__}.{name}", kind)) for name, kind in hints.items()
+        (name, _laid_out(f"{declared.__name__}.{name}", kind))
+        for name, kind in hints.items()
     ]
     body = {
         "_fields_": fields,
@@ -74,7 +77,11 @@ def _laid_out(where: str, kind: Any) -> Any:
         return _NUMBERS[kind]
     if get_origin(kind) is Annotated:
         items, size = get_args(kind)
-        if get_origin(items) is list and get_args(items)[0] in _NUMBERS and isinstance(size, int):
+        if (
+            get_origin(items) is list
+            and get_args(items)[0] in _NUMBERS
+            and isinstance(size, int)
+        ):
             return _NUMBERS[get_args(items)[0]] * size
     raise TypeError(
         f"{where}: {kind!r} has no place in a struct; use float, int or Annotated[list[float], n]"

@@ -28,9 +28,13 @@ _kept: list[Any] = []  # must live as long as its functions may be called
 def library_of_pyzmq() -> str:
     """Return the path of the libzmq that pyzmq has loaded."""
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-        mapped = sorted({line.split(maxsplit=5)[5].strip() for line in maps if ".so" in line})
+        mapped = sorted(
+            {line.split(maxsplit=5)[5].strip() for line in maps if ".so" in line}
+        )
     candidates = [path for path in mapped if "zmq" in Path(path).name]
-    for path in sorted(candidates, key=lambda path: not Path(path).name.startswith("libzmq")):
+    for path in sorted(
+        candidates, key=lambda path: not Path(path).name.startswith("libzmq")
+    ):
         library = ctypes.CDLL(path)
         if all(hasattr(library, name) for name in (*_ZMQ, "zmq_version")):
             numbers = [ctypes.c_int() for _ in range(3)]
@@ -49,7 +53,9 @@ def functions() -> dict[str, int]:
     found = {}
     for library, names in ((libzmq, _ZMQ), (libc, _LIBC)):
         for name in names:
-            found[name] = ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+            found[name] = (
+                ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
+            )
     return found
 
 
@@ -58,7 +64,9 @@ def _addresses(entry: cache.CacheEntry, names: Sequence[str]) -> list[int]:
     if entry.kind == "so":
         library = cache.load(entry.content)
         _kept.append(library)
-        return [ctypes.cast(library[name], ctypes.c_void_p).value or 0 for name in names]
+        return [
+            ctypes.cast(library[name], ctypes.c_void_p).value or 0 for name in names
+        ]
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -97,9 +105,9 @@ def obtain_calls(module: str, names: Sequence[str]) -> list[int]:
 
 def _kernel_at(address: int) -> Kernel:
     # numba's calling convention: address of the result, of the exception, and the argument
-    function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64)(
-        address
-    )
+    function = ctypes.CFUNCTYPE(
+        ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64
+    )(address)
     result = ctypes.c_int64()
     error = ctypes.c_void_p()
     at = ctypes.addressof(result)

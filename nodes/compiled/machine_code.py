@@ -44,10 +44,15 @@ def object_file(module: str) -> bytes:
     if called is not None:
         signatures = {name: signature for name, (_, signature) in entries.items()}
         unit.link_in(
-            llvm.parse_assembly("\n".join(_by_c(n, names[n], signatures[n]) for n in entries))
+            llvm.parse_assembly(
+                "\n".join(_by_c(n, names[n], signatures[n]) for n in entries)
+            )
         )
     for function in unit.functions:
-        if not function.is_declaration and function.name not in (*entries, *names.values()):
+        if not function.is_declaration and function.name not in (
+            *entries,
+            *names.values(),
+        ):
             function.linkage = "internal"
     for name, made_name in names.items():
         if called is None:
@@ -65,7 +70,9 @@ def object_file(module: str) -> bytes:
     options = llvm.create_pipeline_tuning_options(speed_level=3)
     builder = llvm.create_pass_builder(target, options)
     builder.getModulePassManager().run(unit, builder)
-    wanted = [f.name for f in unit.functions if f.is_declaration and f.name.startswith("NRT_")]
+    wanted = [
+        f.name for f in unit.functions if f.is_declaration and f.name.startswith("NRT_")
+    ]
     if wanted:
         raise RuntimeError(
             f"{module}: a kernel allocates no memory, and this one calls {wanted[0]}"
@@ -107,9 +114,9 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
     names = {}
     waiting = []
     for name, (function, signature) in entries.items():
-        compiled = compile_([signature], no_cpython_wrapper=True, no_cfunc_wrapper=True)(
-            function.py_func
-        )
+        compiled = compile_(
+            [signature], no_cpython_wrapper=True, no_cfunc_wrapper=True
+        )(function.py_func)
         (result,) = compiled.overloads.values()
         names[name] = result.fndesc.llvm_func_name
         waiting.append(result.library)
@@ -132,7 +139,8 @@ def _whole(entries: dict[str, Any]) -> tuple[dict[str, str], Any]:
 def _by_c(name: str, made: str, signature: str) -> str:
     """Return a C wrapper of a numba function, which takes result and error first."""
     kinds = [
-        "double" if kind == "float64" else "i64" for kind in signature[:-1].split("(")[1].split(",")
+        "double" if kind == "float64" else "i64"
+        for kind in signature[:-1].split("(")[1].split(",")
     ]
     given = ", ".join(f"{kind} %a{n}" for n, kind in enumerate(kinds))
     return f"""

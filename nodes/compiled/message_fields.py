@@ -14,7 +14,9 @@ from messages.errors import HapticError
 from messages.types import Message
 
 REAL, VECTOR, WHOLE, FLAG, TEXT = range(5)
-LONGEST_NAME: Final = 15  # longest name of a field [bytes]: with its header one copy of 16 bytes
+LONGEST_NAME: Final = (
+    15  # longest name of a field [bytes]: with its header one copy of 16 bytes
+)
 
 
 class NotCompilableError(HapticError):
@@ -29,7 +31,9 @@ class Field(NamedTuple):
     # index of its value in the floats (a vector takes three), the integers (also flags) or the
     # texts
     slot: int
-    low: int  # bounds of an integer; `high` is the longest length of a text [characters]
+    low: (
+        int  # bounds of an integer; `high` is the longest length of a text [characters]
+    )
     high: int
     # value if absent; None if required; 0 for texts, which are only checked
     default: float | None
@@ -74,9 +78,13 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
             room = 1
             high = kind_of.max_length
         else:
-            raise NotCompilableError(f"{message.__name__}.{name}: a field of type {kind_of}")
+            raise NotCompilableError(
+                f"{message.__name__}.{name}: a field of type {kind_of}"
+            )
         if kind == VECTOR and room != 3:
-            raise NotCompilableError(f"{message.__name__}.{name}: a vector of {room}, not three")
+            raise NotCompilableError(
+                f"{message.__name__}.{name}: a vector of {room}, not three"
+            )
         if len(name.encode()) > LONGEST_NAME:
             raise NotCompilableError(
                 f"{message.__name__}.{name}: a name longer than {LONGEST_NAME} bytes"
@@ -85,7 +93,9 @@ def fields_of(message: type[Message]) -> tuple[Field, ...]:
         if not field.required:
             default = float(field.default) if kind in (REAL, WHOLE, FLAG) else 0.0
             if kind == VECTOR and any(field.default):
-                raise NotCompilableError(f"{message.__name__}.{name}: a default that is not zero")
+                raise NotCompilableError(
+                    f"{message.__name__}.{name}: a default that is not zero"
+                )
         if kind == TEXT and used[bank]:
             raise NotCompilableError(f"{message.__name__}.{name}: a second text")
         fields.append(Field(name, kind, used[bank], low, high, default))

@@ -24,7 +24,9 @@ class Published(NamedTuple):
 
     message: type[Message]
     values: dict[str, str]  # Python expression by field, over a state `s` and a `text`
-    offsets: tuple[int, ...]  # where each stands in the struct, in numbers of 8 bytes; −1: the text
+    offsets: tuple[
+        int, ...
+    ]  # where each stands in the struct, in numbers of 8 bytes; −1: the text
 
 
 def published(
@@ -113,6 +115,7 @@ def payload_of(table: Published) -> Callable[[Any, str], bytes]:
 def _made(table: Published, form: str) -> Callable[[Any, str], Any]:
     given = ", ".join(f"{name}={value}" for name, value in table.values.items())
     made: Callable[[Any, str], Any] = eval(  # noqa: S307  # of names of ours alone
-        f"lambda s, text: {form.format(given)}", {"encode": encode, "message": table.message}
+        f"lambda s, text: {form.format(given)}",
+        {"encode": encode, "message": table.message},
     )
     return made

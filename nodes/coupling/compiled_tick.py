@@ -31,7 +31,9 @@ class CouplingTicks(CompiledTicks):
         if renderer.name != self._name:
             self._name, self._fits = renderer.name, self.set_text(renderer.name)
         self.state.until = self._coupling.next_swap()
-        self._most = min(self._longest, STANDBY_TICKS) if renderer.standby else self._longest
+        self._most = (
+            min(self._longest, STANDBY_TICKS) if renderer.standby else self._longest
+        )
         return self._fits
 
     def store_state(self) -> None:

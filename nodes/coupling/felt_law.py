@@ -32,7 +32,9 @@ def felt_laws(law: CompiledLaw, effect: Effect, period: float) -> list[CompiledL
     if effect.lag == 0.0:
         return [scaled]
     if effect.line:  # a viscous region and a line: the sum of both
-        return [added(trailing(law, part * effect.lag, period), scaled) for part in LAGS]
+        return [
+            added(trailing(law, part * effect.lag, period), scaled) for part in LAGS
+        ]
     return [trailing(scaled, part * effect.lag, period) for part in LAGS]
 
 
@@ -47,7 +49,8 @@ def factored(law: CompiledLaw, stiffness: float, damping: float) -> CompiledLaw:
     taps = [damping * tap for tap in law.taps]
     taps[0] += (stiffness - damping) * still_of(law)
     return CompiledLaw(
-        tuple(taps), tuple((damping * b0, damping * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
+        tuple(taps),
+        tuple((damping * b0, damping * b1, a1, a2) for b0, b1, a1, a2 in law.sections),
     )
 
 
@@ -75,7 +78,10 @@ def trailing(law: CompiledLaw, lag: float, period: float) -> CompiledLaw:
     for section in law.sections:
         (b0, _, a1, a2), w = section, _residue(section, rho)
         u, v = b0 - w, w * a2 / rho
-        more += [(-(1.0 - rho) * u, -(1.0 - rho) * v, a1, a2), (-(1.0 - rho) * w, 0.0, -rho, 0.0)]
+        more += [
+            (-(1.0 - rho) * u, -(1.0 - rho) * v, a1, a2),
+            (-(1.0 - rho) * w, 0.0, -rho, 0.0),
+        ]
     return CompiledLaw(tuple(taps), (*sections, *more))
 
 

@@ -44,7 +44,9 @@ def refuses_start(policy: str, reason: StartAnyway) -> bool:
     """
     if reason is StartAnyway.ACCEPTED_BEFORE:
         return False
-    return policy == "refuse" or (policy == "changes" and reason is StartAnyway.NO_REASON)
+    return policy == "refuse" or (
+        policy == "changes" and reason is StartAnyway.NO_REASON
+    )
 
 
 class Judgement:
@@ -170,7 +172,11 @@ class Judgement:
             return []
         name = name or parameters.law
         law = self._book.compile(parameters, name) if law is None else law
-        if plant.tool_mass is None and plant.tool_lag is None and plant.partner_mass is None:
+        if (
+            plant.tool_mass is None
+            and plant.tool_lag is None
+            and plant.partner_mass is None
+        ):
             return []
         from nodes.stability.world_verdict import judge_tool, judge_world
         from nodes.stability.worlds import AnyWorld, OtherDevice, SteppedTool, WorldKind
@@ -183,7 +189,9 @@ class Judgement:
             world = AnyWorld()
         else:
             late = plant.delay_before_device(loop)
-            world = SteppedTool(plant.tool_damping, late, plant.tool_steps(self._period))
+            world = SteppedTool(
+                plant.tool_damping, late, plant.tool_steps(self._period)
+            )
         hands = (True,) if isinstance(world, OtherDevice) else (False, True)
         device = replace(loop, partner=None)
         found = [
@@ -193,7 +201,9 @@ class Judgement:
             for any_hand in hands
         ]
         return [
-            f"{self._node}.laws.{name}: {verdict.text}" for verdict in found if verdict is not None
+            f"{self._node}.laws.{name}: {verdict.text}"
+            for verdict in found
+            if verdict is not None
         ]
 
     def unjudged(self, parameters: CouplingParameters) -> str:
@@ -202,7 +212,9 @@ class Judgement:
             return self.why_not(parameters)
         for name in _rendering(parameters):
             if self._book.compile(parameters, name).evaluate is not None:
-                return f"{self._node}.laws.{name} has code of its own, which has no poles"
+                return (
+                    f"{self._node}.laws.{name} has code of its own, which has no poles"
+                )
         return ""
 
     def at_start(
@@ -216,7 +228,11 @@ class Judgement:
         `reason` allows a start with an unstable law, as in `refuses_start`.
         """
         accepted = reason is StartAnyway.ACCEPTED_BEFORE
-        if parameters.stability == "refuse" and parameters.plant is None and not accepted:
+        if (
+            parameters.stability == "refuse"
+            and parameters.plant is None
+            and not accepted
+        ):
             raise ParameterError(
                 f"refuse needs {self._node}.plant, the device that a law is"
                 " judged with; declare its mass and damping, or set stability to warn",
@@ -224,7 +240,9 @@ class Judgement:
             )
         warnings = []
         for name in _rendering(parameters):
-            verdict = self.verdict(parameters, self._book.compile(parameters, name), delay)
+            verdict = self.verdict(
+                parameters, self._book.compile(parameters, name), delay
+            )
             if verdict is not None and not verdict.stable:
                 complaint = self._complaint(f"laws.{name}", verdict)
                 remedy = self._remedy(None, parameters, name, verdict)
@@ -240,10 +258,14 @@ class Judgement:
         )
         return [f"{warning}; started anyway: {why}" for warning in warnings]
 
-    def _of_fallback(self, parameters: CouplingParameters, delay: float) -> list[ParameterError]:
+    def _of_fallback(
+        self, parameters: CouplingParameters, delay: float
+    ) -> list[ParameterError]:
         if not parameters.fallback.damping:
             return []
-        verdict = self.verdict(parameters, parameters.fallback.compile(self._period), delay)
+        verdict = self.verdict(
+            parameters, parameters.fallback.compile(self._period), delay
+        )
         if verdict is None or verdict.stable:
             return []
         complaint = self._complaint("fallback", verdict)
@@ -272,7 +294,11 @@ class Judgement:
         )
 
     def refuse_fallback(
-        self, now: CouplingParameters, wanted: CouplingParameters, delay: float, force: bool
+        self,
+        now: CouplingParameters,
+        wanted: CouplingParameters,
+        delay: float,
+        force: bool,
     ) -> None:
         """Reject a changed fallback that would be unstable."""
         if now.fallback != wanted.fallback and not force and wanted.stability != "warn":
@@ -324,7 +350,10 @@ class Judgement:
 
         def at(share: float) -> Any:
             return _mapped(
-                asked, lambda path, end: between(start[path], end, share) if path in start else end
+                asked,
+                lambda path, end: (
+                    between(start[path], end, share) if path in start else end
+                ),
             )
 
         share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
@@ -341,9 +370,15 @@ class Judgement:
             )
         ((path, begin),) = start.items()
         value = _rounded(reached[path], begin)
-        rounded = self._compiled(_mapped(asked, lambda at, end: value if at == path else end))
+        rounded = self._compiled(
+            _mapped(asked, lambda at, end: value if at == path else end)
+        )
         found = judge(rounded, verdict.plant)
-        shown = f"{value:g}" if found is not None and found.stable else f"{reached[path]:.9g}"
+        shown = (
+            f"{value:g}"
+            if found is not None and found.stable
+            else f"{reached[path]:.9g}"
+        )
         return (
             f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that is "
             f"accepted is {shown}"
@@ -361,11 +396,18 @@ class Judgement:
             before = self._book.description(now, name)
             begins = _numbers(before)
             changed = {
-                path: begins[path] for path in ends if path in begins and begins[path] != ends[path]
+                path: begins[path]
+                for path in ends
+                if path in begins and begins[path] != ends[path]
             }
-            if changed and _mapped(before, lambda path, value: ends.get(path, value)) == asked:
+            if (
+                changed
+                and _mapped(before, lambda path, value: ends.get(path, value)) == asked
+            ):
                 return changed
-        return {"stiffness": _SOFTEST * ends["stiffness"]} if "stiffness" in ends else {}
+        return (
+            {"stiffness": _SOFTEST * ends["stiffness"]} if "stiffness" in ends else {}
+        )
 
     def _compiled(self, description: dict[str, Any]) -> CompiledLaw:
         return compile_law(parse_law(description), self._period)
@@ -381,13 +423,16 @@ _WHOSE = {
     "tool_lag": "what is felt answers later by",
     "tool_step": "the scene is stepped by",
     **dict.fromkeys(
-        ("partner_mass", "partner_damping", "partner_stiffness"), "the second device has"
+        ("partner_mass", "partner_damping", "partner_stiffness"),
+        "the second device has",
     ),
     "scale": "the driver maps at a scale of",
 }
 
 
-def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[str, str]:
+def contradictions(
+    plant: PlantParameters, known: Mapping[str, float]
+) -> dict[str, str]:
     """Return the fields of a plant with which a loop looks more stable than it is.
 
     Less mass or damping, a stiffer hand, a lighter tool and a longer delay make a worse device,
@@ -433,7 +478,9 @@ def contradictions(plant: PlantParameters, known: Mapping[str, float]) -> dict[s
 
 def _rendering(parameters: CouplingParameters) -> list[str]:
     """Return the names of the laws of tick 0 and of the schedule."""
-    return list(dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)]))
+    return list(
+        dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)])
+    )
 
 
 def _shown(value: float | None, unit: str) -> str:
@@ -466,7 +513,9 @@ def _mapped(tree: Any, change: Callable[[str, float], float], path: str = "") ->
 
 
 def _scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
-    sections = tuple((factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
+    sections = tuple(
+        (factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections
+    )
     return replace(law, taps=tuple(factor * tap for tap in law.taps), sections=sections)
 
 

@@ -64,7 +64,9 @@ def _force_of(s: CouplingState, n: int, m: int, history: Any, head: int) -> floa
     count = s.sections_count[at]
     taps = reals_at(s.taps[at], s.taps_count[at])
     recursive = reals_at(s.sections[at], 4 * count)
-    return evaluate(taps, recursive, reals_at(s.sections_state[at], 2 * count), history, head)
+    return evaluate(
+        taps, recursive, reals_at(s.sections_state[at], 2 * count), history, head
+    )
 
 
 @compilable
@@ -73,14 +75,17 @@ def _see(s: CouplingState, n: int, m: int, history: Any, head: int) -> None:
     count = s.sections_count[at]
     if count > 0:
         state = reals_at(s.sections_state[at], 2 * count)
-        sections(reals_at(s.sections[at], 4 * count), state, history[head], history[head + 1])
+        sections(
+            reals_at(s.sections[at], 4 * count), state, history[head], history[head + 1]
+        )
 
 
 @compilable
 def _gain_of(s: CouplingState, n: int, m: int) -> float:
     at = _SLOTS * n + m
     return newest_gain(
-        reals_at(s.taps[at], s.taps_count[at]), reals_at(s.sections[at], 4 * s.sections_count[at])
+        reals_at(s.taps[at], s.taps_count[at]),
+        reals_at(s.sections[at], 4 * s.sections_count[at]),
     )
 
 
@@ -89,11 +94,15 @@ def _revise(s: CouplingState, n: int, m: int, by: float) -> None:
     at = _SLOTS * n + m
     count = s.sections_count[at]
     revise_sections(
-        reals_at(s.sections[at], 4 * count), reals_at(s.sections_state[at], 2 * count), by
+        reals_at(s.sections[at], 4 * count),
+        reals_at(s.sections_state[at], 2 * count),
+        by,
     )
 
 
-_render, _bridge = make_render(LawPort(_ring, _force_of, _see, _gain_of, _revise), compilable)
+_render, _bridge = make_render(
+    LawPort(_ring, _force_of, _see, _gain_of, _revise), compilable
+)
 
 
 @compilable
@@ -121,7 +130,9 @@ def _note(s: CouplingState, saves: bool) -> None:
             history[head] = history[head + s.length] = s.oldest[n]
             s.head[n] = head + 1 if head + 1 < s.length else 0
             s.pushes[n] -= 1
-        for m in range(_SLOTS * n, _SLOTS * n + 1 + (s.leaving if s.fade_ramp > 0 else 0)):
+        for m in range(
+            _SLOTS * n, _SLOTS * n + 1 + (s.leaving if s.fade_ramp > 0 else 0)
+        ):
             state = reals_at(s.sections_state[m], 2 * s.sections_count[m])
             for k in range(2 * s.sections_count[m]):
                 if saves:
@@ -142,7 +153,9 @@ def ticks(address: int) -> int:
         s.reals[_NORMAL : _NORMAL + 3],
     )
     while done < s.most:
-        if not receive(s, 0) or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
+        if not receive(s, 0) or not _scan(
+            s.payload, s.payload + s.payload_size, s.reals, s.wholes
+        ):
             break
         seq = s.wholes[_SEQ]
         if (

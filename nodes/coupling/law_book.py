@@ -27,16 +27,24 @@ class LawBook:
     def names(self, parameters: CouplingParameters) -> list[str]:
         """Return the names of all laws that can become active."""
         kinds = [
-            kind for kind in law_names() if kind not in PRESETS and self._usual(parameters, kind)
+            kind
+            for kind in law_names()
+            if kind not in PRESETS and self._usual(parameters, kind)
         ]
         return [
             *parameters.laws,
-            *(name for name in [*preset_names(), *kinds] if name not in parameters.laws),
+            *(
+                name
+                for name in [*preset_names(), *kinds]
+                if name not in parameters.laws
+            ),
         ]
 
     def description(self, parameters: CouplingParameters, name: str) -> dict[str, Any]:
         """Return the complete description of a law."""
-        return law_to_dict(parse_law(self._find(parameters, name), f"{self._node}.laws.{name}"))
+        return law_to_dict(
+            parse_law(self._find(parameters, name), f"{self._node}.laws.{name}")
+        )
 
     def text(self, parameters: CouplingParameters, name: str) -> str:
         """Return a law's description in one line, for receipts."""
@@ -57,7 +65,11 @@ class LawBook:
             fields = _fields(name)
             return {
                 "kind": name,
-                **{key: value for key, value in parameters.usual.items() if key in fields},
+                **{
+                    key: value
+                    for key, value in parameters.usual.items()
+                    if key in fields
+                },
             }
         raise ParameterError(self._unknown(parameters, name), path=f"{self._node}.law")
 
@@ -79,7 +91,9 @@ class LawBook:
     def compile(self, parameters: CouplingParameters, name: str) -> CompiledLaw:
         """Return a law by name, compiled."""
         where = f"{self._node}.laws.{name}"
-        compiled = compile_law(parse_law(self._find(parameters, name), where), self._period, where)
+        compiled = compile_law(
+            parse_law(self._find(parameters, name), where), self._period, where
+        )
         if len(compiled.taps) > parameters.memory:
             raise ParameterError(
                 f"{len(compiled.taps)} taps, but {self._node}.memory is"
@@ -89,7 +103,10 @@ class LawBook:
         return compiled
 
     def figures(
-        self, parameters: CouplingParameters, law: CompiledLaw | str, measured_delay: float
+        self,
+        parameters: CouplingParameters,
+        law: CompiledLaw | str,
+        measured_delay: float,
     ) -> dict[str, Any]:
         """Return what a law, compiled or by name, renders."""
         compiled = self.compile(parameters, law) if isinstance(law, str) else law
@@ -115,10 +132,14 @@ class LawBook:
             parse_law(law, f"{self._node}.laws.{name}")
         self.compile(parameters, parameters.law)
         taken_until = 0
-        for i, swap in sorted(enumerate(parameters.schedule), key=lambda numbered: numbered[1].at):
+        for i, swap in sorted(
+            enumerate(parameters.schedule), key=lambda numbered: numbered[1].at
+        ):
             where = f"{self._node}.schedule[{i}]"
             if swap.law not in [*parameters.laws, *PRESETS, *law_names()]:
-                raise ParameterError(self._unknown(parameters, swap.law), path=f"{where}.law")
+                raise ParameterError(
+                    self._unknown(parameters, swap.law), path=f"{where}.law"
+                )
             self.compile(parameters, swap.law)
             tick = round(swap.at / self._period)
             if tick < taken_until:
@@ -139,7 +160,9 @@ class LawBook:
                 )
 
 
-def free_name(law: Mapping[str, Any], laws: Mapping[str, Any], mine: Collection[str] = ()) -> str:
+def free_name(
+    law: Mapping[str, Any], laws: Mapping[str, Any], mine: Collection[str] = ()
+) -> str:
     """Return a name for a law given without one: its kind, numbered if taken.
 
     `laws` are the coupling's; a name among `mine` may be used again. A law that is already there
@@ -147,7 +170,9 @@ def free_name(law: Mapping[str, Any], laws: Mapping[str, Any], mine: Collection[
     """
     kind = str(law["kind"])[:56]
     wanted = law_to_dict(parse_law(law))
-    names = itertools.chain([kind], (f"{kind}_{number}" for number in itertools.count(2)))
+    names = itertools.chain(
+        [kind], (f"{kind}_{number}" for number in itertools.count(2))
+    )
     for name in names:
         if name not in laws or name in mine:
             return name
@@ -163,7 +188,9 @@ def worst_figures(
     """Return what a law renders on a device; for a variable mass, at the worst mass."""
     from nodes.stability.closed_loop import law_figures
 
-    found = [law_figures(compiled, device) for device in plant.over_workspace(period, delay)]
+    found = [
+        law_figures(compiled, device) for device in plant.over_workspace(period, delay)
+    ]
     if plant.heaviest is None:
         return found[0]
     worst = max(range(len(found)), key=lambda i: found[i]["pole_radius"] or 0.0)

@@ -13,7 +13,14 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, TypeAlias, cast
 
-from nodes.arithmetic import newest_gain, push, revise_sections, sections, settle, warm_up
+from nodes.arithmetic import (
+    newest_gain,
+    push,
+    revise_sections,
+    sections,
+    settle,
+    warm_up,
+)
 from nodes.compiled.layout import state_of
 from nodes.coupling.state import LEAVING, CouplingState
 from nodes.laws import CompiledLaw
@@ -28,7 +35,9 @@ def _in_state(name: str) -> Any:
     def store(history: History, value: int) -> None:
         getattr(history._state, name)[history._n] = value
 
-    return property(lambda history: int(getattr(history._state, name)[history._n]), store)
+    return property(
+        lambda history: int(getattr(history._state, name)[history._n]), store
+    )
 
 
 class History:
@@ -42,8 +51,13 @@ class History:
         self._state, self._n = state, n
         # number of newest values that are valid: all, except in a snapshot
         self.length = self.known = length
-        self.values = array("d", [0.0]) * (2 * length)  # the ring [m], shape (2 * length,)
-        self.filled_at, self.level = 0, 0.0  # pushes when it was last filled, and the value [m]
+        self.values = array("d", [0.0]) * (
+            2 * length
+        )  # the ring [m], shape (2 * length,)
+        self.filled_at, self.level = (
+            0,
+            0.0,
+        )  # pushes when it was last filled, and the value [m]
         state.history[n] = self.values.buffer_info()[0]
 
     head = _in_state("head")  # index of the newest value
@@ -68,7 +82,10 @@ class History:
         copy.pushes = self.pushes
         copy.values = self.values[:]
         # Each push during the copy overwrites the oldest value, and one more may be under way.
-        copy.length, copy.known = self.length, max(self.length - 1 - (self.pushes - copy.pushes), 0)
+        copy.length, copy.known = (
+            self.length,
+            max(self.length - 1 - (self.pushes - copy.pushes), 0),
+        )
         # Not self.head, which a push under way may have moved: each push decrements it.
         copy.head = -copy.pushes % self.length
         return copy
@@ -83,7 +100,9 @@ def _written_out(taps: int) -> Callable[..., Callable[[int], float]]:
     return cast(Callable[..., Callable[[int], float]], made)
 
 
-def unrolled(taps: tuple[float, ...], values: Sequence[float]) -> Callable[[int], float]:
+def unrolled(
+    taps: tuple[float, ...], values: Sequence[float]
+) -> Callable[[int], float]:
     """Return `arithmetic.fir` written out term by term: the same additions without a loop."""
     return _written_out(len(taps))(values, *taps)
 
@@ -144,7 +163,9 @@ class LawOnAxis:
         self.gain = newest_gain(self.numbers, self.coefficients)
         # stiffness to a constant deflection [N/m]; 0 of a law that has none, or code of its own
         self.still = still_of(law)
-        self.plain = not law.sections and law.evaluate is None  # whether the law has taps only
+        self.plain = (
+            not law.sections and law.evaluate is None
+        )  # whether the law has taps only
         # sums the taps, from the history's head to a force [N]
         self.sum_of_taps = sum_of_taps(law.taps, history)
         self._own = law.own_code(axis)
@@ -155,7 +176,13 @@ class LawOnAxis:
         """Set the sections as if the law had run all the time."""
         if self.state:
             self.state[:] = array("d", [0.0]) * len(self.state)
-            warm_up(self.coefficients, self.state, history.values, history.head, history.known)
+            warm_up(
+                self.coefficients,
+                self.state,
+                history.values,
+                history.head,
+                history.known,
+            )
         self._pushes = history.pushes
 
     def settle(self, value: float) -> None:
@@ -174,7 +201,12 @@ class LawOnAxis:
             unseen = min(history.pushes - self._pushes, history.length - 1)
             for age in range(unseen - 1, -1, -1):
                 at = history.head + age
-                sections(self.coefficients, self.state, history.values[at], history.values[at + 1])
+                sections(
+                    self.coefficients,
+                    self.state,
+                    history.values[at],
+                    history.values[at + 1],
+                )
         self._pushes = history.pushes
 
     def see(self, head: int) -> None:
@@ -198,7 +230,9 @@ class LawOnAxis:
         force = self.sum_of_taps(head)
         if self.state:
             values = self._history.values
-            force = force + sections(self.coefficients, self.state, values[head], values[head + 1])
+            force = force + sections(
+                self.coefficients, self.state, values[head], values[head + 1]
+            )
             self._pushes = self._history.pushes
         if self._own is not None:
             self._own_force = self._own(self._history.values, head)
@@ -209,7 +243,9 @@ class LawOnAxis:
         """Return the force for the newest deflection, already seen by the sections; pure."""
         force = self.sum_of_taps(self._history.head) + sum(self.state[::2])
         return force + (
-            self.first_force(self._history) if self._own_force is None else self._own_force
+            self.first_force(self._history)
+            if self._own_force is None
+            else self._own_force
         )
 
 

@@ -71,11 +71,15 @@ class Coupling(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Parse every law, and compile those that will render, before the launch."""
-        parameters: CouplingParameters = convert(setup.parameters, CouplingParameters, setup.name)
+        parameters: CouplingParameters = convert(
+            setup.parameters, CouplingParameters, setup.name
+        )
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
         _check_frame(parameters, setup)
-        judgement = Judgement(setup.name, setup.period, book, setup.plant, setup.effects)
+        judgement = Judgement(
+            setup.name, setup.period, book, setup.plant, setup.effects
+        )
         judgement.refuse_contradiction(parameters)
         reason = StartAnyway.VIRTUAL if setup.virtual else StartAnyway.NO_REASON
         if refuses_start(parameters.stability, reason):
@@ -93,7 +97,9 @@ class Coupling(Node):
 
     def make_counters(self) -> Any:
         """Return the state."""
-        return state_of(CouplingState, self.setup.tick == "compiled", seq=-1, answered=-1)
+        return state_of(
+            CouplingState, self.setup.tick == "compiled", seq=-1, answered=-1
+        )
 
     def configure(self) -> None:
         """Compile laws and schedule, and import what later requests need."""
@@ -107,7 +113,11 @@ class Coupling(Node):
         self._told_of_world: list[str] = []
         self._book = LawBook(self.setup.name, self.setup.period)
         self._judgement = Judgement(
-            self.setup.name, self.setup.period, self._book, self.setup.plant, self.setup.effects
+            self.setup.name,
+            self.setup.period,
+            self._book,
+            self.setup.plant,
+            self.setup.effects,
         )
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
@@ -120,7 +130,9 @@ class Coupling(Node):
             anyway = StartAnyway.ACCEPTED_BEFORE
         for text in self._judgement.at_start(parameters, self._felt_delay, anyway):
             self.events.emit_each("stability", text)
-        self._told_of_world = self._judgement.of_moving_world(parameters, self._felt_delay)
+        self._told_of_world = self._judgement.of_moving_world(
+            parameters, self._felt_delay
+        )
         for text in (*self._told_of_world, *self._judgement.of_effects(parameters)):
             self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
@@ -131,18 +143,31 @@ class Coupling(Node):
         ]
         # changes already made before a restart are in the saved parameters
         due = [(tick, swap) for tick, swap in swaps if tick > self.resumed_at]
-        for name in dict.fromkeys(swap.law for _, swap in due if swap.law != parameters.law):
+        for name in dict.fromkeys(
+            swap.law for _, swap in due if swap.law != parameters.law
+        ):
             # Said now: a scheduled swap comes between two ticks, where nothing is computed.
-            for text in self._judgement.of_moving_world(parameters, self._felt_delay, name=name):
-                self.events.emit_each("world", f"from the swap that is scheduled: {text}")
+            for text in self._judgement.of_moving_world(
+                parameters, self._felt_delay, name=name
+            ):
+                self.events.emit_each(
+                    "world", f"from the swap that is scheduled: {text}"
+                )
         self._take_schedule(
-            [(tick, self._prepare_law(parameters, swap.law), swap.ramp) for tick, swap in due]
+            [
+                (tick, self._prepare_law(parameters, swap.law), swap.ramp)
+                for tick, swap in due
+            ]
         )
         if parameters.figures or parameters.plant is not None:
             # numpy takes tens of milliseconds to import and holds the GIL: now, not during contact
-            self._book.figures(parameters, self._renderer.law.compiled, self._felt_delay)
+            self._book.figures(
+                parameters, self._renderer.law.compiled, self._felt_delay
+            )
 
-    def begin_with(self, law: CompiledLaw, swaps: Sequence[tuple[int, CompiledLaw, int]]) -> None:
+    def begin_with(
+        self, law: CompiledLaw, swaps: Sequence[tuple[int, CompiledLaw, int]]
+    ) -> None:
         """Render a compiled law from the start, and swap to others at given ticks.
 
         `swaps` are tick, law and ramp [ticks], in the order of their ticks.
@@ -161,7 +186,9 @@ class Coupling(Node):
         if self._realtime:
             # Replaying the history at the change would take longer than a tick. In lockstep nobody
             # waits, and the one-process scene replays it too.
-            self._renderer.standby = [law for _, law, _ in schedule if law.compiled.sections]
+            self._renderer.standby = [
+                law for _, law, _ in schedule if law.compiled.sections
+            ]
 
     def _changed_schedule(
         self, now: CouplingParameters, parameters: CouplingParameters, force: bool
@@ -170,9 +197,9 @@ class Coupling(Node):
         changed = []
         for tick, law, ramp in list(self._schedule):
             fresh = law
-            is_changed = self._book.description(parameters, law.name) != self._book.description(
-                now, law.name
-            )
+            is_changed = self._book.description(
+                parameters, law.name
+            ) != self._book.description(now, law.name)
             if is_changed:
                 fresh = self._prepare_law(parameters, law.name)
             if is_changed or parameters.plant != now.plant:
@@ -204,7 +231,11 @@ class Coupling(Node):
         return min(float(self.counters.delay), LONGEST_DELAY)
 
     def _judge(
-        self, now: CouplingParameters, wanted: CouplingParameters, law: ActiveLaw, force: bool
+        self,
+        now: CouplingParameters,
+        wanted: CouplingParameters,
+        law: ActiveLaw,
+        force: bool,
     ) -> dict[str, Any]:
         """Return the stability figures before and after a change; reject an unstable one."""
         verdict, warning = self._judgement.of_change(
@@ -212,12 +243,18 @@ class Coupling(Node):
         )
         if warning:
             self.events.emit_each("stability", warning)
-        before = self._judgement.verdict(now, self._renderer.law.compiled, self._felt_delay)
+        before = self._judgement.verdict(
+            now, self._renderer.law.compiled, self._felt_delay
+        )
         return self._judged(law.name, wanted, verdict, before)
 
-    def _judge_moving(self, wanted: CouplingParameters, law: ActiveLaw) -> dict[str, Any]:
+    def _judge_moving(
+        self, wanted: CouplingParameters, law: ActiveLaw
+    ) -> dict[str, Any]:
         """Return a receipt's text about a law and a moving world, and report changes of it."""
-        told = self._judgement.of_moving_world(wanted, self._felt_delay, law.compiled, law.name)
+        told = self._judgement.of_moving_world(
+            wanted, self._felt_delay, law.compiled, law.name
+        )
         if told and told != self._told_of_world:
             for text in told:
                 self.events.emit_each("world", text)
@@ -225,7 +262,11 @@ class Coupling(Node):
         return {"world": told} if told else {}
 
     def _judged(
-        self, law: str, wanted: CouplingParameters, verdict: Verdict | None, before: Verdict | None
+        self,
+        law: str,
+        wanted: CouplingParameters,
+        verdict: Verdict | None,
+        before: Verdict | None,
     ) -> dict[str, Any]:
         """Return a law's stability for a receipt."""
         return {
@@ -262,7 +303,9 @@ class Coupling(Node):
         """Return the verdict on a law as it was before a change, on the plant of then; or None."""
         # no law of that name, or too long to render
         with contextlib.suppress(ParameterError):
-            return self._judgement.verdict(now, self._book.compile(now, name), self._felt_delay)
+            return self._judgement.verdict(
+                now, self._book.compile(now, name), self._felt_delay
+            )
         return None
 
     def _bring_up(self, law: ActiveLaw, parameters: CouplingParameters) -> None:
@@ -273,9 +316,13 @@ class Coupling(Node):
             self._try_out(law, snapshots, self._budget_of(parameters))
 
     def _budget_of(self, parameters: CouplingParameters) -> Budget:
-        return Budget(parameters.budget * self.setup.period if self._realtime else math.inf)
+        return Budget(
+            parameters.budget * self.setup.period if self._realtime else math.inf
+        )
 
-    def _try_out(self, law: ActiveLaw, snapshots: list[History], budget: Budget) -> None:
+    def _try_out(
+        self, law: ActiveLaw, snapshots: list[History], budget: Budget
+    ) -> None:
         over = ""
         # This thread is less urgent than the loop's: only a law that is never in time is too slow.
         for _ in range(ATTEMPTS):
@@ -293,7 +340,11 @@ class Coupling(Node):
         return self.prepare(parameters, force=True)
 
     def prepare(
-        self, parameters: Any, action: str = "", ramp: int | None = None, force: bool = False
+        self,
+        parameters: Any,
+        action: str = "",
+        ramp: int | None = None,
+        force: bool = False,
     ) -> Callable[[int], Any]:
         """Prepare changed parameters: compile the active law and reject fixed ones."""
         now: CouplingParameters = self.store.current
@@ -339,13 +390,18 @@ class Coupling(Node):
     def _list_laws(self) -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
         laws = {
-            name: self._book.description(parameters, name) for name in self._book.names(parameters)
+            name: self._book.description(parameters, name)
+            for name in self._book.names(parameters)
         }
         return {"active": self._renderer.law.name, "laws": laws}
 
     def _show_law(self, law: str = "") -> dict[str, Any]:
         parameters: CouplingParameters = self.store.current
-        plant = {} if parameters.plant is None else {"plant": msgspec.to_builtins(parameters.plant)}
+        plant = (
+            {}
+            if parameters.plant is None
+            else {"plant": msgspec.to_builtins(parameters.plant)}
+        )
         if law:
             described = self._book.description(parameters, law)
             return {
@@ -362,7 +418,9 @@ class Coupling(Node):
             **self._book.figures(parameters, active.compiled, self._felt_delay),
         }
 
-    def _switch_law(self, law: Any, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+    def _switch_law(
+        self, law: Any, ramp: int | None = None, force: bool = False
+    ) -> dict[str, Any]:
         """Switch to a law by name, or to one that is given by kind and parameters."""
         usual = self.store.current.ramp
         wanted: dict[str, Any] = {} if ramp is None else {"ramp": ramp}
@@ -384,7 +442,9 @@ class Coupling(Node):
         )
         parameters: CouplingParameters = self.store.current
         if parameters.figures:
-            receipt["was"] = self._book.figures(parameters, before.compiled, self._felt_delay)
+            receipt["was"] = self._book.figures(
+                parameters, before.compiled, self._felt_delay
+            )
             receipt["is"] = self._book.figures(parameters, law, self._felt_delay)
         return receipt
 
@@ -445,7 +505,12 @@ class Coupling(Node):
         stamp = self.clock.now()
         revision = self.counters.revision
         receipt = Receipt(
-            seq=seq, stamp=stamp, action=action, reason=reason[:4000], revision=revision, **told
+            seq=seq,
+            stamp=stamp,
+            action=action,
+            reason=reason[:4000],
+            revision=revision,
+            **told,
         )
         self.events.publish(self.setup.topic(topics.RECEIPT), receipt)
 
@@ -460,10 +525,13 @@ class Coupling(Node):
                 self._swap(seq, law, ramp, "switch", "schedule")
             except ParameterError as error:
                 self.events.emit_each(
-                    "refused", f"scheduled swap at tick {seq}: {error}; the running law continues"
+                    "refused",
+                    f"scheduled swap at tick {seq}: {error}; the running law continues",
                 )
             else:
-                self.store.accept(msgspec.structs.replace(self.store.current, law=law.name))
+                self.store.accept(
+                    msgspec.structs.replace(self.store.current, law=law.name)
+                )
 
     def next_swap(self) -> int:
         """Return the tick of the next scheduled change, or NEVER."""
@@ -496,7 +564,9 @@ class Coupling(Node):
         try:
             force = self._renderer.render(proxy)
         except Exception as error:  # noqa: BLE001  # a law from another package may raise anything
-            return self._fall_back(proxy, f"raised {type(error).__name__}: {error}", due)
+            return self._fall_back(
+                proxy, f"raised {type(error).__name__}: {error}", due
+            )
         over = self._budget.overrun(excused=self.changes.serving.seconds() - served)
         if not over:
             return force
@@ -522,12 +592,16 @@ class Coupling(Node):
                 else "position, surface or proxy jumped without motion"
             )
             how = (
-                f"eased over {ramp * self.setup.period:.3g} s" if ramp > 1 else "at once: ease is 0"
+                f"eased over {ramp * self.setup.period:.3g} s"
+                if ramp > 1
+                else "at once: ease is 0"
             )
             text = f"tick {proxy.seq}: {what}: a force step of {step:.4g} N, {how}"
             seconds = ramp * self.setup.period if ramp > 1 else 0.0
             self.events.emit_each(
-                "eased", text, {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds}
+                "eased",
+                text,
+                {"tick": proxy.seq, "force_step_n": step, "ramp_s": seconds},
             )
 
     def respond(self, proxy: Proxy) -> bytes:
@@ -539,7 +613,9 @@ class Coupling(Node):
         s.delay += (proxy.delay - s.delay) * SMOOTHING
         force = self._watched(proxy) if renderer.watched else renderer.render(proxy)
         if not math.isfinite(force[0] + force[1] + force[2]):
-            force = self._fall_back(proxy, f"returned a force that is not finite: {force}")
+            force = self._fall_back(
+                proxy, f"returned a force that is not finite: {force}"
+            )
         if jumped:
             self._report_jump(proxy)
         s.stamp = proxy.stamp if self.clock.simulated else self.clock.now()

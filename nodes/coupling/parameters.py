@@ -49,7 +49,9 @@ Delay = Annotated[float, msgspec.Meta(ge=0.0, le=LONGEST_DELAY)]
 MASSES = 9  # masses at which a law is judged if the mass depends on the position
 
 
-class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PlantParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """The device on which laws are judged.
 
     mass: m [kg].
@@ -112,10 +114,18 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
             # The tool is pushed when the loop delivers the force; the device's own delay does not
             # apply.
             partner = Counterpart(
-                self.tool_mass, self.tool_damping, self.tool_stiffness, -self.device_delay
+                self.tool_mass,
+                self.tool_damping,
+                self.tool_stiffness,
+                -self.device_delay,
             )
         return Plant(
-            period, self.mass / felt, self.damping / felt, delay, self.stiffness / felt, partner
+            period,
+            self.mass / felt,
+            self.damping / felt,
+            delay,
+            self.stiffness / felt,
+            partner,
         )
 
     def delay_before_device(self, loop: Plant) -> float:
@@ -143,11 +153,14 @@ class PlantParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     def over_workspace(self, period: float, measured: float) -> list[Plant]:
         """Return the device with each of its masses."""
         return [
-            msgspec.structs.replace(self, mass=mass).at(period, measured) for mass in self.masses
+            msgspec.structs.replace(self, mass=mass).at(period, measured)
+            for mass in self.masses
         ]
 
 
-class CouplingParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class CouplingParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the coupling.
 
     law: Name of the active law: one of `laws`, a preset, or an installed kind.

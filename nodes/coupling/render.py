@@ -10,7 +10,16 @@ import math
 from collections.abc import Callable, MutableSequence, Sequence
 from typing import Any, Final, NamedTuple
 
-from nodes.arithmetic import cross_fade, deflection, eased, fir, limit, one_sided, push, sections
+from nodes.arithmetic import (
+    cross_fade,
+    deflection,
+    eased,
+    fir,
+    limit,
+    one_sided,
+    push,
+    sections,
+)
 from nodes.compiled.rules import Made, rule
 from nodes.coupling.state import SLOTS, CouplingState
 
@@ -93,12 +102,21 @@ def turn(
             )
             # One Newton step towards length 1, so that rounding does not add up over hours.
             scale = 1.5 - 0.5 * (p * p + q * q + r * r)
-            turned[row], turned[row + 1], turned[row + 2] = scale * p, scale * q, scale * r
+            turned[row], turned[row + 1], turned[row + 2] = (
+                scale * p,
+                scale * q,
+                scale * r,
+            )
     upright[0], upright[1], upright[2] = x, y, z
 
 
 def deflections(
-    s: CouplingState, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
+    s: CouplingState,
+    position: Any,
+    proxy: Any,
+    distance: float,
+    normal: Any,
+    contact: bool,
 ) -> list[float]:
     """Return the deflections that a tick would push into the histories [m], in their axes."""
     world = [
@@ -107,12 +125,21 @@ def deflections(
     ]
     if s.turning == 0:
         return [world[s.axis[n]] for n in range(s.axes)]
-    return [sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0) for n in range(s.axes)]
+    return [
+        sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0)
+        for n in range(s.axes)
+    ]
 
 
 @rule
 def turned_deflection(
-    s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
+    s: CouplingState,
+    n: int,
+    position: Any,
+    proxy: Any,
+    distance: float,
+    normal: Any,
+    contact: bool,
 ) -> float:
     """Return the deflection along a turned axis; the scene then computes all three axes."""
     value = 0.0
@@ -125,7 +152,13 @@ def turned_deflection(
 
 @rule
 def deflection_along(
-    s: CouplingState, n: int, position: Any, proxy: Any, distance: float, normal: Any, contact: bool
+    s: CouplingState,
+    n: int,
+    position: Any,
+    proxy: Any,
+    distance: float,
+    normal: Any,
+    contact: bool,
 ) -> float:
     """Return the deflection of a tick in the axes of the histories."""
     if s.turning != 0:
@@ -143,7 +176,9 @@ def hold_one_sided(s: CouplingState, normal: Any, contact: bool, force: Any) -> 
         along += force[i] * normal[i]
     for n in range(s.axes):
         i = s.axis[n]
-        force[i] = one_sided(force[i], normal[i], along, contact, s.raw != 0, s.clamp != 0)
+        force[i] = one_sided(
+            force[i], normal[i], along, contact, s.raw != 0, s.clamp != 0
+        )
 
 
 @rule
@@ -158,7 +193,9 @@ def ease(s: CouplingState, force: Any) -> None:
         if s.ease_done == 0:
             s.ease_from[i] = limit(s.felt[i], 0.0, peak, math.inf)
             s.ease_offset[i] = s.ease_from[i] - asked
-        force[i] = eased(asked, s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp)
+        force[i] = eased(
+            asked, s.ease_from[i], s.ease_offset[i], s.ease_done, s.ease_ramp
+        )
     s.ease_done += 1
     if s.ease_done >= s.ease_ramp:
         s.ease_ramp = 0
@@ -199,7 +236,9 @@ def make_render(
             value = 0.0
             is_new = s.pushes[n] < due
             if is_new:
-                value = deflection_along(s, n, position, proxy, distance, normal, contact)
+                value = deflection_along(
+                    s, n, position, proxy, distance, normal, contact
+                )
             value = force_along(s, n, is_new, value, compliance)
             if not whole:
                 value = scaled(s, n, value, stiffness, damping)
@@ -255,7 +294,9 @@ def _make_scaled(port: LawPort, made: Made) -> Callable[..., float]:
     slots = SLOTS
 
     @made
-    def scaled(s: CouplingState, n: int, force: float, stiffness: float, damping: float) -> float:
+    def scaled(
+        s: CouplingState, n: int, force: float, stiffness: float, damping: float
+    ) -> float:
         """Scale the part of a force that rests, and the rest of it, by a shape's factors.
 
         The part that rests is H(1) times the newest deflection, mixed as the laws are.
@@ -279,7 +320,12 @@ def _make_give_way(port: LawPort, made: Made) -> Callable[..., float]:
 
     @made
     def give_way(
-        s: CouplingState, n: int, history: Any, head: int, force: float, compliance: float
+        s: CouplingState,
+        n: int,
+        history: Any,
+        head: int,
+        force: float,
+        compliance: float,
     ) -> float:
         """Return the force on a proxy that yields in the same tick; correct history and sections.
 

@@ -29,7 +29,9 @@ class ActiveLaw:
         self.name, self.text, self.compiled = name, text, compiled
         # whether it has own code, which may raise or take too long
         self.watched = compiled.evaluate is not None
-        self.axes = [LawOnAxis(compiled, history, n) for n, history in enumerate(histories)]
+        self.axes = [
+            LawOnAxis(compiled, history, n) for n, history in enumerate(histories)
+        ]
 
     def warm_up(self, histories: Sequence[History]) -> None:
         """Update recursive sections from the histories."""
@@ -57,7 +59,9 @@ class ActiveLaw:
                 )
 
 
-def settle_conventions(s: CouplingState, parameters: CouplingParameters, period: float) -> None:
+def settle_conventions(
+    s: CouplingState, parameters: CouplingParameters, period: float
+) -> None:
     """Set contact conventions, axes of the history and easing; new conventions cause a jump."""
     raw = int(parameters.history == "position")
     clamp = int(parameters.clamp)
@@ -75,8 +79,15 @@ class Renderer:
     def __init__(self, axes: Sequence[int], memory: int, state: Any = None) -> None:
         s = self.state = state_of(CouplingState) if state is None else state
         self.axes = list(axes)
-        s.axes, s.axis[:], s.length, s.clamp = len(self.axes), (*axes, 0, 0)[:3], memory, 1
-        self.histories = [History(memory, s, n) for n in range(len(self.axes))]  # one per axis
+        s.axes, s.axis[:], s.length, s.clamp = (
+            len(self.axes),
+            (*axes, 0, 0)[:3],
+            memory,
+            1,
+        )
+        self.histories = [
+            History(memory, s, n) for n in range(len(self.axes))
+        ]  # one per axis
         # laws that become active later; their sections run along until then
         self.standby: list[ActiveLaw] = []
         self._leaving: list[list[Share]] = []
@@ -119,7 +130,10 @@ class Renderer:
                     one.coefficients.buffer_info()[0],
                     len(one.state) // 2,
                 )
-                s.sections_state[slot], s.weight[slot] = one.state.buffer_info()[0], weight
+                s.sections_state[slot], s.weight[slot] = (
+                    one.state.buffer_info()[0],
+                    weight,
+                )
                 s.still[slot] = one.still
                 states += len(one.state)
         self._undo = array("d", [0.0]) * states
@@ -230,8 +244,12 @@ class Renderer:
         steps = []
         leaving = []
         for n, (before, after) in enumerate(zip(self.law.axes, law.axes, strict=True)):
-            shares = shares_of(self._leaving[n] if self._leaving else [], before, weight)
-            steps.append(after.present() - sum(share * part.present() for part, share in shares))
+            shares = shares_of(
+                self._leaving[n] if self._leaving else [], before, weight
+            )
+            steps.append(
+                after.present() - sum(share * part.present() for part, share in shares)
+            )
             leaving.append(shares)
         step = math.hypot(*steps)
         if not math.isfinite(step):

@@ -41,12 +41,16 @@ class Budget:
             return ""
         cpu = time.thread_time() - self._cpu
         if cpu > self.seconds:
-            return f"computed for {cpu * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
+            return (
+                f"computed for {cpu * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
+            )
         if (
             wall - excused > self.seconds
             and resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > self._slept
         ):
-            return f"slept: took {wall * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
+            return (
+                f"slept: took {wall * 1e6:.0f} µs, budget {self.seconds * 1e6:.0f} µs"
+            )
         return ""
 
     def again(self, now: float) -> bool:

@@ -81,10 +81,14 @@ def numbers_of(position: Any, what: str) -> Vector:
 class DeviceCalls:
     """Calls of a device: its own, or made of its methods and a simulated hand's target."""
 
-    def __init__(self, device: Device, target: Callable[[], Vector], jumps: Jumps) -> None:
+    def __init__(
+        self, device: Device, target: Callable[[], Vector], jumps: Jumps
+    ) -> None:
         self._device, self._target, self._jumps = device, target, jumps
         self._kept = READ(self._read), WRITE(self._write)
-        read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept)
+        read, write = (
+            ctypes.cast(function, ctypes.c_void_p).value or 0 for function in self._kept
+        )
         self.calls = own_calls(device) or Calls(read, write, 0)  # the two calls
         self._error: BaseException | None = None
 

@@ -33,7 +33,8 @@ class Condition:
                 f" {error}"
             )
             node.events.emit(
-                "device", f"{self._failed}; the force ramps down to zero, and the driver ends"
+                "device",
+                f"{self._failed}; the force ramps down to zero, and the driver ends",
             )
             node.failing = True
             node.stop(self._failed)

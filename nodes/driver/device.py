@@ -58,7 +58,11 @@ class DeviceLimits(msgspec.Struct, frozen=True, kw_only=True):
     latency: float | None = None
     opening: float = 20.0
     closing: float = 2.0
-    workspace: Workspace = ((-math.inf, math.inf), (-math.inf, math.inf), (-math.inf, math.inf))
+    workspace: Workspace = (
+        (-math.inf, math.inf),
+        (-math.inf, math.inf),
+        (-math.inf, math.inf),
+    )
 
 
 class Device(Protocol):

@@ -18,7 +18,9 @@ from nodes.driver.state import DriverState
 from nodes.parameters.store import ParameterError, convert
 
 
-class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ExternalParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Forces from outside that a driver accepts.
 
     peak: Largest norm of such a force [N]; a larger one is lowered to it.
@@ -30,7 +32,10 @@ class ExternalParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 def give(
-    s: DriverState, allowed: ExternalParameters | None, where: str, force: Sequence[float]
+    s: DriverState,
+    allowed: ExternalParameters | None,
+    where: str,
+    force: Sequence[float],
 ) -> dict[str, Any]:
     """Apply a force from the next tick on, until it is renewed or expires (control thread)."""
     if allowed is None:
@@ -54,7 +59,9 @@ def give(
     other = 1 - s.external_at
     for i, part in enumerate((x, y, z)):
         s.external[3 * other + i] = part * share
-    s.external_until[other] = s.seq + math.ceil(allowed.age / s.period) if norm > 0.0 else 0
+    s.external_until[other] = (
+        s.seq + math.ceil(allowed.age / s.period) if norm > 0.0 else 0
+    )
     s.external_at = other
     given = (x * share, y * share, z * share) if norm > 0.0 else ZERO
     return {"force_n": given, "lowered": share < 1.0, "age_s": allowed.age}

@@ -16,7 +16,9 @@ from messages.types import DeviceState, Event, Force, Proxy, Vector
 from nodes.driver import notes
 from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
 
-SILENT_AFTER: Final = 0.5  # time without a state after which a driver counts as silent [s]
+SILENT_AFTER: Final = (
+    0.5  # time without a state after which a driver counts as silent [s]
+)
 NO_FORCE: Final = 1e-9  # a force below this counts as zero [N]
 LEAST_SHOWN: Final = 0.005  # a force below this would be told as 0.00 N [N]
 
@@ -35,9 +37,12 @@ STATES: Final[Mapping[str, StateWords]] = {
     ),
     "ramp": StateWords("the force ramps up after a start or a gap", ""),
     "active": StateWords("the driver applies the law's force", ""),
-    "damping": StateWords("the coupling is late; the driver damps the device", "haptic node list"),
+    "damping": StateWords(
+        "the coupling is late; the driver damps the device", "haptic node list"
+    ),
     "zero": StateWords(
-        "the coupling is silent; the force is zero until a fresh one arrives", "haptic node list"
+        "the coupling is silent; the force is zero until a fresh one arrives",
+        "haptic node list",
     ),
     "fault": StateWords(
         "the device is outside its workspace, or has no valid position",
@@ -54,7 +59,9 @@ class Note(NamedTuple):
     """Meaning of one code of the rules."""
 
     kind: EventKind
-    fields: tuple[str, ...]  # names of its numbers, in the order in which the rules note them
+    fields: tuple[
+        str, ...
+    ]  # names of its numbers, in the order in which the rules note them
     text: str  # sentence, filled by name
     short: str = ""  # short form for the page, if different
 
@@ -62,7 +69,9 @@ class Note(NamedTuple):
 NOTES: Final[Mapping[int, Note]] = {
     notes.FIRST_FORCE: Note("safety", (), "the first force"),
     notes.FRESH_FORCE: Note("safety", (), "fresh forces again"),
-    notes.DONE_RAMP: Note("safety", ("ramp_ticks",), "ramp of {ramp_ticks:.0f} ticks done"),
+    notes.DONE_RAMP: Note(
+        "safety", ("ramp_ticks",), "ramp of {ramp_ticks:.0f} ticks done"
+    ),
     notes.SILENT: Note(
         "safety",
         ("silent_ticks", "limit_ticks"),
@@ -72,10 +81,14 @@ NOTES: Final[Mapping[int, Note]] = {
         "safety", ("silent_ticks",), "no fresh force for {silent_ticks:.0f} ticks"
     ),
     notes.LET_GO: Note(
-        "safety", (), "no force was written in time, and the device released the old one"
+        "safety",
+        (),
+        "no force was written in time, and the device released the old one",
     ),
     notes.NO_POSITION: Note(
-        "safety", ("x_m", "y_m", "z_m"), "the device returned position ({x_m}, {y_m}, {z_m})"
+        "safety",
+        ("x_m", "y_m", "z_m"),
+        "the device returned position ({x_m}, {y_m}, {z_m})",
     ),
     notes.OUTSIDE: Note(
         "safety",
@@ -158,7 +171,11 @@ def take_notes(s: DriverState) -> list[Noted]:
     for n in range(s.notes_count):
         code, seq, change, *numbers = s.notes[NOTE * n : NOTE * (n + 1)]
         note = NOTES[int(code)]
-        data = {"cause": code, "tick": seq, **dict(zip(note.fields, numbers, strict=False))}
+        data = {
+            "cause": code,
+            "tick": seq,
+            **dict(zip(note.fields, numbers, strict=False)),
+        }
         reason = _filled(note.text, data)
         if change >= 0.0:
             before, after = divmod(int(change), 8)
@@ -194,15 +211,20 @@ def why_no_force(s: DriverState, condition: str = "") -> str:
     place = ", ".join(f"{x:.4g}" for x in s.place)
     if s.safety == FAULT:
         ends = "; ".join(
-            f"{s.workspace[2 * i]:.3g} to {s.workspace[2 * i + 1]:.3g}" for i in range(3)
+            f"{s.workspace[2 * i]:.3g} to {s.workspace[2 * i + 1]:.3g}"
+            for i in range(3)
         )
-        return f"{state.text}: position ({place}) m, workspace ({ends}) m; {state.remedy}"
+        return (
+            f"{state.text}: position ({place}) m, workspace ({ends}) m; {state.remedy}"
+        )
     if name not in ("active", "ramp"):
         return f"{state.text}: {state.remedy}"
     force = ", ".join(f"{x:.3g}" for x in s.force)
     if not any(s.force):
         left = ["xyz"[i] for i in range(3) if i not in list(s.axis[: s.axes])]
-        beside = f"; along {' and '.join(left)} the scene computes nothing" if left else ""
+        beside = (
+            f"; along {' and '.join(left)} the scene computes nothing" if left else ""
+        )
         return (
             f"the law asks for none: nothing is touched at ({place}) m{beside}. A surface out of"
             " the device's reach needs a mapping, or the device a re-centre"
@@ -302,7 +324,12 @@ def _in_contact(
     asked = size(force.force) if force is not None else 0.0
     # another tick's force does not show limits
     same = force is not None and force.seq == state.force_seq
-    if same and asked > given + 0.02 * asked + NO_FORCE and state.age == 0 and asked > 0.05:
+    if (
+        same
+        and asked > given + 0.02 * asked + NO_FORCE
+        and state.age == 0
+        and asked > 0.05
+    ):
         return (
             "warn",
             (

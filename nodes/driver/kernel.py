@@ -15,7 +15,13 @@ from nodes.compiled.kernels.hop import (
     receive,
     send_hop,
 )
-from nodes.compiled.kernels.machine import compilable, copy16, reals_at, record_at, wholes_at
+from nodes.compiled.kernels.machine import (
+    compilable,
+    copy16,
+    reals_at,
+    record_at,
+    wholes_at,
+)
 from nodes.compiled.kernels.scan import make_scan
 from nodes.compiled.kernels.sources import record_of, register_rules
 from nodes.compiled.message_fields import fields_of, slots
@@ -27,7 +33,9 @@ register_rules()
 _look = record_at(record_of(DriverState))
 _scan = make_scan(Force)
 _write_state = make_write(PUBLISHED)
-_SEQ, _FORCE, _NORMAL, _CREDIT = slots(fields_of(Force), "seq", "force", "normal", "credit")
+_SEQ, _FORCE, _NORMAL, _CREDIT = slots(
+    fields_of(Force), "seq", "force", "normal", "credit"
+)
 _TIMER_ABSTIME = 1
 # shortest wait of ZeroMQ in `Subscription.receive_soon` [s]
 _SOON = 1e-3
@@ -45,7 +53,9 @@ def _sleep_until(s: DriverState, deadline: float) -> float:
         until = wholes_at(s.time, 2)
         seconds = int(deadline)
         until[0], until[1] = seconds, int((deadline - seconds) * 1e9) + 1
-        machine.call_sleep(s.clock_nanosleep, (hop.CLOCK_MONOTONIC, _TIMER_ABSTIME, s.time, 0))
+        machine.call_sleep(
+            s.clock_nanosleep, (hop.CLOCK_MONOTONIC, _TIMER_ABSTIME, s.time, 0)
+        )
         now = monotonic(s)
     return now
 
@@ -70,7 +80,10 @@ def _write(s: DriverState, seq: int, offset: float) -> bool:
     for i in range(3):
         room[i] = s.handed[i]
     return bool(
-        machine.call_write(s.device_write, (s.device_context, s.device_room, seq, offset)) >= 0
+        machine.call_write(
+            s.device_write, (s.device_context, s.device_room, seq, offset)
+        )
+        >= 0
     )
 
 
@@ -114,7 +127,9 @@ def _receive(s: DriverState, until: float) -> int:
     s.arrival = monotonic(s)
     if s.frames == 0:
         return NONE
-    if not is_whole or not _scan(s.payload, s.payload + s.payload_size, s.reals, s.wholes):
+    if not is_whole or not _scan(
+        s.payload, s.payload + s.payload_size, s.reals, s.wholes
+    ):
         return UNREAD
     s.frames = 0
     s.taken += 1
@@ -137,7 +152,8 @@ def _called(s: DriverState) -> bool:
 
 
 _lockstep, _realtime = make_ticks(
-    Port(_clock, _sleep_until, _read, _write, _publish, _receive, _aside, _called), compilable
+    Port(_clock, _sleep_until, _read, _write, _publish, _receive, _aside, _called),
+    compilable,
 )
 
 

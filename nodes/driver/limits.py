@@ -15,7 +15,9 @@ from nodes.parameters.checked import NonNegative, Positive
 STOP_TIME = 1.5
 
 
-class SafetyParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SafetyParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Limits of the driver; None means the device's own limit.
 
     watchdog: Ticks without a fresh force before damping begins; armed by the first force.
@@ -89,9 +91,15 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
     bounded = parameters.workspace is not None or all(
         math.isfinite(low + high) for low, high in device.workspace
     )
-    declared = {"peak_force": peak, "workspace": bounded, "hold": math.isfinite(device.hold)}
+    declared = {
+        "peak_force": peak,
+        "workspace": bounded,
+        "hold": math.isfinite(device.hold),
+    }
     missing = ", ".join(
-        name for name, known in declared.items() if not known and name not in parameters.without
+        name
+        for name, known in declared.items()
+        if not known and name not in parameters.without
     )
     return missing and (
         f"the device declares no {missing}, which a real device must have (DeviceLimits in"
@@ -100,7 +108,10 @@ def undeclared(parameters: SafetyParameters, device: DeviceLimits) -> str:
 
 
 def lower(
-    parameters: SafetyParameters, device: DeviceLimits, period: float, where: str = "safety"
+    parameters: SafetyParameters,
+    device: DeviceLimits,
+    period: float,
+    where: str = "safety",
 ) -> Limits:
     """Return the lower of a launch file's and a device's limits."""
     overruled: list[str] = []
@@ -138,9 +149,13 @@ def lower(
     bounds: list[Bounds] = []
     for axis, (low, high) in enumerate(device.workspace):
         wanted_low, wanted_high = (
-            (-math.inf, math.inf) if parameters.workspace is None else parameters.workspace[axis]
+            (-math.inf, math.inf)
+            if parameters.workspace is None
+            else parameters.workspace[axis]
         )
-        if parameters.workspace is not None and (wanted_low < low or wanted_high > high):
+        if parameters.workspace is not None and (
+            wanted_low < low or wanted_high > high
+        ):
             overruled.append(
                 f"{where}.workspace[{axis}]: {wanted_low:g} to {wanted_high:g} m, limit {low:g} to"
                 f" {high:g} m of the device, which holds"
@@ -150,7 +165,10 @@ def lower(
         peak=peak,
         slew=None if slew is None else slew * period,
         continuous=least(
-            "continuous_force", parameters.continuous_force, device.continuous_force, "N"
+            "continuous_force",
+            parameters.continuous_force,
+            device.continuous_force,
+            "N",
         ),
         workspace=(bounds[0], bounds[1], bounds[2]),
         overruled=tuple(overruled),

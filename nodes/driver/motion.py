@@ -49,7 +49,9 @@ def set_latency(s: DriverState, latency: float) -> array[float]:
     old = reals_at(s.lines, 3 * before)
     for i in range(3):
         for k in range(length):
-            kept[i * length + k] = old[i * before + min(k, before - 1)] if before else s.acting[i]
+            kept[i * length + k] = (
+                old[i * before + min(k, before - 1)] if before else s.acting[i]
+            )
     s.lines = kept.buffer_info()[0]
     s.line_length = length
     s.line_part = part
@@ -103,7 +105,9 @@ def act(s: DriverState, ticks: int) -> None:
     covered = s.covered
     for i in range(3):
         if covered:
-            s.acting[i] = (s.acting[i] * covered + s.mean[i] * ticks) / (covered + ticks)
+            s.acting[i] = (s.acting[i] * covered + s.mean[i] * ticks) / (
+                covered + ticks
+            )
         else:
             s.acting[i] = s.mean[i]
     s.covered = covered + ticks
@@ -132,8 +136,13 @@ def find_velocity(s: DriverState) -> None:
 def endings(s: DriverState) -> list[Ending]:
     """Return how the device moved at the end, axis by axis."""
     places = reals_at(s.places, 3 * s.places_count)
-    order = [n % s.places_count for n in range(max(0, s.samples - s.places_count), s.samples)]
-    return [ending([places[3 * n + i] for n in order], s.force[i], s.period) for i in range(3)]
+    order = [
+        n % s.places_count for n in range(max(0, s.samples - s.places_count), s.samples)
+    ]
+    return [
+        ending([places[3 * n + i] for n in order], s.force[i], s.period)
+        for i in range(3)
+    ]
 
 
 class Ending(NamedTuple):
@@ -158,13 +167,22 @@ def ending(samples: Sequence[float], force: float, period: float) -> Ending:
     crossings = [k for k in range(1, len(above)) if above[k] != above[k - 1]]
     # two crossings of the middle are there and back; a third makes it an oscillation
     if len(crossings) >= 3:
-        frequency = 0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * period)
+        frequency = (
+            0.5 * (len(crossings) - 1) / ((crossings[-1] - crossings[0]) * period)
+        )
         return Ending("swinging", swing, frequency, velocity)
     # Only the newer half: a bounce before it, or within it, is no fall.
     half = (len(samples) - 1) // 4
     last = samples[-1 - 2 * half :]
     bend = last[-1] - 2.0 * last[half] + last[0]
     acceleration = bend / (half * period) ** 2 if half else 0.0
-    one_way = all((after - before) * velocity >= 0.0 for before, after in pairwise(last))
-    falls = force == 0.0 and abs(acceleration) > _FALL and acceleration * velocity > 0.0 and one_way
+    one_way = all(
+        (after - before) * velocity >= 0.0 for before, after in pairwise(last)
+    )
+    falls = (
+        force == 0.0
+        and abs(acceleration) > _FALL
+        and acceleration * velocity > 0.0
+        and one_way
+    )
     return Ending("falling" if falls else "moving", swing, 0.0, velocity)

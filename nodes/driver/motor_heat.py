@@ -25,7 +25,9 @@ from nodes.driver.state import DriverState
 HALVINGS: Final = 24
 
 
-def set_heat(s: DriverState, continuous: float | None, thermal_time: float, period: float) -> None:
+def set_heat(
+    s: DriverState, continuous: float | None, thermal_time: float, period: float
+) -> None:
     """Set a heat limit, if any."""
     s.continuous = math.inf if continuous is None else continuous
     s.heat_keep = 1.0 if continuous is None else math.exp(-period / thermal_time)
@@ -36,7 +38,9 @@ def set_heat(s: DriverState, continuous: float | None, thermal_time: float, peri
 def close_tick(s: DriverState, ticks: int) -> None:
     """Account for the tick that is over, and further ones during which the force was held."""
     if s.heat_keep < 1.0 and ticks > 0:
-        held = s.force[0] * s.force[0] + s.force[1] * s.force[1] + s.force[2] * s.force[2]
+        held = (
+            s.force[0] * s.force[0] + s.force[1] * s.force[1] + s.force[2] * s.force[2]
+        )
         s.heat = s.heat_keep * s.heat + (1.0 - s.heat_keep) * s.heat_largest
         # float exponent: numba turns an integer power into products with other last bits
         rest = s.heat_keep ** float(ticks - 1)
@@ -48,7 +52,11 @@ def close_tick(s: DriverState, ticks: int) -> None:
 @rule
 def note_heat(s: DriverState) -> None:
     """Account for a force of this tick; the largest one counts."""
-    squared = s.wanted[0] * s.wanted[0] + s.wanted[1] * s.wanted[1] + s.wanted[2] * s.wanted[2]
+    squared = (
+        s.wanted[0] * s.wanted[0]
+        + s.wanted[1] * s.wanted[1]
+        + s.wanted[2] * s.wanted[2]
+    )
     s.heat_largest = max(s.heat_largest, squared)
 
 

@@ -155,7 +155,9 @@ class Driver(Node):
         Device
             The device.
         """
-        raise TypeError(f"driver kind {self.setup.kind!r} does not define make_device()")
+        raise TypeError(
+            f"driver kind {self.setup.kind!r} does not define make_device()"
+        )
 
     @property
     def device(self) -> Device:
@@ -180,17 +182,25 @@ class Driver(Node):
         s.axes = len(axes)
         s.axis[:] = (*axes, 0, 0)[:3]
         # Ticks after the last write until the device lets go by itself, at the earliest.
-        s.device_hold_ticks = (limits.hold if limits.lets_go is None else limits.lets_go) / period
+        s.device_hold_ticks = (
+            limits.hold if limits.lets_go is None else limits.lets_go
+        ) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
-            held = msgspec.structs.replace(held, max_age=0)  # only the tick's own answer counts
+            held = msgspec.structs.replace(
+                held, max_age=0
+            )  # only the tick's own answer counts
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)
         # A restarted driver may have a guard that a client set, not the launch file.
-        written: DriverParameters = convert(self.setup.parameters, self.Parameters, self.setup.name)
+        written: DriverParameters = convert(
+            self.setup.parameters, self.Parameters, self.setup.name
+        )
         self._report.begin(
-            self._device, held, written.passivity is not None and written.passivity.guard == "on"
+            self._device,
+            held,
+            written.passivity is not None and written.passivity.guard == "on",
         )
         for text in held.overruled:
             self.events.emit("limit", text)
@@ -206,7 +216,9 @@ class Driver(Node):
         assert self.inbox is not None  # noqa: S101  # every subscribing kind has one
         if self.stopping:
             return
-        self._open = True  # set first, so that a device that failed half-way is closed too
+        self._open = (
+            True  # set first, so that a device that failed half-way is closed too
+        )
         self._watch.begin("open()", self._device.limits.opening)
         self._device.open()
         self._watch.begin("")
@@ -227,9 +239,13 @@ class Driver(Node):
                 self._report.first = time.monotonic()
             self._tick(ticks)
             self._report.last = end = (
-                realtime.sleep_until(s.epoch + s.seq * s.period) if s.realtime else time.monotonic()
+                realtime.sleep_until(s.epoch + s.seq * s.period)
+                if s.realtime
+                else time.monotonic()
             )
-            self._last_sample(end + self.clock.offset if s.realtime else s.seq * s.period)
+            self._last_sample(
+                end + self.clock.offset if s.realtime else s.seq * s.period
+            )
             self._report.complete = s.seq >= s.until
             if self._report.complete:
                 self.stop("done")
@@ -255,9 +271,13 @@ class Driver(Node):
                         {"tick": s.seq},
                     )
                     payload = (
-                        self._plain.payload if self.compiled is None else self.compiled.last_sent()
+                        self._plain.payload
+                        if self.compiled is None
+                        else self.compiled.last_sent()
                     )
-                    self.publisher.send_hop(self.setup.topic(topics.DEVICE_STATE).encode(), payload)
+                    self.publisher.send_hop(
+                        self.setup.topic(topics.DEVICE_STATE).encode(), payload
+                    )
             # in the middle of a tick, work between ticks must wait
             if why == BROKEN:
                 self._raise_device_error()
@@ -275,7 +295,8 @@ class Driver(Node):
             s.failed = 0
             held = (
                 not s.realtime
-                or time.monotonic() < s.epoch + (s.written + s.device_hold_ticks) * s.period
+                or time.monotonic()
+                < s.epoch + (s.written + s.device_hold_ticks) * s.period
             )
             self._device.write_force(tuple(s.handed) if held else ZERO, s.seq, 0.0)
         else:
@@ -298,9 +319,13 @@ class Driver(Node):
         s.phase = BETWEEN
 
     @classmethod
-    def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
+    def largest_force(
+        cls, parameters: Mapping[str, Any], name: str, period: float
+    ) -> float | None:
         """Return the largest force that the launch file allows [N]; the device's may be lower."""
-        safety = convert(parameters.get("safety", {}), SafetyParameters, f"{name}.safety")
+        safety = convert(
+            parameters.get("safety", {}), SafetyParameters, f"{name}.safety"
+        )
         return lower(safety, DeviceLimits(), period, f"{name}.safety").peak
 
     def compiled_ticks(self, kernel: Kernel) -> DriverTicks:
@@ -314,9 +339,9 @@ class Driver(Node):
 
         It is refused if the launch file has a guard of its own.
         """
-        if msgspec.structs.replace(parameters, passivity=None) != msgspec.structs.replace(
-            self.store.current, passivity=None
-        ):
+        if msgspec.structs.replace(
+            parameters, passivity=None
+        ) != msgspec.structs.replace(self.store.current, passivity=None):
             raise ParameterError(
                 f"while it runs, parameters of a {self.setup.kind} are "
                 f"fixed, except {self.movable}",
@@ -361,10 +386,15 @@ class Driver(Node):
                 **self._report.progress(self.setup.ticks),
                 "condition": self._condition.told(),
             },
-            "device": lambda: {"opening_s": limits.opening, "closing_s": limits.closing},
+            "device": lambda: {
+                "opening_s": limits.opening,
+                "closing_s": limits.closing,
+            },
             "rearm": self._rearm,
             "stand": self._pause_for,
-            "force": lambda: {"why": why_no_force(self.driving, self._condition.told())},
+            "force": lambda: {
+                "why": why_no_force(self.driving, self._condition.told())
+            },
             "external": lambda force: give(
                 self.driving, self.store.current.external, self.setup.name, force
             ),
@@ -382,7 +412,9 @@ class Driver(Node):
 
         def apply(seq: int) -> dict[str, Any]:
             if not rearm(self.driving, seq):
-                raise ParameterError("has not stopped the loop; nothing was changed", path=name)
+                raise ParameterError(
+                    "has not stopped the loop; nothing was changed", path=name
+                )
             return {"seq": seq}
 
         receipt: dict[str, Any] = self.changes.hand_over(apply)
@@ -393,11 +425,13 @@ class Driver(Node):
         name = self.setup.name
         if self.driving.realtime:
             raise ParameterError(
-                "only a lockstep loop can pause; a device in real time cannot wait", path=name
+                "only a lockstep loop can pause; a device in real time cannot wait",
+                path=name,
             )
         if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
             raise ParameterError(
-                f"a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s", path=name
+                f"a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s",
+                path=name,
             )
         self._paused_until = time.monotonic() + seconds
         self.events.notify()
@@ -433,7 +467,9 @@ class Driver(Node):
         else:
             s.epoch = time.monotonic() + 0.002
             path.write_text(repr(s.epoch), encoding="ascii")
-        s.seq = self._report.first_seq = max(0, math.ceil((time.monotonic() - s.epoch) / s.period))
+        s.seq = self._report.first_seq = max(
+            0, math.ceil((time.monotonic() - s.epoch) / s.period)
+        )
         # A rate counts deadlines: the time before the first of them does not belong to the run.
         self._report.first = s.epoch + s.seq * s.period
 
@@ -450,7 +486,10 @@ class Driver(Node):
             written = s.epoch + s.written * period
             for n, force in enumerate(soft_stop((x, y, z), s.slew, period), 1):
                 self._report.soft_stop_ticks = n
-                if s.realtime and time.monotonic() >= written + s.device_hold_ticks * period:
+                if (
+                    s.realtime
+                    and time.monotonic() >= written + s.device_hold_ticks * period
+                ):
                     # The driver was held up until the device let go by itself: the force must not
                     # return.
                     force = ZERO

@@ -13,7 +13,9 @@ from nodes.driver.passivity import PassivityParameters
 from nodes.parameters.store import ParameterError
 
 
-class DriverParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class DriverParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of every driver.
 
     safety: Limits; see nodes/driver/limits.py.

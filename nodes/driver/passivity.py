@@ -54,7 +54,9 @@ from nodes.driver.state import DriverState
 ROUNDED: Final = 1e-9
 
 
-class PassivityParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PassivityParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the guard.
 
     guard: ``on`` or ``off``.
@@ -222,7 +224,9 @@ def guarded(s: DriverState, share: float) -> None:
     expected = settle(s, i, force) - s.guard_allowance
     waiting = 0.0
     if s.line_length > 0:
-        waiting = backlog(reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part)
+        waiting = backlog(
+            reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part
+        )
     expected += (share * s.handed[i] + waiting) * s.guard_step[i]
     value = control(expected, force, s.guard_step[i], s.guard_rate)
     if abs(value) < abs(force):
@@ -259,7 +263,9 @@ def guarded_along(s: DriverState, share: float) -> None:
         i = s.axis[n]
         acts = share * s.handed[i]
         if s.line_length > 0:
-            acts += backlog(reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part)
+            acts += backlog(
+                reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part
+            )
         whole += acts * s.guard_step[i]
         pushed += acts * (x if i == 0 else y if i == 1 else z)
     expected += pushed * step - s.guard_allowance

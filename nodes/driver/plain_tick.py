@@ -38,7 +38,8 @@ class PlainTicks:
         self._events = node.events
         self._take = node.intake.take
         self._topic, self._expected = (
-            node.setup.topic(name).encode() for name in (topics.DEVICE_STATE, topics.FORCE)
+            node.setup.topic(name).encode()
+            for name in (topics.DEVICE_STATE, topics.FORCE)
         )
         self._decoder = Decoder(Force)
         self._clock = time.monotonic
@@ -105,14 +106,20 @@ class PlainTicks:
         expected = self._expected
         while frames[1] == expected:
             # A message of one frame, and the beginning of the next.
-            self._events.refuse("a message of one frame where topic and payload were expected")
+            self._events.refuse(
+                "a message of one frame where topic and payload were expected"
+            )
             s.skipped += 1
             frames = expected, self._inbox.next_frame()
         force = self._take(self._decoder, frames, expected)
         if force is None:
             return REFUSED
         s.got_seq = force.seq
-        s.got[:], s.got_normal[:], s.got_credit = force.force, force.normal, force.credit
+        s.got[:], s.got_normal[:], s.got_credit = (
+            force.force,
+            force.normal,
+            force.credit,
+        )
         return GOT
 
     def aside(self, s: DriverState) -> None:

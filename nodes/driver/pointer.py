@@ -37,7 +37,9 @@ _TARGET = struct.Struct("<dddd")
 SILENCE = 2.0
 
 
-class PointerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PointerParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """How a hand follows a pointer.
 
     speed: Largest speed of the hand's target [m/s].
@@ -62,7 +64,9 @@ def awaited_pointer(
 ) -> Path:
     """Return the path of a driver's pointer file; wait for it if the launch promises one."""
     path = pointer_file(driver.run_dir, driver.name)
-    promised = driver.parameters.get("pointer") is not None and driver.pace == "realtime"
+    promised = (
+        driver.parameters.get("pointer") is not None and driver.pace == "realtime"
+    )
     return awaited(path, _VALUE.size, driver, given_up, patience) if promised else path
 
 

@@ -76,10 +76,14 @@ class ResponseTimes:
         at = self._state.recent_at
         for response in self._state.recent[at // BLOCK * BLOCK : at]:
             bins[min(int(response * 1e6), BINS)] += 1
-        return [self._percentile(bins, share) if self.count else 0.0 for share in shares]
+        return [
+            self._percentile(bins, share) if self.count else 0.0 for share in shares
+        ]
 
     def summary_us(self) -> dict[str, float]:
         """Return percentiles and maximum [µs]."""
-        named = zip(("p50", "p99", "p999"), self.percentiles(0.5, 0.99, 0.999), strict=True)
+        named = zip(
+            ("p50", "p99", "p999"), self.percentiles(0.5, 0.99, 0.999), strict=True
+        )
         figures = {name: round(value * 1e6, 1) for name, value in named}
         return {**figures, "max": round(self.longest * 1e6, 1)}

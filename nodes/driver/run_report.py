@@ -64,7 +64,9 @@ class DriverReport:
         return {
             "state": SAFETY[s.safety],
             "entered": {
-                name: times for name, times in zip(SAFETY, s.entered, strict=True) if times
+                name: times
+                for name, times in zip(SAFETY, s.entered, strict=True)
+                if times
             },
             "refused": dict(zip(REFUSED, s.refused_for, strict=True)),
             "limited": dict(zip(LIMITED, s.limited_by, strict=True)),
@@ -99,7 +101,9 @@ class DriverReport:
                 "force_n": list(s.force),
                 **{
                     name: list(values)
-                    for name, values in zip(Ending._fields, zip(*ends, strict=True), strict=True)
+                    for name, values in zip(
+                        Ending._fields, zip(*ends, strict=True), strict=True
+                    )
                 },
             },
         }

@@ -234,7 +234,9 @@ def _begin(s: DriverState, seq: int) -> bool:
         enter(s, RAMP if has_ramp else ACTIVE, seq, notes.FIRST_FORCE)
     elif is_felt and s.recovery_ticks > 0:
         enter(s, RAMP, seq, notes.JUMPED)
-        s.ramp_ticks, s.regained, s.fading = s.recovery_ticks, 0.0, float(s.recovery_ticks)
+        s.ramp_ticks = s.recovery_ticks
+        s.regained = 0.0
+        s.fading = float(s.recovery_ticks)
     return True
 
 
@@ -348,7 +350,9 @@ def watch_swings(s: DriverState, seq: int) -> None:
         gained = s.energy - s.peaks[2 * first + 1]
         if s.peaks_count >= s.stop_after and span <= STOP_WINDOW and gained > 0.0:
             s.stopped_at = seq
-            enter(s, STOPPED, seq, notes.SWINGS, s.peak, float(s.stop_after), span, gained)
+            enter(
+                s, STOPPED, seq, notes.SWINGS, s.peak, float(s.stop_after), span, gained
+            )
     if s.safety == STOPPED:
         find_velocity(s)
         damped = seq - s.stopped_at < s.damping_ticks
@@ -397,7 +401,14 @@ def hand_over(s: DriverState, seq: int) -> None:
         if lower_heat(s):
             s.limited_by[HEAT] += 1
             if seldom(s.limited_by[HEAT]):
-                note(s, notes.CONTINUOUS, seq, -1, float(s.limited_by[HEAT]), s.continuous)
+                note(
+                    s,
+                    notes.CONTINUOUS,
+                    seq,
+                    -1,
+                    float(s.limited_by[HEAT]),
+                    s.continuous,
+                )
         note_heat(s)
     for n in range(s.axes):
         i = s.axis[n]

@@ -5,18 +5,32 @@ from __future__ import annotations
 import math
 
 from messages.types import ZERO, Vector
-from nodes.driver.limits import STOP_TIME, Limits, SafetyParameters, recovery_ramp, start_ramp
+from nodes.driver.limits import (
+    STOP_TIME,
+    Limits,
+    SafetyParameters,
+    recovery_ramp,
+    start_ramp,
+)
 from nodes.driver.motor_heat import set_heat
 from nodes.driver.safety import PRESSES, REACH, STOP_WINDOW
 from nodes.driver.state import IDLE, DriverState
 
 
-def set_safety(s: DriverState, parameters: SafetyParameters, limits: Limits, period: float) -> None:
+def set_safety(
+    s: DriverState, parameters: SafetyParameters, limits: Limits, period: float
+) -> None:
     """Set the limits of a run."""
     s.peak = math.inf if limits.peak is None else limits.peak
     s.slew = math.inf if limits.slew is None else limits.slew
-    s.unlimited = limits.peak is None and limits.slew is None and limits.continuous is None
-    s.max_age, s.watchdog, s.damping_ticks = limits.max_age, limits.watchdog, limits.damping_ticks
+    s.unlimited = (
+        limits.peak is None and limits.slew is None and limits.continuous is None
+    )
+    s.max_age, s.watchdog, s.damping_ticks = (
+        limits.max_age,
+        limits.watchdog,
+        limits.damping_ticks,
+    )
     s.damping = parameters.damping
     s.start_ticks = round(start_ramp(parameters) / period)
     s.recovery_ticks = round(recovery_ramp(parameters) / period)

@@ -15,7 +15,9 @@ from nodes.compiled.published import published
 from nodes.compiled.rules import rule
 
 BETWEEN: Final = 0
-WAITING: Final = 1  # phase: sample published, awaiting its force (BETWEEN: before the sample)
+WAITING: Final = (
+    1  # phase: sample published, awaiting its force (BETWEEN: before the sample)
+)
 IDLE, RAMP, ACTIVE, DAMPING, NOTHING, FAULT, STOPPED = range(7)
 SAFETY: Final = ("waiting", "ramp", "active", "damping", "zero", "fault", "stopped")
 """States of the safety, and their names in messages."""
@@ -49,7 +51,9 @@ class DriverState(LoopState):
     poll: int  # address of its struct pollfd
 
     # The tick
-    phase: int  # WAITING: sample published, awaiting its force; BETWEEN: before the sample
+    phase: (
+        int  # WAITING: sample published, awaiting its force; BETWEEN: before the sample
+    )
     next_tick: int  # 1 if a force takes effect at the next deadline
     epoch: float  # time of tick 0 [s]
     sampled: float  # time at which this tick's sample was published [s]
@@ -59,7 +63,9 @@ class DriverState(LoopState):
     response: float  # time from publishing the sample to its answer [s]
     delay: float  # from the last tick's sample to its force taking effect [ticks]
     position_ready: int  # 1 if the driver has already read the position
-    pending_result: int  # outcome of a message that the driver has already processed, plus 1
+    pending_result: (
+        int  # outcome of a message that the driver has already processed, plus 1
+    )
     failed: int  # 1 after a failed call of the device
     waits_until: float  # time until which this tick waits for its answer [s]
     late_answer: int  # 1 if a message is kept for the next tick
@@ -93,7 +99,9 @@ class DriverState(LoopState):
     split: float  # time in the tick up to which `mean` is complete [ticks]
     # time in the tick at which the first new force was written; 1 for none [ticks]
     changed_at: float
-    device_hold_ticks: float  # ticks without a write after which the device lets go by itself
+    device_hold_ticks: (
+        float  # ticks without a write after which the device lets go by itself
+    )
     # forces from outside, in two places (nodes/driver/external.py) [N]
     external: Annotated[list[float], 6]
     external_until: Annotated[list[int], 2]  # tick up to which each is valid
@@ -158,7 +166,9 @@ class DriverState(LoopState):
     always_ramp: int  # 1 if the first force always has a ramp
 
     # Oscillations
-    stop_after: int  # times at the peak within STOP_WINDOW that stop the driver; 0: never
+    stop_after: (
+        int  # times at the peak within STOP_WINDOW that stop the driver; 0: never
+    )
     peaked: int  # 1 if the force has just reached its peak
     peaks_count: int  # how often it has
     peaks: Annotated[list[float], 2 * PEAKS]  # ring of tick and energy of each
@@ -236,14 +246,18 @@ def note(
         # No tick has so many; compiled code would write beyond the end.
         return
     at = NOTE * s.notes_count
-    s.notes[at], s.notes[at + 1], s.notes[at + 2] = float(code), float(seq), float(change)
-    s.notes[at + 3], s.notes[at + 4], s.notes[at + 5], s.notes[at + 6], s.notes[at + 7] = (
-        a,
-        b,
-        c,
-        d,
-        e,
+    s.notes[at], s.notes[at + 1], s.notes[at + 2] = (
+        float(code),
+        float(seq),
+        float(change),
     )
+    (
+        s.notes[at + 3],
+        s.notes[at + 4],
+        s.notes[at + 5],
+        s.notes[at + 6],
+        s.notes[at + 7],
+    ) = (a, b, c, d, e)
     s.notes_count += 1
 
 

@@ -215,7 +215,9 @@ TickFunction: TypeAlias = Callable[[Any], int]
 class TickCalls(NamedTuple):
     """What both ticks do with a port."""
 
-    begin: Callable[[Any, int, float], bool]  # reads and publishes a sample; False if it failed
+    begin: Callable[
+        [Any, int, float], bool
+    ]  # reads and publishes a sample; False if it failed
     hand_over: Callable[[Any, Any, int, float], None]  # gives a force to the device
     # the same, where the driver was not held up meanwhile; whether it did
     hand_over_in_time: Callable[[Any, Any, int, float, int], bool]
@@ -382,7 +384,9 @@ def _make_answers(port: Port, calls: TickCalls, made: Made) -> TickFunction:
             s.late_answer = 0
             s.arrival = s.late_answer_at
             return GOT
-        got = s.pending_result - 1 if s.pending_result != 0 else receive(s, s.waits_until)
+        got = (
+            s.pending_result - 1 if s.pending_result != 0 else receive(s, s.waits_until)
+        )
         s.pending_result = 0
         if got == NONE:
             return NONE

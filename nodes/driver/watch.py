@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 class Watch:
     """Current activity of the loop's thread and its time limit; ends a process that hangs."""
 
-    def __init__(self, node: Node, limits: DeviceLimits, last_resort: LastResort | None) -> None:
+    def __init__(
+        self, node: Node, limits: DeviceLimits, last_resort: LastResort | None
+    ) -> None:
         self._node, self._limits, self._last_resort = node, limits, last_resort
         self._watchdog = HangWatchdog()
         self._doing = ("", math.inf)
@@ -42,8 +44,13 @@ class Watch:
                 if math.isfinite(hold)
                 else "it may hold its last force"
             )
-            give_up(self._node, f"the device hangs: no end of {what} within {limit:g} s; {lets_go}")
+            give_up(
+                self._node,
+                f"the device hangs: no end of {what} within {limit:g} s; {lets_go}",
+            )
 
     def _postpone(self, limit: float) -> None:
         if self._last_resort is not None:
-            self._last_resort.postpone(limit if math.isfinite(limit) else self._limits.opening)
+            self._last_resort.postpone(
+                limit if math.isfinite(limit) else self._limits.opening
+            )

@@ -10,7 +10,9 @@ from nodes.environment.state import ANCHOR, PLANE
 
 
 @rule
-def meet_plane(position: float, surface: float, side: float) -> tuple[float, float, bool]:
+def meet_plane(
+    position: float, surface: float, side: float
+) -> tuple[float, float, bool]:
     """Return the proxy on a plane's axis [m], the signed distance [m] and whether they touch."""
     distance = plane_distance(position, surface, side)
     contact = distance < 0.0
@@ -19,7 +21,12 @@ def meet_plane(position: float, surface: float, side: float) -> tuple[float, flo
 
 @rule
 def meet_flat(
-    kind: int, table: Sequence[float], x: float, y: float, z: float, met: MutableSequence[float]
+    kind: int,
+    table: Sequence[float],
+    x: float,
+    y: float,
+    z: float,
+    met: MutableSequence[float],
 ) -> bool:
     """Write the proxy of a surface without shapes for device position x, y, z [m] into `met`.
 

@@ -17,7 +17,13 @@ from nodes.compiled.message_fields import fields_of, slots
 from nodes.environment.flat import meet_flat
 from nodes.environment.note_tick import note_tick
 from nodes.environment.spent import note_spent
-from nodes.environment.state import INSIDE, JUMPED, PUBLISHED, EnvironmentState, tell_jump
+from nodes.environment.state import (
+    INSIDE,
+    JUMPED,
+    PUBLISHED,
+    EnvironmentState,
+    tell_jump,
+)
 
 register_rules()
 _look = record_at(record_of(EnvironmentState))
@@ -49,7 +55,9 @@ def make_ticks(
             if not _scan(s.payload, s.payload + s.payload_size, taken, s.wholes):
                 break
             seq = s.wholes[_SEQ]
-            if not in_order(s, seq) or (s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)):
+            if not in_order(s, seq) or (
+                s.wholes[_TEXTS + 1] >= 0 and _tells_fault(s.wholes)
+            ):
                 break
             if s.wholes[_REBASED] != s.driver_rebased:
                 break  # the device jumped: the plain tick restarts the proxy
@@ -58,7 +66,10 @@ def make_ticks(
             s.frames = 0
             count_gap(s, seq - s.seq - 1)
             s.seq = s.answered = seq
-            table, memory = reals_at(s.table, s.table_count), reals_at(s.memory, s.memory_count)
+            table, memory = (
+                reals_at(s.table, s.table_count),
+                reals_at(s.memory, s.memory_count),
+            )
             x, y, z = taken[_POSITION], taken[_POSITION + 1], taken[_POSITION + 2]
             fx, fy, fz = taken[_FORCE], taken[_FORCE + 1], taken[_FORCE + 2]
             note_tick(s.kind, memory, seq, fx, fy, fz)
@@ -87,7 +98,15 @@ def make_ticks(
 
 
 @compilable
-def _meet(kind: int, table: Any, memory: Any, x: float, y: float, z: float, met: Any) -> bool:  # noqa: ARG001
+def _meet(
+    kind: int,
+    table: Any,
+    memory: Any,  # noqa: ARG001
+    x: float,
+    y: float,
+    z: float,
+    met: Any,
+) -> bool:
     return meet_flat(kind, table, x, y, z, met)
 
 

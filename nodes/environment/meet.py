@@ -56,7 +56,11 @@ def meet(
     """
     if kind != SHAPES:
         return meet_flat(kind, table, x, y, z, met)
-    was_lost, was_on, inside = memory[PLACED] == LOST, memory[PLACED] == ON, memory[INSIDE]
+    was_lost, was_on, inside = (
+        memory[PLACED] == LOST,
+        memory[PLACED] == ON,
+        memory[INSIDE],
+    )
     proxy.meet(table, memory, x, y, z)
     contact = memory[IN_CONTACT] == 1.0
     met[0], met[1], met[2] = x, y, z
@@ -67,7 +71,9 @@ def meet(
     met[8] = memory[INSIDE]
     met[9], met[10] = memory[FELT_AS], memory[FELT_AS + 1]
     # Lost, or back; or pinched by a shape that moves, and free of it or passed by it.
-    jumped = was_lost != (memory[PLACED] == LOST) or (was_on and memory[INSIDE] > inside)
+    jumped = was_lost != (memory[PLACED] == LOST) or (
+        was_on and memory[INSIDE] > inside
+    )
     jumped = jumped or memory[PASSED] == 1.0
     met[7] = 1.0 if jumped else 0.0
     return contact

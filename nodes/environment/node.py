@@ -49,7 +49,9 @@ if TYPE_CHECKING:
 _payload = payload_of(PUBLISHED)
 
 
-class EnvironmentParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class EnvironmentParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the environment.
 
     surface: ``kind`` and parameters of the surface (nodes/environment/surfaces.py).
@@ -75,14 +77,18 @@ class Environment(Node):
         """Return the module of compiled ticks. Shapes have their own: they compile slowly."""
         surface = parameters.get("surface", {})
         kind = surface.get("kind", "free") if isinstance(surface, Mapping) else "free"
-        known: Surface | None = SURFACES.load(kind) if kind in SURFACES.names() else None
+        known: Surface | None = (
+            SURFACES.load(kind) if kind in SURFACES.names() else None
+        )
         return cls.kernel_module if known is None else known.kernel_module
 
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Check the surface before the launch."""
         where = f"{setup.name}.surface"
-        surface = parse_surface(setup.parameters.get("surface", {"kind": "free"}), where)
+        surface = parse_surface(
+            setup.parameters.get("surface", {"kind": "free"}), where
+        )
         meet_axes(surface, setup.axes, where)
         surface.check(where)
 
@@ -90,14 +96,18 @@ class Environment(Node):
     def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
         """Return the axes that the scene must compute."""
         return (
-            parse_surface(parameters.get("surface", {"kind": "free"}), f"{name}.surface").pushes()
+            parse_surface(
+                parameters.get("surface", {"kind": "free"}), f"{name}.surface"
+            ).pushes()
             or ()
         )
 
     @classmethod
     def effects(cls, parameters: Mapping[str, Any], name: str) -> list[Effect]:
         """Return what shapes and regions do to a law."""
-        return surface_effects(parameters.get("surface", {"kind": "free"}), f"{name}.surface")
+        return surface_effects(
+            parameters.get("surface", {"kind": "free"}), f"{name}.surface"
+        )
 
     def configure(self) -> None:
         """Build the surface."""
@@ -113,7 +123,11 @@ class Environment(Node):
     def make_counters(self) -> Any:
         """Return the state."""
         return state_of(
-            EnvironmentState, self.setup.tick == "compiled", seq=-1, answered=-1, kind=UNKNOWN
+            EnvironmentState,
+            self.setup.tick == "compiled",
+            seq=-1,
+            answered=-1,
+            kind=UNKNOWN,
         )
 
     def _touch(self, meet: Callable[[Vector], Meeting]) -> None:
@@ -135,15 +149,23 @@ class Environment(Node):
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
         place = TouchedSurface(surface, self.setup.period, self.counters.met)
-        return place, place.meet if surface.pushes() is not None else self._watched(place.meet)
+        return place, place.meet if surface.pushes() is not None else self._watched(
+            place.meet
+        )
 
-    def _watched(self, meet: Callable[[Vector], Meeting]) -> Callable[[Vector], Meeting]:
+    def _watched(
+        self, meet: Callable[[Vector], Meeting]
+    ) -> Callable[[Vector], Meeting]:
         """Report when a surface pushes along an axis that the scene does not compute."""
-        left_out = [(i, axis) for axis, i in AXIS_INDEX.items() if axis not in self.setup.axes]
+        left_out = [
+            (i, axis) for axis, i in AXIS_INDEX.items() if axis not in self.setup.axes
+        ]
 
         def watched(position: Vector) -> Meeting:
             met = meet(position)
-            for axis in [axis for i, axis in left_out if met[3] and met[0][i] != position[i]]:
+            for axis in [
+                axis for i, axis in left_out if met[3] and met[0][i] != position[i]
+            ]:
                 computed = ", ".join(self.setup.axes)
                 self.events.emit(
                     "axes",
@@ -185,7 +207,9 @@ class Environment(Node):
 
         def kinds(surface: dict[str, Any]) -> set[tuple[float, float, float]]:
             found = surface_effects(surface, where)
-            return {(one.stiffness, one.damping, one.lag) for one in found} | {(1.0, 1.0, 0.0)}
+            return {(one.stiffness, one.damping, one.lag) for one in found} | {
+                (1.0, 1.0, 0.0)
+            }
 
         launched = self.setup.parameters.get("surface", {"kind": "free"})
         new = kinds(parameters.surface) - kinds(launched)
@@ -257,7 +281,9 @@ class Environment(Node):
             )
         elif inside < self.counters.inside:
             left = (
-                "all solids are felt now" if inside == 0 else f"{inside} solids are still not felt"
+                "all solids are felt now"
+                if inside == 0
+                else f"{inside} solids are still not felt"
             )
             self.events.emit_each(
                 "inside", f"the tool has come outside: {left}", {"solids": inside}
@@ -293,7 +319,11 @@ class Environment(Node):
     def report(self) -> dict[str, Any]:
         """Return tick durations, and the energy that moving shapes have put into the device."""
         moved = self._place.moved
-        told = {} if moved is None else {"moved": {"energy_j": moved[0], "power_w": moved[1]}}
+        told = (
+            {}
+            if moved is None
+            else {"moved": {"energy_j": moved[0], "power_w": moved[1]}}
+        )
         return {"spent_us": spent_us(self.counters.spent), **told}
 
     def loop(self) -> None:

@@ -32,7 +32,9 @@ Patience = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 MetresPerSecond = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
 
 
-class PartnerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PartnerParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of an environment that follows another device.
 
     silence: Time without a message after which the partner counts as gone [s].
@@ -88,7 +90,10 @@ class Partner:
                 # The presented position continues from its last value, or starts at the device.
                 begin = own if known == UNHEARD else self._presented
                 self._offset, self.state = _minus(begin, self.place), HEARD
-        elif known == HEARD and (seq - self._heard_at) * self._period > self._parameters.silence:
+        elif (
+            known == HEARD
+            and (seq - self._heard_at) * self._period > self._parameters.silence
+        ):
             self.state = SILENT
         if self.state == UNHEARD:
             return own, False

@@ -40,7 +40,12 @@ def spent_us(counts: Sequence[int]) -> dict[str, float]:
 
     below = list(accumulate(counts))
     found = {
-        name: edge(next(place for place, sum_ in enumerate(below) if sum_ >= part * ticks) + 0.5)
+        name: edge(
+            next(place for place, sum_ in enumerate(below) if sum_ >= part * ticks)
+            + 0.5
+        )
         for name, part in _AT
     }
-    return found | {"max": edge(1 + max(place for place, count in enumerate(counts) if count))}
+    return found | {
+        "max": edge(1 + max(place for place, count in enumerate(counts) if count))
+    }

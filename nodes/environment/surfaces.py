@@ -37,7 +37,11 @@ __all__ = [
 def _wrong_surface(name: str, found: Any) -> str:
     del name
     is_one = isinstance(found, type) and issubclass(found, Surface)
-    return "" if is_one else f"{found!r} is not a subclass of nodes.environment.surfaces.Surface"
+    return (
+        ""
+        if is_one
+        else f"{found!r} is not a subclass of nodes.environment.surfaces.Surface"
+    )
 
 
 SURFACES = Registry("haptic.surfaces", "surface", _wrong_surface)
@@ -233,7 +237,9 @@ class Plane(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Return the surface as numbers."""
         del period
         return Numbers(
-            PLANE, array("d", (AXIS_INDEX[self.axis], self.position, self.normal)), array("d")
+            PLANE,
+            array("d", (AXIS_INDEX[self.axis], self.position, self.normal)),
+            array("d"),
         )
 
     def pushes(self) -> tuple[Axis, ...]:
@@ -345,7 +351,9 @@ def numbers_of(surface: Surface, period: float) -> Numbers | None:
     def written(name: str) -> int:
         return next(n for n, line in enumerate(lines) if name in vars(line))
 
-    is_described = written("numbers") <= min(written("meeting"), written("meeting_every"))
+    is_described = written("numbers") <= min(
+        written("meeting"), written("meeting_every")
+    )
     return surface.numbers(period) if is_described else None
 
 

@@ -38,13 +38,17 @@ class TouchedSurface:
             self.meet = surface.meeting_every(period)
 
     @classmethod
-    def of(cls, numbers: Numbers, met: MutableSequence[float] | None = None) -> TouchedSurface:
+    def of(
+        cls, numbers: Numbers, met: MutableSequence[float] | None = None
+    ) -> TouchedSurface:
         """Make one of the numbers of a surface, without its parameters."""
         made = cls.__new__(cls)
         made._begin(numbers, met)
         return made
 
-    def _begin(self, numbers: Numbers | None, met: MutableSequence[float] | None) -> None:
+    def _begin(
+        self, numbers: Numbers | None, met: MutableSequence[float] | None
+    ) -> None:
         self.numbers = numbers
         self._met = [0.0] * MET if met is None else met
         # Computed with the surface, not when it is replaced, which happens between two ticks.
@@ -75,7 +79,11 @@ class TouchedSurface:
     @property
     def moved(self) -> tuple[float, float] | None:
         """Energy [J] and largest power [W] of moving shapes; None without any."""
-        if self.numbers is None or self.kind != SHAPES or not self.numbers.table[MOVERS]:
+        if (
+            self.numbers is None
+            or self.kind != SHAPES
+            or not self.numbers.table[MOVERS]
+        ):
             return None
         return self.numbers.memory[ENERGY], self.numbers.memory[MOST_POWER]
 

@@ -43,9 +43,12 @@ class _Places:
         try:
             return f"{bare}#{key_of(key) if key else identity().public}"
         except KeyRefusedError as error:
-            others = "other machines" if is_remote(bare) else "all users of this machine"
+            others = (
+                "other machines" if is_remote(bare) else "all users of this machine"
+            )
             raise ParameterError(
-                f"{others} can reach {host}: {error}", path=f"{self._launch.scenario}.{where}"
+                f"{others} can reach {host}: {error}",
+                path=f"{self._launch.scenario}.{where}",
             ) from error
 
     def far(self, name: str, offset: int = 0) -> str:
@@ -55,7 +58,9 @@ class _Places:
             return ""
         # On loopback without a key name, this user starts the node.
         key = spec.key or (spec.host if is_remote(f"tcp://{spec.host}:1") else "")
-        return self._tcp(spec.host, self._ports[name] + offset, key, f"nodes.{name}.key")
+        return self._tcp(
+            spec.host, self._ports[name] + offset, key, f"nodes.{name}.key"
+        )
 
     def reach(self, name: str, offset: int) -> str:
         """Return the endpoint at which other machines reach a node on this one."""

@@ -29,8 +29,12 @@ LISTENERS: Final = 0.25
 LATE: Final = 0.05
 # Share of its time above which a processor counts as busy; FIFO tasks get at most 0.95.
 BUSY: Final = 0.85
-OVERLOADED: Final = 4  # exit code of a launch with more chains than its processors carry
-_SHORTEST: Final = 0.5  # duration below which a run does not show the cost of a tick [s]
+OVERLOADED: Final = (
+    4  # exit code of a launch with more chains than its processors carry
+)
+_SHORTEST: Final = (
+    0.5  # duration below which a run does not show the cost of a tick [s]
+)
 _KINDS_KEPT: Final = 256
 
 
@@ -63,7 +67,9 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
         if not self.cause:
             return ""
         chains = f"{_counted(self.chains)} at {self.rate_hz:g} Hz lost {self.lost:.1%} of the ticks"
-        of = "one processor" if self.processors == 1 else f"{self.processors} processors"
+        of = (
+            "one processor" if self.processors == 1 else f"{self.processors} processors"
+        )
         if self.cause == "chains":
             return (
                 f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick;"
@@ -145,7 +151,11 @@ def estimated(launch: Launch, chains: Iterable[str], tick: str) -> dict[str, flo
     """Return the share of a processor that each chain will take, if its cost is known."""
     known = known_costs()
     costs = {chain: known.get(kind_of_chain(launch, chain, tick)) for chain in chains}
-    return {chain: cost * launch.run.rate for chain, cost in costs.items() if cost is not None}
+    return {
+        chain: cost * launch.run.rate
+        for chain, cost in costs.items()
+        if cost is not None
+    }
 
 
 def carried(cost: float, rate: float, processors: int) -> int:
@@ -172,7 +182,9 @@ def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> st
     )
 
 
-def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float]) -> dict[str, int]:
+def spread(
+    chains: Iterable[str], cores: list[int], shares: Mapping[str, float]
+) -> dict[str, int]:
     """Return a processor for each chain: the first of `cores` with room, the last as reserve.
 
     The last core is left to subscribers if possible. A chain of unknown cost counts as a twentieth
@@ -184,7 +196,9 @@ def spread(chains: Iterable[str], cores: list[int], shares: Mapping[str, float])
     taken[cores[-1]] += LISTENERS
     found = {}
     for chain in sorted(chains, key=lambda one: -share[one]):
-        fits = next((core for core in cores[:-1] if taken[core] + share[chain] <= CARRIED), None)
+        fits = next(
+            (core for core in cores[:-1] if taken[core] + share[chain] <= CARRIED), None
+        )
         core = fits if fits is not None else min(cores, key=taken.__getitem__)
         taken[core] += share[chain]
         found[chain] = core
@@ -206,7 +220,9 @@ def _waited(pid: int) -> float:
     with contextlib.suppress(OSError, ValueError):
         for task in os.listdir(f"/proc/{pid}/task"):
             waited += int(
-                Path(f"/proc/{pid}/task/{task}/schedstat").read_text(encoding="ascii").split()[1]
+                Path(f"/proc/{pid}/task/{task}/schedstat")
+                .read_text(encoding="ascii")
+                .split()[1]
             )
     return waited * 1e-9
 
@@ -223,7 +239,9 @@ class Meter:
     def __init__(self, pids: Mapping[str, int]) -> None:
         self._pids = dict(pids)
         self._had = {name: _processor_time(pid) for name, pid in self._pids.items()}
-        self._began = {name: (time.monotonic(), _waited(pid)) for name, pid in self._pids.items()}
+        self._began = {
+            name: (time.monotonic(), _waited(pid)) for name, pid in self._pids.items()
+        }
         self._waits: dict[str, float] = {}
 
     def look(self) -> None:

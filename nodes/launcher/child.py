@@ -36,10 +36,15 @@ class Child:
     # Extra time, compared to this machine, of the first answer over a new connection [s].
     distance = 0.0
 
-    def __init__(self, setup: Setup, respawns: int, delay: float, required: bool) -> None:
+    def __init__(
+        self, setup: Setup, respawns: int, delay: float, required: bool
+    ) -> None:
         self.setup = setup
         kind = load(setup.factory)
-        self.drives, self.hops = drives(kind), is_hop(kind)  # a driver; a part of the loop
+        self.drives, self.hops = (
+            drives(kind),
+            is_hop(kind),
+        )  # a driver; a part of the loop
         self.listens = bool(setup.manifest)  # whether it only subscribes (a logger)
         self.respawns = respawns
         self.delay = delay
@@ -49,13 +54,17 @@ class Child:
         self._exit: int | None = None
         self._wait_for_processor = ProcessorWait()
         self.again_at: float | None = None
-        self.ready_at = time.monotonic()  # time when it became ready; before, of creation [s]
+        self.ready_at = (
+            time.monotonic()
+        )  # time when it became ready; before, of creation [s]
         # Times that its device may take to open, from `ready_at` on, and to close [s].
         self.opening = self.closing = 0.0
         self.to_start = False
         self.ready = False
         self.over = False
-        self.unreported = False  # whether it exited with 0 without reporting that it finished
+        self.unreported = (
+            False  # whether it exited with 0 without reporting that it finished
+        )
 
     @property
     def running(self) -> bool:
@@ -70,14 +79,22 @@ class Child:
         """
         if self._exit is None and self.process is not None:
             try:
-                ended = os.waitid(os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+                ended = os.waitid(
+                    os.P_PID, self.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT
+                )
             except ChildProcessError:
                 # The launcher's parent ignores SIGCHLD, so the kernel stores no exit code.
                 self._exit = 0
                 return self._exit
             if ended is not None:
-                self._exit = ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
-                threading.Thread(target=self.process.wait, name="reap", daemon=True).start()
+                self._exit = (
+                    ended.si_status
+                    if ended.si_code == os.CLD_EXITED
+                    else -ended.si_status
+                )
+                threading.Thread(
+                    target=self.process.wait, name="reap", daemon=True
+                ).start()
         return self._exit
 
     @property
@@ -93,7 +110,9 @@ class Child:
             return signal.Signals(-code).name
         place = held_in(self.setup) if code else ""
         return f"exit code {code}" + (
-            f": its last resort: a call blocked all other threads for {place}" if place else ""
+            f": its last resort: a call blocked all other threads for {place}"
+            if place
+            else ""
         )
 
     @property
@@ -132,7 +151,9 @@ class Child:
     def state(self, context: Context, timeout: float = 0.25) -> str:
         """Ask the node for its state; ``"starting"`` without an answer."""
         try:
-            return str(call(context, self.setup.control, "status", timeout=timeout)["state"])
+            return str(
+                call(context, self.setup.control, "status", timeout=timeout)["state"]
+            )
         except ControlError:
             return "starting"
 
@@ -156,7 +177,9 @@ class Child:
     def waited(self) -> float:
         """Return how long it has waited for a processor since the first call [s]."""
         return (
-            self._wait_for_processor.update(self.process.pid) if self.process is not None else 0.0
+            self._wait_for_processor.update(self.process.pid)
+            if self.process is not None
+            else 0.0
         )
 
     def progress(self) -> int:
@@ -165,7 +188,9 @@ class Child:
         # The process may have ended.
         with contextlib.suppress(OSError):
             for line in (
-                Path(f"/proc/{self.process.pid}/io").read_text(encoding="ascii").splitlines()
+                Path(f"/proc/{self.process.pid}/io")
+                .read_text(encoding="ascii")
+                .splitlines()
             ):
                 if line.startswith("wchar:"):
                     return int(line.split()[1])
@@ -185,5 +210,7 @@ class Child:
     def report(self, run_dir: Path) -> dict[str, Any]:
         """Read the node's final report."""
         path = run_dir / f"{self.setup.name}.report.json"
-        found: dict[str, Any] = msgspec.json.decode(path.read_bytes()) if path.exists() else {}
+        found: dict[str, Any] = (
+            msgspec.json.decode(path.read_bytes()) if path.exists() else {}
+        )
         return found

@@ -37,7 +37,11 @@ def end(
                 say(f"{child.setup.name}: does not end; {number.name}")
             # While its interpreter is being set up, a process answers SIGINT with a traceback,
             # SIGTERM with silence.
-            asked = number if child.ready else max(number, signal.SIGTERM, key=_INSISTENCE.index)
+            asked = (
+                number
+                if child.ready
+                else max(number, signal.SIGTERM, key=_INSISTENCE.index)
+            )
             child.send(asked)
         if number == signal.SIGKILL:
             _await_death(left)
@@ -92,7 +96,9 @@ class _Wait:
                 checked = now + CHECK_INTERVAL
                 stood = self._stood()
                 granted = max((child.end_patience for child in self._left), default=0.0)
-                if all(seconds > self._patience + granted for seconds in stood.values()):
+                if all(
+                    seconds > self._patience + granted for seconds in stood.values()
+                ):
                     return
                 if now - self._begun > 0.5 * self._patience + granted:
                     self._announce(stood, 0.5 * (now - self._begun))
@@ -106,7 +112,9 @@ class _Wait:
     def _stood(self) -> dict[str, float]:
         """Return for how long each running node made no progress [s]."""
         return {
-            name: watchdog.check(child.progress() if child.listens else 0, child.waited())
+            name: watchdog.check(
+                child.progress() if child.listens else 0, child.waited()
+            )
             for child in self._left
             if child.running
             for name, watchdog in [(child.setup.name, self._watched[child.setup.name])]

@@ -30,7 +30,9 @@ from nodes.parameters.store import convert
 # The time limits below are extended by `ByHand.distance`.
 ARRIVAL_TIMEOUT = 120.0  # time that the launcher waits for a manual start [s]
 LOST = 5.0  # time without an answer after which a node counts as lost [s]
-UNREPORTED = 2.0  # time after which a finished node counts as gone, with or without report [s]
+UNREPORTED = (
+    2.0  # time after which a finished node counts as gone, with or without report [s]
+)
 LEASE = 6.0  # time without a request after which such a node stops [s]
 
 ROUND_TRIPS = 12
@@ -65,7 +67,9 @@ def command(setup: Setup) -> str:
     words = ["haptic node start", setup.name, "--bind", f"{host}:{int(port) - 1}"]
     if setup.kind != setup.name:
         words += ["--kind", setup.kind]
-    for folder in needed(convert(setup.parameters, load(setup.factory).Parameters, setup.name)):
+    for folder in needed(
+        convert(setup.parameters, load(setup.factory).Parameters, setup.name)
+    ):
         words += ["--allow-path", shlex.quote(folder)]
     return f"on {host}: {' '.join(words)}"
 
@@ -95,7 +99,8 @@ class ClockOffset:
         if not self._measured:
             return 0.0, float("inf")
         bounds = [
-            (half + DRIFT * max(now - when, 0.0), offset) for when, offset, half in self._measured
+            (half + DRIFT * max(now - when, 0.0), offset)
+            for when, offset, half in self._measured
         ]
         error, offset = min(bounds)
         return offset, error
@@ -241,7 +246,13 @@ class ByHand(Child):
                 elif silent > self._lost:
                     self._code = 1
                     self._end = f"no answer for {self._lost:g} s ({error})"
-            except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+            except (
+                AttributeError,
+                KeyError,
+                OverflowError,
+                TypeError,
+                ValueError,
+            ) as error:
                 # A foreign program may send anything.
                 self._code, self._end = (
                     1,

@@ -41,7 +41,8 @@ def start_here(run: runs.RunInfo, name: str) -> int:
     setup = run.nodes[name]
     if not setup.by_hand or not split(setup.control)[0].startswith("ipc://"):
         raise ParameterError(
-            "the launch does not wait for it here; set by_hand: true in its launch file", path=name
+            "the launch does not wait for it here; set by_hand: true in its launch file",
+            path=name,
         )
     _claim(setup)
     return live(load(setup.factory)(setup), load_kernel)
@@ -49,7 +50,9 @@ def start_here(run: runs.RunInfo, name: str) -> int:
 
 def _claim(setup: Setup) -> None:
     """Lock the node's name for this process: a second one would take over its sockets."""
-    held = os.open(Path(setup.run_dir) / f"{setup.name}.lock", os.O_RDWR | os.O_CREAT, 0o600)
+    held = os.open(
+        Path(setup.run_dir) / f"{setup.name}.lock", os.O_RDWR | os.O_CREAT, 0o600
+    )
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -67,7 +70,12 @@ class Starter:
     """Waits for a remote launcher and accepts its setup, within `kind` and `allow_paths`."""
 
     def __init__(
-        self, name: str, host: str, port: int, kind: str = "", allow_paths: Sequence[Path] = ()
+        self,
+        name: str,
+        host: str,
+        port: int,
+        kind: str = "",
+        allow_paths: Sequence[Path] = (),
     ) -> None:
         self._name = name
         self._kind = kind or name.rpartition("/")[2]
@@ -93,7 +101,9 @@ class Starter:
         context = new_context()
         gate = Gate(
             context,
-            lambda reason: print(f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True),
+            lambda reason: print(
+                f"[{self._name}] denied: {reason}", file=sys.stderr, flush=True
+            ),
         )
         inbox = ReplySocket(context)
         try:
@@ -140,7 +150,9 @@ class Starter:
         }
         self._stopping = self._stopping or op == "stop"
         if op not in answers:
-            return Reply(False, error=f"{self._name}: unconfigured; known: {', '.join(answers)}")
+            return Reply(
+                False, error=f"{self._name}: unconfigured; known: {', '.join(answers)}"
+            )
         return Reply(True, answers[op])
 
     def accept(self, data: Any) -> Setup:
@@ -148,12 +160,14 @@ class Starter:
         setup: Setup = convert(data, Setup, "setup")
         if setup.name != self._name:
             raise ParameterError(
-                f"{setup.name!r}, but {self._name!r} was started here", path="setup.name"
+                f"{setup.name!r}, but {self._name!r} was started here",
+                path="setup.name",
             )
         for field, own in (("publish", self.publish), ("control", self.control)):
             if getattr(setup, field) != own:
                 raise ParameterError(
-                    f"{getattr(setup, field)}, but this node binds {own}", path=f"setup.{field}"
+                    f"{getattr(setup, field)}, but this node binds {own}",
+                    path=f"setup.{field}",
                 )
         beyond = (setup.reach, setup.listen, setup.listen_reach, setup.watch)
         if any(beyond) or setup.lease <= 0.0:
@@ -181,11 +195,15 @@ class Starter:
         made = msgspec.structs.replace(made, scheduling=here(setup.scheduling, kind))
         # Check paths before the kind's own code reads them.
         check_paths(
-            convert(setup.parameters, kind.Parameters, self._name), self._allow_paths, self._name
+            convert(setup.parameters, kind.Parameters, self._name),
+            self._allow_paths,
+            self._name,
         )
         kind.check(made)
         kind(made)
-        folder = runs.new_node_dir(f"{_plain(setup.run)}-{setup.name.replace('/', '-')}")
+        folder = runs.new_node_dir(
+            f"{_plain(setup.run)}-{setup.name.replace('/', '-')}"
+        )
         (folder / setup.namespace).mkdir(mode=0o700, parents=True, exist_ok=True)
         return msgspec.structs.replace(made, run_dir=str(folder))
 
@@ -205,7 +223,13 @@ def here(asked: Scheduling, kind: type[Node]) -> Scheduling:
 
 def _plain(run: str) -> str:
     """Return the run's name if it is valid as a directory name; it came over the network."""
-    if not run or "/" in run or run.startswith(".") or not run.isprintable() or len(run) > 100:
+    if (
+        not run
+        or "/" in run
+        or run.startswith(".")
+        or not run.isprintable()
+        or len(run) > 100
+    ):
         raise ParameterError(f"{run!r} is not the name of a run", path="setup.run")
     return run
 
@@ -215,7 +239,11 @@ def start_for(
 ) -> int:
     """Start a node for a launch on another machine."""
     starter = Starter(name, host, port, kind, allow_paths)
-    print(f"[{name}] waiting for its launcher at {starter.control}", file=sys.stderr, flush=True)
+    print(
+        f"[{name}] waiting for its launcher at {starter.control}",
+        file=sys.stderr,
+        flush=True,
+    )
     setup = starter.wait()
     if setup is None:
         return 130

@@ -53,7 +53,8 @@ LISTED = "run"  # reserved: a node of this name would overwrite run.json
 
 DEVICE = "device"  # argument that replaces a virtual device by a real one
 _DEVICE = Argument(
-    default="none", help="real device whose known values are used: haptic device presets"
+    default="none",
+    help="real device whose known values are used: haptic device presets",
 )
 
 # Limit of a text after substitution, a path's length: nested arguments could produce gigabytes.
@@ -68,9 +69,16 @@ def launch_dirs() -> list[Path]:
     nodes = Path(__file__).resolve().parents[1]
     specs = [_spec(point.value) for point in COLLECTIONS.points().values()]
     added = [
-        Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()
+        Path(place)
+        for spec in specs
+        if spec
+        for place in spec.submodule_search_locations or ()
     ]
-    return [path for path in (nodes / "_launch", nodes.parent / "launch", *added) if path.is_dir()]
+    return [
+        path
+        for path in (nodes / "_launch", nodes.parent / "launch", *added)
+        if path.is_dir()
+    ]
 
 
 def _spec(package: str) -> ModuleSpec | None:
@@ -84,7 +92,9 @@ def _spec(package: str) -> ModuleSpec | None:
 def scenarios() -> dict[str, Path]:
     """Return the installed launch files, sorted; this project's override other packages'."""
     found = {
-        path.stem: path for folder in reversed(launch_dirs()) for path in folder.glob("*.yaml")
+        path.stem: path
+        for folder in reversed(launch_dirs())
+        for path in folder.glob("*.yaml")
     }
     return dict(sorted(found.items()))
 
@@ -101,7 +111,9 @@ def find(name: str) -> Path:
             if path.is_file():
                 return path
             if path.is_dir():
-                raise ParameterError("is a directory, expected a launch file", path=name)
+                raise ParameterError(
+                    "is a directory, expected a launch file", path=name
+                )
             raise ParameterError("no such file", path=name)
         except UnicodeEncodeError as error:
             raise ParameterError(
@@ -129,7 +141,8 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
         with contextlib.suppress(ParameterError, AttributeError):
             if (
                 factory
-                and load(factory).substitute_device.__func__ is not Node.substitute_device.__func__  # type: ignore[attr-defined]
+                and load(factory).substitute_device.__func__
+                is not Node.substitute_device.__func__  # type: ignore[attr-defined]
             ):
                 return {DEVICE: _DEVICE}
     # Reading the launch also reports broken includes.
@@ -138,7 +151,9 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
         for entry in file.include:
             inner = find(_beside(path, str(entry.get("launch"))))
             if offered := _offered(
-                inner, convert(with_usual(read_yaml(inner)), LaunchText, inner.name), including
+                inner,
+                convert(with_usual(read_yaml(inner)), LaunchText, inner.name),
+                including,
             ):
                 return offered
     return {}
@@ -157,7 +172,11 @@ def parse_assignments(words: list[str]) -> dict[str, Any]:
         name, sign, text = word.partition(":=")
         if not sign:
             name, sign, text = word.partition("=")
-            meant = f"; did you mean {name}:={text}?" if sign and name.isidentifier() else ""
+            meant = (
+                f"; did you mean {name}:={text}?"
+                if sign and name.isidentifier()
+                else ""
+            )
             raise ParameterError(f"{word!r}: expected name:=value{meant}")
         values[name] = parse_yaml(text, name) if text else ""
     return values
@@ -181,7 +200,9 @@ def _fill_in(
             value = float(value)
         if kind is str and isinstance(value, (int, float)):
             value = str(value)
-        if not (kind is str and _is_law(value)) and (misfit := find_misfit(value, kind)):
+        if not (kind is str and _is_law(value)) and (
+            misfit := find_misfit(value, kind)
+        ):
             raise ParameterError(misfit.text, path=f"{where}{misfit.path}")
         unit = f" {argument.unit}" if argument.unit else ""
         if (
@@ -224,7 +245,9 @@ def _bound(text: str, instead: Mapping[str, str], where: str) -> None:
         )
 
 
-def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origins) -> Any:
+def _substitute(
+    data: Any, values: Mapping[str, Any], where: str, origins: Origins
+) -> Any:
     if isinstance(data, dict):
         return {
             key: _substitute(inner, values, f"{where}.{key}", origins)
@@ -232,7 +255,8 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
         }
     if isinstance(data, list):
         return [
-            _substitute(inner, values, f"{where}[{i}]", origins) for i, inner in enumerate(data)
+            _substitute(inner, values, f"{where}[{i}]", origins)
+            for i, inner in enumerate(data)
         ]
     if isinstance(data, str) and "$(" in data:
         _bound(
@@ -247,7 +271,8 @@ def _substitute(data: Any, values: Mapping[str, Any], where: str, origins: Origi
         for name in _WITHIN.findall(data):
             if name not in values:
                 raise ParameterError(
-                    f"$(var {name}) is not an argument; {choices(name, values)}", path=where
+                    f"$(var {name}) is not an argument; {choices(name, values)}",
+                    path=where,
                 )
             origins.filled_in(where, name)
         whole = _WHOLE.match(data)
@@ -284,7 +309,9 @@ def read(
     including = (including or Including()).another(path, name)
     data = read_yaml(path)
     given = with_gain(data, given)
-    origins = Origins(path, given, data.get("nodes") or {} if isinstance(data, dict) else {})
+    origins = Origins(
+        path, given, data.get("nodes") or {} if isinstance(data, dict) else {}
+    )
     try:
         launch = _read(path, data, given, laid_over, origins, including)
         # An including file may still change the device, so only the outermost fills in plants.
@@ -309,7 +336,10 @@ def _read(
         if name.startswith(_RUN) or (name == "tick" and name not in file.arguments)
     }
     over_run = {name.removeprefix(_RUN): given[name] for name in over}
-    declared = {**(_offered(path, file, Including()) if DEVICE in given else {}), **file.arguments}
+    declared = {
+        **(_offered(path, file, Including()) if DEVICE in given else {}),
+        **file.arguments,
+    }
     values = _fill_in(
         path,
         declared,
@@ -334,13 +364,19 @@ def _read(
         if spec.watch:
             watched = _watched(node, spec, f"{path.name}.nodes.{node}")
             nodes[node] = msgspec.structs.replace(spec, parameters=watched)
-    if DEVICE not in file.arguments and (device := values.get(DEVICE, "none")) not in ("", "none"):
+    if DEVICE not in file.arguments and (device := values.get(DEVICE, "none")) not in (
+        "",
+        "none",
+    ):
         nodes = _with_device(nodes, device, path.name)
     for name, node, place in places(given):
         origins.filled_in(f"nodes.{node}.parameters.{place}", name)
     nodes = with_parameters(nodes, given, path.name)
     nodes = {node: with_named_law(spec, node) for node, spec in nodes.items()}
-    written_run = {**_substitute(file.run, values, f"{path.name}.run", origins), **over_run}
+    written_run = {
+        **_substitute(file.run, values, f"{path.name}.run", origins),
+        **over_run,
+    }
     run = convert(
         {**_common_run(included, written_run, path.name), **written_run},
         RunSpec,
@@ -362,7 +398,9 @@ def _read(
     )
 
 
-def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict[str, NodeSpec]:
+def _with_device(
+    nodes: Mapping[str, NodeSpec], device: str, where: str
+) -> dict[str, NodeSpec]:
     """Replace every virtual device, and the plant of its coupling, by a real `device`."""
     kinds = node_kinds()
     found = dict(nodes)
@@ -374,7 +412,8 @@ def _with_device(nodes: Mapping[str, NodeSpec], device: str, where: str) -> dict
             found[name] = msgspec.structs.replace(spec, parameters=parameters)
     if not plants:
         raise ParameterError(
-            f"{DEVICE}:={device}: no node of it has a virtual device; leave it out", path=where
+            f"{DEVICE}:={device}: no node of it has a virtual device; leave it out",
+            path=where,
         )
     for name, spec in found.items():
         plant = plants.get(name.rpartition("/")[0])
@@ -405,9 +444,13 @@ def _nodes(
                     else "is longer than 32 letters"
                 )
                 raise ParameterError(
-                    f"{launch.scenario}: node {full!r} {why}", path=f"{path.name}.include"
+                    f"{launch.scenario}: node {full!r} {why}",
+                    path=f"{path.name}.include",
                 )
-            remap = {topic: within(namespace, instead) for topic, instead in spec.remap.items()}
+            remap = {
+                topic: within(namespace, instead)
+                for topic, instead in spec.remap.items()
+            }
             nodes[full] = msgspec.structs.replace(spec, remap=remap)
     for node, spec in file.nodes.items():
         where = f"{path.name}.nodes.{node}"
@@ -425,9 +468,12 @@ def _nodes(
             )
         if node in nodes:
             raise ParameterError(
-                "an included launch file has a node of that name; give it a namespace", path=where
+                "an included launch file has a node of that name; give it a namespace",
+                path=where,
             )
-        nodes[node] = made = convert(_substitute(spec, values, where, origins), NodeSpec, where)
+        nodes[node] = made = convert(
+            _substitute(spec, values, where, origins), NodeSpec, where
+        )
         if made.kind not in kinds:
             raise ParameterError(
                 f"{made.kind!r} is not installed; {choices(made.kind, sorted(kinds))}",
@@ -435,13 +481,18 @@ def _nodes(
             )
     if not nodes:
         raise ParameterError(
-            "no nodes: add them under nodes, or other launch files under include", path=path.name
+            "no nodes: add them under nodes, or other launch files under include",
+            path=path.name,
         )
     return nodes
 
 
 def _include(
-    entry: Any, values: Mapping[str, Any], where: str, origins: Origins, including: Including
+    entry: Any,
+    values: Mapping[str, Any],
+    where: str,
+    origins: Origins,
+    including: Including,
 ) -> tuple[str, Launch]:
     """Read an included launch file; return its namespace and content."""
     made: Include = convert(_substitute(entry, values, where, origins), Include, where)
@@ -452,7 +503,9 @@ def _include(
         )
     try:
         launch = without(
-            read(_beside(including.files[-1], made.launch), made.arguments, (), including),
+            read(
+                _beside(including.files[-1], made.launch), made.arguments, (), including
+            ),
             made.without,
         )
     except ParameterError as error:
@@ -496,7 +549,10 @@ def _models(included: Sequence[tuple[str, Launch]]) -> dict[str, Model]:
 
 
 def _axes(
-    run: RunSpec, nodes: Mapping[str, NodeSpec], included: Sequence[tuple[str, Launch]], where: str
+    run: RunSpec,
+    nodes: Mapping[str, NodeSpec],
+    included: Sequence[tuple[str, Launch]],
+    where: str,
 ) -> tuple[RunSpec, dict[str, list[Axis]]]:
     """Return ``run`` with the first chain's axes, and the axes of other chains by namespace."""
     if len(set(run.axes)) < len(run.axes):
@@ -513,7 +569,11 @@ def _axes(
                 launch.axes.get(inner) or launch.run.axes
             )
     for namespace in dict.fromkeys(name.rpartition("/")[0] for name in nodes):
-        chain = {name: spec for name, spec in nodes.items() if name.rpartition("/")[0] == namespace}
+        chain = {
+            name: spec
+            for name, spec in nodes.items()
+            if name.rpartition("/")[0] == namespace
+        }
         wanted = dict.fromkeys(
             axis
             for node, spec in chain.items()
@@ -532,10 +592,14 @@ def without(launch: Launch, left_out: list[str]) -> Launch:
     for name in left_out:
         if name not in launch.nodes:
             raise ParameterError(
-                f"no node {name!r}; {choices(name, launch.nodes)}", path=f"{launch.scenario}.nodes"
+                f"no node {name!r}; {choices(name, launch.nodes)}",
+                path=f"{launch.scenario}.nodes",
             )
     return msgspec.structs.replace(
-        launch, nodes={name: spec for name, spec in launch.nodes.items() if name not in left_out}
+        launch,
+        nodes={
+            name: spec for name, spec in launch.nodes.items() if name not in left_out
+        },
     )
 
 
@@ -549,7 +613,8 @@ def _by_node(written: Path, nodes: Mapping[str, Any], where: str) -> dict[str, A
     for node, parameters in tree.items():
         if node not in nodes:
             raise ParameterError(
-                f"{where} has no node {node!r}; {choices(node, nodes)}", path=str(written)
+                f"{where} has no node {node!r}; {choices(node, nodes)}",
+                path=str(written),
             )
         if not isinstance(parameters, dict):
             raise ParameterError(
@@ -565,5 +630,7 @@ def _watched(node: str, spec: NodeSpec, where: str) -> dict[str, Any]:
             f"{spec.watch}: no such file; write one with haptic param dump {node}",
             path=f"{where}.watch",
         )
-    merged: dict[str, Any] = merge(spec.parameters, of_node(read_yaml(spec.watch), node))
+    merged: dict[str, Any] = merge(
+        spec.parameters, of_node(read_yaml(spec.watch), node)
+    )
     return merged

@@ -39,7 +39,9 @@ class NodeGraph:
     def __init__(self, launch: Launch) -> None:
         self._launch = launch
         factories = node_kinds()
-        self.classes = {name: load(factories[spec.kind]) for name, spec in launch.nodes.items()}
+        self.classes = {
+            name: load(factories[spec.kind]) for name, spec in launch.nodes.items()
+        }
         self._publisher = self._publishers()
         for name, kind in self.classes.items():
             self._check_remap(name, kind)
@@ -50,7 +52,8 @@ class NodeGraph:
             for name, kind in self.classes.items()
         }
         self._subscribes = {
-            name: len(kind.subscribes(parameters[name])) for name, kind in self.classes.items()
+            name: len(kind.subscribes(parameters[name]))
+            for name, kind in self.classes.items()
         }
         # Nodes heard by each listener to everything.
         self._heard = {
@@ -70,7 +73,9 @@ class NodeGraph:
         """Return whether a node listens to another one."""
         if source in self._heard.get(listener, ()):
             return True
-        followed = (topic for topic in self.classes[listener].listens_to if topic != "*")
+        followed = (
+            topic for topic in self.classes[listener].listens_to if topic != "*"
+        )
         return any(self.source_of(listener, topic) == source for topic in followed)
 
     def heard_by(self, listener: str) -> list[str]:
@@ -80,7 +85,9 @@ class NodeGraph:
     def listeners(self, source: str) -> int:
         """Return how many subscriptions a node's publisher has."""
         others = (name for name in self._launch.nodes if name != source)
-        return sum(self._subscribes[name] for name in others if self.hears(name, source))
+        return sum(
+            self._subscribes[name] for name in others if self.hears(name, source)
+        )
 
     def _where(self, name: str) -> str:
         return f"{self._launch.scenario}.nodes.{name}"
@@ -107,7 +114,8 @@ class NodeGraph:
             for topic in full_names(name, kind.relays):
                 if topic in relays:
                     raise ParameterError(
-                        f"{topic} is already relayed by {relays[topic]}", path=self._where(name)
+                        f"{topic} is already relayed by {relays[topic]}",
+                        path=self._where(name),
                     )
                 relays[topic] = name
         return relays
@@ -128,7 +136,8 @@ class NodeGraph:
                 )
             if topics.message_type(topic) is not topics.message_type(instead):
                 raise ParameterError(
-                    f"{instead!r} does not carry the same messages", path=f"{where}.{topic}"
+                    f"{instead!r} does not carry the same messages",
+                    path=f"{where}.{topic}",
                 )
 
     def _check_sources(self, name: str, kind: type[Node]) -> None:

@@ -43,11 +43,14 @@ def with_parameters(
     found = dict(nodes)
     for name, node, path in places(given):
         if node not in found:
-            raise ParameterError(f"{name}: no node {node!r}; {choices(node, found)}", path=where)
+            raise ParameterError(
+                f"{name}: no node {node!r}; {choices(node, found)}", path=where
+            )
         steps = [key or int(index) for key, index in STEP.findall(path)]
         if not steps or "".join(_written(steps)) != f".{path}":
             raise ParameterError(
-                f"is not a parameter's name, e.g. {node}.device.mass or {node}.axes[0]", path=name
+                f"is not a parameter's name, e.g. {node}.device.mass or {node}.axes[0]",
+                path=name,
             )
         changed = _set(found[node].parameters, steps, given[name], node)
         found[node] = msgspec.structs.replace(found[node], parameters=changed)
@@ -67,12 +70,18 @@ def _set(tree: Any, steps: list[str | int], value: Any, where: str) -> Any:
     here = f"{where}{''.join(_written([step]))}"
     if isinstance(step, int):
         if not isinstance(tree, list) or step >= len(tree):
-            has = f"has {len(tree)} entries" if isinstance(tree, list) else "is no list here"
+            has = (
+                f"has {len(tree)} entries"
+                if isinstance(tree, list)
+                else "is no list here"
+            )
             raise ParameterError(f"{where} {has}; give it as a whole", path=here)
         return [*tree[:step], _set(tree[step], rest, value, here), *tree[step + 1 :]]
     if isinstance(tree, str) and where.rpartition(".")[0].endswith(".laws"):
         tree = {"kind": tree}  # a law by the name of a preset
     if tree is not None and not isinstance(tree, Mapping):
-        raise ParameterError(f"{where} is {short(tree)}, which has no names below", path=here)
+        raise ParameterError(
+            f"{where} is {short(tree)}, which has no names below", path=here
+        )
     tree = tree or {}
     return {**tree, step: _set(tree.get(step), rest, value, here)}

@@ -16,7 +16,9 @@ _LAST = re.compile(r"(?:^|\.)[^.\[\]]*$|\[\d+\]$")
 class Origins:
     """Origins of one launch file's values."""
 
-    def __init__(self, path: Path, given: Mapping[str, Any], nodes: Mapping[str, Any]) -> None:
+    def __init__(
+        self, path: Path, given: Mapping[str, Any], nodes: Mapping[str, Any]
+    ) -> None:
         self.folder = str(path.resolve().parent)  # folder of the launch file
         self._name = path.name
         self._given = given
@@ -30,7 +32,8 @@ class Origins:
     def _lines(self) -> dict[str, tuple[str, int]]:
         """Return file and line of each value; computed only for an error, as it costs a read."""
         return {
-            place: (self._path.name, line) for place, line in lines_of(self._path).items()
+            place: (self._path.name, line)
+            for place, line in lines_of(self._path).items()
         } | self._over
 
     def laid_over(self, path: Path) -> None:

@@ -35,7 +35,9 @@ _USUAL = {
     "scale": 1.0,
     **dict.fromkeys(_OF_PARTNERS, 0.0),
 }
-_DIGITS = 12  # significant digits, so that 0.1 kg plus a hand of 0.05 kg is exactly 0.15 kg
+_DIGITS = (
+    12  # significant digits, so that 0.1 kg plus a hand of 0.05 kg is exactly 0.15 kg
+)
 
 
 def has_plant(kind: type[Node]) -> bool:
@@ -70,10 +72,13 @@ def known_peak(launch: Launch, namespace: str) -> float | None:
     kinds = node_kinds()
     period = launch.run.period
     inside = [
-        (name, spec) for name, spec in launch.nodes.items() if name.rpartition("/")[0] == namespace
+        (name, spec)
+        for name, spec in launch.nodes.items()
+        if name.rpartition("/")[0] == namespace
     ]
     found = [
-        load(kinds[spec.kind]).largest_force(spec.parameters, name, period) for name, spec in inside
+        load(kinds[spec.kind]).largest_force(spec.parameters, name, period)
+        for name, spec in inside
     ]
     return min((peak for peak in found if peak is not None), default=None)
 
@@ -98,7 +103,9 @@ def with_plants(launch: Launch) -> Launch:
                 f" or set {name}.plant to null",
                 path=f"{name}.plant.device_delay",
             )
-        telling = {field: value for field, value in known.items() if value != _USUAL.get(field)}
+        telling = {
+            field: value for field, value in known.items() if value != _USUAL.get(field)
+        }
         whole = {**telling, **written}
         if written or "mass" in whole:
             nodes[name] = msgspec.structs.replace(

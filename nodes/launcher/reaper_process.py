@@ -55,7 +55,9 @@ class ReaperProcess:
         """Start another reaper if this one is gone."""
         if self._process.poll() is None:
             return
-        self._say(f"the reaper ended with exit code {self._process.returncode}; starting another")
+        self._say(
+            f"the reaper ended with exit code {self._process.returncode}; starting another"
+        )
         self._pipe.close()
         self._process = self._started()
         for child in children:

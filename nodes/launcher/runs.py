@@ -48,7 +48,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     manifest: dict[str, str] = {}  # manifest of every recording
     # Namespace of the selected chain (`within`); empty for the whole run.
     namespace: str = ""
-    manifests: dict[str, dict[str, str]] = {}  # manifest of a single chain, by namespace
+    manifests: dict[
+        str, dict[str, str]
+    ] = {}  # manifest of a single chain, by namespace
 
     @property
     def lives(self) -> bool:
@@ -70,7 +72,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         """Return the drivers: the nodes that publish a device state."""
         from nodes.base.node_kinds import drives, load
 
-        return [name for name, setup in self.nodes.items() if drives(load(setup.factory))]
+        return [
+            name for name, setup in self.nodes.items() if drives(load(setup.factory))
+        ]
 
     def chains(self) -> list[str]:
         """Return the namespaces of the chains."""
@@ -86,7 +90,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         }
         if not inside:
             known = ", ".join(filter(None, self.chains())) or "none"
-            raise RunError(f"{self.run}: no namespace {namespace!r}; available: {known}")
+            raise RunError(
+                f"{self.run}: no namespace {namespace!r}; available: {known}"
+            )
         return msgspec.structs.replace(
             self,
             nodes=inside,
@@ -106,7 +112,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
 
     def publishers(self) -> dict[str, str]:
         """Return the endpoint to subscribe to, by node."""
-        return {name: setup.listen or setup.publish for name, setup in self.nodes.items()}
+        return {
+            name: setup.listen or setup.publish for name, setup in self.nodes.items()
+        }
 
     def endpoints(self) -> dict[str, str]:
         """Return the endpoint to subscribe to, by topic."""
@@ -115,7 +123,9 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         found = {}
         for name, setup in self.nodes.items():
             place = name.rpartition("/")[0]
-            loop = (topics.within(place, topic) for topic in load(setup.factory).publishes)
+            loop = (
+                topics.within(place, topic) for topic in load(setup.factory).publishes
+            )
             for topic in (*loop, topics.status(name), topics.event(name)):
                 found[topic] = setup.listen or setup.publish
         return found
@@ -131,7 +141,9 @@ def runtime_dir() -> Path:
     """Return the private runtime directory of this user, created if necessary."""
     if "HAPTIC_RUNTIME_DIR" in os.environ:
         path = Path(os.environ["HAPTIC_RUNTIME_DIR"])
-    elif "XDG_RUNTIME_DIR" in os.environ and os.access(os.environ["XDG_RUNTIME_DIR"], os.W_OK):
+    elif "XDG_RUNTIME_DIR" in os.environ and os.access(
+        os.environ["XDG_RUNTIME_DIR"], os.W_OK
+    ):
         path = Path(os.environ["XDG_RUNTIME_DIR"]) / "haptic"
     else:
         # A predictable name in a shared directory is safe because owner and mode are checked below.
@@ -266,7 +278,10 @@ def alive(pid: int, started: int = 0) -> bool:
 def belongs(pid: int, run_dir: Path) -> bool:
     """Whether a live process is a node of a run; guards against reused process numbers."""
     try:
-        return alive(pid) and os.fsencode(run_dir) in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return (
+            alive(pid)
+            and os.fsencode(run_dir) in Path(f"/proc/{pid}/cmdline").read_bytes()
+        )
     except OSError:
         # Gone, or hidden because it belongs to another user.
         return False
@@ -277,7 +292,9 @@ def write_run(path: Path, info: RunInfo) -> None:
     write_whole(path / "run.json", info)
 
 
-def read_chain(setup: Setup, given_up: Callable[[], bool], timeout: float = 10.0) -> RunInfo:
+def read_chain(
+    setup: Setup, given_up: Callable[[], bool], timeout: float = 10.0
+) -> RunInfo:
     """Read the node's chain from ``run.json``, waiting until the launcher has written it."""
     path = Path(setup.run_dir) / "run.json"
     deadline = time.monotonic() + timeout
@@ -339,7 +356,9 @@ def _live() -> dict[Path, RunInfo]:
             continue
         if info.lives:
             found.append((started, path.parent, info))
-    return {folder: info for _, folder, info in sorted(found, key=lambda item: item[:2])}
+    return {
+        folder: info for _, folder, info in sorted(found, key=lambda item: item[:2])
+    }
 
 
 def runs() -> dict[str, RunInfo]:
@@ -350,11 +369,17 @@ def runs() -> dict[str, RunInfo]:
 def find_run(name: str | None = None) -> RunInfo:
     """Return the live run with this name or scenario, or the only one; RunError otherwise."""
     live = runs()
-    fits = [info for info in live.values() if name is None or name in (info.run, info.scenario)]
+    fits = [
+        info
+        for info in live.values()
+        if name is None or name in (info.run, info.scenario)
+    ]
     if len(fits) == 1:
         return fits[0]
     if not live:
-        raise RunError("nothing is running; start something with: haptic launch floor_drop")
+        raise RunError(
+            "nothing is running; start something with: haptic launch floor_drop"
+        )
     if not fits:
         raise RunError(f"no run is named {name!r}; running: {', '.join(live)}")
     raise RunError(

@@ -23,7 +23,15 @@ from messages.transport.requests import ControlError, call
 from nodes.base import realtime
 from nodes.base.node_kinds import load
 from nodes.launcher import runs
-from nodes.launcher.chain_load import LATE, Load, Meter, keep_costs, kind_of_chain, load_of, warning
+from nodes.launcher.chain_load import (
+    LATE,
+    Load,
+    Meter,
+    keep_costs,
+    kind_of_chain,
+    load_of,
+    warning,
+)
 from nodes.launcher.child import Child
 from nodes.launcher.ending import burden, end
 from nodes.launcher.external_child import ByHand
@@ -87,7 +95,9 @@ class Supervisor:
         """Run the launch from start to end."""
         with contextlib.ExitStack() as held:
             held.callback(self.context.term)  # also where no run directory can be made
-            if self._launch.run.stays_awake and (refused := held.enter_context(realtime.awake())):
+            if self._launch.run.stays_awake and (
+                refused := held.enter_context(realtime.awake())
+            ):
                 self._say(refused)
             self._supervise(progress, held)
 
@@ -136,7 +146,11 @@ class Supervisor:
                 spec = self._launch.nodes[name]
                 respawns = spec.respawn_max if spec.respawn else 0
                 given = setup, respawns, spec.respawn_delay, spec.required
-                child = ByHand(*given, self.context, self._say) if setup.by_hand else Child(*given)
+                child = (
+                    ByHand(*given, self.context, self._say)
+                    if setup.by_hand
+                    else Child(*given)
+                )
                 self.children[name] = child
                 self._start_child(child)
             runs.write_run(run_dir, info)
@@ -146,7 +160,11 @@ class Supervisor:
             held.enter_context(realtime.off(info.processors))
             self._start_driver()
             self._meter = Meter(
-                {name: child.process.pid for name, child in self._hops().items() if child.process}
+                {
+                    name: child.process.pid
+                    for name, child in self._hops().items()
+                    if child.process
+                }
             )
             self._watch(progress)
         finally:
@@ -169,7 +187,9 @@ class Supervisor:
     def _warn_of_overload(self) -> None:
         available = len(os.sched_getaffinity(0))
         processors = 1 if isinstance(self._launch.run.cpu, int) else available
-        if text := warning(self._launch, chains_of(self._launch), self.tick, processors):
+        if text := warning(
+            self._launch, chains_of(self._launch), self.tick, processors
+        ):
             self._say(text)
 
     def _note_load(self) -> None:
@@ -182,7 +202,11 @@ class Supervisor:
             for name, child in self.children.items()
             if child.drives
         }
-        cores = {cpu for child in self._hops().values() for cpu in child.setup.scheduling.cpus}
+        cores = {
+            cpu
+            for child in self._hops().values()
+            for cpu in child.setup.scheduling.cpus
+        }
         processors = len(cores) or len(os.sched_getaffinity(0))
         self.load = load_of(
             self._launch, sum(had.values()), self._meter.waiting(), reports, processors
@@ -190,7 +214,11 @@ class Supervisor:
         if self.load is not None and self.load.lost < LATE:
             costs = {}
             for chain, report in reports.items():
-                spent = sum(time for name, time in had.items() if name.rpartition("/")[0] == chain)
+                spent = sum(
+                    time
+                    for name, time in had.items()
+                    if name.rpartition("/")[0] == chain
+                )
                 costs[kind_of_chain(self._launch, chain, self.tick)] = spent / max(
                     1, report.get("ticks", 0)
                 )
@@ -213,13 +241,17 @@ class Supervisor:
                 # Check the others too: this node may wait for one that has ended.
                 for other, there in self.children.items():
                     if not there.running:
-                        raise LaunchFailedError(f"{other}: ended during start with {there.end}")
+                        raise LaunchFailedError(
+                            f"{other}: ended during start with {there.end}"
+                        )
                 state = child.state(self.context)
                 if state in ("ready", "running"):
                     self._note_ready(child)
                     break
                 if time.monotonic() - begun > patience:
-                    raise LaunchFailedError(f"{name}: still {state} after {patience:g} s{burden()}")
+                    raise LaunchFailedError(
+                        f"{name}: still {state} after {patience:g} s{burden()}"
+                    )
                 time.sleep(0.01)
 
     def _note_ready(self, child: Child) -> None:
@@ -228,7 +260,10 @@ class Supervisor:
             # A driver in another language may not know this request.
             with contextlib.suppress(ControlError):
                 times = call(
-                    self.context, child.setup.control, "device", timeout=1.0 + child.distance
+                    self.context,
+                    child.setup.control,
+                    "device",
+                    timeout=1.0 + child.distance,
                 )
                 try:
                     child.opening, child.closing = (
@@ -244,7 +279,12 @@ class Supervisor:
     def _start_driver(self) -> None:
         for child in self.children.values():
             if child.drives and child.running and not self._stop_asked:
-                call(self.context, child.setup.control, "start", timeout=10.0 + child.distance)
+                call(
+                    self.context,
+                    child.setup.control,
+                    "start",
+                    timeout=10.0 + child.distance,
+                )
         self.startup_s = time.monotonic() - self._begun
 
     def _watch(self, progress: Callable[[Supervisor], None] | None) -> None:
@@ -277,7 +317,9 @@ class Supervisor:
             return
         if child.drives and child.is_done(self.run_dir):
             child.over = True
-            reason = self._read_report(name).get("status", {}).get("reason", "") or "done"
+            reason = (
+                self._read_report(name).get("status", {}).get("reason", "") or "done"
+            )
             # The longest of several chains decides.
             if all(other.over for other in self.children.values() if other.drives):
                 self.exit_reason = reason
@@ -285,7 +327,9 @@ class Supervisor:
             return
         child.unreported = child.drives and child.code == 0
         if child.respawns < 0 or child.restarts < child.respawns:
-            self._say(f"{name}: ended with {child.end}; starting it again in {child.delay:g} s")
+            self._say(
+                f"{name}: ended with {child.end}; starting it again in {child.delay:g} s"
+            )
             child.again_at = time.monotonic() + child.delay
         else:
             child.over = True
@@ -315,20 +359,31 @@ class Supervisor:
         with contextlib.suppress(ControlError):
             if state == "ready":
                 self._note_ready(child)
-                call(self.context, child.setup.control, "start", timeout=0.5 + child.distance)
+                call(
+                    self.context,
+                    child.setup.control,
+                    "start",
+                    timeout=0.5 + child.distance,
+                )
             # If the answer was lost, the driver runs already.
             child.to_start = state not in ("ready", "running")
 
     def _end_all(self) -> None:
         try:
-            runs.write_end(self.run_dir, self.exit_reason or self._stop_asked, self.failed_node)
+            runs.write_end(
+                self.run_dir, self.exit_reason or self._stop_asked, self.failed_node
+            )
         except OSError as error:
             # On a full disk the nodes still end in order.
             self.failures.append(f"{self.run_dir}: {error.strerror}")
             self._say(self.failures[-1])
         groups = (
             [child for child in self.children.values() if child.drives],
-            [child for child in self.children.values() if not child.drives and not child.listens],
+            [
+                child
+                for child in self.children.values()
+                if not child.drives and not child.listens
+            ],
             [child for child in self.children.values() if child.listens],
         )
         for group in groups:

@@ -13,9 +13,14 @@ USUAL: dict[str, dict[str, Any]] = {
         "help": "realtime or lockstep (deterministic and as fast as possible)",
         "choices": ["realtime", "lockstep"],
     },
-    "apply": {"help": "when a force takes effect", "choices": ["on_arrival", "next_tick"]},
+    "apply": {
+        "help": "when a force takes effect",
+        "choices": ["on_arrival", "next_tick"],
+    },
     "duration": {"unit": "s", "help": "how long to run", "min": 0.0},
-    "law": {"help": "law to start with: pd, pd_alpha, multi_term, a preset or any installed law"},
+    "law": {
+        "help": "law to start with: pd, pd_alpha, multi_term, a preset or any installed law"
+    },
     "stiffness": {"unit": "N/m", "help": "nominal stiffness K of every law"},
     "damping": {"unit": "N s/m", "help": "gain B of every law"},
 }
@@ -31,7 +36,9 @@ def with_usual(data: Any) -> Any:
     if not isinstance(declared, Mapping):
         return data
     short = {
-        name for name, one in declared.items() if name in USUAL and not isinstance(one, Mapping)
+        name
+        for name, one in declared.items()
+        if name in USUAL and not isinstance(one, Mapping)
     }
     if not short:
         return data

@@ -28,7 +28,11 @@ FIFO = 50
 def chains_of(launch: Launch) -> list[str]:
     """Return the namespaces of a launch's chains: of its drivers."""
     factories = node_kinds()
-    drivers = [name for name, spec in launch.nodes.items() if drives(load(factories[spec.kind]))]
+    drivers = [
+        name
+        for name, spec in launch.nodes.items()
+        if drives(load(factories[spec.kind]))
+    ]
     return list(dict.fromkeys(name.rpartition("/")[0] for name in drivers))
 
 
@@ -55,13 +59,20 @@ def _cores(launch: Launch) -> dict[str, int | None]:
         first = realtime.quietest_processor()
         others = [other for other in available if other != first]
         if len(others) >= len(chains) or launch.run.pace == "lockstep":
-            cores = [first, *others] if len(others) >= len(chains) else [first] * len(chains)
+            cores = (
+                [first, *others]
+                if len(others) >= len(chains)
+                else [first] * len(chains)
+            )
             return dict(zip(chains, cores, strict=False))
-        return dict(spread(chains, [first, *others], estimated(launch, chains, launch.run.tick)))
+        return dict(
+            spread(chains, [first, *others], estimated(launch, chains, launch.run.tick))
+        )
     if cpu in available:
         return dict.fromkeys(chains, cpu)
     raise ParameterError(
-        f"{cpu}, available: {', '.join(map(str, available))}", path=f"{launch.scenario}.run.cpu"
+        f"{cpu}, available: {', '.join(map(str, available))}",
+        path=f"{launch.scenario}.run.cpu",
     )
 
 
@@ -109,37 +120,51 @@ def kernel_modules(launch: Launch) -> list[str]:
         for spec in launch.nodes.values()
         if not spec.host
     ]
-    return sorted({module for kind, parameters in here for module in kind.modules(parameters)})
+    return sorted(
+        {module for kind, parameters in here for module in kind.modules(parameters)}
+    )
 
 
 def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
     """Decide which tick the nodes use, and compile it if requested."""
     scarce = launch.run.pace == "realtime" and launch.run.rate >= SCARCE
     tick = choose(launch.run.tick, kernel_modules(launch), say, scarce)
-    return msgspec.structs.replace(launch, run=msgspec.structs.replace(launch.run, tick=tick))
+    return msgspec.structs.replace(
+        launch, run=msgspec.structs.replace(launch.run, tick=tick)
+    )
 
 
 def free_name(launch: Launch, name: str) -> str:
     """Return the wanted name for an additional node, numbered if it is in use."""
     return next(
-        free for free in (name, *(f"{name}_{i}" for i in range(2, 100))) if free not in launch.nodes
+        free
+        for free in (name, *(f"{name}_{i}" for i in range(2, 100)))
+        if free not in launch.nodes
     )
 
 
 def with_forwarder(launch: Launch) -> Launch:
     """Add the process at which strangers may listen, if a node has an open port."""
-    ports = {name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port}
+    ports = {
+        name: spec.open_port for name, spec in launch.nodes.items() if spec.open_port
+    }
     if not ports:
         return launch
     spec = NodeSpec(
-        kind=FORWARDER, parameters={"ports": ports}, required=False, respawn=True, respawn_max=-1
+        kind=FORWARDER,
+        parameters={"ports": ports},
+        required=False,
+        respawn=True,
+        respawn_max=-1,
     )
     return msgspec.structs.replace(
         launch, nodes={**launch.nodes, free_name(launch, FORWARDER): spec}
     )
 
 
-def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> dict[str, Setup]:
+def wire(
+    launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]
+) -> dict[str, Setup]:
     """Return the setup of each node of a launch."""
     graph = NodeGraph(launch)
     endpoints = Endpoints(launch, run_dir)
@@ -154,7 +179,9 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
             run=run,
             run_dir=str(run_dir),
             manifest=(
-                chain_manifest(launch, manifest, name.rpartition("/")[0]) if everything else {}
+                chain_manifest(launch, manifest, name.rpartition("/")[0])
+                if everything
+                else {}
             ),
         )
         graph.classes[name].check(setups[name])
@@ -164,7 +191,12 @@ def wire(launch: Launch, run: str, run_dir: Path, manifest: dict[str, str]) -> d
 def _check_respawn(launch: Launch, name: str, kind: type[Node]) -> None:
     spec = launch.nodes[name]
     listens_only = kind.listens_to == ("*",)
-    if spec.respawn and launch.run.pace == "lockstep" and kind.publishes and not listens_only:
+    if (
+        spec.respawn
+        and launch.run.pace == "lockstep"
+        and kind.publishes
+        and not listens_only
+    ):
         raise ParameterError(
             "a respawned node has lost its state, so a"
             " lockstep run would no longer be deterministic; use pace realtime",
@@ -176,14 +208,22 @@ def _sources(name: str, graph: NodeGraph, endpoints: Endpoints) -> dict[str, str
     """Return the endpoint of each topic that a node follows, or of each node that it hears."""
     topics_ = graph.classes[name].listens_to
     if topics_ == ("*",):
-        return {other: endpoints.of(other, name, apart=True) for other in graph.heard_by(name)}
+        return {
+            other: endpoints.of(other, name, apart=True)
+            for other in graph.heard_by(name)
+        }
     return {
-        topic: endpoints.of(graph.source_of(name, topic), name, apart=False) for topic in topics_
+        topic: endpoints.of(graph.source_of(name, topic), name, apart=False)
+        for topic in topics_
     }
 
 
 def _setup(
-    launch: Launch, name: str, graph: NodeGraph, endpoints: Endpoints, cores: dict[str, int | None]
+    launch: Launch,
+    name: str,
+    graph: NodeGraph,
+    endpoints: Endpoints,
+    cores: dict[str, int | None],
 ) -> Setup:
     """Return the setup of a node, but for its run and manifest."""
     spec = launch.nodes[name]
@@ -230,7 +270,9 @@ def _setup(
     )
 
 
-def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[str, str]:
+def manifest_of(
+    launch: Launch, run: str, wall_minus_monotonic: float
+) -> dict[str, str]:
     """Return the manifest of a run for its recordings."""
     uname = os.uname()
     factories = node_kinds()
@@ -262,7 +304,9 @@ def manifest_of(launch: Launch, run: str, wall_minus_monotonic: float) -> dict[s
     }
 
 
-def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> dict[str, str]:
+def chain_manifest(
+    launch: Launch, manifest: dict[str, str], namespace: str
+) -> dict[str, str]:
     """Describe one chain of a run as if it were alone, in a launch file without arguments."""
     if not namespace:
         return manifest
@@ -273,7 +317,9 @@ def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> 
     }
     chain = msgspec.structs.replace(
         launch,
-        run=msgspec.structs.replace(launch.run, axes=launch.axes.get(namespace) or launch.run.axes),
+        run=msgspec.structs.replace(
+            launch.run, axes=launch.axes.get(namespace) or launch.run.axes
+        ),
         nodes=inside,
         arguments={},
     )
@@ -283,4 +329,6 @@ def chain_manifest(launch: Launch, manifest: dict[str, str], namespace: str) -> 
     chain = msgspec.structs.replace(
         chain, text=msgspec.json.format(msgspec.json.encode(text)).decode()
     )
-    return manifest_of(chain, manifest["run"], float(manifest["wall_minus_monotonic_s"]))
+    return manifest_of(
+        chain, manifest["run"], float(manifest["wall_minus_monotonic_s"])
+    )

@@ -24,7 +24,15 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["LAWS", "CompiledLaw", "Law", "law_kinds", "law_names", "load_law", "with_gain"]
+__all__ = [
+    "LAWS",
+    "CompiledLaw",
+    "Law",
+    "law_kinds",
+    "law_names",
+    "load_law",
+    "with_gain",
+]
 
 
 def _wrong_law(name: str, found: Any) -> str:
@@ -161,7 +169,13 @@ class LawType(msgspec.StructMeta):
             return super().__call__(**parameters)
 
 
-class Law(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, metaclass=LawType):
+class Law(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    metaclass=LawType,
+):
     """Base of all laws: the fields of a subclass are its parameters.
 
     Attributes
@@ -327,7 +341,12 @@ def with_gain(kind: type[Law], parameters: Mapping[str, Any]) -> dict[str, Any]:
         check refuses.
     """
     found, fields = dict(parameters), kind.__struct_fields__
-    if "gain" in found and "gain" not in fields and "damping" in fields and "damping" not in found:
+    if (
+        "gain" in found
+        and "gain" not in fields
+        and "damping" in fields
+        and "damping" not in found
+    ):
         found["damping"] = found.pop("gain")
     return found
 

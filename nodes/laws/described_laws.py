@@ -28,7 +28,9 @@ def public_kinds() -> list[str]:
     for name in law_names():
         try:
             law = load_law(name)
-        except ValueError:  # a package that cannot be imported; `haptic doctor` reports it
+        except (
+            ValueError
+        ):  # a package that cannot be imported; `haptic doctor` reports it
             continue
         if not law.internal:
             found.append(name)
@@ -67,7 +69,9 @@ def describe_law(kind: str) -> dict[str, Any]:
         "parameters": fields,
         "judged_by": _judged_by(example),
         "example": example,
-        "presets": [name for name, values in PRESETS.items() if values["kind"] == law.kind],
+        "presets": [
+            name for name, values in PRESETS.items() if values["kind"] == law.kind
+        ],
     }
     if any(field["name"] == "gains" for field in fields):
         described["gains"] = {name: dict(gain) for name, gain in GAINS.items()}
@@ -81,7 +85,9 @@ def _example(law: type[Law]) -> dict[str, Any] | None:
 
 
 def _formula(law: type[Law]) -> str:
-    return " ".join((law.__doc__ or "").strip().partition("\n\n")[0].split()).rstrip(".")
+    return " ".join((law.__doc__ or "").strip().partition("\n\n")[0].split()).rstrip(
+        "."
+    )
 
 
 def _parameter(field: dict[str, Any], required: list[str]) -> dict[str, Any]:
@@ -123,11 +129,21 @@ def _judged_by(example: dict[str, Any] | None) -> str | None:
 def limits_text(parameter: dict[str, Any]) -> str:
     """Return the limits of a parameter as text, e.g. ``> 0, ≤ 1``; empty without any."""
     low, high = parameter["minimum"], parameter["maximum"]
-    texts = [] if low is None else [f"{'>' if parameter['minimum_excluded'] else '≥'} {low:g}"]
-    texts += [] if high is None else [f"{'<' if parameter['maximum_excluded'] else '≤'} {high:g}"]
+    texts = (
+        []
+        if low is None
+        else [f"{'>' if parameter['minimum_excluded'] else '≥'} {low:g}"]
+    )
+    texts += (
+        []
+        if high is None
+        else [f"{'<' if parameter['maximum_excluded'] else '≤'} {high:g}"]
+    )
     if "choices" in parameter:
         few = len(parameter["choices"]) <= _FEW
-        texts.append(", ".join(map(str, parameter["choices"])) if few else "one of those below")
+        texts.append(
+            ", ".join(map(str, parameter["choices"])) if few else "one of those below"
+        )
     return ", ".join(texts)
 
 
@@ -136,7 +152,10 @@ def calls(described: dict[str, Any]) -> dict[str, str]:
     example = described["example"]
     if example is None:
         return {}
-    kind, values = example["kind"], {key: example[key] for key in example if key != "kind"}
+    kind, values = (
+        example["kind"],
+        {key: example[key] for key in example if key != "kind"},
+    )
     in_yaml = ", ".join(f"{key}: {json.dumps(value)}" for key, value in example.items())
     in_python = ", ".join(f"{key}={value!r}" for key, value in values.items())
     made = f"haptic.{described['python']}({in_python})"

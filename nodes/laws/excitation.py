@@ -33,7 +33,9 @@ def held_back(wanted: float, deflection: float, reach: float) -> float:
     return wanted
 
 
-def went_on(k: int, astray: int, deflection: float, reach: float, ticks: int) -> tuple[int, int]:
+def went_on(
+    k: int, astray: int, deflection: float, reach: float, ticks: int
+) -> tuple[int, int]:
     """Return the counts of ticks pushed and of successive ticks beyond twice the reach.
 
     After `ASTRAY` of the latter, the first count is `ticks`, which ends the push.
@@ -63,7 +65,9 @@ class Telegraph:
         """Return the force of the next tick [N]."""
         for i, clock in self._clocks:
             if self._ticks % clock == 0:
-                self._parts[i] = self._share if self._signs.random() < 0.5 else -self._share
+                self._parts[i] = (
+                    self._share if self._signs.random() < 0.5 else -self._share
+                )
         self._ticks += 1
         return sum(self._parts)
 
@@ -88,7 +92,9 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     amplitude: Positive = 0.7
     duration: Annotated[float, msgspec.Meta(gt=0.0, le=600.0)] = 8.0
-    clocks: Annotated[tuple[ClockTicks, ...], msgspec.Meta(min_length=1, max_length=4)] = (10, 60)
+    clocks: Annotated[
+        tuple[ClockTicks, ...], msgspec.Meta(min_length=1, max_length=4)
+    ] = (10, 60)
     stiffness: Positive = 20.0
     damping: NonNegative = 0.3
     reach: Positive = 0.03
@@ -99,7 +105,9 @@ class Excitation(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Return the taps of spring and damper; the push is the law's own code."""
         damper = self.damping / period
-        return CompiledLaw((self.stiffness + damper, -damper), evaluate=Push(self, period))
+        return CompiledLaw(
+            (self.stiffness + damper, -damper), evaluate=Push(self, period)
+        )
 
 
 class Push:
@@ -107,7 +115,10 @@ class Push:
 
     def __init__(self, law: Excitation, period: float, axis: int = 0) -> None:
         self.law, self._period = law, period
-        self.ticks, self.growing = max(1, round(law.duration / period)), law.start / period
+        self.ticks, self.growing = (
+            max(1, round(law.duration / period)),
+            law.start / period,
+        )
         self.fade = max(1, round(FADE / period))
         self._pushed, self._astray, self._signal = 0, 0, self.signal(axis)
 
@@ -125,6 +136,8 @@ class Push:
         if k >= self.ticks:
             self._pushed = min(k + 1, self.ticks + self.fade)
             return faded(load, self._pushed - self.ticks, self.fade)
-        self._pushed, self._astray = went_on(k, self._astray, ring[head], reach, self.ticks)
+        self._pushed, self._astray = went_on(
+            k, self._astray, ring[head], reach, self.ticks
+        )
         share = (k + 1) / self.growing if k + 1 < self.growing else 1.0
         return load + share * held_back(self._signal.next(), ring[head], reach)

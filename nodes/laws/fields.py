@@ -41,7 +41,9 @@ GAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
 """Values of ``gains``: unit of the gain, gain of D^α in SI units, when to take it."""
 
 
-def term_gain(gain: float, order: float, gains: Gains, period: float, taps: int) -> float:
+def term_gain(
+    gain: float, order: float, gains: Gains, period: float, taps: int
+) -> float:
     """Return the gain of one fractional term in physical units."""
     if gains == "physical":
         return gain

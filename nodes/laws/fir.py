@@ -14,7 +14,9 @@ from nodes.laws.fields import MAX_TAPS
 from nodes.parameters.store import ParameterError
 
 
-class RecursiveSection(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class RecursiveSection(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """One recursive section of a law.
 
     b0, b1: Gains on the newest deflection and the one before it [N/m].
@@ -40,7 +42,9 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"taps": [2500.0, -1500.0], "period": 0.002}
     taps: Annotated[tuple[float, ...], msgspec.Meta(min_length=1, max_length=MAX_TAPS)]
     period: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
-    recursive: Annotated[tuple[RecursiveSection, ...], msgspec.Meta(max_length=8)] | None = None
+    recursive: (
+        Annotated[tuple[RecursiveSection, ...], msgspec.Meta(max_length=8)] | None
+    ) = None
 
     def compile(self, period: float) -> CompiledLaw:
         """Return taps and sections as given."""
@@ -52,5 +56,8 @@ class FIR(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 path="period",
             )
         return CompiledLaw(
-            self.taps, tuple((part.b0, part.b1, part.a1, part.a2) for part in self.recursive or ())
+            self.taps,
+            tuple(
+                (part.b0, part.b1, part.a1, part.a2) for part in self.recursive or ()
+            ),
         )

@@ -45,12 +45,17 @@ class FractionalSLS(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Return taps and sections: none with short memory, one at order 1, else up to twelve."""
         spring = self.damping / self.relaxation**self.order
         if self.taps is not None:
-            answer = step_answer(self.order, (self.relaxation / period) ** self.order, self.taps)
+            answer = step_answer(
+                self.order, (self.relaxation / period) ** self.order, self.taps
+            )
             arm = [
-                spring * (now - before) for now, before in zip(answer, [0.0, *answer], strict=False)
+                spring * (now - before)
+                for now, before in zip(answer, [0.0, *answer], strict=False)
             ]
             return CompiledLaw((arm[0] + self.stiffness, *arm[1:]))
         whole = relaxation(self.order, self.relaxation, period)
         taps = [spring * tap for tap in whole.taps]
-        sections = [(spring * b0, spring * b1, a1, a2) for b0, b1, a1, a2 in whole.sections]
+        sections = [
+            (spring * b0, spring * b1, a1, a2) for b0, b1, a1, a2 in whole.sections
+        ]
         return CompiledLaw((taps[0] + self.stiffness, *taps[1:]), tuple(sections))

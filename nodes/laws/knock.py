@@ -48,7 +48,9 @@ class Knock(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Return the taps of spring and damper; the test is the law's own code."""
         damper = self.damping / period
-        return CompiledLaw((self.stiffness + damper, -damper), evaluate=Trial(self, damper))
+        return CompiledLaw(
+            (self.stiffness + damper, -damper), evaluate=Trial(self, damper)
+        )
 
 
 class Trial:

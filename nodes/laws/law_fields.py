@@ -20,7 +20,11 @@ _LIMITS = ("gt", "ge", "lt", "le")
 
 def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
     """Return the description of a type; None if a page cannot edit it."""
-    limits = {name: value for name in _LIMITS if (value := getattr(info, name, None)) is not None}
+    limits = {
+        name: value
+        for name in _LIMITS
+        if (value := getattr(info, name, None)) is not None
+    }
     if isinstance(info, inspect.FloatType):
         return {"type": "number", **limits}
     if isinstance(info, inspect.IntType):
@@ -32,12 +36,20 @@ def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
     if isinstance(info, inspect.StrType):
         group = _GROUP.search(meaning)
         # The choices of a registered name are the installed ones.
-        return {"type": "choice", "choices": Registry(group[1], "name").names()} if group else None
+        return (
+            {"type": "choice", "choices": Registry(group[1], "name").names()}
+            if group
+            else None
+        )
     if isinstance(info, inspect.UnionType):
         usual = [kind for kind in info.types if not isinstance(kind, inspect.NoneType)]
         return _typed(usual[0], meaning) if len(usual) == 1 else None
     if isinstance(info, inspect.ListType | inspect.VarTupleType | inspect.TupleType):
-        item = info.item_types[0] if isinstance(info, inspect.TupleType) else info.item_type
+        item = (
+            info.item_types[0]
+            if isinstance(info, inspect.TupleType)
+            else info.item_type
+        )
         if isinstance(item, inspect.StructType):
             return {"type": "list", "fields": _fields(item)}
         inner = _typed(item, meaning)
@@ -57,7 +69,12 @@ def _fields(info: inspect.StructType) -> list[dict[str, Any]]:
         described = _typed(field.type, text)
         if described is None:
             continue
-        entry = {"name": field.encode_name, "unit": unit_of(text), "told": text, **described}
+        entry = {
+            "name": field.encode_name,
+            "unit": unit_of(text),
+            "told": text,
+            **described,
+        }
         if isinstance(field.default, int | float | str):
             entry["default"] = field.default
         found.append(entry)

@@ -53,8 +53,12 @@ class MultiTerm(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def compile(self, period: float) -> CompiledLaw:
         """Return the taps and sections."""
         gains = (
-            self.damping * term_gain(term.gain, term.order, self.gains, period, self.taps)
+            self.damping
+            * term_gain(term.gain, term.order, self.gains, period, self.taps)
             for term in self.terms
         )
-        units = (realise(self.derivative, term.order, self.taps, period) for term in self.terms)
+        units = (
+            realise(self.derivative, term.order, self.taps, period)
+            for term in self.terms
+        )
         return combine(self.stiffness, list(zip(gains, units, strict=True)))

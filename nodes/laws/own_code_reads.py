@@ -60,5 +60,7 @@ def reads_outside(own: Callable[[Sequence[float], int], float], count: int) -> s
             own(ring, _HEAD)
         for place in (ring.last, ring.first):
             if not _HEAD <= place < _HEAD + count:
-                return f"ring[head {'+' if place >= _HEAD else '-'} {abs(place - _HEAD)}]"
+                return (
+                    f"ring[head {'+' if place >= _HEAD else '-'} {abs(place - _HEAD)}]"
+                )
     return ""

@@ -60,10 +60,13 @@ def parse_law(data: object, path: str = "law") -> Law:
         made: Law = convert(whole, law, path)
         return made
     except ParameterError as error:
-        raise LawRefusedError(f"{error.text} (law kind {kind})", path=error.path) from error
+        raise LawRefusedError(
+            f"{error.text} (law kind {kind})", path=error.path
+        ) from error
     except Exception as error:  # a law of another package may raise anything
         raise LawRefusedError(
-            f"cannot be made: {type(error).__name__}: {error} (law kind {kind})", path=path
+            f"cannot be made: {type(error).__name__}: {error} (law kind {kind})",
+            path=path,
         ) from error
 
 
@@ -76,7 +79,10 @@ def law_to_dict(law: Law) -> dict[str, Any]:
         raise LawRefusedError(
             f"law kind {law.kind}: cannot be written down: {type(error).__name__}: {error}"
         ) from error
-    return {"kind": law.kind, **{key: value for key, value in values.items() if value is not None}}
+    return {
+        "kind": law.kind,
+        **{key: value for key, value in values.items() if value is not None},
+    }
 
 
 def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
@@ -86,12 +92,15 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     H(1) ≤ 0.
     """
     if not (math.isfinite(period) and period > 0.0):
-        raise LawRefusedError(f"sampling period {period!r} s is not a positive number", path=path)
+        raise LawRefusedError(
+            f"sampling period {period!r} s is not a positive number", path=path
+        )
     try:
         compiled = law.compile(period)
     except OverflowError as error:
         raise LawRefusedError(
-            f"taps overflow at T = {period:g} s; lower the gains or the order", path=path
+            f"taps overflow at T = {period:g} s; lower the gains or the order",
+            path=path,
         ) from error
     except ParameterError as error:
         where = f"{path}.{error.path}" if error.path else path

@@ -22,4 +22,6 @@ class PD(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def compile(self, period: float) -> CompiledLaw:
         """Return the taps."""
-        return CompiledLaw((self.stiffness + self.damping / period, -self.damping / period))
+        return CompiledLaw(
+            (self.stiffness + self.damping / period, -self.damping / period)
+        )

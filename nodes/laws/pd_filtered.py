@@ -22,7 +22,11 @@ class PDFiltered(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "pd_filtered"
-    example: ClassVar[dict[str, Any]] = {"stiffness": 1000.0, "damping": 3.0, "cutoff": 100.0}
+    example: ClassVar[dict[str, Any]] = {
+        "stiffness": 1000.0,
+        "damping": 3.0,
+        "cutoff": 100.0,
+    }
     stiffness: Stiffness
     damping: Damping
     cutoff: Annotated[float, msgspec.Meta(gt=0.0)]

@@ -29,7 +29,11 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """
 
     kind: ClassVar[str] = "pd_windowed"
-    example: ClassVar[dict[str, Any]] = {"stiffness": 1000.0, "damping": 3.0, "resolution": 2.3e-5}
+    example: ClassVar[dict[str, Any]] = {
+        "stiffness": 1000.0,
+        "damping": 3.0,
+        "resolution": 2.3e-5,
+    }
     stiffness: Stiffness
     damping: Damping
     resolution: Annotated[float, msgspec.Meta(gt=0.0)]
@@ -39,14 +43,21 @@ class PDWindowed(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Return the tap of the spring; the damper is the law's own code."""
         taps = (self.stiffness, *(0.0,) * self.window)
         return CompiledLaw(
-            taps, evaluate=WindowedDamper(self.damping / period, self.resolution, self.window)
+            taps,
+            evaluate=WindowedDamper(
+                self.damping / period, self.resolution, self.window
+            ),
         )
 
 
-def windowed_slope(ring: Sequence[float], head: int, error: float, window: int) -> float:
+def windowed_slope(
+    ring: Sequence[float], head: int, error: float, window: int
+) -> float:
     """Return the slope of the longest line back whose samples all lie within `error` of it."""
     newest = ring[head]
-    error *= 1.0 + 1e-9  # slightly more than the error, because encoder samples lie exactly on it
+    error *= (
+        1.0 + 1e-9
+    )  # slightly more than the error, because encoder samples lie exactly on it
     slope = newest - ring[head + 1]
     for n in range(2, window + 1):
         wider = (newest - ring[head + n]) / n

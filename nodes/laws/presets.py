@@ -48,7 +48,11 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "taps": [817.72, -563.45, 318.06, -133.14, 30.19],
             "period": 0.002,
         },
-        "any_hand_d1_5": {"kind": "fir", "taps": [869.87, -745.55, 321.9, -62.46], "period": 0.002},
+        "any_hand_d1_5": {
+            "kind": "fir",
+            "taps": [869.87, -745.55, 321.9, -62.46],
+            "period": 0.002,
+        },
         "any_hand_d2": {
             "kind": "fir",
             "taps": [767.83, -598.83, 1.88, 288.71, -195.69, 46.6],

@@ -18,7 +18,9 @@ def _unchecked(kind: type[msgspec.Struct]) -> type[Any]:
     """Return a struct type with the same fields and no check of its own, for msgspec."""
     hints = get_type_hints(kind, include_extras=True)
     return msgspec.defstruct(
-        kind.__name__, [(name, hints[name]) for name in kind.__struct_fields__], kw_only=True
+        kind.__name__,
+        [(name, hints[name]) for name in kind.__struct_fields__],
+        kw_only=True,
     )
 
 
@@ -34,13 +36,16 @@ def required_fields(kind: type[msgspec.Struct]) -> list[str]:
     return [field.name for field in msgspec.structs.fields(kind) if field.required]
 
 
-def check_given(kind: type[msgspec.Struct], values: Mapping[str, Any], name: str) -> None:
+def check_given(
+    kind: type[msgspec.Struct], values: Mapping[str, Any], name: str
+) -> None:
     """Raise ParameterError if a field without a default is missing, or a name is unknown."""
     fields = kind.__struct_fields__
     for unknown in values:
         if unknown not in fields:
             raise ParameterError(
-                f"no such parameter; {choices(unknown, fields)}", path=f"{name}.{unknown}"
+                f"no such parameter; {choices(unknown, fields)}",
+                path=f"{name}.{unknown}",
             )
     if missing := [field for field in required_fields(kind) if field not in values]:
         raise ParameterError(missing_words(missing), path=f"{name}.{missing[0]}")

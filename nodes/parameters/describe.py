@@ -24,19 +24,27 @@ class Description(msgspec.Struct, kw_only=True):
 
 
 _A_KIND = Description(
-    type="text", required=True, meaning="What it is: one of the kinds that are installed."
+    type="text",
+    required=True,
+    meaning="What it is: one of the kinds that are installed.",
 )
 
 
 def described(
-    target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
+    target: type[Any],
+    values: Any,
+    path: str,
+    struct_of: Callable[[str], type[Any] | None],
 ) -> Description:
     """Return the description of the parameter at `path`."""
     return _reached(target, values, path, struct_of)[0]
 
 
 def names_below(
-    target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
+    target: type[Any],
+    values: Any,
+    path: str,
+    struct_of: Callable[[str], type[Any] | None],
 ) -> list[str]:
     """Return the names of the parameters directly below a branch; of a leaf, none."""
     _, info, value = _reached(target, values, path, struct_of)
@@ -52,7 +60,10 @@ def names_below(
 
 
 def _reached(
-    target: type[Any], values: Any, path: str, struct_of: Callable[[str], type[Any] | None]
+    target: type[Any],
+    values: Any,
+    path: str,
+    struct_of: Callable[[str], type[Any] | None],
 ) -> tuple[Description, inspect.Type, Any]:
     """Return the description of the parameter at `path`, its type and its value."""
     info: inspect.Type = inspect.type_info(target)
@@ -98,7 +109,11 @@ def _below(values: Any, name: str, index: str) -> Any:
     """Return the value at a name or an index; None if there is none."""
     if name:
         return values.get(name) if isinstance(values, dict) else None
-    return values[int(index)] if isinstance(values, list) and int(index) < len(values) else None
+    return (
+        values[int(index)]
+        if isinstance(values, list) and int(index) < len(values)
+        else None
+    )
 
 
 def _kind(values: Any) -> str:

@@ -30,7 +30,9 @@ class EntryPoint(NamedTuple):
         """Import the module, or its attribute, and return it."""
         attributes = self.value.partition(":")[2].strip()
         return reduce(
-            getattr, filter(None, attributes.split(".")), importlib.import_module(self.module)
+            getattr,
+            filter(None, attributes.split(".")),
+            importlib.import_module(self.module),
         )
 
 
@@ -78,7 +80,9 @@ def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
     groups: dict[str, dict[str, EntryPoint]] = {}
     for folder in _folders(path).values():
         try:
-            with open(folder / "entry_points.txt", encoding="utf-8", errors="replace") as file:
+            with open(
+                folder / "entry_points.txt", encoding="utf-8", errors="replace"
+            ) as file:
                 lines = [line.strip() for line in file]
         except OSError:
             continue
@@ -88,7 +92,9 @@ def _points(path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
                 group = line.strip("[]").strip()
             elif group.startswith("haptic.") and line and not line.startswith("#"):
                 name, _, value = (word.strip() for word in line.partition("="))
-                package = package or _header(folder, "Name") or folder.stem.partition("-")[0]
+                package = (
+                    package or _header(folder, "Name") or folder.stem.partition("-")[0]
+                )
                 # Extras in brackets are not used here.
                 groups.setdefault(group, {})[name] = EntryPoint(
                     name, value.partition("[")[0].strip(), package

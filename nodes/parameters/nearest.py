@@ -8,7 +8,11 @@ from collections.abc import Iterable
 
 def nearest(given: object, known: Iterable[str]) -> str:
     """Return the known name that is most like a given one; empty if none is."""
-    close = difflib.get_close_matches(given, list(known), 1) if isinstance(given, str) else []
+    close = (
+        difflib.get_close_matches(given, list(known), 1)
+        if isinstance(given, str)
+        else []
+    )
     return close[0] if close else ""
 
 

@@ -45,7 +45,11 @@ class Declared:
 
     def flag(self, name: str) -> str:
         """Return the first flag; of an argument by position its name."""
-        return name if self.positional else (self.flags or (f"--{name.replace('_', '-')}",))[0]
+        return (
+            name
+            if self.positional
+            else (self.flags or (f"--{name.replace('_', '-')}",))[0]
+        )
 
     @property
     def is_flag(self) -> bool:
@@ -73,7 +77,9 @@ class Declared:
             raise UsageError(f"{name}: {error}") from error
         choices = self.words.get("choices")
         if choices is not None and found not in choices:
-            raise UsageError(f"{name} = {value!r}: expected one of {', '.join(map(str, choices))}")
+            raise UsageError(
+                f"{name} = {value!r}: expected one of {', '.join(map(str, choices))}"
+            )
         return found
 
 
@@ -87,7 +93,11 @@ def _written(value: Any) -> str:
 
 
 def option(
-    *flags: str, default: Any = None, positional: bool = False, off: str = "", **words: Any
+    *flags: str,
+    default: Any = None,
+    positional: bool = False,
+    off: str = "",
+    **words: Any,
 ) -> Any:
     """Declare an option with argparse's keywords; `action` is ``store_true`` or ``on_off``."""
     off_help = words.pop("off_help", "")
@@ -106,7 +116,9 @@ def argument(default: Any = MISSING, **words: Any) -> Any:
     return option(default=default, positional=True, **words)
 
 
-def quantity(name: str, default: float | Interval | None = None, unset: bool = False) -> Any:
+def quantity(
+    name: str, default: float | Interval | None = None, unset: bool = False
+) -> Any:
     """Declare a quantity that many verbs ask for, with its unit and range.
 
     Parameters
@@ -124,7 +136,9 @@ def quantity(name: str, default: float | Interval | None = None, unset: bool = F
         low, high = default
         read = interval
         text = f"{text}, LOW..HIGH"
-        shown = None if low is None else f"{low:g}" if low == high else f"{low:g}..{high:g}"
+        shown = (
+            None if low is None else f"{low:g}" if low == high else f"{low:g}..{high:g}"
+        )
         value = None if low is None else (low, high)
     else:
         shown = None if default is None else f"{default:g}"
@@ -142,23 +156,35 @@ class Options:
     def declared(cls) -> dict[str, Declared]:
         """List the options: field to how it is written."""
         return {
-            one.name: one.metadata[_KEY] for one in dataclasses.fields(cls) if _KEY in one.metadata
+            one.name: one.metadata[_KEY]
+            for one in dataclasses.fields(cls)
+            if _KEY in one.metadata
         }
 
     @classmethod
     def default_of(cls, name: str) -> Any:
         """Return the default of an option; `dataclasses.MISSING` where it must be given."""
         found = next(one for one in dataclasses.fields(cls) if one.name == name)
-        return found.default if found.default_factory is MISSING else found.default_factory()
+        return (
+            found.default
+            if found.default_factory is MISSING
+            else found.default_factory()
+        )
 
     @classmethod
     def of(cls, *values: Any, **given: Any) -> Self:
         """Read values given in Python, positional first; raises UsageError like the command."""
         declared = cls.declared()
         places = [name for name, one in declared.items() if one.positional]
-        rest = places[-1:] if places and declared[places[-1]].words.get("nargs") == "*" else []
+        rest = (
+            places[-1:]
+            if places and declared[places[-1]].words.get("nargs") == "*"
+            else []
+        )
         if len(values) > len(places) and not rest:
-            raise UsageError(f"{len(values)} words given, expected at most {len(places)}")
+            raise UsageError(
+                f"{len(values)} words given, expected at most {len(places)}"
+            )
         found: dict[str, Any] = dict(zip(places, values, strict=False))
         if rest and len(values) >= len(places):
             found[rest[0]] = list(values[len(places) - 1 :])
@@ -171,11 +197,17 @@ class Options:
             if name not in declared:
                 near = difflib.get_close_matches(name, declared, 1)
                 hint = (
-                    f"; did you mean {near[0]}?" if near else f"; there are {', '.join(declared)}"
+                    f"; did you mean {near[0]}?"
+                    if near
+                    else f"; there are {', '.join(declared)}"
                 )
                 raise UsageError(f"{name}: no such option{hint}")
             found[name] = declared[name].read(name, value)
-        missing = [name for name in places if cls.default_of(name) is MISSING and name not in found]
+        missing = [
+            name
+            for name in places
+            if cls.default_of(name) is MISSING and name not in found
+        ]
         if missing:
             raise UsageError(f"{', '.join(missing)}: must be given")
         return cls(**found)
@@ -230,7 +262,9 @@ def takes_options(found: Any) -> bool:
 def options_of(function: Callable[..., Any]) -> type[Options]:
     """Return the class of a function's options: the annotation of its argument ``options``."""
     found = function.__annotations__["options"]
-    kind = inspect.unwrap(function).__globals__[found] if isinstance(found, str) else found
+    kind = (
+        inspect.unwrap(function).__globals__[found] if isinstance(found, str) else found
+    )
     if not (isinstance(kind, type) and issubclass(kind, Options)):
         raise TypeError(
             f"{function.__qualname__}: options is {found!r}, expected a class of Options"

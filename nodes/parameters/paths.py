@@ -24,7 +24,9 @@ LocalPath: TypeAlias = Annotated[str, msgspec.Meta(extra={_LOCAL: True})]
 LocalChoice: TypeAlias = Annotated[bool, msgspec.Meta(extra={_LOCAL: True})]
 
 
-def check_paths(parameters: msgspec.Struct, allowed: Sequence[Path], where: str) -> None:
+def check_paths(
+    parameters: msgspec.Struct, allowed: Sequence[Path], where: str
+) -> None:
     """Reject parameters that name files outside the allowed folders.
 
     A path is a parameter declared as one, or any text with a slash.
@@ -71,7 +73,11 @@ def _local(value: Any, where: str) -> Iterator[tuple[str, Any, bool]]:
     elif isinstance(value, (list, tuple)):
         for i, inner in enumerate(value):
             yield from _local(inner, f"{where}[{i}]")
-    elif isinstance(value, str) and ("/" in value or "\0" in value) and message_type(value) is None:
+    elif (
+        isinstance(value, str)
+        and ("/" in value or "\0" in value)
+        and message_type(value) is None
+    ):
         yield where, value, False
 
 

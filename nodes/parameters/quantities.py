@@ -59,7 +59,9 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise ArgumentTypeError(f"{text}: must be finite")
     if value and not _SMALLEST <= abs(value) <= 1.0 / _SMALLEST:
-        raise ArgumentTypeError(f"{text}: must be between {_SMALLEST:g} and {1.0 / _SMALLEST:g}")
+        raise ArgumentTypeError(
+            f"{text}: must be between {_SMALLEST:g} and {1.0 / _SMALLEST:g}"
+        )
     return value
 
 
@@ -104,11 +106,17 @@ SECONDS = between(1e-3, 86_400.0)  # duration of a run
 QUANTITIES: dict[str, tuple[Callable[[str], Any], str]] = {  # parser and help of each
     "mass": (between(1e-6, 1e6), "moving mass of the device [kg]"),
     "damping": (between(1e-9, 1e9, zero=True), "viscous damping of the device [N s/m]"),
-    "delay": (between(1e-9, 1000.0, zero=True), "delay of the loop [ticks], fractions allowed"),
+    "delay": (
+        between(1e-9, 1000.0, zero=True),
+        "delay of the loop [ticks], fractions allowed",
+    ),
     "rate": (between(1.0, 1e5), "rate of the loop [Hz]"),
     "hand": (between(1e-9, 1e9, zero=True), "stiffness of a hand on the device [N/m]"),
     "stiffness": (between(1e-9, 1e9), "nominal K of the law [N/m]"),
-    "gain": (between(1e-9, 1e9, zero=True), "damping gain B of the law [N s/m, or N s^α/m]"),
+    "gain": (
+        between(1e-9, 1e9, zero=True),
+        "damping gain B of the law [N s/m, or N s^α/m]",
+    ),
     "order": (positive, "order α of the law"),
     "taps": (whole(1, 100_000), "length of the law's tap vector, n + 1"),
 }
@@ -122,7 +130,13 @@ def declare(parser: ArgumentParser, **defaults: float | Interval | None) -> None
             read = interval
             text = f"{text}, LOW..HIGH"
             (low, high) = default
-            shown = None if low is None else f"{low:g}" if low == high else f"{low:g}..{high:g}"
+            shown = (
+                None
+                if low is None
+                else f"{low:g}"
+                if low == high
+                else f"{low:g}..{high:g}"
+            )
             default = None if low is None else default
         else:
             shown = None if default is None else f"{default:g}"

@@ -127,8 +127,12 @@ def _misfit_in_struct(
             if misfit := _misfit(f"{path}.{name}", inner, fields[name].type):
                 return misfit
         elif info.forbid_unknown_fields and name != info.tag_field:
-            return Misfit(f"{path}.{name}", f"no such parameter; {choices(name, fields)}")
-    missing = [name for name, field in fields.items() if field.required and name not in value]
+            return Misfit(
+                f"{path}.{name}", f"no such parameter; {choices(name, fields)}"
+            )
+    missing = [
+        name for name, field in fields.items() if field.required and name not in value
+    ]
     if missing:
         return Misfit(f"{path}.{missing[0]}", missing_words(missing))
     try:
@@ -177,7 +181,9 @@ def _is_float(info: inspect.Type) -> bool:
 def _fits(info: inspect.Type, value: Any) -> bool:
     """Return whether a value is of a type, whatever its bounds and its contents."""
     if isinstance(info, inspect.LiteralType):
-        return any(type(value) is type(choice) and value == choice for choice in info.values)
+        return any(
+            type(value) is type(choice) and value == choice for choice in info.values
+        )
     if type(info) not in KINDS:
         return True
     if isinstance(value, bool):

@@ -21,7 +21,10 @@ class Registry:
     """One group of entry points; `wrong` returns why an object is not of its kind, or ""."""
 
     def __init__(
-        self, group: str, noun: str, wrong: Callable[[str, Any], str] = lambda _name, _found: ""
+        self,
+        group: str,
+        noun: str,
+        wrong: Callable[[str, Any], str] = lambda _name, _found: "",
     ) -> None:
         self.group = group
         self._noun = noun

@@ -221,7 +221,9 @@ class ParameterStore:
         The present parameters.
     """
 
-    def __init__(self, node: str, target: type[msgspec.Struct], data: Mapping[str, Any]) -> None:
+    def __init__(
+        self, node: str, target: type[msgspec.Struct], data: Mapping[str, Any]
+    ) -> None:
         self._node = node
         self._target = target
         self.current: Any = convert(data, target, node)
@@ -295,7 +297,9 @@ class ParameterStore:
             there = choices(step, value)
         elif isinstance(value, list):
             there = f"it has {len(value)} entries from [0]"
-        path = "".join(f"[{one}]" if isinstance(one, int) else f".{one}" for one in (*done, step))
+        path = "".join(
+            f"[{one}]" if isinstance(one, int) else f".{one}" for one in (*done, step)
+        )
         raise ParameterError(
             f"no such parameter; {there}", path=f"{self._node}.{path.removeprefix('.')}"
         )
@@ -317,12 +321,16 @@ class ParameterStore:
             If a name is unknown or a value is invalid; then nothing has changed.
         """
         if not isinstance(values, Mapping) or not values:
-            raise ParameterError(f"expected names and values, got {values!r}", path=self._node)
+            raise ParameterError(
+                f"expected names and values, got {values!r}", path=self._node
+            )
         data = self.dump()
         for name, new in values.items():
             *upper, last = self._steps(name)
             branch = self._walk(data, upper)
-            if not (isinstance(branch, dict) and isinstance(last, str) and self._free(upper)):
+            if not (
+                isinstance(branch, dict) and isinstance(last, str) and self._free(upper)
+            ):
                 self._down(branch, last, upper)
             branch[last] = new
         return convert(data, self._target, self._node)
@@ -333,7 +341,9 @@ class ParameterStore:
         for step in upper:
             if not isinstance(info, msgspec.inspect.StructType):
                 break
-            info = next((field.type for field in info.fields if field.encode_name == step), info)
+            info = next(
+                (field.type for field in info.fields if field.encode_name == step), info
+            )
         return isinstance(info, msgspec.inspect.DictType | msgspec.inspect.AnyType)
 
     def merged(self, values: Any) -> Any:
@@ -351,4 +361,6 @@ class ParameterStore:
         ParameterError
             If anything is invalid.
         """
-        return convert(merge(self.dump(), of_node(values, self._node)), self._target, self._node)
+        return convert(
+            merge(self.dump(), of_node(values, self._node)), self._target, self._node
+        )

@@ -45,7 +45,9 @@ class _Loader(yaml.SafeLoader):
     """Builds mappings, lists, text, numbers, booleans and None, whatever tag is written."""
 
     yaml_constructors: ClassVar[dict[str | None, Any]] = {
-        f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[f"tag:yaml.org,2002:{name}"]
+        f"tag:yaml.org,2002:{name}": yaml.SafeLoader.yaml_constructors[
+            f"tag:yaml.org,2002:{name}"
+        ]
         for name in ("map", "seq", "str", "null", "float")
     }
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012  # as PyYAML declares it
@@ -57,7 +59,9 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.events.AliasEvent):
-            raise yaml.YAMLError(f"aliases are not accepted; write the value out{self._mark()}")
+            raise yaml.YAMLError(
+                f"aliases are not accepted; write the value out{self._mark()}"
+            )
         self.depth += 1
         if self.depth > MAX_DEPTH:
             raise yaml.YAMLError(f"nested deeper than {MAX_DEPTH}{self._mark()}")
@@ -72,7 +76,9 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             name = self.construct_object(key, deep=True)
             if not isinstance(name, str):
-                raise yaml.YAMLError(f"key {name!r} is not text; put it in quotes{key.start_mark}")
+                raise yaml.YAMLError(
+                    f"key {name!r} is not text; put it in quotes{key.start_mark}"
+                )
             if name in seen:
                 raise yaml.YAMLError(f"{name!r} stands twice{key.start_mark}")
             seen.add(name)
@@ -81,15 +87,23 @@ class _Loader(yaml.SafeLoader):
     def construct_bool(self, node: Any) -> bool:
         text = str(self.construct_scalar(node)).lower()
         if text not in ("true", "false"):
-            raise yaml.YAMLError(f"{text[:40]!r} is neither true nor false{node.start_mark}")
+            raise yaml.YAMLError(
+                f"{text[:40]!r} is neither true nor false{node.start_mark}"
+            )
         return text == "true"
 
     def construct_int(self, node: Any) -> int:
         text = str(self.construct_scalar(node)).replace("_", "")
         # Length first: Python refuses very long integers with advice that does not help here.
-        value = int(text, 16 if text.startswith("0x") else 10) if len(text) < 100 else MAX_INT + 1
+        value = (
+            int(text, 16 if text.startswith("0x") else 10)
+            if len(text) < 100
+            else MAX_INT + 1
+        )
         if not -MAX_INT <= value <= MAX_INT:
-            raise yaml.YAMLError(f"{text[:40]}: limit ±{MAX_INT}; write a float{node.start_mark}")
+            raise yaml.YAMLError(
+                f"{text[:40]}: limit ±{MAX_INT}; write a float{node.start_mark}"
+            )
         return value
 
 
@@ -105,7 +119,9 @@ class _Dumper(yaml.SafeDumper):
 
 for _name, _pattern, _first in _RESOLVED:
     for _class in (_Loader, _Dumper):
-        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", _pattern, list(_first))
+        _class.add_implicit_resolver(
+            f"tag:yaml.org,2002:{_name}", _pattern, list(_first)
+        )
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_int)
 _Loader.add_constructor("tag:yaml.org,2002:bool", _Loader.construct_bool)
 _Loader.yaml_constructors[None] = yaml.SafeLoader.construct_undefined
@@ -120,7 +136,9 @@ _NAMELESS = ' in "<unicode string>"'
 def parse_yaml(text: str, source: str) -> Any:
     """Return the content of a YAML document, bounded in size and depth."""
     if len(text) > MAX_CHARACTERS:
-        raise ParameterError(f"{len(text)} characters, limit {MAX_CHARACTERS}", path=source)
+        raise ParameterError(
+            f"{len(text)} characters, limit {MAX_CHARACTERS}", path=source
+        )
     try:
         # _Loader is a SafeLoader and constructs builtins only.
         return yaml.load(text, Loader=_Loader)  # noqa: S506
@@ -205,7 +223,9 @@ class WatchedFile:
     def __init__(self, path: str, applied: tuple[int, int, int] | None = None) -> None:
         self.path = path
         self._seen: tuple[int, int, int] | None = None
-        self.applied = applied  # last save that was returned: time, size and inode number
+        self.applied = (
+            applied  # last save that was returned: time, size and inode number
+        )
 
     def _signature(self) -> tuple[int, int, int] | None:
         try:

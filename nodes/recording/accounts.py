@@ -32,10 +32,16 @@ class Account(msgspec.Struct):
     @property
     def text(self) -> str:
         """Return the account as text."""
-        whole = "all there" if self.finished else "nothing missing so far; its end is not there"
+        whole = (
+            "all there"
+            if self.finished
+            else "nothing missing so far; its end is not there"
+        )
         parts = [f"{self.lost} lost" if self.lost else whole]
         parts += (
-            [f"{self.early} before it was listened to"] if self.early and not self.since else []
+            [f"{self.early} before it was listened to"]
+            if self.early and not self.since
+            else []
         )
         parts += [f"recorded from seq {self.since} on"] if self.since else []
         return f"sent {self.sent}, recorded {self.recorded}: {', '.join(parts)}"
@@ -44,7 +50,9 @@ class Account(msgspec.Struct):
 class Completeness(msgspec.Struct):
     """Whether a recording is complete; shown by ``bag info``, plots and summaries."""
 
-    complete: bool  # whether the writer finished the file; False for a cut, recovered file
+    complete: (
+        bool  # whether the writer finished the file; False for a cut, recovered file
+    )
     end_s: float  # time of the run at which the recording ends [s]
     # Ticks of the run after the end of a cut recording; None if no launch reported the run's
     # length.
@@ -61,7 +69,9 @@ class Completeness(msgspec.Struct):
     @property
     def lost(self) -> int | None:
         """Number of messages sent but not recorded; None if no node's count was recorded."""
-        return sum(account.lost for account in self.nodes.values()) if self.nodes else None
+        return (
+            sum(account.lost for account in self.nodes.values()) if self.nodes else None
+        )
 
     @property
     def text(self) -> str:
@@ -75,7 +85,11 @@ class Completeness(msgspec.Struct):
             before = f"; {self.lost} messages lost before" if self.lost else ""
             return f"cut at {self.end_s:.3f} s; {after} not there{before}"
         if self.unknown:
-            gaps = f"{self.gaps} ticks missing in seq" if self.gaps else "no tick missing in seq"
+            gaps = (
+                f"{self.gaps} ticks missing in seq"
+                if self.gaps
+                else "no tick missing in seq"
+            )
             who = ", ".join(self.unknown)
             return f"complete, {gaps}; losses of {who} unknown: the file has lost its manifest"
         if self.lost is None:
@@ -127,7 +141,8 @@ def clocks(recording: Recording) -> dict[str, ClockRecord]:
         if isinstance(status, NodeStatus):
             before = found.get(status.node)
             found[status.node] = ClockRecord(
-                status.clock_offset, max(status.clock_error, before.error if before else 0.0)
+                status.clock_offset,
+                max(status.clock_error, before.error if before else 0.0),
             )
     return found
 
@@ -220,7 +235,9 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None, lis
             status = recording.decode(decoder, raw, offset)
             node = told.get(status.node)
             if node is None:
-                node = told[status.node] = _first_told(recording, topic, status, counts, begins)
+                node = told[status.node] = _first_told(
+                    recording, topic, status, counts, begins
+                )
             node.sent[status.pid] = status.sent
             node.recorded = sum(counts[t] for t in node.own)
             node.finished = status.state in ("finished", "failed")
@@ -232,10 +249,16 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None, lis
         if node.since:
             # Ticks that a node skipped are gaps in seq too, but were never sent.
             lost = min(
-                lost, max(sum(topics[t].gaps for t in node.own) - left_out.get(node.chain, 0), 0)
+                lost,
+                max(
+                    sum(topics[t].gaps for t in node.own) - left_out.get(node.chain, 0),
+                    0,
+                ),
             )
         if node.comparable:
-            found[name] = Account(sent, node.recorded, lost, node.early, node.since, node.finished)
+            found[name] = Account(
+                sent, node.recorded, lost, node.early, node.since, node.finished
+            )
     unknown = [name for name, node in told.items() if not node.known]
     return found, sum(left_out.values()) if left_out else None, unknown
 

@@ -43,10 +43,14 @@ _NANO = 1e-9
 
 def is_bag(path: Path) -> bool:
     """Whether a path is the folder of a ROS 2 bag, or a ROS 1 bag."""
-    return (path / "metadata.yaml").is_file() or (path.suffix == ".bag" and path.is_file())
+    return (path / "metadata.yaml").is_file() or (
+        path.suffix == ".bag" and path.is_file()
+    )
 
 
-def read_bag(path: Path, columns: Mapping[str, Sequence[str]]) -> tuple[ForeignTable, Any]:
+def read_bag(
+    path: Path, columns: Mapping[str, Sequence[str]]
+) -> tuple[ForeignTable, Any]:
     """Return the chosen topics of a bag as a table, and the columns of each role.
 
     Parameters
@@ -77,26 +81,36 @@ def read_bag(path: Path, columns: Mapping[str, Sequence[str]]) -> tuple[ForeignT
         raise RecordError(
             f"{path}: a ROS bag needs rosbags: pip install 'haptic-nodes[rosbag]'"
         ) from error
-    size = sum(file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path]))
+    size = sum(
+        file.stat().st_size for file in (path.iterdir() if path.is_dir() else [path])
+    )
     if size > LARGEST:
         raise RecordError(f"{path}: larger than {LARGEST >> 20} MiB; cut it first")
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        with AnyReader(
+            [path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+        ) as bag:
             return _table(path, bag, columns)
     except RecordError:
         raise
     # rosbags raises many kinds for a damaged bag.
     except Exception as error:
-        text = " ".join(str(error).split())  # of a broken metadata.yaml it has several lines
+        text = " ".join(
+            str(error).split()
+        )  # of a broken metadata.yaml it has several lines
         raise RecordError(f"{path}: cannot be read as a ROS bag: {text}") from error
 
 
-def _table(path: Path, bag: Any, columns: Mapping[str, Sequence[str]]) -> tuple[ForeignTable, Any]:
+def _table(
+    path: Path, bag: Any, columns: Mapping[str, Sequence[str]]
+) -> tuple[ForeignTable, Any]:
     if not columns and set(OWN) <= set(bag.topics):
         return _own(path, bag), {}
     chosen = {role: list(columns[role]) for role in VECTORS if role in columns}
     if other := set(columns) - set(VECTORS):
-        raise RecordError(f"{path}: columns: {min(other)!r} is not chosen of a bag: it has stamps")
+        raise RecordError(
+            f"{path}: columns: {min(other)!r} is not chosen of a bag: it has stamps"
+        )
     topics = {role: _topic_of(path, bag, role, chosen.get(role)) for role in VECTORS}
     if topics["position"] is None:
         known = ", ".join(f"{name} ({one.msgtype})" for name, one in bag.topics.items())
@@ -139,19 +153,26 @@ def _with_force(
     return time[known], rows
 
 
-def _topic_of(path: Path, bag: Any, role: str, chosen: Sequence[str] | None) -> str | None:
+def _topic_of(
+    path: Path, bag: Any, role: str, chosen: Sequence[str] | None
+) -> str | None:
     """Return the topic of a role: the chosen one, or the only one that can be it."""
     if chosen is not None:
         names = {column.partition(".")[0] for column in chosen}
         for name in names - set(bag.topics):
             hint = did_you_mean(name, bag.topics)
-            raise RecordError(f"{path}: no topic {name!r}{hint}; there are {', '.join(bag.topics)}")
+            raise RecordError(
+                f"{path}: no topic {name!r}{hint}; there are {', '.join(bag.topics)}"
+            )
         if len(names) > 1:
             raise RecordError(
                 f"{path}: the {role} is on several topics: {', '.join(sorted(names))}"
             )
         return next(iter(names))
-    kinds = {"position": ("Pose", "Point", "Odometry", "Transform"), "force": ("Wrench",)}[role]
+    kinds = {
+        "position": ("Pose", "Point", "Odometry", "Transform"),
+        "force": ("Wrench",),
+    }[role]
     likely = [
         name
         for name, one in bag.topics.items()
@@ -179,7 +200,8 @@ def _series(bag: Any, topic: str) -> tuple[Column, dict[str, Column]]:
     time = np.array(stamps, dtype=np.int64)
     order = np.argsort(time, kind="stable")
     columns = {
-        name: np.array([row.get(name, np.nan) for row in rows]) for name in (rows or [{}])[0]
+        name: np.array([row.get(name, np.nan) for row in rows])
+        for name in (rows or [{}])[0]
     }
     return time[order], {name: values[order] for name, values in columns.items()}
 
@@ -220,7 +242,9 @@ def _fields(
         for name in chosen:
             if name not in known:
                 hint = did_you_mean(name, known)
-                raise RecordError(f"{path}: no {name!r}{hint}; there are {', '.join(known)}")
+                raise RecordError(
+                    f"{path}: no {name!r}{hint}; there are {', '.join(known)}"
+                )
         return list(chosen)
     for field in VECTORS[role]:
         names = [f"{topic}.{field}.{axis}" for axis in "xyz"]
@@ -239,11 +263,18 @@ def _own(path: Path, bag: Any) -> ForeignTable:
     pose, force = (topic for topic in OWN[:2])
     lines = [line for line in bag.connections if line.topic == OWN[2]]
     facts = json.loads(
-        next(bag.deserialize(raw, line.msgtype).data for line, _, raw in bag.messages(lines))
+        next(
+            bag.deserialize(raw, line.msgtype).data
+            for line, _, raw in bag.messages(lines)
+        )
     )
     rate = float(facts["manifest"].get("rate_hz", "nan"))
     time, values = _series(bag, pose)
-    period = 1.0 / rate if SLOWEST <= rate <= FASTEST else float(np.median(np.diff(time))) * _NANO
+    period = (
+        1.0 / rate
+        if SLOWEST <= rate <= FASTEST
+        else float(np.median(np.diff(time))) * _NANO
+    )
     seq = np.rint((time - time[0]) * _NANO / period).astype(np.int64)
     table: dict[str, Column] = {"seq": seq, "stamp": seq * period}
 

@@ -51,7 +51,9 @@ def difference(recording: Recording, lines: Lines, reference: Recording) -> Line
             break
         while pair is not None and pair[1][0] < time:
             following = next(pairs, None)
-            if following is None and time - pair[1][0] > _NEAR * (pair[1][0] - pair[0][0]):
+            if following is None and time - pair[1][0] > _NEAR * (
+                pair[1][0] - pair[0][0]
+            ):
                 pair = None
             elif following is None:
                 break
@@ -67,7 +69,10 @@ def difference(recording: Recording, lines: Lines, reference: Recording) -> Line
         share = round(share) if abs(share - round(share)) < _NEAR else share
         at = high if share == 1 else low if share == 0 else None
         values = (
-            at[i] if at is not None else low[i] + share * (high[i] - low[i]) for i in range(3)
+            at[i] if at is not None else low[i] + share * (high[i] - low[i])
+            for i in range(3)
         )
-        found.add(lines.begin + time, *(p - v for p, v in zip(position, values, strict=True)))
+        found.add(
+            lines.begin + time, *(p - v for p, v in zip(position, values, strict=True))
+        )
     return found

@@ -87,11 +87,14 @@ def parameters(recording: Recording) -> dict[str, Any]:
     return {
         "recording": recording.path.name,
         "manifest": metadata.get(MANIFEST, {}),
-        "parameters": {node: parsed(text) for node, text in metadata.get(PARAMETERS, {}).items()},
+        "parameters": {
+            node: parsed(text) for node, text in metadata.get(PARAMETERS, {}).items()
+        },
         "launch_file": metadata.get(LAUNCH_FILE, {}).get("yaml", ""),
         "versions": metadata.get(VERSIONS, {}),
         "columns": {
-            name: {"unit": unit, "meaning": meaning} for name, (unit, meaning, _) in COLUMNS.items()
+            name: {"unit": unit, "meaning": meaning}
+            for name, (unit, meaning, _) in COLUMNS.items()
         },
     }
 
@@ -107,11 +110,15 @@ def _flat(values: Iterable[Any]) -> Iterator[Any]:
 def begin_of(recording: Recording) -> float:
     """Return the stamp of the first tick of any chain, or else of the first message [s]."""
     ticks = [
-        figures for topic, figures in recording.topics.items() if split(topic)[1] == DEVICE_STATE
+        figures
+        for topic, figures in recording.topics.items()
+        if split(topic)[1] == DEVICE_STATE
     ]
     if not recording.topics:
         # Only topics of other programs: their first message.
-        first = min((one.first_publish for one in recording.foreign.values()), default=0)
+        first = min(
+            (one.first_publish for one in recording.foreign.values()), default=0
+        )
         return (first - recording.publish_offset) / 1e9
     return min(figures.first_stamp for figures in ticks or recording.topics.values())
 
@@ -121,7 +128,9 @@ def _tick_names() -> list[str]:
     return [
         f"{part}{f' [{unit}]' if unit else ''}"
         for name, (unit, _, _) in COLUMNS.items()
-        for part in ([f"{name}_{axis}" for axis in "xyz"] if name in VECTORS else [name])
+        for part in (
+            [f"{name}_{axis}" for axis in "xyz"] if name in VECTORS else [name]
+        )
     ]
 
 
@@ -131,7 +140,9 @@ def _tick(row: Row, begin: float) -> list[Any]:
     return values
 
 
-def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_csv(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write a CSV file with a row per tick, one per topic, and the parameters as JSON.
 
     An `out` that ends in ``.csv`` is the file of the ticks alone, with the parameters beside it.
@@ -139,7 +150,10 @@ def export_csv(recording: Recording, out: str | Path, *, overwrite: bool = False
     folder = Path(out)
     if folder.suffix.lower() == ".csv":
         return _export_ticks(recording, folder, overwrite=overwrite)
-    files = {topic: folder / f"{name}.csv" for topic, name in plain_names(recording.topics).items()}
+    files = {
+        topic: folder / f"{name}.csv"
+        for topic, name in plain_names(recording.topics).items()
+    }
     made = list(files.values())
     mode, begin = "w" if overwrite else "x", begin_of(recording)
     writers: dict[str, Any] = {}
@@ -174,7 +188,9 @@ def _export_ticks(recording: Recording, out: Path, *, overwrite: bool) -> list[P
     recording.require_ticks()
     begin = begin_of(recording)
     try:
-        with out.open("w" if overwrite else "x", newline="", encoding="utf-8") as stream:
+        with out.open(
+            "w" if overwrite else "x", newline="", encoding="utf-8"
+        ) as stream:
             writer = csv.writer(stream)
             writer.writerow(_tick_names())
             writer.writerows(_tick(row, begin) for row in rows(recording))
@@ -193,7 +209,9 @@ def _save_parameters(recording: Recording, path: Path, overwrite: bool) -> Path:
 
 
 def _text(recording: Recording) -> bytes:
-    return json.dumps(parameters(recording), indent=2, ensure_ascii=False).encode() + b"\n"
+    return (
+        json.dumps(parameters(recording), indent=2, ensure_ascii=False).encode() + b"\n"
+    )
 
 
 def _stand(recording: Recording, path: Path) -> bool:
@@ -211,7 +229,9 @@ def _beside(out: Path) -> Path:
 def _refuse_existing(recording: Recording, out: Path) -> None:
     for path in (out, _beside(out)):
         if path.exists() and (path == out or not _stand(recording, path)):
-            raise RecordError(f"{path}: already exists; choose another name or ask to overwrite it")
+            raise RecordError(
+                f"{path}: already exists; choose another name or ask to overwrite it"
+            )
 
 
 def _tables(recording: Recording) -> dict[str, Arrays]:
@@ -226,13 +246,16 @@ def _tables(recording: Recording) -> dict[str, Arrays]:
         for field, array in arrays.items():
             if array.dtype.hasobject:
                 what = (
-                    f"{table}.{field} holds numbers beyond 64 bits, which arrays cannot; export CSV"
+                    f"{table}.{field} holds numbers beyond 64 bits,"
+                    " which arrays cannot; export CSV"
                 )
                 raise RecordError(f"{recording.path}: {what}")
     return found
 
 
-def export_npz(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_npz(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write an NPZ file with the arrays of ticks and topics, and the parameters as JSON."""
     import numpy as np
 
@@ -256,7 +279,9 @@ def _save_with_parameters(
     return [out, _save_parameters(recording, _beside(out), overwrite)]
 
 
-def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_mat(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write a MAT file (version 5) for MATLAB and Octave.
 
     Arrays such as ``run.ticks.time`` and ``run.ticks.position`` are columns.
@@ -275,13 +300,17 @@ def export_mat(recording: Recording, out: str | Path, *, overwrite: bool = False
     # Any: the stub accepts paths only.
     buffer: Any = BytesIO()
     try:
-        savemat(buffer, tables, oned_as="column", long_field_names=True, do_compression=True)
+        savemat(
+            buffer, tables, oned_as="column", long_field_names=True, do_compression=True
+        )
     except (MatWriteError, ValueError) as error:
         raise RecordError(f"{out}: cannot be written as MAT: {error}") from error
     return _save_with_parameters(recording, Path(out), buffer.getvalue(), overwrite)
 
 
-def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_parquet(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write the table of ticks as Parquet, in blocks of bounded memory.
 
     Needs pyarrow: ``pip install 'haptic-nodes[parquet]'``.
@@ -305,16 +334,22 @@ def export_parquet(recording: Recording, out: str | Path, *, overwrite: bool = F
     for column in _tick_names():
         name, _, unit = column.partition(" ")
         fields.append(
-            pa.field(name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")})
+            pa.field(
+                name, types.get(name, pa.float64()), metadata={"unit": unit.strip("[]")}
+            )
         )
-    layout = pa.schema(fields, metadata={"parameters": json.dumps(parameters(recording))})
+    layout = pa.schema(
+        fields, metadata={"parameters": json.dumps(parameters(recording))}
+    )
     ticks = (_tick(row, begin) for row in rows(recording))
     try:
         with parquet.ParquetWriter(out, layout, compression="zstd") as writer:
             while block := list(islice(ticks, _ROWS)):
                 arrays = [
                     pa.array(values, field.type)
-                    for values, field in zip(zip(*block, strict=True), layout, strict=True)
+                    for values, field in zip(
+                        zip(*block, strict=True), layout, strict=True
+                    )
                 ]
                 writer.write_table(pa.table(arrays, schema=layout))
     except OSError as error:

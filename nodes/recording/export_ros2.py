@@ -17,7 +17,12 @@ from messages import topics
 from messages.types import NodeStatus
 from nodes.recording.export import parameters
 from nodes.recording.reader import Recording
-from nodes.recording.ros2_messages import CHAIN_TOPICS, SHARED_TOPICS, RosMessages, ros2_messages
+from nodes.recording.ros2_messages import (
+    CHAIN_TOPICS,
+    SHARED_TOPICS,
+    RosMessages,
+    ros2_messages,
+)
 from nodes.recording.wall_clock import CLOCK, read_offsets
 from nodes.recording.writer import RecordError
 
@@ -25,7 +30,9 @@ from nodes.recording.writer import RecordError
 PARAMETERS = ("/haptic/parameters", "std_msgs/msg/String")
 
 
-def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_ros2(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write a ROS 2 bag; needs rosbags: ``pip install 'haptic-nodes[rosbag]'``."""
     import numpy as np
 
@@ -45,9 +52,13 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
         if not (folder / "metadata.yaml").is_file():
             raise RecordError(f"{folder}: is not a bag, so it is not overwritten")
         shutil.rmtree(folder)
-    offset = read_offsets(recording.metadata[CLOCK])[1] if CLOCK in recording.metadata else 0
+    offset = (
+        read_offsets(recording.metadata[CLOCK])[1] if CLOCK in recording.metadata else 0
+    )
     store = get_typestore(Stores.ROS2_HUMBLE)
-    make = RosMessages(store.types.__getitem__, sequence=partial(np.array, dtype=np.float64))
+    make = RosMessages(
+        store.types.__getitem__, sequence=partial(np.array, dtype=np.float64)
+    )
 
     def serialised(message: Any) -> bytes:
         return bytes(store.serialize_cdr(message, message.__msgtype__))
@@ -74,7 +85,9 @@ def export_ros2(recording: Recording, out: str | Path, *, overwrite: bool = Fals
             for entry in recording.entries():
                 at = round(entry.message.stamp * 1e9) + offset
                 if first:
-                    text = make.text(json.dumps(parameters(recording), ensure_ascii=False))
+                    text = make.text(
+                        json.dumps(parameters(recording), ensure_ascii=False)
+                    )
                     writer.write(lines["/haptic/parameters"], at, serialised(text))
                     first = False
                 chain, inside = topics.split(entry.topic)

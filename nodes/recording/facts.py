@@ -68,24 +68,35 @@ def stamped_rate(recording: Recording) -> float | None:
     figures = recording.topics.get(DEVICE_STATE)
     if figures is None or figures.back:
         return None
-    steps, span = figures.last_seq - figures.first_seq, figures.last_stamp - figures.first_stamp
+    steps, span = (
+        figures.last_seq - figures.first_seq,
+        figures.last_stamp - figures.first_stamp,
+    )
     if steps < 1 or not span > 0.0:
         return None
     rate = steps / span
     if not SLOWEST <= rate <= FASTEST:
         return None
     candidates = (float(f"{rate:.{digits}g}") for digits in range(1, 10))
-    return next((one for one in candidates if abs(one / rate - 1.0) <= _ROUNDED / steps), rate)
+    return next(
+        (one for one in candidates if abs(one / rate - 1.0) <= _ROUNDED / steps), rate
+    )
 
 
 _ROUNDED = 0.5  # what the first and the last stamp together may be late by [ticks]
-_RATE_TOLERANCE, _LATE = 0.01, 2.0  # of a declared rate: share, and ticks that a stamp may be late
+_RATE_TOLERANCE, _LATE = (
+    0.01,
+    2.0,
+)  # of a declared rate: share, and ticks that a stamp may be late
 
 
 def _agree(recording: Recording, rate: float) -> bool:
     """Whether a declared rate fits the stamps."""
     figures = recording.topics[DEVICE_STATE]
-    steps, span = figures.last_seq - figures.first_seq, figures.last_stamp - figures.first_stamp
+    steps, span = (
+        figures.last_seq - figures.first_seq,
+        figures.last_stamp - figures.first_stamp,
+    )
     return abs(span * rate - steps) <= _RATE_TOLERANCE * steps + _LATE
 
 
@@ -121,7 +132,9 @@ def marks_of(recording: Recording) -> list[Event]:
     """Return the events with which somebody marked a moment, in the order of their stamps."""
     topics = [topic for topic in recording.topics if message_type(topic) is Event]
     found = (entry.message for entry in recording.entries(topics)) if topics else ()
-    marks = [event for event in found if isinstance(event, Event) and event.kind == MARK]
+    marks = [
+        event for event in found if isinstance(event, Event) and event.kind == MARK
+    ]
     return sorted(marks, key=lambda event: event.stamp)
 
 
@@ -157,7 +170,9 @@ def group(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def refuse_foreign_files(recording: Recording, parameters: Mapping[str, Any], node: str) -> None:
+def refuse_foreign_files(
+    recording: Recording, parameters: Mapping[str, Any], node: str
+) -> None:
     """Raise RecordError if parameters name a file outside the folders allowed here.
 
     A recording from elsewhere may name any file of this machine, a device or a pipe. Allowed are
@@ -183,7 +198,12 @@ def refuse_foreign_files(recording: Recording, parameters: Mapping[str, Any], no
 def _names(value: Any) -> Iterator[str]:
     """Yield every text that may name a file: with a separator, a suffix or a leading ``~``."""
     if isinstance(value, str):
-        if "/" in value or "\\" in value or value.startswith("~") or Path(value[:4096]).suffix:
+        if (
+            "/" in value
+            or "\\" in value
+            or value.startswith("~")
+            or Path(value[:4096]).suffix
+        ):
             yield value
     elif isinstance(value, Mapping):
         for one in value.values():

@@ -38,7 +38,9 @@ LINES: tuple[Any, ...] = (
 """Line styles in the same order."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # markers in the same order
-PAGE_WIDTH = 7.2  # text width of a paper [inch]: letters are as large in print as they are here
+PAGE_WIDTH = (
+    7.2  # text width of a paper [inch]: letters are as large in print as they are here
+)
 BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 
 # label of an axis of frequency in units of the Nyquist frequency
@@ -162,12 +164,16 @@ def plain_power(text: str) -> str:
     found = re.fullmatch(r"\$\\mathdefault\{(.*?)(?:\^\{(.*)\})?\}\$", text)
     if found is None:
         return text
-    return found[1].replace(r"\times", "×").replace("-", "−") + (found[2] or "").translate(_RAISED)
+    return found[1].replace(r"\times", "×").replace("-", "−") + (
+        found[2] or ""
+    ).translate(_RAISED)
 
 
 def plain_factor(text: str) -> str:
     """Convert an axis' factor and offset, ``1e−3+2e7``, to ×10⁻³+2×10⁷."""
-    text = re.sub(r"e\+?([−-]?\d+)", lambda power: "×10" + power[1].translate(_RAISED), text)
+    text = re.sub(
+        r"e\+?([−-]?\d+)", lambda power: "×10" + power[1].translate(_RAISED), text
+    )
     return re.sub(r"^1×", "×", text)
 
 
@@ -190,9 +196,13 @@ def _write_numbers_plainly(figure: Figure) -> None:
 
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(of := axis.get_major_formatter(), LogFormatter | ScalarFormatter):
+            if isinstance(
+                of := axis.get_major_formatter(), LogFormatter | ScalarFormatter
+            ):
                 axis.set_major_formatter(Plain(of))
-            if isinstance(of := axis.get_minor_formatter(), LogFormatter | ScalarFormatter):
+            if isinstance(
+                of := axis.get_minor_formatter(), LogFormatter | ScalarFormatter
+            ):
                 axis.set_minor_formatter(Plain(of))
 
 
@@ -229,14 +239,19 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
     ends: list[tuple[float, float, str, Any]] = []
     for line in axes.get_lines():
         name = str(line.get_label())
-        x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
+        x, y = (
+            np.asarray(line.get_xdata(), dtype=float),
+            np.asarray(line.get_ydata(), dtype=float),
+        )
         seen = np.flatnonzero((x >= low) & (x <= high) & np.isfinite(y))
         if name.startswith("_") or not seen.size:
             continue
         end = axes.transAxes.inverted().transform(
             axes.transData.transform((x[seen[-1]], y[seen[-1]]))
         )
-        ends.append((float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color()))
+        ends.append(
+            (float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color())
+        )
     ends.sort(key=lambda end: end[0])
     # Height of a line of text, as a fraction of the panel's height.
     dpi = axes.get_figure(root=True).dpi  # type: ignore[union-attr]
@@ -333,7 +348,9 @@ def _pixels(axes: Axes) -> list[tuple[float, float]]:
 
     found = [np.empty((0, 2))]
     for line in axes.get_lines():
-        at = np.asarray(line.get_transform().transform(np.asarray(line.get_xydata(), dtype=float)))
+        at = np.asarray(
+            line.get_transform().transform(np.asarray(line.get_xydata(), dtype=float))
+        )
         at = at[np.isfinite(at).all(axis=1)]
         found.append(at)
         if line.get_linestyle() != "None":

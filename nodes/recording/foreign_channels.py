@@ -49,7 +49,9 @@ class ForeignTopic(msgspec.Struct):
 
     def add(self, publish: int) -> None:
         """Count one more message, published at a time [ns]."""
-        self.first_publish = min(publish, self.first_publish) if self.messages else publish
+        self.first_publish = (
+            min(publish, self.first_publish) if self.messages else publish
+        )
         self.messages += 1
 
     @property

@@ -7,6 +7,7 @@ every format is chosen from in the same way. Nothing is converted here.
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import re
 import zipfile
@@ -129,19 +130,29 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         path = path / f"{_TICKS}.csv"
     suffix = path.suffix.lower()
     if suffix == ".mcap":
-        raise RecordError(f"{path}: is an MCAP file already; open it with: haptic bag info {path}")
+        raise RecordError(
+            f"{path}: is an MCAP file already; open it with: haptic bag info {path}"
+        )
     if suffix in TEXT_TABLES:
-        reader: Callable[[Path], ForeignTable] = lambda file: _read_text(file, decimal_comma)  # noqa: E731
+        reader: Callable[[Path], ForeignTable] = functools.partial(
+            _read_text, decimal_comma=decimal_comma
+        )
     elif suffix in _READERS:
         reader = _READERS[suffix]
     elif path.is_dir():
-        raise RecordError(f"{path}: is a folder without metadata.yaml, so it is no ROS bag")
+        raise RecordError(
+            f"{path}: is a folder without metadata.yaml, so it is no ROS bag"
+        )
     else:
         known = ", ".join(TABLES)
-        raise RecordError(f"{path}: the suffix {suffix!r} is no table read here; read are {known}")
+        raise RecordError(
+            f"{path}: the suffix {suffix!r} is no table read here; read are {known}"
+        )
     try:
         if path.stat().st_size > LARGEST:
-            raise RecordError(f"{path}: larger than {LARGEST >> 20} MiB; import it in parts")
+            raise RecordError(
+                f"{path}: larger than {LARGEST >> 20} MiB; import it in parts"
+            )
         found = reader(path)
     except RecordError:
         raise
@@ -149,7 +160,9 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         raise RecordError(f"{path}: {error.strerror or error}") from error
     # The libraries of these formats raise many kinds for a damaged file.
     except Exception as error:
-        raise RecordError(f"{path}: cannot be read as {suffix[1:].upper()}: {error}") from error
+        raise RecordError(
+            f"{path}: cannot be read as {suffix[1:].upper()}: {error}"
+        ) from error
     if not found.columns or not max(len(column) for column in found.columns.values()):
         raise RecordError(f"{path}: no column with a row")
     return found
@@ -162,7 +175,11 @@ def is_export(folder: Path) -> bool:
 
 def _decoded(path: Path) -> str:
     data = path.read_bytes()
-    codes = ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "cp1252")
+    codes = (
+        ("utf-16",)
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff")
+        else ("utf-8-sig", "cp1252")
+    )
     for code in codes:
         try:
             text = data.decode(code)
@@ -170,7 +187,9 @@ def _decoded(path: Path) -> str:
             continue
         if "\0" not in text:
             return text
-    raise RecordError(f"{path}: is no text; name it by its format (.npz, .mat, .parquet)")
+    raise RecordError(
+        f"{path}: is no text; name it by its format (.npz, .mat, .parquet)"
+    )
 
 
 def _is_number(text: str) -> bool:
@@ -210,16 +229,24 @@ def _read_text(path: Path, decimal_comma: bool) -> ForeignTable:
             fields = [line.split() for line in lines]
         else:
             stream = io.StringIO("\n".join(lines))
-            fields = list(csv.reader(stream, delimiter=delimiter, skipinitialspace=True))
+            fields = list(
+                csv.reader(stream, delimiter=delimiter, skipinitialspace=True)
+            )
     except csv.Error as error:
         raise RecordError(f"{path}: is no CSV: {error}") from error
     header = [name.strip() for name in fields[0]]
     first = skipped + 2
-    if all(map(_is_number, header)) or (decimal_comma and all(map(_COMMA.fullmatch, header))):
+    if all(map(_is_number, header)) or (
+        decimal_comma and all(map(_COMMA.fullmatch, header))
+    ):
         header, first = [str(number + 1) for number in range(len(header))], skipped + 1
     else:
         fields = fields[1:]
-    if header and not header[-1] and all(len(row) < len(header) or not row[-1] for row in fields):
+    if (
+        header
+        and not header[-1]
+        and all(len(row) < len(header) or not row[-1] for row in fields)
+    ):
         header = header[:-1]  # a delimiter at the end of each line
         fields = [row[: len(header)] for row in fields]
     _refuse_ragged(path, header, fields, first, delimiter)
@@ -233,7 +260,11 @@ def _read_text(path: Path, decimal_comma: bool) -> ForeignTable:
 
 
 def _refuse_ragged(
-    path: Path, header: list[str], fields: list[list[str]], first: int, delimiter: str | None
+    path: Path,
+    header: list[str],
+    fields: list[list[str]],
+    first: int,
+    delimiter: str | None,
 ) -> None:
     for number, row in enumerate(fields):
         if len(row) == len(header):
@@ -256,7 +287,10 @@ def _with_points(
     """Return the fields with decimal points; refuse decimal commas that were not asked for."""
     if decimal_comma:
         return [
-            [text.replace(",", ".") if _COMMA.fullmatch(text.strip()) else text for text in row]
+            [
+                text.replace(",", ".") if _COMMA.fullmatch(text.strip()) else text
+                for text in row
+            ]
             for row in fields
         ]
     for number, row in enumerate(fields):
@@ -292,7 +326,9 @@ def _from_arrays(path: Path, arrays: Mapping[str, Any]) -> ForeignTable:
     """Return the columns of named arrays; arrays of three columns become three columns."""
     import numpy as np
 
-    own = {name: value for name, value in arrays.items() if name.startswith(f"{_TICKS}.")}
+    own = {
+        name: value for name, value in arrays.items() if name.startswith(f"{_TICKS}.")
+    }
     columns: dict[str, Column] = {}
     units: dict[str, str] = {}
     for full, value in (own or arrays).items():
@@ -300,7 +336,9 @@ def _from_arrays(path: Path, arrays: Mapping[str, Any]) -> ForeignTable:
         array = np.squeeze(np.asarray(value))
         units |= unit
         if array.ndim == 2 and 3 in array.shape:
-            for part, column in zip("xyz", array.T if array.shape[1] == 3 else array, strict=True):
+            for part, column in zip(
+                "xyz", array.T if array.shape[1] == 3 else array, strict=True
+            ):
                 columns[f"{name}_{part}"] = column
                 units |= {f"{name}_{part}": unit[name]} if unit else {}
         elif array.ndim == 1 and array.dtype.kind in "biufUO":

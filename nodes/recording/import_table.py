@@ -47,7 +47,8 @@ class Imported:
         gaps = int(found.seq[-1] - found.seq[0]) + 1 - len(found.seq)
         lines = [
             f"{self.path}: {len(found.seq)} ticks at {1.0 / found.period:.6g} Hz, axes"
-            f" {', '.join(found.axes)}" + (f", {gaps} ticks missing in gaps" if gaps else "")
+            f" {', '.join(found.axes)}"
+            + (f", {gaps} ticks missing in gaps" if gaps else "")
         ]
         lines += [f"  {role:8} {source}" for role, source in found.sources.items()]
         if found.force is None:
@@ -106,7 +107,12 @@ def import_table(
     else:
         table = read_foreign(Path(file), decimal_comma=decimal_comma)
     samples = samples_of(
-        table, columns=columns, units=units, rate=rate, axis=axis, ignore_times=ignore_times
+        table,
+        columns=columns,
+        units=units,
+        rate=rate,
+        axis=axis,
+        ignore_times=ignore_times,
     )
     with RecordWriter(out, _manifest(table, samples), overwrite=overwrite) as writer:
         try:
@@ -140,7 +146,9 @@ def _digest(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _messages(table: ForeignTable, samples: ImportedSamples) -> Iterator[tuple[str, Message]]:
+def _messages(
+    table: ForeignTable, samples: ImportedSamples
+) -> Iterator[tuple[str, Message]]:
     if is_own(table):
         yield from _own_messages(table, samples)
         return
@@ -167,7 +175,9 @@ def _messages(table: ForeignTable, samples: ImportedSamples) -> Iterator[tuple[s
         before = before if forces is None else tuple(forces[row])
 
 
-def _own_messages(table: ForeignTable, samples: ImportedSamples) -> Iterator[tuple[str, Message]]:
+def _own_messages(
+    table: ForeignTable, samples: ImportedSamples
+) -> Iterator[tuple[str, Message]]:
     """Yield the messages of an export; columns that it lacks have their defaults."""
     rows = _Rows(table)
     safety = table.columns.get("safety")
@@ -177,7 +187,11 @@ def _own_messages(table: ForeignTable, samples: ImportedSamples) -> Iterator[tup
     for row, (seq, stamp, position) in enumerate(
         zip(seqs, samples.stamp.tolist(), samples.position.tolist(), strict=True)
     ):
-        common: dict[str, Any] = {"seq": seq, "stamp": stamp, "position": tuple(position)}
+        common: dict[str, Any] = {
+            "seq": seq,
+            "stamp": stamp,
+            "position": tuple(position),
+        }
         now: dict[str, Any] = {name: rows.number(name, row) for name in _NOW}
         counts: dict[str, Any] = {
             name: int(rows.number(name, row)) for name in ("missed", "overruns")
@@ -237,7 +251,9 @@ class _Rows:
         """Return a number; 0 where the table has none."""
         if name not in self._read:
             self._read[name] = (
-                self._table.numbers(name).tolist() if name in self._table.columns else []
+                self._table.numbers(name).tolist()
+                if name in self._table.columns
+                else []
             )
         value = self._read[name][row] if self._read[name] else 0.0
         return value if math.isfinite(value) else 0.0

@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 
 ROLES = ("position", "force", "time")
 UNITS: dict[str, dict[str, float]] = {
-    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254},
+    "position": {
+        "m": 1.0,
+        "cm": 1e-2,
+        "mm": 1e-3,
+        "um": 1e-6,
+        "nm": 1e-9,
+        "in": 0.0254,
+    },
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
 }
@@ -33,12 +40,22 @@ UNITS: dict[str, dict[str, float]] = {
 LARGEST_SPAN = 2.0  # span of positions beyond which another unit was probably meant [m]
 LARGEST_FORCE = 1000.0  # force beyond which another unit was probably meant [N]
 UNEVEN = 0.25  # tolerated distance of a stamp from its tick [ticks]
-RATE_TOLERANCE = 0.01  # tolerated difference between a given rate and that of the stamps
+RATE_TOLERANCE = (
+    0.01  # tolerated difference between a given rate and that of the stamps
+)
 
 SLOWEST_USUAL = 20.0  # rate below which another unit of time was probably meant [Hz]
 ROUNDING = 1e-9  # a period this near to one of six digits is that one [share]
 
-OWN_COLUMNS = ("seq", "stamp", "position_x", "force_x", "mean_force_x", "changed_at", "force_seq")
+OWN_COLUMNS = (
+    "seq",
+    "stamp",
+    "position_x",
+    "force_x",
+    "mean_force_x",
+    "changed_at",
+    "force_seq",
+)
 """Columns by which a table of our own exports is recognised."""
 
 _WHOLE = {
@@ -145,10 +162,14 @@ def samples_of(
     position = _filled(table, "position", where, given, sources)
     force = _filled(table, "force", pushed, given, sources) if pushed else None
     refuse_unlikely(table, position, force, given)
-    name = next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
+    name = (
+        next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
+    )
     if name is None or ignore_times:
         if rate is None and ignore_times:
-            raise RecordError(f"{table.path}: without its times the rate is needed: --rate HZ")
+            raise RecordError(
+                f"{table.path}: without its times the rate is needed: --rate HZ"
+            )
         if rate is None:
             raise RecordError(
                 f"{table.path}: no column of times among {', '.join(table.columns)}; say the rate"
@@ -166,7 +187,9 @@ def samples_of(
             raise RecordError(
                 f"{table.path}: {len(seq)} times in {name!r} and {len(position)} positions"
             )
-    return ImportedSamples(period, seq, stamp, position, force, "".join(sorted(where)), sources)
+    return ImportedSamples(
+        period, seq, stamp, position, force, "".join(sorted(where)), sources
+    )
 
 
 def motion_of(
@@ -214,7 +237,9 @@ def motion_of(
     sources: dict[str, str] = {}
     position = _filled(table, "position", where, given, sources)
     refuse_unlikely(table, position, None, given)
-    name = next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
+    name = (
+        next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
+    )
     if name is None:
         if rate is None:
             raise RecordError(
@@ -266,7 +291,9 @@ def _checked_columns(
     return found
 
 
-def _checked_units(table: ForeignTable, units: Mapping[str, str]) -> dict[str, tuple[str, float]]:
+def _checked_units(
+    table: ForeignTable, units: Mapping[str, str]
+) -> dict[str, tuple[str, float]]:
     """Return the given units by role: text and value in SI."""
     found = {}
     for role, text in units.items():
@@ -325,7 +352,9 @@ def _vector(table: ForeignTable, role: str, axis: str) -> dict[str, str]:
     whole = [name for name in plain if plain[name] in _WHOLE[role]]
     found: dict[str, str] = {}
     for part in "xyz":
-        wanted = {f"{base}{dash}{part}" for base in _PARTS[role] for dash in ("_", "") if base}
+        wanted = {
+            f"{base}{dash}{part}" for base in _PARTS[role] for dash in ("_", "") if base
+        }
         wanted |= {part} if "" in _PARTS[role] else set()
         candidates = [name for name in plain if plain[name] in wanted]
         one = _one(table, role, candidates + whole if candidates else [])
@@ -535,7 +564,11 @@ def _own_ticks(
     rounded = float(f"{period:.6g}")
     sources["time"] = "stamp in s, seq"
     near = abs(rounded / period - 1.0) < ROUNDING
-    return rounded if near else period, seq.astype(np.int64), np.asarray(stamp, dtype=np.float64)
+    return (
+        rounded if near else period,
+        seq.astype(np.int64),
+        np.asarray(stamp, dtype=np.float64),
+    )
 
 
 def _unit_hint(step: float, rate: float | None = None) -> str:
@@ -543,13 +576,21 @@ def _unit_hint(step: float, rate: float | None = None) -> str:
     likely = []
     for unit, factor in UNITS["time"].items():
         found = 1.0 / (step * factor)
-        if unit != "s" and (20.0 <= found <= 20e3 if rate is None else abs(found / rate - 1) < 0.1):
+        if unit != "s" and (
+            20.0 <= found <= 20e3 if rate is None else abs(found / rate - 1) < 0.1
+        ):
             likely.append(f"{unit} ({found:.5g} Hz)")
     unit = likely[0].partition(" ")[0] if len(likely) == 1 else "UNIT"
-    return f" Is it in {' or '.join(likely)}? Say so with --units time={unit}" if likely else ""
+    return (
+        f" Is it in {' or '.join(likely)}? Say so with --units time={unit}"
+        if likely
+        else ""
+    )
 
 
-def _refuse_unlikely_time(table: ForeignTable, name: str, step: float, rate: float | None) -> None:
+def _refuse_unlikely_time(
+    table: ForeignTable, name: str, step: float, rate: float | None
+) -> None:
     if SLOWEST_USUAL <= 1.0 / step <= FASTEST:
         return
     raise RecordError(

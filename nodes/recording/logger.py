@@ -32,11 +32,17 @@ from nodes.recording.writer import CHOSEN, RecordError, RecordWriter
 
 FLUSH_PERIOD = 0.5  # time between flushes: most that a killed logger loses [s]
 QUEUE = 200_000  # messages queued in the logger's process while its disk is busy
-CONNECTING = 5.0  # time after which `record` starts its duration even without a message [s]
-QUIET_MS = 200  # silence after which a stopping logger assumes that all messages came [ms]
+CONNECTING = (
+    5.0  # time after which `record` starts its duration even without a message [s]
+)
+QUIET_MS = (
+    200  # silence after which a stopping logger assumes that all messages came [ms]
+)
 
 
-class LoggerParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LoggerParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of a logger node.
 
     path: The file; ``{run}`` stands for the name of the run, and for the logger's namespace if it
@@ -124,7 +130,10 @@ class Recorder:
                 # still be in ZeroMQ's I/O thread.
                 began, before = time.monotonic(), wait.update(pid)
                 if not self.take(QUIET_MS):
-                    if time.monotonic() - began - (wait.update(pid) - before) > 0.5e-3 * QUIET_MS:
+                    if (
+                        time.monotonic() - began - (wait.update(pid) - before)
+                        > 0.5e-3 * QUIET_MS
+                    ):
                         return
                     continue
             late = late + 1 if self.latest > end else 0
@@ -137,8 +146,14 @@ def open_writer(
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RecordError(f"{path}: cannot create its folder: {error.strerror}") from error
-    facts = {name: text for name, text in manifest.items() if name not in ("launch_file", "nodes")}
+        raise RecordError(
+            f"{path}: cannot create its folder: {error.strerror}"
+        ) from error
+    facts = {
+        name: text
+        for name, text in manifest.items()
+        if name not in ("launch_file", "nodes")
+    }
     if topics:
         facts[CHOSEN] = msgspec.json.encode(list(topics)).decode()
     nodes = msgspec.json.decode(manifest.get("nodes", "{}"), type=dict[str, Any])
@@ -146,7 +161,9 @@ def open_writer(
         path,
         facts,
         launch_file=manifest.get("launch_file", ""),
-        parameters={name: msgspec.json.encode(values).decode() for name, values in nodes.items()},
+        parameters={
+            name: msgspec.json.encode(values).decode() for name, values in nodes.items()
+        },
         overwrite=overwrite,
     )
 
@@ -170,8 +187,13 @@ class Logger(Node):
         for number, topic in enumerate(setup.parameters.get("topics", [])):
             kind = message_type(topic)
             inside = split(topic)[1]
-            if kind is None or (inside not in FIXED and topic[1:].rpartition("/")[0] not in nodes):
-                known = [*FIXED, *(f"/{node}/{{status,event}}" for node in sorted(nodes))]
+            if kind is None or (
+                inside not in FIXED and topic[1:].rpartition("/")[0] not in nodes
+            ):
+                known = [
+                    *FIXED,
+                    *(f"/{node}/{{status,event}}" for node in sorted(nodes)),
+                ]
                 raise ParameterError(
                     f"nothing publishes {topic!r}; there are {', '.join(known)}",
                     path=f"{setup.name}.topics[{number}]",
@@ -185,7 +207,8 @@ class Logger(Node):
         path, first = next_part(Path(self._path), diary)
         if not first:
             self.events.emit_each(
-                "recording", f"continues in {path}; {self._path} stays as the last process left it"
+                "recording",
+                f"continues in {path}; {self._path} stays as the last process left it",
             )
         try:
             self._writer = open_writer(
@@ -212,7 +235,9 @@ class Logger(Node):
         """Record until stopped, then drain the messages in flight."""
         self.state = "running"
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        recorder = self._recorder = Recorder(self.inbox, self._writer, self.store.current.topics)
+        recorder = self._recorder = Recorder(
+            self.inbox, self._writer, self.store.current.topics
+        )
         try:
             while not self.stopping:
                 recorder.clock_offset = self.clock.offset
@@ -259,7 +284,10 @@ def record(
     # On the wire, topics of a chain begin with its namespace.
     topics = [within(run.namespace, topic) for topic in topics]
     with (
-        listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (inbox, links),
+        listening(run, set(run.publishers().values()), topics or [""], QUEUE) as (
+            inbox,
+            links,
+        ),
         open_writer(path, run.manifest, overwrite, topics) as writer,
     ):
         recorder = Recorder(inbox, writer, topics)

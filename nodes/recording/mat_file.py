@@ -35,7 +35,12 @@ _TYPES = {  # element types with numbers: code to numpy's type
     12: "i8",
     13: "u8",
 }
-_TEXTS = {4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}  # element types with texts
+_TEXTS = {
+    4: "utf-16",
+    16: "utf-8",
+    17: "utf-16",
+    18: "utf-32",
+}  # element types with texts
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHAR = 1, 2, 4
 _NUMERIC = range(6, 16)  # classes double to uint64
@@ -75,7 +80,9 @@ class _Reader:
             padded = size if kind == _COMPRESSED else -(-size // 8) * 8
             if size > len(self._data) - start:
                 left = len(self._data) - start
-                raise _DamagedError(f"an element of {size} bytes, while {left} are left")
+                raise _DamagedError(
+                    f"an element of {size} bytes, while {left} are left"
+                )
             self._at = start + padded
         return kind, self._data[start : start + size]
 
@@ -121,12 +128,20 @@ def read_mat(path: Path) -> dict[str, Any]:
         or data[124:128] in (b"\0\2IM", b"\2\0MI")
         or b"MATLAB 7.3" in data[:20]
     ):
-        raise RecordError(f"{path}: is a MAT file of version 7.3 (HDF5); save it with -v7")
+        raise RecordError(
+            f"{path}: is a MAT file of version 7.3 (HDF5); save it with -v7"
+        )
     try:
         if len(data) > _HEADER and data[126:128] in (b"IM", b"MI"):
             return dict(_version_5(data, "<" if data[126:128] == b"IM" else ">"))
         return dict(_version_4(data))
-    except (_DamagedError, struct.error, zlib.error, UnicodeDecodeError, RecursionError) as error:
+    except (
+        _DamagedError,
+        struct.error,
+        zlib.error,
+        UnicodeDecodeError,
+        RecursionError,
+    ) as error:
         raise RecordError(f"{path}: is no sound MAT file: {error}") from error
 
 
@@ -138,7 +153,9 @@ def _version_5(data: bytes, order: str) -> Iterator[tuple[str, Any]]:
             unpacker = zlib.decompressobj()
             whole = unpacker.decompress(content, LARGEST)
             if unpacker.unconsumed_tail:
-                raise _DamagedError(f"a variable that unpacks to more than {LARGEST >> 20} MiB")
+                raise _DamagedError(
+                    f"a variable that unpacks to more than {LARGEST >> 20} MiB"
+                )
             kind, content = _Reader(whole, order).element()
         if kind == _MATRIX:
             name, value = _matrix(content, order, 0)
@@ -165,7 +182,9 @@ def _matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
         raise _DamagedError(f"an array of shape {shape[:8]}")
     name = reader.text()
     if kind == _CELL:
-        return name, [_inner(reader, order, depth)[1] for _ in range(_counted(count, content))]
+        return name, [
+            _inner(reader, order, depth)[1] for _ in range(_counted(count, content))
+        ]
     if kind == _STRUCT:
         return name, _structure(reader, order, depth, count, content)
     if kind == _CHAR:
@@ -221,9 +240,16 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Any]]:
         if len(data) - at < 20:
             raise _DamagedError("it ends within a header")
         order = "<" if struct.unpack_from("<I", data, at)[0] < 5000 else ">"
-        kind, rows, columns, imaginary, length = struct.unpack_from(f"{order}5I", data, at)
+        kind, rows, columns, imaginary, length = struct.unpack_from(
+            f"{order}5I", data, at
+        )
         number, form, layout = kind // 1000, kind // 10 % 10, kind % 10
-        if number not in (0, 1) or form not in _VERSION_4 or layout > 2 or not 0 < length <= 4096:
+        if (
+            number not in (0, 1)
+            or form not in _VERSION_4
+            or layout > 2
+            or not 0 < length <= 4096
+        ):
             raise _DamagedError("it begins as none does")
         size = np.dtype(_VERSION_4[form]).itemsize
         start, count = at + 20 + length, rows * columns
@@ -232,6 +258,8 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Any]]:
             raise _DamagedError(f"a matrix of {rows} by {columns}, which does not fit")
         name = data[at + 20 : start].split(b"\0")[0].decode("latin-1")
         if layout == 0 and not imaginary:
-            values = np.frombuffer(data, np.dtype(f"{order}{_VERSION_4[form]}"), count, start)
+            values = np.frombuffer(
+                data, np.dtype(f"{order}{_VERSION_4[form]}"), count, start
+            )
             yield name, values.reshape((rows, columns), order="F")
         at = end

@@ -113,7 +113,9 @@ def _parsed(path: Path, record: Record, what: str, parse: Callable[[bytes], T]) 
     try:
         return parse(record.content)
     except (struct.error, ValueError) as error:
-        raise RecordError(f"{path}: damaged {what} at byte {record.offset}: {error}") from error
+        raise RecordError(
+            f"{path}: damaged {what} at byte {record.offset}: {error}"
+        ) from error
 
 
 def parse_channel(path: Path, record: Record) -> Channel:
@@ -123,7 +125,10 @@ def parse_channel(path: Path, record: Record) -> Channel:
         topic, at = _string(content, 4)
         encoding, _ = _string(content, at)
         return Channel(
-            _U16.unpack_from(content, 0)[0], _U16.unpack_from(content, 2)[0], topic, encoding
+            _U16.unpack_from(content, 0)[0],
+            _U16.unpack_from(content, 2)[0],
+            topic,
+            encoding,
         )
 
     return _parsed(path, record, "channel", parse)
@@ -139,7 +144,10 @@ def parse_schema(path: Path, record: Record) -> Schema:
         if at + 4 + length > len(content):
             raise ValueError(f"a schema of {length} bytes does not fit")
         return Schema(
-            _U16.unpack_from(content, 0)[0], name, encoding, content[at + 4 : at + 4 + length]
+            _U16.unpack_from(content, 0)[0],
+            name,
+            encoding,
+            content[at + 4 : at + 4 + length],
         )
 
     return _parsed(path, record, "schema", parse)
@@ -169,7 +177,9 @@ def parse_message(path: Path, record: Record) -> RawMessage:
             f"{path}: damaged message at byte {record.offset}: {len(record.content)} bytes"
         )
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(record.content)
-    return RawMessage(channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :])
+    return RawMessage(
+        channel, sequence, log_time, publish_time, record.content[_MESSAGE.size :]
+    )
 
 
 def frame_length(data: bytes | memoryview) -> int:
@@ -211,10 +221,14 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
             raise ValueError(f"{length} bytes that unpack to {size}, limit {limit}")
         if compression == "zstd":
             if (frame := frame_length(data)) != length:
-                raise ValueError(f"its compressed frame ends after {frame} of {length} bytes")
+                raise ValueError(
+                    f"its compressed frame ends after {frame} of {length} bytes"
+                )
             # zstd allocates the size that its frame declares: check that first.
             if zstandard.frame_content_size(data) not in (size, -1):
-                raise ValueError("the compressed frame has another size than the chunk says")
+                raise ValueError(
+                    "the compressed frame has another size than the chunk says"
+                )
             data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
         elif compression == "lz4":
             # Imported here: a logger, which must stay small, does not need it. Never more than
@@ -223,15 +237,21 @@ def unpack_chunk(path: Path, record: Record) -> Iterator[Record]:
 
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size)
         elif compression:
-            raise ValueError(f"compressed with {compression!r}; zstd and lz4 are read here")
+            raise ValueError(
+                f"compressed with {compression!r}; zstd and lz4 are read here"
+            )
         if len(data) != size or (checksum and zlib.crc32(data) != checksum):
-            raise ValueError(f"checksum or size does not match ({len(data)} of {size} bytes)")
+            raise ValueError(
+                f"checksum or size does not match ({len(data)} of {size} bytes)"
+            )
         return data
 
     try:
         data = _parsed(path, record, "chunk", parse)
     except (zstandard.ZstdError, RuntimeError) as error:  # the latter of lz4
-        raise RecordError(f"{path}: damaged chunk at byte {record.offset}: {error}") from error
+        raise RecordError(
+            f"{path}: damaged chunk at byte {record.offset}: {error}"
+        ) from error
     return _split(path, record.offset, data, len(record.content) + SMALL_RECORDS)
 
 
@@ -278,8 +298,14 @@ def walk(path: Path) -> Iterator[Record]:
         if start != MAGIC:
             what = "is empty" if not start else f"starts with {start!r}"
             table = path.suffix.lower() in TABLES
-            hint = f"; make one of the table with: haptic bag import {path}" if table else ""
-            raise RecordError(f"{path}: {what}, so it is no MCAP recording ({size} bytes){hint}")
+            hint = (
+                f"; make one of the table with: haptic bag import {path}"
+                if table
+                else ""
+            )
+            raise RecordError(
+                f"{path}: {what}, so it is no MCAP recording ({size} bytes){hint}"
+            )
         # If the end magic is there, the writer finished the file: an error is damage, not a cut.
         stream.seek(max(size - len(MAGIC), len(MAGIC)))
         ended = stream.read() == MAGIC

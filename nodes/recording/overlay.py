@@ -17,7 +17,15 @@ from messages.types import DeviceState
 from nodes.base.printable import printable
 from nodes.recording.difference import difference
 from nodes.recording.figure_style import COLOURS, LINES
-from nodes.recording.plot import COLORS, end_of, form_of, head, new_figure, render, style
+from nodes.recording.plot import (
+    COLORS,
+    end_of,
+    form_of,
+    head,
+    new_figure,
+    render,
+    style,
+)
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
 from nodes.recording.summary import summarise
@@ -78,11 +86,15 @@ def _legend(figure: Figure, panels: Iterable[Axes], labels: Sequence[str]) -> No
 
 def _checked(recordings: Sequence[Recording]) -> None:
     if not 1 <= len(recordings) <= RUNS:
-        raise RecordError(f"{len(recordings)} recordings; one picture shows 1 to {RUNS}")
+        raise RecordError(
+            f"{len(recordings)} recordings; one picture shows 1 to {RUNS}"
+        )
 
 
 def overlay(
-    recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
+    recordings: Sequence[Recording],
+    start: float | None = None,
+    stop: float | None = None,
 ) -> Figure:
     """Draw position and force of several runs, each from its first state on."""
     _checked(recordings)
@@ -95,7 +107,9 @@ def overlay(
         if 0.0 < rest < 0.5 * max(one.stop - one.begin for one in lines):
             lines = [Lines(recording, 0.0, rest) for recording in recordings]
     drawn = sorted({axis for one in lines for axis in one.axes})
-    compared = [n for n in range(1, len(lines)) if set(lines[n].axes) & set(lines[0].axes)]
+    compared = [
+        n for n in range(1, len(lines)) if set(lines[n].axes) & set(lines[0].axes)
+    ]
     rows = 3 if compared else 2
     figure = new_figure(3.3 * rows + 0.12 * len(recordings))
     grid = figure.subplots(rows, len(drawn), sharex=True, squeeze=False)
@@ -122,10 +136,16 @@ def _draw_runs(
     for number, (one, label) in enumerate(zip(lines, labels, strict=True)):
         if axis not in one.axes:
             continue
-        for axes, line, scale in ((panels[0], one.position, 1e3), (panels[1], one.force, 1.0)):
+        for axes, line, scale in (
+            (panels[0], one.position, 1e3),
+            (panels[1], one.force, 1.0),
+        ):
             time, values = line.arrays()
             axes.plot(
-                time - one.begin, values[:, axis] * scale, label=label, **_look(number, len(lines))
+                time - one.begin,
+                values[:, axis] * scale,
+                label=label,
+                **_look(number, len(lines)),
             )
     for level in _levels(lines, axis):
         panels[0].axhline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
@@ -146,7 +166,9 @@ def _draw_difference(
         axes.set_ylabel(f"{'xyz'[axis]} minus the first [µm]")
         if axis in lines[0].axes and axis in lines[number].axes:
             axes.plot(
-                time - lines[number].begin, values[:, axis] * 1e6, **_look(number, len(lines))
+                time - lines[number].begin,
+                values[:, axis] * 1e6,
+                **_look(number, len(lines)),
             )
 
 
@@ -189,7 +211,9 @@ def _trace(
 
     So an hour at rest is one point.
     """
-    cell = [_extent(line, axis) / _CELLS or 1.0 for line in (lines.position, lines.force)]
+    cell = [
+        _extent(line, axis) / _CELLS or 1.0 for line in (lines.position, lines.force)
+    ]
     x: list[float] = []
     y: list[float] = []
     seen: set[tuple[int, int, int, int]] = set()
@@ -218,7 +242,9 @@ def _extent(line: Line, axis: int) -> float:
 
 
 def force_over_position(
-    recordings: Sequence[Recording], start: float | None = None, stop: float | None = None
+    recordings: Sequence[Recording],
+    start: float | None = None,
+    stop: float | None = None,
 ) -> Figure:
     """Draw the force handed to the device over the position at the same tick."""
     _checked(recordings)
@@ -227,7 +253,9 @@ def force_over_position(
     labels = _labels(recordings, lines)
     figure = new_figure(6.6 + 0.12 * len(recordings))
     drawn = sorted({axis for one in lines for axis in one.axes})
-    if any(len(one.axes) > 1 for one in lines) and all(any(one.normal) for one in lines):
+    if any(len(one.axes) > 1 for one in lines) and all(
+        any(one.normal) for one in lines
+    ):
         grid = [figure.subplots()]
         for number, (recording, one) in enumerate(zip(recordings, lines, strict=True)):
             x, y = _along_the_normal(recording, *ends, one.begin)
@@ -239,7 +267,9 @@ def force_over_position(
     else:
         grid = list(figure.subplots(1, len(drawn), squeeze=False)[0])
         for axes, axis in zip(grid, drawn, strict=True):
-            for number, (recording, one) in enumerate(zip(recordings, lines, strict=True)):
+            for number, (recording, one) in enumerate(
+                zip(recordings, lines, strict=True)
+            ):
                 if axis in one.axes:
                     axes.plot(
                         *_trace(recording, one, axis, *ends),
@@ -273,10 +303,14 @@ def _along_the_normal(
         if following is None or proxy is None or not any(proxy.normal):
             point = (math.nan, math.nan)
         else:
-            force = math.fsum(f * n for f, n in zip(following.force, proxy.normal, strict=True))
+            force = math.fsum(
+                f * n for f, n in zip(following.force, proxy.normal, strict=True)
+            )
             point = (proxy.distance * 1e3, force)
         # At rest, and off any surface, every tick is the same point.
-        if not x or (point != (x[-1], y[-1]) and not (math.isnan(point[0]) and math.isnan(x[-1]))):
+        if not x or (
+            point != (x[-1], y[-1]) and not (math.isnan(point[0]) and math.isnan(x[-1]))
+        ):
             x.append(point[0])
             y.append(point[1])
     return x, y

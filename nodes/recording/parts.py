@@ -40,7 +40,11 @@ def parts_of(path: Path) -> list[Path]:
     if not path.name or not part(path, 2).is_file():
         return found
     run = _run_of(path)
-    while run and (following := part(path, len(found) + 1)).is_file() and _run_of(following) == run:
+    while (
+        run
+        and (following := part(path, len(found) + 1)).is_file()
+        and _run_of(following) == run
+    ):
         found.append(following)
     return found
 

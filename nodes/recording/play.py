@@ -40,7 +40,9 @@ def play(
         ahead = begin + (at - first) / rate - time.monotonic()
         if ahead > 0.0:
             time.sleep(ahead)
-        publisher.send(names.get(entry.topic, entry.topic).encode(), encode(entry.message))
+        publisher.send(
+            names.get(entry.topic, entry.topic).encode(), encode(entry.message)
+        )
         publisher.keep()
         yield entry
 
@@ -57,4 +59,6 @@ def in_simulated_time(recording: Recording) -> bool:
 
 def length_of(recording: Recording) -> float:
     """Return how long `play` takes at the original pace [s]."""
-    return recording.duration if in_simulated_time(recording) else recording.wall_duration
+    return (
+        recording.duration if in_simulated_time(recording) else recording.wall_duration
+    )

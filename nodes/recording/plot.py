@@ -86,8 +86,12 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
             at, level = time[faced] - lines.begin, surface[faced]
             axes.plot(at, level, color=COLORS["surface"], lw=1.5, label="surface")
             reach = math.copysign(high - low + 1.0, lines.normal[axis])
-            axes.fill_between(at, level, level - reach, color=COLORS["surface"], alpha=0.18, lw=0)
-        _line(axes, lines.proxy, axis, lines.begin, 1e3, COLORS["asked"], "proxy", ls="--")
+            axes.fill_between(
+                at, level, level - reach, color=COLORS["surface"], alpha=0.18, lw=0
+            )
+        _line(
+            axes, lines.proxy, axis, lines.begin, 1e3, COLORS["asked"], "proxy", ls="--"
+        )
     _line(axes, lines.position, axis, lines.begin, 1e3, COLORS["device"], "device")
     margin = 0.06 * (high - low) or 1.0
     axes.set_ylim(low - margin, high + margin)
@@ -98,7 +102,17 @@ def _draw_positions(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
     """Draw position and proxy of several axes; a curved surface has no place in such a panel."""
     for axis in drawn:
         color, name = COLOURS[axis], "xyz"[axis]
-        _line(axes, lines.proxy, axis, lines.begin, 1e3, color, f"proxy {name}", ls="--", lw=0.9)
+        _line(
+            axes,
+            lines.proxy,
+            axis,
+            lines.begin,
+            1e3,
+            color,
+            f"proxy {name}",
+            ls="--",
+            lw=0.9,
+        )
         _line(axes, lines.position, axis, lines.begin, 1e3, color, f"device {name}")
     axes.set_ylabel("position [mm]")
 
@@ -143,14 +157,25 @@ def _draw_safety(axes: Axes, lines: Lines) -> None:
         named.add(kind)
         color = _SAFETY.get(kind, COLORS["surface"])
         axes.axvspan(
-            low - lines.begin, high - lines.begin, color=color, alpha=0.4, lw=0, label=label
+            low - lines.begin,
+            high - lines.begin,
+            color=color,
+            alpha=0.4,
+            lw=0,
+            label=label,
         )
 
 
 def _draw_energy(axes: Axes, lines: Lines, guard: bool) -> None:
     axes.axhline(0.0, color=COLORS["surface"], lw=0.8)
     _line(
-        axes, lines.energy, 0, lines.begin, 1e3, COLORS["device"], "given out by the virtual side"
+        axes,
+        lines.energy,
+        0,
+        lines.begin,
+        1e3,
+        COLORS["device"],
+        "given out by the virtual side",
     )
     if guard:
         _line(
@@ -176,9 +201,13 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
     )
     time, extremes = lines.response.arrays()
     dots = [(at - lines.begin, value * 1e6) for at, value in lines.sampled]
-    dots += zip((time - lines.begin).tolist(), (extremes[:, 0] * 1e6).tolist(), strict=True)
+    dots += zip(
+        (time - lines.begin).tolist(), (extremes[:, 0] * 1e6).tolist(), strict=True
+    )
     at, values = [dot[0] for dot in dots], [dot[1] for dot in dots]
-    axes.plot(at, values, ".", ms=1.6, color=COLORS["device"], label=label, rasterized=True)
+    axes.plot(
+        at, values, ".", ms=1.6, color=COLORS["device"], label=label, rasterized=True
+    )
     axes.set_ylabel("response [µs]")
     axes.set_yscale("log")
     period = 1e6 / summary.rate_hz if realtime and summary.rate_hz > 0.0 else 0.0
@@ -191,7 +220,9 @@ def _draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) -
     axes.yaxis.set_minor_formatter(NullFormatter())
     if not period:
         return
-    axes.axhline(period, color=COLORS["late"], lw=1.0, ls="--", label=f"period {period:.0f} µs")
+    axes.axhline(
+        period, color=COLORS["late"], lw=1.0, ls="--", label=f"period {period:.0f} µs"
+    )
     late = [(low + high) / 2.0 - lines.begin for _, low, high in lines.missed.spans()]
     if late:
         axes.plot(
@@ -208,7 +239,11 @@ def _draw_receipts(panels: list[Axes], lines: Lines) -> None:
     """Draw changes of law or parameters and marks; name each on top where there is room."""
     low, high = panels[0].get_xlim()
     taken = [-math.inf] * _ROWS
-    colors = {"switch": COLORS["switch"], "fallback": COLORS["late"], "mark": COLORS["mark"]}
+    colors = {
+        "switch": COLORS["switch"],
+        "fallback": COLORS["late"],
+        "mark": COLORS["mark"],
+    }
     marks = [(stamp, "mark", text) for stamp, text in lines.marks]
     for stamp, action, law in sorted([*lines.receipts, *marks], key=lambda one: one[0]):
         color = colors.get(action, COLORS["surface"])
@@ -251,13 +286,18 @@ def end_of(summary: Summary, axes: Sequence[int]) -> str:
 
 
 def _subtitle(
-    recording: Recording, summary: Summary, lines: Lines, axes: Sequence[int], shown: str
+    recording: Recording,
+    summary: Summary,
+    lines: Lines,
+    axes: Sequence[int],
+    shown: str,
 ) -> str:
     """Return two lines of facts: how the run went, and its result."""
     pace = recording.manifest.get("pace", "")
     share = 100.0 * (summary.missed or 0) / summary.ticks if summary.ticks else 0.0
     how_it_went = [
-        f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz" + (f", {pace[:20]}" if pace else ""),
+        f"{summary.ticks} ticks at {summary.rate_hz:.6g} Hz"
+        + (f", {pace[:20]}" if pace else ""),
         f"missed {summary.missed} ({share:.2g} %)"
         + (f", left out {summary.overruns}" if summary.overruns else ""),
         f"recording {completeness(recording).text}",
@@ -282,7 +322,12 @@ def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
     """Write title and facts above the topmost panel."""
     pad = room + 14 * len(text.splitlines()) + 5
     axes.set_title(
-        printable(title[:70]), fontsize=14, fontweight="bold", loc="left", pad=pad, parse_math=False
+        printable(title[:70]),
+        fontsize=14,
+        fontweight="bold",
+        loc="left",
+        pad=pad,
+        parse_math=False,
     )
     place: Any = {
         "xycoords": "axes fraction",
@@ -291,7 +336,12 @@ def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
         "color": "#444a52",
     }
     axes.annotate(
-        printable(text), (0.0, 1.0), fontsize=9, linespacing=1.35, parse_math=False, **place
+        printable(text),
+        (0.0, 1.0),
+        fontsize=9,
+        linespacing=1.35,
+        parse_math=False,
+        **place,
     )
 
 
@@ -319,7 +369,8 @@ def figure_of(
             shown = f"at rest from {rest:.3g} s on: {1.25 * rest:.3g} of {length:.4g} s shown"
     axis = whole.axis
     energy, guard = (
-        bool((abs(whole.energy.arrays()[1][:, column]) > 0.0).any()) for column in (0, 1)
+        bool((abs(whole.energy.arrays()[1][:, column]) > 0.0).any())
+        for column in (0, 1)
     )
     heights = [1.25, 1.0, *([0.7] if energy else []), 0.9]
     figure = new_figure(1.0 + 2.1 * sum(heights))
@@ -372,7 +423,9 @@ def form_of(out: Path) -> str:
     """Return the file format from the suffix of a picture's name."""
     form = out.suffix.lower().removeprefix(".") or "png"
     if form not in FORMATS:
-        raise RecordError(f"{out}: {out.suffix} is not a plot format: .{', .'.join(FORMATS)}")
+        raise RecordError(
+            f"{out}: {out.suffix} is not a plot format: .{', .'.join(FORMATS)}"
+        )
     return form
 
 

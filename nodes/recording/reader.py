@@ -18,7 +18,13 @@ import msgspec
 from messages.topics import DEVICE_STATE, LOOP, split
 from messages.types import Message
 from nodes.recording import mcap_walk
-from nodes.recording.foreign_channels import ForeignTopic, Stamped, described, file_of, type_of
+from nodes.recording.foreign_channels import (
+    ForeignTopic,
+    Stamped,
+    described,
+    file_of,
+    type_of,
+)
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
 from nodes.recording.parts import parts_of
 from nodes.recording.topic_figures import TopicFigures
@@ -31,7 +37,9 @@ if TYPE_CHECKING:
 __all__ = ["EXTRACT", "RECOVERY", "WITHOUT", "Entry", "M", "Recording"]
 
 RECOVERY = "recovery"  # metadata record added by `nodes.recording.recover.recover`
-EXTRACT = "extract"  # metadata record of an extract: its source, times and omitted topics
+EXTRACT = (
+    "extract"  # metadata record of an extract: its source, times and omitted topics
+)
 WITHOUT = "without"  # entry of EXTRACT: full names of the omitted topics
 _NANO = 1e9
 
@@ -194,7 +202,10 @@ class Recording:
             if record.opcode == mcap_walk.MESSAGE:
                 raw = self._message(shift, record)
                 if self._count(raw, record.offset):
-                    first_log, last_log = min(first_log, raw.log_time), max(last_log, raw.log_time)
+                    first_log, last_log = (
+                        min(first_log, raw.log_time),
+                        max(last_log, raw.log_time),
+                    )
             elif record.opcode == mcap_walk.SCHEMA:
                 schema = mcap_walk.parse_schema(self.path, record)
                 self.schemas[schema.number + shift] = schema
@@ -203,7 +214,9 @@ class Recording:
                 if shift:
                     # 0 stands for no schema.
                     schema_number = channel.schema + shift if channel.schema else 0
-                    channel = channel._replace(number=channel.number + shift, schema=schema_number)
+                    channel = channel._replace(
+                        number=channel.number + shift, schema=schema_number
+                    )
                 self._channel(channel, record.offset)
             elif record.opcode == mcap_walk.METADATA:
                 name, values = mcap_walk.parse_metadata(self.path, record)
@@ -225,7 +238,9 @@ class Recording:
         spaces = {split(topic)[0] for topic in self.topics}
         if len(spaces) == 1 and (namespace := spaces.pop()):
             self.namespace = namespace
-            self.topics = {split(topic)[1]: figures for topic, figures in self.topics.items()}
+            self.topics = {
+                split(topic)[1]: figures for topic, figures in self.topics.items()
+            }
             self.channels = {
                 number: channel._replace(topic=split(channel.topic)[1])
                 if self._type(number) is not None
@@ -259,13 +274,17 @@ class Recording:
         try:
             return kind() if text is None else msgspec.json.decode(text, type=kind)
         except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
-            raise RecordError(f"{self.path}: damaged metadata {record}.{name}: {error}") from error
+            raise RecordError(
+                f"{self.path}: damaged metadata {record}.{name}: {error}"
+            ) from error
 
     def require_ticks(self) -> None:
         """Raise RecordError without ticks of one chain; of several, name how to extract one."""
         if DEVICE_STATE in self.topics:
             return
-        chains = sorted(space for space, topic in map(split, self.topics) if topic == DEVICE_STATE)
+        chains = sorted(
+            space for space, topic in map(split, self.topics) if topic == DEVICE_STATE
+        )
         text = f"{self.path}: no message on {DEVICE_STATE}, so there are no ticks"
         if chains:
             take = f"haptic bag filter {shlex.quote(str(self.path))} -e ^/{chains[0]}/"
@@ -285,7 +304,9 @@ class Recording:
         try:
             log, publish = read_offsets(values)
         except ValueError as error:
-            raise RecordError(f"{self.path}: damaged at byte {offset}: {error}") from error
+            raise RecordError(
+                f"{self.path}: damaged at byte {offset}: {error}"
+            ) from error
         self._clocks[part] = log, publish, True
 
     def _type(self, number: int) -> type[Message] | None:
@@ -313,7 +334,8 @@ class Recording:
         if self._type(raw.channel) is None:
             schema = self.schemas.get(channel.schema)
             self.foreign.setdefault(
-                channel.topic, ForeignTopic(channel.encoding, schema.name if schema else "")
+                channel.topic,
+                ForeignTopic(channel.encoding, schema.name if schema else ""),
             ).add(raw.publish_time)
             return False
         part = raw.channel // _OWN_NUMBERS
@@ -324,7 +346,9 @@ class Recording:
             if inside is not None:
                 sequence, stamp = inside.seq & 0xFFFFFFFF, inside.stamp
             if part not in self._clocks:
-                begin = raw.publish_time - round(stamp * _NANO) if inside is not None else 0
+                begin = (
+                    raw.publish_time - round(stamp * _NANO) if inside is not None else 0
+                )
                 self._clocks[part] = begin, begin, False
             if inside is None:
                 stamp = (raw.publish_time - self._clocks[part][1]) / _NANO
@@ -367,7 +391,9 @@ class Recording:
         for number, channel in self.channels.items():
             kind = self._type(number)
             if kind is not None and kinds.setdefault(channel.topic, kind) is not kind:
-                raise RecordError(f"{self.path}: {channel.topic} carries two message types")
+                raise RecordError(
+                    f"{self.path}: {channel.topic} carries two message types"
+                )
 
     def raw(self, *, foreign: bool = False) -> Iterator[tuple[str, RawMessage, int]]:
         """Yield the encoded messages in the order of receipt.
@@ -396,7 +422,9 @@ class Recording:
                 if foreign or self._type(raw.channel) is not None:
                     yield channel.topic, raw, record.offset
 
-    def decode(self, decoder: msgspec.json.Decoder[M], raw: RawMessage, offset: int) -> M:
+    def decode(
+        self, decoder: msgspec.json.Decoder[M], raw: RawMessage, offset: int
+    ) -> M:
         """Decode a message of `raw`.
 
         Parameters
@@ -460,8 +488,12 @@ class Recording:
                 decoders[number] = msgspec.json.Decoder(kind)
         for topic, raw, offset in self.raw():
             if raw.channel in decoders:
-                log_time = (raw.log_time - self._clocks[raw.channel // _OWN_NUMBERS][0]) / _NANO
-                yield Entry(topic, log_time, self.decode(decoders[raw.channel], raw, offset))
+                log_time = (
+                    raw.log_time - self._clocks[raw.channel // _OWN_NUMBERS][0]
+                ) / _NANO
+                yield Entry(
+                    topic, log_time, self.decode(decoders[raw.channel], raw, offset)
+                )
 
     def messages(self, topic: str) -> list[Any]:
         """Read all messages of one topic.
@@ -481,7 +513,11 @@ class Recording:
         RecordError
             If a message does not fit its type.
         """
-        return [entry.message for entry in self.entries([topic])] if topic in self.topics else []
+        return (
+            [entry.message for entry in self.entries([topic])]
+            if topic in self.topics
+            else []
+        )
 
     def arrays(self, topic: str) -> dict[str, np.ndarray[Any, Any]]:
         """Read one topic as arrays.
@@ -505,7 +541,11 @@ class Recording:
         import numpy as np
 
         entries = list(self.entries([topic]))
-        found = {"log_time": np.array([entry.log_time for entry in entries], dtype=np.float64)}
+        found = {
+            "log_time": np.array(
+                [entry.log_time for entry in entries], dtype=np.float64
+            )
+        }
         for field in msgspec.structs.fields(type(entries[0].message)):
             found[field.name] = np.array(
                 [column_value(getattr(entry.message, field.name)) for entry in entries]

@@ -92,7 +92,9 @@ def _search(path: Path) -> Iterator[Record]:
             if content is None:
                 return
             with contextlib.suppress(RecordError):
-                yield from mcap_walk.unpack_chunk(path, Record(start, mcap_walk.CHUNK, content))
+                yield from mcap_walk.unpack_chunk(
+                    path, Record(start, mcap_walk.CHUNK, content)
+                )
                 following = start + FRAME.size + len(content)
             at = data.find(mark, following)
 
@@ -117,7 +119,9 @@ def _chunk_at(view: memoryview, start: int, budget: _Budget) -> bytes | None:
     if not budget.spend(length + size):
         return None
     return (
-        bytes(view[head : body - _U64.size]) + _U64.pack(length) + bytes(view[body : body + length])
+        bytes(view[head : body - _U64.size])
+        + _U64.pack(length)
+        + bytes(view[body : body + length])
     )
 
 
@@ -204,7 +208,9 @@ class Copy:
             self._new_channels[raw.channel] = self._register(channel)
         log, publish = (
             min(max(time + shift, 0), LATEST_NS)
-            for time, shift in zip((raw.log_time, raw.publish_time), self._shift, strict=True)
+            for time, shift in zip(
+                (raw.log_time, raw.publish_time), self._shift, strict=True
+            )
         )
         self.writer.add_message(
             self._new_channels[raw.channel], log, raw.data, publish, raw.sequence
@@ -263,7 +269,9 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
     sound = {part: not texts for part, texts in wrong.items()}
     layouts = {part: _layout(part, sound[part], problems) for part in parts}
     if not any(messages for _, _, messages in layouts.values()):
-        raise RecordError("; ".join([f"{path}: no message could be recovered", *problems]))
+        raise RecordError(
+            "; ".join([f"{path}: no message could be recovered", *problems])
+        )
     _refuse_source(out, parts)
     with written(out, overwrite) as output:
         copy = Copy(mcap_writer(output), {}, {})
@@ -279,7 +287,9 @@ def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Re
                 ):
                     copy.metadata(*metadata, problems)
         if copy.orphans:
-            problems.append(f"{path}: {copy.orphans} messages on channels whose topic is lost")
+            problems.append(
+                f"{path}: {copy.orphans} messages on channels whose topic is lost"
+            )
         if problems:
             copy.writer.add_metadata(
                 RECOVERY, {"source": str(path), "problems": "\n".join(problems)}
@@ -314,12 +324,18 @@ def extract(
     }
     without = recording.facts(EXTRACT, WITHOUT, list[str])
     without += [
-        within(recording.namespace, topic) for topic in recording.topics if topic not in topics
+        within(recording.namespace, topic)
+        for topic in recording.topics
+        if topic not in topics
     ]
     without += [topic for topic in recording.foreign if topic not in topics]
     with written(out, overwrite) as output:
         copy = Copy(mcap_writer(output), recording.schemas, full)
-        part = {"source": str(recording.path), "from_s": repr(start), "to_s": repr(stop)}
+        part = {
+            "source": str(recording.path),
+            "from_s": repr(start),
+            "to_s": repr(stop),
+        }
         part[WITHOUT] = msgspec.json.encode(without).decode()
         for name, values in [*recording.metadata.items(), (EXTRACT, part)]:
             copy.writer.add_metadata(name, values)

@@ -31,11 +31,18 @@ CHAIN_TOPICS = {
     "law": "std_msgs/msg/String",
 }
 # Topics that all chains share.
-SHARED_TOPICS = {TF: "tf2_msgs/msg/TFMessage", DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray"}
+SHARED_TOPICS = {
+    TF: "tf2_msgs/msg/TFMessage",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+}
 
 
 def ros2_messages(
-    make: RosMessages, message: Message, at: int, chain: str = "", prefix: str = "haptic"
+    make: RosMessages,
+    message: Message,
+    at: int,
+    chain: str = "",
+    prefix: str = "haptic",
 ) -> Iterator[RosMessage]:
     """Yield the ROS 2 messages of one of ours, as topic, type and a function that builds it.
 
@@ -56,7 +63,11 @@ def ros2_messages(
     def inside(
         name: str, build: Callable[..., Any], *content: Any
     ) -> tuple[str, str, Callable[[], Any]]:
-        return within(chain, f"/{prefix}/{name}"), CHAIN_TOPICS[name], partial(build, *content)
+        return (
+            within(chain, f"/{prefix}/{name}"),
+            CHAIN_TOPICS[name],
+            partial(build, *content),
+        )
 
     def shared(
         topic: str, build: Callable[..., Any], *content: Any
@@ -109,7 +120,9 @@ class RosMessages:
 
     def header(self, nanoseconds: int) -> Any:
         """Build a header."""
-        return self._type("std_msgs/msg/Header")(stamp=self.time(nanoseconds), frame_id=self._frame)
+        return self._type("std_msgs/msg/Header")(
+            stamp=self.time(nanoseconds), frame_id=self._frame
+        )
 
     def vector(self, x: float, y: float, z: float) -> Any:
         """Build a vector."""
@@ -133,7 +146,9 @@ class RosMessages:
         wrench = self._type("geometry_msgs/msg/Wrench")(
             force=self.vector(*force), torque=self.vector(0.0, 0.0, 0.0)
         )
-        return self._type("geometry_msgs/msg/WrenchStamped")(header=self.header(at), wrench=wrench)
+        return self._type("geometry_msgs/msg/WrenchStamped")(
+            header=self.header(at), wrench=wrench
+        )
 
     def transform(self, at: int, child: str, position: Vector) -> Any:
         """Build a message of tf: a frame at a position, not turned; time in ns."""
@@ -164,7 +179,8 @@ class RosMessages:
             self._type("diagnostic_msgs/msg/DiagnosticStatus"),
         )
         values = [
-            pair(key=name, value=str(getattr(status, name))) for name in status.__struct_fields__
+            pair(key=name, value=str(getattr(status, name)))
+            for name in status.__struct_fields__
         ]
         # Cyclone's types have no constants: OK is 0, WARN 1.
         ok, warn = getattr(kind, "OK", 0), getattr(kind, "WARN", 1)

@@ -49,12 +49,16 @@ class Line:
             self._folded = empty, empty.copy()
         rows = np.array(self._rows, dtype=np.float64)
         self._rows.clear()
-        place = np.clip((rows[:, 0] - self._start) / self._width, 0, BINS - 1).astype(int)
+        place = np.clip((rows[:, 0] - self._start) / self._width, 0, BINS - 1).astype(
+            int
+        )
         order = np.argsort(place, kind="stable")
         bins, first = np.unique(place[order], return_index=True)
         # fmin and fmax ignore NaN.
         for held, smaller in zip(self._folded, (np.fmin, np.fmax), strict=True):
-            held[bins] = smaller(held[bins], smaller.reduceat(rows[order, 1:], first, axis=0))
+            held[bins] = smaller(
+                held[bins], smaller.reduceat(rows[order, 1:], first, axis=0)
+            )
 
     def arrays(self) -> tuple[AnyArray, AnyArray]:
         """Return times, shape (N,), and values, shape (N, columns)."""
@@ -65,7 +69,9 @@ class Line:
             self._fold()
         assert self._folded is not None  # noqa: S101  # more than POINTS rows were folded
         low, high = self._folded
-        times = self._start + self._width * (np.arange(BINS)[:, None] + np.array([0.25, 0.75]))
+        times = self._start + self._width * (
+            np.arange(BINS)[:, None] + np.array([0.25, 0.75])
+        )
         values = np.stack((low, high), axis=1)
         kept = ~np.isnan(low).all(axis=1)
         return times[kept].reshape(-1), values[kept].reshape(-1, self._columns)
@@ -82,9 +88,12 @@ class Spans:
     def add(self, begin: float, end: float, name: str) -> None:
         """Mark `name` as active from `begin` to `end` [s]."""
         low, high = (
-            min(max(int((time - self._start) / self._width), 0), BINS - 1) for time in (begin, end)
+            min(max(int((time - self._start) / self._width), 0), BINS - 1)
+            for time in (begin, end)
         )
-        self._seen.setdefault(name, bytearray(BINS))[low : high + 1] = b"\1" * (high + 1 - low)
+        self._seen.setdefault(name, bytearray(BINS))[low : high + 1] = b"\1" * (
+            high + 1 - low
+        )
 
     def spans(self) -> Iterator[tuple[str, float, float]]:
         """Yield name, begin and end [s] of each interval."""
@@ -93,14 +102,20 @@ class Spans:
             while begin >= 0:
                 end = seen.find(0, begin)
                 end = BINS if end < 0 else end
-                yield name, self._start + begin * self._width, self._start + end * self._width
+                yield (
+                    name,
+                    self._start + begin * self._width,
+                    self._start + end * self._width,
+                )
                 begin = seen.find(1, end)
 
 
 class Lines:
     """Data for the figure of a run, from `start` to `stop` after the first state [s]."""
 
-    def __init__(self, recording: Recording, start: float = 0.0, stop: float = math.inf) -> None:
+    def __init__(
+        self, recording: Recording, start: float = 0.0, stop: float = math.inf
+    ) -> None:
         recording.require_ticks()
         figures = recording.topics[DEVICE_STATE]
         if figures.messages < 2:
@@ -122,10 +137,18 @@ class Lines:
         ends = self.start, self.stop
         # Per axis: position [m], force handed to the device at its tick [N], force of the law
         # before limits [N].
-        self.position, self.force, self.asked = Line(*ends, 3), Line(*ends, 3), Line(*ends, 3)
+        self.position, self.force, self.asked = (
+            Line(*ends, 3),
+            Line(*ends, 3),
+            Line(*ends, 3),
+        )
         # Energy given out and the passivity guard's account [J]; response time of ticks answered
         # in time [s]; proxy, and surface where one faces the axis [m].
-        self.energy, self.response, self.proxy = Line(*ends, 2), Line(*ends, 1), Line(*ends, 6)
+        self.energy, self.response, self.proxy = (
+            Line(*ends, 2),
+            Line(*ends, 1),
+            Line(*ends, 6),
+        )
         # Safety states other than active, and ticks that were not answered in time (named
         # ``missed``).
         self.safety, self.missed = Spans(*ends), Spans(*ends)
@@ -146,7 +169,8 @@ class Lines:
         wanted = [
             topic
             for topic in recording.topics
-            if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT) or message_type(topic) is Event
+            if topic in (DEVICE_STATE, PROXY, FORCE, RECEIPT)
+            or message_type(topic) is Event
         ]
         # If ticks are recorded in order, the first state after the interval ends the reading.
         ordered = not recording.topics[DEVICE_STATE].back

@@ -29,7 +29,9 @@ class Summary(msgspec.Struct):
     overruns: int | None
     # p50, p99, p999 and max response time of the ticks answered in time [µs]; empty if none.
     response_us: dict[str, float]
-    age_ticks_max: int | None  # age of the oldest force used [ticks]; None without states
+    age_ticks_max: (
+        int | None
+    )  # age of the oldest force used [ticks]; None without states
     # Final position [m] and force [N], shape (3,); empty if no state was recorded.
     position_m: list[float]
     force_n: list[float]
@@ -73,7 +75,9 @@ def summarise(recording: Recording) -> Summary:
         missed=missed,
         overruns=overruns,
         response_us=(
-            {name: quantile(responses, f) for name, f in QUANTILES.items()} if responses else {}
+            {name: quantile(responses, f) for name, f in QUANTILES.items()}
+            if responses
+            else {}
         ),
         age_ticks_max=oldest,
         position_m=list(last.position),

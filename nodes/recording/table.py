@@ -44,7 +44,11 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
         "part of this tick after which its first new force was handed over; 1 where none was",
         lambda r: r[1].changed_at if r[1] else math.nan,
     ),
-    "force_seq": ("", "tick that the force answers", lambda r: r[1].force_seq if r[1] else -1),
+    "force_seq": (
+        "",
+        "tick that the force answers",
+        lambda r: r[1].force_seq if r[1] else -1,
+    ),
     "force_asked": (
         "N",
         "force that the law asked for at this tick",
@@ -81,17 +85,37 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
         "time until the force was there; 0 when it came too late",
         lambda r: r[1].response if r[1] else math.nan,
     ),
-    "age": ("ticks", "age of the force that was used", lambda r: r[1].age if r[1] else -1),
+    "age": (
+        "ticks",
+        "age of the force that was used",
+        lambda r: r[1].age if r[1] else -1,
+    ),
     "delay": (
         "ticks",
         "measured delay from sample to force",
         lambda r: r[1].delay if r[1] else math.nan,
     ),
-    "lateness": ("s", "how long after its deadline the tick was sampled", lambda r: r[0].lateness),
-    "missed": ("", "ticks so far that were not answered in time", lambda r: r[0].missed),
+    "lateness": (
+        "s",
+        "how long after its deadline the tick was sampled",
+        lambda r: r[0].lateness,
+    ),
+    "missed": (
+        "",
+        "ticks so far that were not answered in time",
+        lambda r: r[0].missed,
+    ),
     "overruns": ("", "ticks so far that the driver left out", lambda r: r[0].overruns),
-    "energy": ("J", "energy given out by the virtual side so far", lambda r: r[0].energy),
-    "guard": ("J", "account of the passivity guard: owed (+), in store (−)", lambda r: r[0].guard),
+    "energy": (
+        "J",
+        "energy given out by the virtual side so far",
+        lambda r: r[0].energy,
+    ),
+    "guard": (
+        "J",
+        "account of the passivity guard: owed (+), in store (−)",
+        lambda r: r[0].guard,
+    ),
     "target": (
         "m",
         "where a simulated hand pulls the device to; zero without one",
@@ -104,7 +128,15 @@ COLUMNS: dict[str, tuple[str, str, Callable[[Row], Any]]] = {
 An answer that was not recorded is NaN, an empty text, or −1 for a count.
 """
 
-VECTORS = ("position", "force", "mean_force", "force_asked", "proxy", "normal", "target")
+VECTORS = (
+    "position",
+    "force",
+    "mean_force",
+    "force_asked",
+    "proxy",
+    "normal",
+    "target",
+)
 """Columns of three numbers: x, y and z."""
 
 _WINDOW = 4096  # ticks that wait for their answers; more than the driver's history
@@ -130,7 +162,9 @@ def rows(recording: Recording) -> Iterator[Row]:
         If no state was recorded, or a message does not fit its type.
     """
     recording.require_ticks()
-    topics = [topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics]
+    topics = [
+        topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in recording.topics
+    ]
     yield from joined(entry.message for entry in recording.entries(topics))
 
 
@@ -152,7 +186,11 @@ def joined(messages: Iterable[Message]) -> Iterator[Row]:
     forces: dict[int, Force] = {}
 
     def take(state: DeviceState, following: DeviceState | None) -> Row:
-        after = following if following is not None and following.seq == state.seq + 1 else None
+        after = (
+            following
+            if following is not None and following.seq == state.seq + 1
+            else None
+        )
         return state, after, proxies.pop(state.seq, None), forces.pop(state.seq, None)
 
     for message in messages:

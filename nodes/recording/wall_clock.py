@@ -26,7 +26,9 @@ def offsets_of(manifest: Mapping[str, str]) -> tuple[int, int]:
         offset = round(wall * 1e9) if abs(wall) < _LATEST else 0
     except (KeyError, ValueError):
         return 0, 0
-    return offset, time.time_ns() if offset and manifest.get("pace") == "lockstep" else offset
+    return offset, time.time_ns() if offset and manifest.get(
+        "pace"
+    ) == "lockstep" else offset
 
 
 def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
@@ -34,7 +36,9 @@ def read_offsets(values: Mapping[str, str]) -> tuple[int, int]:
     try:
         log, publish = (int(values[name]) for name in (LOG_OFFSET, PUBLISH_OFFSET))
     except (KeyError, ValueError) as error:
-        raise ValueError(f"a clock record without times: {str(dict(values))[:200]}") from error
+        raise ValueError(
+            f"a clock record without times: {str(dict(values))[:200]}"
+        ) from error
     if max(abs(log), abs(publish)) > LATEST_NS:
         raise ValueError(f"a clock record beyond 64 bits: {str(dict(values))[:200]}")
     return log, publish
@@ -47,4 +51,6 @@ def record(log: int, publish: int) -> dict[str, str]:
 
 def nanoseconds(seconds: float, offset: int) -> int:
     """Convert a time to MCAP's unsigned 64-bit nanoseconds."""
-    return min(max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), LATEST_NS)
+    return min(
+        max(round(min(max(seconds, -_LATEST), _LATEST) * 1e9) + offset, 0), LATEST_NS
+    )

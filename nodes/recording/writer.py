@@ -26,7 +26,12 @@ from nodes.parameters.installed import version
 from nodes.recording import wall_clock
 
 CHUNK_SIZE = 65536  # uncompressed size at which a chunk is finished [bytes]
-MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = "manifest", "launch_file", "parameters", "versions"
+MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = (
+    "manifest",
+    "launch_file",
+    "parameters",
+    "versions",
+)
 """Names of the metadata records."""
 
 CHOSEN = "topics"  # manifest entry with the recorded topics, if not all
@@ -55,9 +60,13 @@ class Output:
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
         self.size = 0  # bytes written so far
-        flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
+        flags = (
+            os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
+        )
         try:
-            self.descriptor = os.open(path, flags, 0o644)  # file descriptor; -1 once closed
+            self.descriptor = os.open(
+                path, flags, 0o644
+            )  # file descriptor; -1 once closed
             self._claim()
         except FileExistsError as error:
             raise RecordError(
@@ -156,7 +165,8 @@ def mcap_writer(output: Output, library: str = "") -> Any:
         enable_data_crcs=True,
     )
     writer.start(
-        profile="haptic-nodes", library=library or f"haptic-nodes {versions()['haptic-nodes']}"
+        profile="haptic-nodes",
+        library=library or f"haptic-nodes {versions()['haptic-nodes']}",
     )
     return writer
 
@@ -214,7 +224,8 @@ class RecordWriter:
             self._writer = mcap_writer(self._output)
             self.add_metadata(MANIFEST, manifest)
             self.add_metadata(
-                wall_clock.CLOCK, wall_clock.record(self._log_offset, self._publish_offset)
+                wall_clock.CLOCK,
+                wall_clock.record(self._log_offset, self._publish_offset),
             )
             if launch_file is not None:
                 self.add_metadata(LAUNCH_FILE, {"yaml": launch_file})
@@ -225,13 +236,19 @@ class RecordWriter:
             self._output.close()
             raise
 
-    def _open(self, topic: str, message_type: type[Message]) -> tuple[int, type[Message]]:
+    def _open(
+        self, topic: str, message_type: type[Message]
+    ) -> tuple[int, type[Message]]:
         """Register the channel of a topic for its first message."""
         if message_type not in self._schemas:
             self._schemas[message_type] = self._writer.register_schema(
-                f"haptic.{message_type.__name__}", "jsonschema", schema_json(message_type)
+                f"haptic.{message_type.__name__}",
+                "jsonschema",
+                schema_json(message_type),
             )
-        channel = self._writer.register_channel(topic, "json", self._schemas[message_type])
+        channel = self._writer.register_channel(
+            topic, "json", self._schemas[message_type]
+        )
         self._channels[topic] = (channel, message_type)
         self.counts[topic] = 0
         return self._channels[topic]

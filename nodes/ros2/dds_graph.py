@@ -57,7 +57,9 @@ class DdsGraph:
         if kind.name == "NAME":
             return self._class(inner)
         if kind.name == "BASE":
-            name = {"octet": "uint8", "byte": "uint8", "char": "uint8"}.get(inner[0], inner[0])
+            name = {"octet": "uint8", "byte": "uint8", "char": "uint8"}.get(
+                inner[0], inner[0]
+            )
             return {"string": str, "bool": bool}.get(name) or getattr(types, name)
         of, length = inner
         return (
@@ -70,7 +72,9 @@ class DdsGraph:
         if name not in self._classes:
             _, fields = self._store.fielddefs[name]
             in_dds = f"{name.replace('/msg/', '::msg::dds_::')}_"
-            described = {field: self._field(description) for field, description in fields}
+            described = {
+                field: self._field(description) for field, description in fields
+            }
             self._classes[name] = import_module("cyclonedds.idl").make_idl_struct(
                 name.replace("/", "_"), in_dds, described
             )
@@ -126,14 +130,18 @@ class DdsGraph:
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
         """Subscribe to a topic."""
         policy = self._core.Policy
-        qos = self._core.Qos(policy.Reliability.BestEffort, policy.History.KeepLast(QUEUE))
+        qos = self._core.Qos(
+            policy.Reliability.BestEffort, policy.History.KeepLast(QUEUE)
+        )
         subscribing = import_module("cyclonedds.sub")
         reader = subscribing.DataReader(
             subscribing.Subscriber(self._participant), self._topic(topic, name), qos
         )
         self._readers.append((reader, take))
 
-    def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:
+    def serve(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str]
+    ) -> bool:
         """Return False: parameters are services of a ROS node, which DDS alone lacks."""
         del values, change
         return False

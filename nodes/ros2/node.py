@@ -45,7 +45,9 @@ ASKING = 0.5  # longest wait for a node's answer [s]
 ACROSS, THICK = 0.3, 0.002  # drawn extent and thickness of a plane [m]
 
 
-class Ros2Parameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Ros2Parameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of a ros2 node.
 
     rate: Publishing rate of the newest messages [Hz].
@@ -81,7 +83,9 @@ class Ros2(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Check that a library is installed, and that a deterministic run has no outside input."""
-        parameters: Ros2Parameters = convert(setup.parameters, Ros2Parameters, setup.name)
+        parameters: Ros2Parameters = convert(
+            setup.parameters, Ros2Parameters, setup.name
+        )
         choose(parameters.backend, setup.name)
         for name in ("wrench", "target"):
             if getattr(parameters, name) and setup.pace == "lockstep":
@@ -95,7 +99,9 @@ class Ros2(Node):
         super().__init__(setup)
         self._simulated = setup.pace == "lockstep"
         self._offset = (
-            0.0 if self._simulated else float(setup.manifest.get("wall_minus_monotonic_s", "0"))
+            0.0
+            if self._simulated
+            else float(setup.manifest.get("wall_minus_monotonic_s", "0"))
         )
         self._law, self._seldom = "", 0.0
         self._wall: tuple[int, Any, Any] | None = None
@@ -107,14 +113,18 @@ class Ros2(Node):
         self._hand: PointerWriter | None = None
         # kinds and frames of messages that were refused and reported
         self._foreign: set[tuple[str, str]] = set()
-        self._wrench: Any = None  # newest force from the graph that is not yet sent to the driver
+        self._wrench: Any = (
+            None  # newest force from the graph that is not yet sent to the driver
+        )
 
     def configure(self) -> None:
         """Join the graph, which may take seconds, before the loop starts."""
         parameters: Ros2Parameters = self.store.current
         namespace = self._namespace = f"/{self.setup.namespace}".rstrip("/")
         backend = choose(parameters.backend, self.setup.name)
-        self._graph: Graph = join(backend, self.setup.name.rpartition("/")[2], namespace or "/")
+        self._graph: Graph = join(
+            backend, self.setup.name.rpartition("/")[2], namespace or "/"
+        )
         self._make = RosMessages(self._graph.look_up, parameters.frame)
         self._prefix = f"{namespace}/{parameters.prefix}"
         self._publishers: dict[str, Callable[[Any], None] | None] = {}
@@ -153,12 +163,16 @@ class Ros2(Node):
             if isinstance(message, Force):
                 changed, self._law = message.law != self._law, message.law
                 said = seldom or changed
-            for name, kind, build in ros2_messages(make, message, at, self.setup.namespace, prefix):
+            for name, kind, build in ros2_messages(
+                make, message, at, self.setup.namespace, prefix
+            ):
                 if said or kind != "std_msgs/msg/String":
                     self._publish(name, kind, build)
             if isinstance(message, DeviceState):
                 if self._simulated:
-                    self._publish("/clock", "rosgraph_msgs/msg/Clock", partial(make.clock, at))
+                    self._publish(
+                        "/clock", "rosgraph_msgs/msg/Clock", partial(make.clock, at)
+                    )
                 if seldom and self._wall is not None:
                     self._publish(
                         f"{self._prefix}/wall",
@@ -183,7 +197,9 @@ class Ros2(Node):
             across = AXIS_INDEX[surface.get("axis", "z")]
             size[across] = THICK
             # The free side is the surface that is touched.
-            place[across] = surface.get("position", 0.0) - surface.get("normal", 1) * THICK / 2.0
+            place[across] = (
+                surface.get("position", 0.0) - surface.get("normal", 1) * THICK / 2.0
+            )
             return CUBE, tuple(place), tuple(size)
         if kind == "sphere":
             return (
@@ -192,7 +208,11 @@ class Ros2(Node):
                 (2.0 * surface["radius"],) * 3,
             )
         if kind == "box" and not any(surface.get("rotation", ())):
-            return CUBE, tuple(surface.get("position", (0.0, 0.0, 0.0))), tuple(surface["size"])
+            return (
+                CUBE,
+                tuple(surface.get("position", (0.0, 0.0, 0.0))),
+                tuple(surface["size"]),
+            )
         return None
 
     def _ask(self, role: str, op: str, **args: object) -> Any:
@@ -205,7 +225,9 @@ class Ros2(Node):
     def _fresh(self, name: str, stamp: Any) -> bool:
         """Return whether a message is recent enough, and report if not."""
         age = (
-            time.time() - (stamp.sec + stamp.nanosec * 1e-9) if stamp.sec or stamp.nanosec else 0.0
+            time.time() - (stamp.sec + stamp.nanosec * 1e-9)
+            if stamp.sec or stamp.nanosec
+            else 0.0
         )
         if abs(age) <= self.store.current.age_limit:
             return True
@@ -224,8 +246,15 @@ class Ros2(Node):
         transform may be outdated.
         """
         # tf 1 used a leading slash.
-        ours = frame.removeprefix("/") in ("", self.store.current.frame.removeprefix("/"))
-        if not ours and (name, frame) not in self._foreign and len(self._foreign) < MAX_FRAMES:
+        ours = frame.removeprefix("/") in (
+            "",
+            self.store.current.frame.removeprefix("/"),
+        )
+        if (
+            not ours
+            and (name, frame) not in self._foreign
+            and len(self._foreign) < MAX_FRAMES
+        ):
             self._foreign.add((name, frame))
             self.events.emit_each(
                 "frame",
@@ -246,9 +275,12 @@ class Ros2(Node):
         if message is not None and self._fresh("wrench", message.header.stamp):
             force = message.wrench.force
             # A sensor has components along all axes; discard those that the scene does not compute.
-            computed = [AXIS_INDEX[axis] for axis in self._run.nodes[self._roles["driver"]].axes]
+            computed = [
+                AXIS_INDEX[axis] for axis in self._run.nodes[self._roles["driver"]].axes
+            ]
             parts = [
-                part if i in computed else 0.0 for i, part in enumerate((force.x, force.y, force.z))
+                part if i in computed else 0.0
+                for i, part in enumerate((force.x, force.y, force.z))
             ]
             try:
                 self._ask("driver", "external", force=parts)
@@ -273,7 +305,9 @@ class Ros2(Node):
             self._ask(
                 node,
                 "param.set",
-                values={path: list(value) if isinstance(value, (list, tuple)) else value},
+                values={
+                    path: list(value) if isinstance(value, (list, tuple)) else value
+                },
             )
         except HapticError as error:
             return str(error)
@@ -289,7 +323,9 @@ class Ros2(Node):
                     " with external: {peak: 1.0, age: 0.1}",
                     path=f"{self.setup.name}.wrench",
                 )
-            self._graph.listen(self._namespace + parameters.wrench, WRENCH, self._take_wrench)
+            self._graph.listen(
+                self._namespace + parameters.wrench, WRENCH, self._take_wrench
+            )
         if parameters.target:
             no_hand = ParameterError(
                 "no hand can be dragged; a sim_driver has one with device.hand and pointer: {}",
@@ -303,7 +339,9 @@ class Ros2(Node):
                 )
             except FileNotFoundError as error:
                 raise no_hand from error
-            self._graph.listen(self._namespace + parameters.target, POSE, self._take_target)
+            self._graph.listen(
+                self._namespace + parameters.target, POSE, self._take_target
+            )
         self._graph.serve(self._parameters(), self._change)
 
     def _parameters(self) -> dict[str, Any]:
@@ -353,7 +391,9 @@ class Ros2(Node):
                 frames = inbox.receive(0) if due else None
             if due:
                 # Periods that were missed are skipped, never made up for.
-                following = following + period if now < following + period else now + period
+                following = (
+                    following + period if now < following + period else now + period
+                )
                 self._newest(newest)
                 newest.clear()
                 self._graph.take()

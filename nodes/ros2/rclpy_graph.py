@@ -20,7 +20,9 @@ class RclpyGraph:
         self._context = context.Context()
         # the launcher handles signals
         rclpy.init(
-            args=[], context=self._context, signal_handler_options=signals.SignalHandlerOptions.NO
+            args=[],
+            context=self._context,
+            signal_handler_options=signals.SignalHandlerOptions.NO,
         )
         self._node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = executors.SingleThreadedExecutor(context=self._context)
@@ -43,7 +45,9 @@ class RclpyGraph:
         sensor_data = import_module("rclpy.qos").qos_profile_sensor_data
         self._node.create_subscription(self.look_up(name), topic, take, sensor_data)
 
-    def serve(self, values: Mapping[str, Any], change: Callable[[str, Any], str]) -> bool:
+    def serve(
+        self, values: Mapping[str, Any], change: Callable[[str, Any], str]
+    ) -> bool:
         """Serve parameters: ``ros2 param set`` sets them on their node and returns its refusal."""
         result = import_module("rcl_interfaces.msg").SetParametersResult
         dynamic = import_module("rcl_interfaces.msg").ParameterDescriptor

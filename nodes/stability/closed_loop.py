@@ -42,7 +42,9 @@ class Rendered:
     # largest factor on the whole law that is passive on this device; None without a declared
     # damping
     passive_scale: float | None
-    pole_radius: float | None  # largest pole of the closed loop; None without a declared mass
+    pole_radius: (
+        float | None
+    )  # largest pole of the closed loop; None without a declared mass
 
 
 def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
@@ -52,7 +54,9 @@ def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """
     plant = as_one(plant)
     if plant.partner is not None:
-        raise ValueError("plant: a pair has no well-conditioned polynomial; use pole_radius")
+        raise ValueError(
+            "plant: a pair has no well-conditioned polynomial; use pole_radius"
+        )
     if law.sections:
         raise ValueError(
             "law: recursive sections have no well-conditioned polynomial; use pole_radius"
@@ -90,12 +94,15 @@ def state_matrix(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:
     """
     plant = as_one(plant)
     if plant.partner is not None:
-        return tick_matrix(law, plant.period**2 / reduced_mass(plant), *held_pair(plant))
+        return tick_matrix(
+            law, plant.period**2 / reduced_mass(plant), *held_pair(plant)
+        )
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     period = plant.period
     device = np.array([[a11, a12 / period], [a21 * period, a22]])
     pushes = [
-        (lag, np.array([of[0], of[1] * period])) for lag, of in ((whole, new), (whole + 1, old))
+        (lag, np.array([of[0], of[1] * period]))
+        for lag, of in ((whole, new), (whole + 1, old))
     ]
     return tick_matrix(law, period * period / plant.mass, device, pushes)
 
@@ -114,7 +121,10 @@ def tick_matrix(
     """
     states = len(device)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
-    first_section, first_force = states + history, states + history + 2 * len(law.sections)
+    first_section, first_force = (
+        states + history,
+        states + history + 2 * len(law.sections),
+    )
     size = first_force + max(lag for lag, _ in pushes)
     force = np.zeros(size)
     force[0] = -law.taps[0] * unit
@@ -138,21 +148,28 @@ def tick_matrix(
             step[:states, first_force + lag - 1] += push / unit
     if history:
         step[states, 0] = 1.0
-        step[np.arange(states + 1, states + history), np.arange(states, states + history - 1)] = 1.0
+        step[
+            np.arange(states + 1, states + history),
+            np.arange(states, states + history - 1),
+        ] = 1.0
     if size > first_force:
         step[first_force] += force
     step[np.arange(first_force + 1, size), np.arange(first_force, size - 1)] = 1.0
     return step
 
 
-def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None) -> Rendered:
+def rendered(
+    law: CompiledLaw, loop: Plant | float, nominal: float | None = None
+) -> Rendered:
     """Return what a law renders, in a loop with a device or for a sampling period [s] alone.
 
     `nominal` is the K that f(ω) uses as the spring [N/m]; by default H(1), the actual stiffness.
     With the law's nominal K, f is the paper's and its mean shows the leak.
     """
     plant = loop if isinstance(loop, Plant) else None
-    period, delay = (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
+    period, delay = (
+        (loop.period, loop.delay) if isinstance(loop, Plant) else (loop, 0.0)
+    )
     spring = law.h1 if nominal is None else nominal
     offset = 0.5 * period * (law.h1 - spring)
     where, lowest = least(law, period)
@@ -166,7 +183,9 @@ def rendered(law: CompiledLaw, loop: Plant | float, nominal: float | None = None
         f_mean_n_s_per_m=offset,
         damping_needed_n_s_per_m=needed,
         passive_scale=(
-            None if plant is None or needed <= 0.0 else plant.damping_of_any_hand / needed
+            None
+            if plant is None or needed <= 0.0
+            else plant.damping_of_any_hand / needed
         ),
         pole_radius=None if plant is None else pole_radius(law, plant),
     )
@@ -185,5 +204,7 @@ def law_figures(law: CompiledLaw, loop: Plant | float) -> dict[str, Any]:
     }
     linear = asdict(rendered(law, loop))
     if law.evaluate is not None:
-        linear = {key: value if key == "h1_n_per_m" else None for key, value in linear.items()}
+        linear = {
+            key: value if key == "h1_n_per_m" else None for key, value in linear.items()
+        }
     return figures | linear

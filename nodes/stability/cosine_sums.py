@@ -36,7 +36,9 @@ class Laurent:
 
     def __mul__(self, other: Laurent) -> Laurent:
         """Return the product of both."""
-        return Laurent(np.convolve(self.coefficients, other.coefficients), self.low + other.low)
+        return Laurent(
+            np.convolve(self.coefficients, other.coefficients), self.low + other.low
+        )
 
     def __add__(self, other: Laurent) -> Laurent:
         """Return the sum of both."""
@@ -44,26 +46,35 @@ class Laurent:
         high = max(one.low + len(one.coefficients) for one in (self, other))
         total = np.zeros(high - low)
         for one in (self, other):
-            total[one.low - low : one.low - low + len(one.coefficients)] += one.coefficients
+            total[one.low - low : one.low - low + len(one.coefficients)] += (
+                one.coefficients
+            )
         return Laurent(total, low)
 
     @property
     def conjugate(self) -> Laurent:
         """N(1/w), which is the complex conjugate on the unit circle."""
-        return Laurent(self.coefficients[::-1].copy(), -(self.low + len(self.coefficients) - 1))
+        return Laurent(
+            self.coefficients[::-1].copy(), -(self.low + len(self.coefficients) - 1)
+        )
 
     def at(self, theta: Cosines) -> NDArray[np.complex128]:
         """Return the values at w = e^{−jθ}."""
         powers = self.low + np.arange(len(self.coefficients))
         return np.asarray(
-            np.exp(-1j * np.multiply.outer(theta, powers)) @ self.coefficients, dtype=np.complex128
+            np.exp(-1j * np.multiply.outer(theta, powers)) @ self.coefficients,
+            dtype=np.complex128,
         )
 
     def real(self) -> Cosines:
         """Return the coefficients of the cosine sum Re{N(w)}."""
         size = max(abs(self.low), abs(self.low + len(self.coefficients) - 1)) + 1
         cosines = np.zeros(size)
-        np.add.at(cosines, np.abs(self.low + np.arange(len(self.coefficients))), self.coefficients)
+        np.add.at(
+            cosines,
+            np.abs(self.low + np.arange(len(self.coefficients))),
+            self.coefficients,
+        )
         return cosines
 
     def real_over_one_less_w(self) -> Cosines:
@@ -93,7 +104,8 @@ def one_less_cosine(multiple: int) -> Cosines:
 def values(cosines: Cosines, theta: Cosines) -> Cosines:
     """Return Σ c_j cos jθ at angles θ [rad]."""
     return np.asarray(
-        np.cos(np.multiply.outer(theta, np.arange(len(cosines)))) @ cosines, dtype=np.float64
+        np.cos(np.multiply.outer(theta, np.arange(len(cosines)))) @ cosines,
+        dtype=np.float64,
     )
 
 
@@ -133,6 +145,9 @@ def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
             return None
         width /= 4.0
         inner = values(cosines, left[:, None] + width * np.arange(1, 4))
-        low, high = np.column_stack([low, inner]).ravel(), np.column_stack([inner, high]).ravel()
+        low, high = (
+            np.column_stack([low, inner]).ravel(),
+            np.column_stack([inner, high]).ravel(),
+        )
         left = (left[:, None] + width * np.arange(4)).ravel()
     return None

@@ -14,7 +14,9 @@ _ZOOMS = 8
 _CELLS = 17
 
 
-def dips(function: Callable[[Reals], Reals], theta: Reals, value: Reals) -> tuple[Reals, Reals]:
+def dips(
+    function: Callable[[Reals], Reals], theta: Reals, value: Reals
+) -> tuple[Reals, Reals]:
     """Return the positions of a function's deepest minima, and its values there.
 
     Parameters
@@ -26,11 +28,16 @@ def dips(function: Callable[[Reals], Reals], theta: Reals, value: Reals) -> tupl
     """
     value = np.where(np.isnan(value), np.inf, value)
     padded = np.concatenate([[np.inf], value, [np.inf]])
-    lowest = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]) & np.isfinite(value))
+    lowest = np.flatnonzero(
+        (value <= padded[:-2]) & (value <= padded[2:]) & np.isfinite(value)
+    )
     lowest = lowest[np.argsort(value[lowest])][:_DIPS]
     if not lowest.size:
         return np.empty(0), np.empty(0)
-    left, right = theta[np.maximum(lowest - 1, 0)], theta[np.minimum(lowest + 1, len(theta) - 1)]
+    left, right = (
+        theta[np.maximum(lowest - 1, 0)],
+        theta[np.minimum(lowest + 1, len(theta) - 1)],
+    )
     column = np.arange(len(lowest))
     for _ in range(_ZOOMS):
         cells = np.linspace(left, right, _CELLS)

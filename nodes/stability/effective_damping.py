@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from nodes.laws import CompiledLaw
 from nodes.stability.resonances import resonances
 
-PowerSum = Callable[[NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]]
+PowerSum = Callable[
+    [NDArray[np.float64], NDArray[np.complex128]], NDArray[np.complex128]
+]
 
 _ZOOMS = 6
 
@@ -30,11 +32,17 @@ def effective_damping(
     The loop is strictly passive iff b > H(1)·T/2 + f(ω) for all 0 < ω ≤ ω_N (THEORY.md §2).
     `omega`: 0 ≤ ω ≤ π/T [rad/s], at 0 the limit. `delay`: whole ticks.
     """
-    return _effective(law, period, np.asarray(omega, dtype=np.float64) * period, delay, _power_sum)
+    return _effective(
+        law, period, np.asarray(omega, dtype=np.float64) * period, delay, _power_sum
+    )
 
 
 def _effective(
-    law: CompiledLaw, period: float, theta: NDArray[np.float64], delay: int, power_sum: PowerSum
+    law: CompiledLaw,
+    period: float,
+    theta: NDArray[np.float64],
+    delay: int,
+    power_sum: PowerSum,
 ) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
     # t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1
@@ -68,7 +76,11 @@ def least(law: CompiledLaw, period: float) -> tuple[float, float]:
 
 
 def _needed_at(
-    law: CompiledLaw, period: float, delay: float, theta: NDArray[np.float64], power_sum: PowerSum
+    law: CompiledLaw,
+    period: float,
+    delay: float,
+    theta: NDArray[np.float64],
+    power_sum: PowerSum,
 ) -> NDArray[np.float64]:
     whole = math.floor(delay)
     fraction = delay - whole
@@ -87,7 +99,9 @@ def _needed_at(
     return np.asarray(0.5 * (s + np.sqrt(s * s + spread)), dtype=np.float64)
 
 
-def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _section_tails(
+    law: CompiledLaw, w: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
     """Return the same quotient of the sections, (R(w) − R(1))/(w − 1), exact at w = 1 too."""
     total = np.zeros_like(w)
     for b0, b1, a1, a2 in law.sections:
@@ -96,7 +110,9 @@ def _section_tails(law: CompiledLaw, w: NDArray[np.complex128]) -> NDArray[np.co
     return total
 
 
-def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _power_sum(
+    c: NDArray[np.float64], w: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
     """Return Σ c_j w^j by Horner's scheme over blocks of 64 powers, for thousands of taps."""
     block = min(64, max(1, len(c)))
     blocks = max(1, -(-len(c) // block))
@@ -115,7 +131,8 @@ def _power_sum(c: NDArray[np.float64], w: NDArray[np.complex128]) -> NDArray[np.
 
 
 def _lowest(
-    law: CompiledLaw, function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]]
+    law: CompiledLaw,
+    function: Callable[[NDArray[np.float64], PowerSum], NDArray[np.float64]],
 ) -> tuple[float, float]:
     """Return position and value of the minimum over 0 ≤ θ ≤ π: a grid, then zooms.
 
@@ -125,16 +142,22 @@ def _lowest(
     if law.sections:
         # Slow sections act in the lowest decades.
         theta = np.unique(
-            np.concatenate([theta, np.geomspace(1e-6, np.pi, 2001)[:-1], resonances(law)])
+            np.concatenate(
+                [theta, np.geomspace(1e-6, np.pi, 2001)[:-1], resonances(law)]
+            )
         )
     # On equal angles from w = 1 to w = −1, a sum of powers is a Fourier transform.
     value = function(
-        theta, _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1))
+        theta,
+        _power_sum if law.sections else lambda c, w: np.fft.rfft(c, 2 * (w.size - 1)),
     )
     padded = np.concatenate([[np.inf], value, [np.inf]])
     dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))
     dips = dips[np.argsort(value[dips])][:8]
-    left, right = theta[np.maximum(dips - 1, 0)], theta[np.minimum(dips + 1, len(theta) - 1)]
+    left, right = (
+        theta[np.maximum(dips - 1, 0)],
+        theta[np.minimum(dips + 1, len(theta) - 1)],
+    )
     for _ in range(_ZOOMS):
         cells = np.linspace(left, right, 33)
         values = function(cells, _power_sum)

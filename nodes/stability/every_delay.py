@@ -53,7 +53,9 @@ class EveryDelay:
     stable: Certificate  # unstable: with a growing sequence
     # factor per tick by which every motion contracts in the certificate's norm; None without one
     rate: float | None
-    words: int  # products in the certificate: runs of delays over which the norm contracts
+    words: (
+        int  # products in the certificate: runs of delays over which the norm contracts
+    )
     longest: int  # ticks of the longest of them
     # delays of a sequence that grows when repeated [ticks]; empty without one
     growing: tuple[float, ...]
@@ -98,16 +100,22 @@ def every_delay(
     return EveryDelay(Certificate.CERTIFIED, rate * slowest, words, longest, (), growth)
 
 
-def _device(plant: Plant | FlexiblePlant, period: float | None) -> tuple[FlexiblePlant, float]:
+def _device(
+    plant: Plant | FlexiblePlant, period: float | None
+) -> tuple[FlexiblePlant, float]:
     if isinstance(plant, Plant):
         if plant.partner is not None:
             raise ValueError(
                 "plant: a pair of bodies on one law is not certified for a delay that varies; leave"
                 " the partner out"
             )
-        return FlexiblePlant(plant.mass, plant.damping, stiffness=plant.stiffness), plant.period
+        return FlexiblePlant(
+            plant.mass, plant.damping, stiffness=plant.stiffness
+        ), plant.period
     if period is None:
-        raise ValueError("period: a flexible device has none of its own; give the loop's [s]")
+        raise ValueError(
+            "period: a flexible device has none of its own; give the loop's [s]"
+        )
     return plant, period
 
 
@@ -115,7 +123,11 @@ class _Ticks:
     """Matrices of one tick for the delays of two successive forces, and their hull."""
 
     def __init__(
-        self, law: CompiledLaw, plant: FlexiblePlant, period: float, delay: tuple[float, float]
+        self,
+        law: CompiledLaw,
+        plant: FlexiblePlant,
+        period: float,
+        delay: tuple[float, float],
     ) -> None:
         self._low, self._high = delay
         self._first = math.floor(delay[0])
@@ -127,8 +139,12 @@ class _Ticks:
         self._matrix_of_motion, self._push = plant.continuous()
         self.states = len(self._push)
         units = np.array([1.0, period, 1.0, period][: self.states - (plant.lag > 0.0)])
-        units = np.append(units, period * period / plant.mass) if plant.lag > 0.0 else units
-        self._matrix_of_motion = period * self._matrix_of_motion * units[:, None] / units
+        units = (
+            np.append(units, period * period / plant.mass) if plant.lag > 0.0 else units
+        )
+        self._matrix_of_motion = (
+            period * self._matrix_of_motion * units[:, None] / units
+        )
         self._push = self._push * units * plant.mass / period
         base = loop_matrix(law, period, replace(plant, delay=float(self._depth)))
         self.size = len(base)
@@ -164,7 +180,9 @@ class _Ticks:
         knots = np.linspace(low, high, 2 * _SEGMENTS + 1).tolist()
         shares = [self._share(s) for s in knots]
         corners = [shares[0]]
-        for left, middle, right in zip(shares[:-1:2], shares[1::2], shares[2::2], strict=True):
+        for left, middle, right in zip(
+            shares[:-1:2], shares[1::2], shares[2::2], strict=True
+        ):
             corners += [2.0 * middle - 0.5 * (left + right), right]
         return corners
 
@@ -186,7 +204,9 @@ class _Ticks:
             steepest = np.abs(moved @ push @ power.T).max(axis=0) + half * steepest
         # A parabola through both ends and the middle is off by at most h³/(72√3) times it.
         width = (high - low) / _SEGMENTS
-        return np.asarray(width**3 / (72.0 * math.sqrt(3.0)) * steepest, dtype=np.float64)
+        return np.asarray(
+            width**3 / (72.0 * math.sqrt(3.0)) * steepest, dtype=np.float64
+        )
 
     def _matrix(self, early: Matrix, late: Matrix | None) -> Matrix:
         forces, depth = self._forces, self._depth
@@ -211,7 +231,9 @@ class _Ticks:
     def off(self, norm: Matrix) -> float:
         """Return a bound, in a norm, of the distance of any tick's matrix from that hull."""
         inverse, largest = np.linalg.inv(norm), 0.0
-        for part, newer in zip(self._parts(), (self._depth, self._depth - 1), strict=False):
+        for part, newer in zip(
+            self._parts(), (self._depth, self._depth - 1), strict=False
+        ):
             change = (self._forces[newer] - self._forces[newer + 1]) @ inverse
             remainder = np.abs(norm[:, : self.states]) @ self._remainder(*part)
             largest += float(np.linalg.norm(remainder)) * float(np.linalg.norm(change))
@@ -245,7 +267,9 @@ def _worst_word(
     best, sequence = 0.0, (0,)
     words = [((i,), np.eye(ticks.size)) for i in range(len(values))]
     for length in range(1, longest + 1):
-        whole = np.array([pairs[word[-1], word[0]] @ product for word, product in words])
+        whole = np.array(
+            [pairs[word[-1], word[0]] @ product for word, product in words]
+        )
         radii = np.abs(np.linalg.eigvals(whole)).max(axis=1) ** (1.0 / length)
         top = int(np.argmax(radii))
         if radii[top] > best * (1.0 + 1e-12):
@@ -270,12 +294,16 @@ def _norm(hull: Matrix) -> Matrix:
     size = hull.shape[1]
     # States differ by orders of magnitude (sections, old forces): balance first, then start where
     # the mean matrix contracts evenly.
-    _, (scales, _) = matrix_balance(np.abs(hull).max(axis=0), permute=False, separate=True)
+    _, (scales, _) = matrix_balance(
+        np.abs(hull).max(axis=0), permute=False, separate=True
+    )
     mean = hull.mean(axis=0)
     radius = float(np.abs(np.linalg.eigvals(mean)).max())
     slow = mean / (radius + 0.3 * max(1.0 - radius, 1e-4))
     lyapunov = solve_discrete_lyapunov(slow.T, np.diag(scales**-2.0))
-    norm = np.asarray(np.linalg.cholesky((lyapunov + lyapunov.T) / 2.0).T, dtype=np.float64)
+    norm = np.asarray(
+        np.linalg.cholesky((lyapunov + lyapunov.T) / 2.0).T, dtype=np.float64
+    )
     lower = np.tril_indices(size)
 
     def soft(flat: Matrix, sharp: float, family: Matrix) -> tuple[float, Matrix]:
@@ -289,9 +317,9 @@ def _norm(hull: Matrix) -> Matrix:
         value = float(s.max() + np.log(total) / sharp)
         inner = np.einsum("nik,nk,nkj->nij", u, weights / total, vt)
         # d‖·‖ = tr(W' d(L M L⁻¹)), W the weighted sum of u v'.
-        gradient = np.einsum("nij,njk->ik", inner, np.transpose(images, (0, 2, 1))) - np.einsum(
-            "nji,njk->ik", images, inner
-        )
+        gradient = np.einsum(
+            "nij,njk->ik", inner, np.transpose(images, (0, 2, 1))
+        ) - np.einsum("nji,njk->ik", images, inner)
         return value, np.asarray((gradient @ inverse.T)[lower], dtype=np.float64)
 
     for sharp in (30.0, 100.0, 300.0, 1000.0, 1000.0, 3000.0, 3000.0):

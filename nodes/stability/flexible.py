@@ -27,7 +27,9 @@ class FlexiblePlant:
 
     mass: float  # moving mass on both sides of the joint [kg]
     damping: float  # viscous damping to ground on the motor's side [N s/m]
-    delay: float = 0.0  # from the sample to the force that answers it, without the lag [ticks]
+    delay: float = (
+        0.0  # from the sample to the force that answers it, without the lag [ticks]
+    )
     # stiffness of a hand or of the device's own spring on the motor's side; below 0 for one that
     # pushes away, as a motor's poles do between two rests [N/m]
     stiffness: float = 0.0
@@ -35,7 +37,9 @@ class FlexiblePlant:
     lag: float = 0.0
     # share of the mass beyond the joint, in [0, 1); 0 for a rigid device
     share: float = 0.0
-    frequency: float = math.inf  # undamped frequency of the two masses against each other [Hz]
+    frequency: float = (
+        math.inf
+    )  # undamped frequency of the two masses against each other [Hz]
     loss: float = 0.0  # damping ratio of that mode
 
     def __post_init__(self) -> None:
@@ -110,7 +114,9 @@ class FlexiblePlant:
         pull[1 : 2 if self.rigid else 4 : 2] = -gravity
         return self._over(period, pull)[1]
 
-    def _over(self, duration: float, push: Matrix | None = None) -> tuple[Matrix, Matrix]:
+    def _over(
+        self, duration: float, push: Matrix | None = None
+    ) -> tuple[Matrix, Matrix]:
         from scipy.linalg import expm
 
         matrix, own = self.continuous()
@@ -136,7 +142,9 @@ class FlexiblePlant:
         for vector, shift in ((new, 0), (old, 1)):
             closed = step.copy()
             closed[:, 0] -= vector / unit
-            parts[shift : shift + size + 1] += (np.real(np.poly(closed)) - denominator) * unit
+            parts[shift : shift + size + 1] += (
+                np.real(np.poly(closed)) - denominator
+            ) * unit
         # the first coefficient is 1 − 1: position follows force one tick later
         return whole, parts[1:], denominator
 
@@ -149,4 +157,6 @@ def flexible_radius(law: CompiledLaw, period: float, plant: FlexiblePlant) -> fl
 def loop_matrix(law: CompiledLaw, period: float, plant: FlexiblePlant) -> Matrix:
     """Return one tick of that loop as a matrix (`nodes.stability.closed_loop.tick_matrix`)."""
     whole, step, new, old = plant.held(period)
-    return tick_matrix(law, period * period / plant.mass, step, [(whole, new), (whole + 1, old)])
+    return tick_matrix(
+        law, period * period / plant.mass, step, [(whole, new), (whole + 1, old)]
+    )

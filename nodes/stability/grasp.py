@@ -33,7 +33,11 @@ class Grasp:
         """Check the fields."""
         for name in ("mass", "stiffness", "damping"):
             value = getattr(self, name)
-            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name != "damping"):
+            if (
+                not math.isfinite(value)
+                or value < 0.0
+                or (value == 0.0 and name != "damping")
+            ):
                 raise ValueError(
                     f"{name} = {value!r}: must be finite and"
                     f" {'at least 0' if name == 'damping' else 'positive'}"

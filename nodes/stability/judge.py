@@ -93,6 +93,7 @@ def between(start: float, end: float, share: float) -> float:
     if start * end > 0.0:
         # Logarithmic, so that all decades from 1e3 to 1e300 are checked and none overflows.
         return math.copysign(
-            math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))), end
+            math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))),
+            end,
         )
     return start + (end - start) * share

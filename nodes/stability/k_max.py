@@ -50,7 +50,9 @@ def without_spring(law: Law, period: float) -> CompiledLaw:
 
 def with_spring(derivative: CompiledLaw, stiffness: float) -> CompiledLaw:
     """Return a derivative part with a nominal stiffness [N/m] added to its newest tap."""
-    return replace(derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:]))
+    return replace(
+        derivative, taps=(derivative.taps[0] + stiffness, *derivative.taps[1:])
+    )
 
 
 def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> KMax:
@@ -89,7 +91,9 @@ def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> K
     return KMax(top, top + leak, name, tuple(stable))
 
 
-def _jury(derivative: CompiledLaw, plant: Plant, floor: float) -> list[tuple[float, float]]:
+def _jury(
+    derivative: CompiledLaw, plant: Plant, floor: float
+) -> list[tuple[float, float]]:
     """Return the stable interval of z³ + a₂z² + a₁z + a₀; a₂ and a₁ are linear in K."""
     held = held_plant(plant)
     n1, n0, _ = held.numerator
@@ -123,7 +127,14 @@ def _between_boundaries(
 
     The middle of a cell decides; the last cell is unbounded.
     """
-    cuts = [floor, *(k for k in boundaries(derivative, plant) if k > floor * (1.0 + 1e-12) + 1e-12)]
+    cuts = [
+        floor,
+        *(
+            k
+            for k in boundaries(derivative, plant)
+            if k > floor * (1.0 + 1e-12) + 1e-12
+        ),
+    ]
     stable = []
     for low, high in zip(cuts, [*cuts[1:], math.inf], strict=True):
         middle = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1.0
@@ -150,7 +161,9 @@ def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
     limit = k_max(derivative, plant).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
         return None
-    stiffness, theta = min(crossings(derivative, plant), key=lambda c: abs(c[0] - limit))
+    stiffness, theta = min(
+        crossings(derivative, plant), key=lambda c: abs(c[0] - limit)
+    )
     if abs(stiffness - limit) > 1e-6 * limit or not 0.0 < theta < math.pi:
         return None
     return edge_at(derivative, plant, theta / plant.period)
@@ -167,9 +180,13 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         z = np.exp(1j * np.asarray(theta, dtype=np.float64))
         if other is not None:
-            return np.asarray(-1.0 / position_over_force(z, plant) - derivative.response(z))
+            return np.asarray(
+                -1.0 / position_over_force(z, plant) - derivative.response(z)
+            )
         top = np.polyval(numerator, z)
-        loop = np.polyval(denominator, z) * z ** (held.whole + 1) + top * derivative.response(z)
+        loop = np.polyval(denominator, z) * z ** (
+            held.whole + 1
+        ) + top * derivative.response(z)
         return np.asarray(-loop / top)
 
     def imaginary(theta: float) -> float:
@@ -178,10 +195,17 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     # Sixteen points per fastest turn of the curve; logarithmic at low frequency, for heavy devices.
     turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
     count = 16 * (len(derivative.taps) + turns + 8)
-    grid = np.union1d(np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1])
-    grid = np.union1d(grid, [theta for theta in resonances(derivative).tolist() if theta < math.pi])
+    grid = np.union1d(
+        np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1]
+    )
+    grid = np.union1d(
+        grid, [theta for theta in resonances(derivative).tolist() if theta < math.pi]
+    )
     signs = np.sign(curve(grid).imag)
-    found = [(float(curve(grid[i]).real), float(grid[i])) for i in np.flatnonzero(signs == 0.0)]
+    found = [
+        (float(curve(grid[i]).real), float(grid[i]))
+        for i in np.flatnonzero(signs == 0.0)
+    ]
     for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
         theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
         found.append((float(curve(theta).real), float(theta)))
@@ -216,8 +240,12 @@ class Tolerance:
     mass_max_kg: float | None
     # least damping of the device; None if stable without damping
     damping_min_n_s_per_m: float | None
-    hand_stiffness_max_n_per_m: float | None  # largest stiffness of a hand; searched up to 1e6 N/m
-    delay_max_ticks: float | None  # largest delay, fractions included; searched up to 100 ticks
+    hand_stiffness_max_n_per_m: (
+        float | None
+    )  # largest stiffness of a hand; searched up to 1e6 N/m
+    delay_max_ticks: (
+        float | None
+    )  # largest delay, fractions included; searched up to 100 ticks
 
 
 def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
@@ -241,14 +269,18 @@ def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
         inside: float = getattr(plant, field)
         for step in steps.tolist():
             if not within(changed(field, step)):
-                return last_inside(lambda value: within(changed(field, value)), inside, step, 40)
+                return last_inside(
+                    lambda value: within(changed(field, value)), inside, step, 40
+                )
             inside = step
         return None
 
     return Tolerance(
         mass_min_kg=edge("mass", plant.mass / decades),
         mass_max_kg=edge("mass", plant.mass * decades),
-        damping_min_n_s_per_m=edge("damping", plant.damping * np.linspace(1.0, 0.0, 41)[1:]),
+        damping_min_n_s_per_m=edge(
+            "damping", plant.damping * np.linspace(1.0, 0.0, 41)[1:]
+        ),
         hand_stiffness_max_n_per_m=edge("stiffness", hands),
         delay_max_ticks=edge("delay", delays),
     )

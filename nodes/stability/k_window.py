@@ -20,7 +20,9 @@ from nodes.stability.loop_region import Region
 
 _EXCHANGES = 60
 _HALVINGS = 40
-_ROUNDING = 1e-12  # largest violation due to rounding, relative to the terms of the inequality
+_ROUNDING = (
+    1e-12  # largest violation due to rounding, relative to the terms of the inequality
+)
 _NEAR = np.geomspace(1e-9, 1e-2, 22)  # relative distances from an oscillation frequency
 _EMPTY = 1e-9  # narrowest window, relative to the sum of the taps
 
@@ -68,7 +70,8 @@ def k_window(
         [at for _, at in swings], np.concatenate([1.0 - _NEAR, [1.0], 1.0 + _NEAR])
     ).ravel()
     theta = np.union1d(
-        region.frequencies(derivative), swinging[(swinging > 0.0) & (swinging <= math.pi)]
+        region.frequencies(derivative),
+        swinging[(swinging > 0.0) & (swinging <= math.pi)],
     )
     a, b, c = region.quadratic(derivative, theta)
     for _ in range(_HALVINGS):
@@ -84,7 +87,12 @@ def k_window(
             if gap[1] - gap[0] > narrow
         ]
         gap = next(
-            (gap for gap in gaps if not any(gap[0] < middle < gap[1] for middle in refused)), None
+            (
+                gap
+                for gap in gaps
+                if not any(gap[0] < middle < gap[1] for middle in refused)
+            ),
+            None,
         )
         if gap is None:
             return None
@@ -111,7 +119,10 @@ def outside(law: CompiledLaw, region: Region) -> bool:
     """Return whether a law is outside a region at every frequency."""
     theta = region.frequencies(law)
     terms = region.quadratic(law, theta)
-    return bool(np.all(terms[2] > 0.0)) and not _violated(law, region, 0.0, theta, terms).size
+    return (
+        bool(np.all(terms[2] > 0.0))
+        and not _violated(law, region, 0.0, theta, terms).size
+    )
 
 
 def _violated(
@@ -127,11 +138,14 @@ def _violated(
         # Divided by 1 − cos ωT, with which all terms shrink, it is smooth down to 0.
         a, b, c = region.quadratic(derivative, at)
         return np.asarray(
-            ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * at) ** 2, dtype=np.float64
+            ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * at) ** 2,
+            dtype=np.float64,
         )
 
     a, b, c = terms
-    at, _ = dips(margin, theta, ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * theta) ** 2)
+    at, _ = dips(
+        margin, theta, ((a * stiffness + b) * stiffness + c) / np.sin(0.5 * theta) ** 2
+    )
     a, b, c = region.quadratic(derivative, at)
     size = np.abs(a) * stiffness**2 + np.abs(b * stiffness) + np.abs(c)
     return at[(a * stiffness + b) * stiffness + c < -_ROUNDING * size]
@@ -147,7 +161,9 @@ def _joined(
     extra = region.quadratic(derivative, more)
     whole = np.concatenate([theta, more])
     order = np.argsort(whole)
-    a, b, c = (np.concatenate([old, new])[order] for old, new in zip(terms, extra, strict=True))
+    a, b, c = (
+        np.concatenate([old, new])[order] for old, new in zip(terms, extra, strict=True)
+    )
     return whole[order], a, b, c
 
 
@@ -172,7 +188,9 @@ def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
     whole = (a > 0.0) & (square > 0.0)
     with np.errstate(invalid="ignore"):
         apart = (below[1:] > above[:-1]) | (below[:-1] > above[1:])
-    jumps = np.flatnonzero(whole[:-1] & whole[1:] & apart & (np.diff(theta) > 1e-12 * theta[1:]))
+    jumps = np.flatnonzero(
+        whole[:-1] & whole[1:] & apart & (np.diff(theta) > 1e-12 * theta[1:])
+    )
     return np.asarray(0.5 * (theta[jumps] + theta[jumps + 1]), dtype=np.float64)
 
 
@@ -205,7 +223,9 @@ def _gaps(
     square, below, above = _roots(a, b, c)
     if not np.isfinite(np.concatenate([a, b, c])).all():
         return []  # a double overflows
-    if np.any((a <= 0.0) & (square < 0.0)) or np.any((a == 0.0) & (b == 0.0) & (c <= 0.0)):
+    if np.any((a <= 0.0) & (square < 0.0)) or np.any(
+        (a == 0.0) & (b == 0.0) & (c <= 0.0)
+    ):
         return []
     inner = (a < 0.0) & (square >= 0.0)
     whole = (a > 0.0) & (square > 0.0)
@@ -221,7 +241,10 @@ def _gaps(
             low = max(low, crossing)
         elif crossing < high:
             high, at = crossing, float(theta[i])
-    ends = [(float(below[i]), float(above[i]), float(theta[i])) for i in np.flatnonzero(whole)]
+    ends = [
+        (float(below[i]), float(above[i]), float(theta[i]))
+        for i in np.flatnonzero(whole)
+    ]
     gaps = []
     for start, end, where in sorted(ends):
         if end <= low or start >= high:

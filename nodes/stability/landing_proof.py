@@ -82,7 +82,10 @@ class _Loop:
 
 
 def prove_landing(
-    law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None = None, taps: int = TAPS
+    law: CompiledLaw,
+    plant: Plant | FlexiblePlant,
+    period: float | None = None,
+    taps: int = TAPS,
 ) -> LandingProof:
     """Search for a proof that every drop on a wall settles, without clamping the force.
 
@@ -114,11 +117,15 @@ def prove_landing(
     if plant.damping == 0.0:
         return _none("the device has no damping")
     if isinstance(plant, Plant) and plant.partner is not None:
-        return _none("the law couples two bodies, and the proof is of one that lands on a wall")
+        return _none(
+            "the law couples two bodies, and the proof is of one that lands on a wall"
+        )
     if isinstance(plant, Plant):
         radius = pole_radius(law, plant)
     elif period is None:
-        raise ValueError("period: a flexible device has none of its own; give the loop's [s]")
+        raise ValueError(
+            "period: a flexible device has none of its own; give the loop's [s]"
+        )
     else:
         radius = flexible_radius(law, period, plant)
     if not radius < 1.0:
@@ -131,18 +138,26 @@ def _none(why: str, margin: float = -math.inf) -> LandingProof:
     return LandingProof(False, CONVENTION, (), margin, why)
 
 
-def _loop(law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None) -> _Loop:
+def _loop(
+    law: CompiledLaw, plant: Plant | FlexiblePlant, period: float | None
+) -> _Loop:
     """Return law, delay and device as polynomials in w."""
     if isinstance(plant, Plant):
         held = held_plant(plant)
-        whole, above, below = held.whole, np.array(held.numerator), np.array(held.denominator)
+        whole, above, below = (
+            held.whole,
+            np.array(held.numerator),
+            np.array(held.denominator),
+        )
     else:
         whole, above, below = plant.rational(period or math.nan)
     # In z: above / (z^(whole + 1) below), of equal degree; in w, the same after w^(whole + 1).
     path = Laurent(np.asarray(above, dtype=np.float64), whole + 1)
     free = plant.stiffness == 0.0
     if free:
-        below = np.cumsum(below)[:-1]  # divided by 1 − w; the remainder is 0 up to rounding
+        below = np.cumsum(below)[
+            :-1
+        ]  # divided by 1 − w; the remainder is 0 up to rounding
     top, bottom = law_polynomials(law)
     device = Laurent(np.asarray(below, dtype=np.float64))
     whole_device = device * Laurent(np.array([1.0, -1.0])) if free else device
@@ -170,7 +185,9 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
     theta = np.union1d(np.linspace(0.0, np.pi, 257)[1:], np.geomspace(1e-4, np.pi, 257))
     limits = np.append(np.zeros(2 * taps + 1), 1.0)
     limits[-2] = -1.0
-    fine = np.union1d(np.linspace(0.0, np.pi, 40 * size + 1)[1:], np.geomspace(1e-6, np.pi, 4001))
+    fine = np.union1d(
+        np.linspace(0.0, np.pi, 40 * size + 1)[1:], np.geomspace(1e-6, np.pi, 4001)
+    )
     fine_table, fine_scale = values_of(table, fine), loop.scale(fine)
     margin, weights = -math.inf, np.zeros(2 * taps)
     for _ in range(_ROUNDS):
@@ -205,12 +222,15 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
         return _none("no multiplier of this length", margin)
     sums = table[0] - weights @ table[1:]
     if positive(sums) is not True:
-        return _none("a multiplier was found, and not certified between the frequencies", margin)
+        return _none(
+            "a multiplier was found, and not certified between the frequencies", margin
+        )
     return LandingProof(True, CONVENTION, tuple(weights.tolist()), margin, "")
 
 
 def values_of(table: Cosines, theta: Cosines) -> Cosines:
     """Return several cosine sums, shape (s, n + 1), at some angles: shape (s, t)."""
     return np.asarray(
-        table @ np.cos(np.multiply.outer(np.arange(table.shape[1]), theta)), dtype=np.float64
+        table @ np.cos(np.multiply.outer(np.arange(table.shape[1]), theta)),
+        dtype=np.float64,
     )

@@ -46,13 +46,19 @@ class Disc:
         """Whole lags [ticks] and their weights [1], whose sum is ψ."""
         whole = math.floor(self.delay)
         late = self.delay - whole
-        return ((whole + 1, 1.0),) if late == 0.0 else ((whole + 1, 1.0 - late), (whole + 2, late))
+        return (
+            ((whole + 1, 1.0),)
+            if late == 0.0
+            else ((whole + 1, 1.0 - late), (whole + 2, late))
+        )
 
     def parts(self, theta: Reals) -> list[tuple[Reals, Reals]]:
         """Return weights [1] and lags [rad] of which ψ is the sum at each frequency."""
         if self.aliases is not None:
             return self.aliases(theta)
-        return [(np.full(theta.shape, weight), lag * theta) for lag, weight in self.lags]
+        return [
+            (np.full(theta.shape, weight), lag * theta) for lag, weight in self.lags
+        ]
 
     def turn(self, theta: Reals) -> Complexes:
         """Return ψ, the centre of the disc over its radius."""
@@ -63,7 +69,11 @@ class Disc:
 
     def radii(self, theta: Reals) -> Reals:
         """Return the radius at each frequency [m/N]."""
-        return self.radius(theta) if callable(self.radius) else np.full(theta.shape, self.radius)
+        return (
+            self.radius(theta)
+            if callable(self.radius)
+            else np.full(theta.shape, self.radius)
+        )
 
 
 @dataclass(frozen=True)
@@ -73,9 +83,13 @@ class Region:
     period: float  # sampling period [s]
     known: Plant | None  # device of known mass, damping and hand
     discs: tuple[Disc, ...] = ()
-    any_world: bool = False  # whether every passive world that answers in the same tick is included
+    any_world: bool = (
+        False  # whether every passive world that answers in the same tick is included
+    )
 
-    def quadratic(self, derivative: CompiledLaw, theta: Reals) -> tuple[Reals, Reals, Reals]:
+    def quadratic(
+        self, derivative: CompiledLaw, theta: Reals
+    ) -> tuple[Reals, Reals, Reals]:
         """Return a, b, c of a K² + b K + c > 0, which holds iff K + h is outside the region.
 
         Each is accurate relative to its own size at small frequencies, because differences of
@@ -84,7 +98,9 @@ class Region:
         w = np.exp(-1j * theta)
         step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)  # D' = 1 − w
         h = derivative.response(1.0 / w)
-        known = np.zeros_like(w) if self.known is None else known_answer(self.known, theta)
+        known = (
+            np.zeros_like(w) if self.known is None else known_answer(self.known, theta)
+        )
         centre = known.copy()
         for disc in self.discs:
             centre += disc.radii(theta) * disc.turn(theta)
@@ -120,7 +136,9 @@ class Region:
             room * np.abs(h) ** 2 + 2.0 * (turned * h).real + np.abs(step) ** 2,
         )
 
-    def grown(self, law: CompiledLaw, disc: Disc, theta: Reals) -> tuple[Reals, Reals, Reals]:
+    def grown(
+        self, law: CompiledLaw, disc: Disc, theta: Reals
+    ) -> tuple[Reals, Reals, Reals]:
         """Return a, b, c of a r² + 2 b r + c > 0, which holds iff a law stays outside.
 
         The region is that of the discs plus one more of radius r, with the lags of `disc`; only for
@@ -130,16 +148,25 @@ class Region:
         h = law.response(1.0 / w)
         step = 2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)
         psi = disc.turn(theta)
-        known = np.zeros_like(w) if self.known is None else known_answer(self.known, theta)
+        known = (
+            np.zeros_like(w) if self.known is None else known_answer(self.known, theta)
+        )
         near = (np.conj(psi) * (step / h + known)).real
         for one in self.discs:
             near = near - one.radii(theta) * _apart(one, disc, theta)
-        return -_apart(disc, disc, theta), near, self.quadratic(law, theta)[2] / np.abs(h) ** 2
+        return (
+            -_apart(disc, disc, theta),
+            near,
+            self.quadratic(law, theta)[2] / np.abs(h) ** 2,
+        )
 
     def frequencies(self, law: CompiledLaw) -> Reals:
         """Return frequencies ωT in (0, π] that resolve every turn of region and law [rad]."""
         longest = max(
-            [0.0 if self.known is None else self.known.delay, *(disc.delay for disc in self.discs)]
+            [
+                0.0 if self.known is None else self.known.delay,
+                *(disc.delay for disc in self.discs),
+            ]
         )
         turns = 16 * (len(law.taps) + math.ceil(longest) + 8)
         parts = [np.linspace(0.0, math.pi, turns + 1)[1:]]
@@ -151,8 +178,13 @@ class Region:
                 # Hand and mass resonate, in a band that may be narrow.
                 rings = self.period * math.sqrt(self.known.stiffness / self.known.mass)
                 around = np.geomspace(1e-6, 0.5, 60)
-                parts.append(rings * np.concatenate([1.0 - around, [1.0], 1.0 + around]))
-        parts += [np.geomspace(lowest, math.pi, 2001 if law.sections else 801), resonances(law)]
+                parts.append(
+                    rings * np.concatenate([1.0 - around, [1.0], 1.0 + around])
+                )
+        parts += [
+            np.geomspace(lowest, math.pi, 2001 if law.sections else 801),
+            resonances(law),
+        ]
         grid = np.unique(np.concatenate(parts))
         return np.asarray(grid[(grid > 0.0) & (grid <= math.pi)], dtype=np.float64)
 
@@ -168,7 +200,9 @@ def known_answer(plant: Plant, theta: Reals) -> Complexes:
     ahead = -2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)  # z − 1
     top = (ahead + (1.0 - a22)) * position + a12 * speed
     if plant.stiffness == 0.0:
-        return np.asarray(w ** (whole + 1) * top / (ahead + (1.0 - a22)), dtype=np.complex128)
+        return np.asarray(
+            w ** (whole + 1) * top / (ahead + (1.0 - a22)), dtype=np.complex128
+        )
     below = (ahead + (1.0 - a11)) * (ahead + (1.0 - a22)) - a12 * a21
     return np.asarray(w ** (whole + 1) * ahead * top / below, dtype=np.complex128)
 

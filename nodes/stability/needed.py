@@ -57,11 +57,16 @@ def needed_device_damping(
     def holds(damping: float) -> bool:
         return certified(law, replace(plant, damping=damping), world, any_hand)
 
-    inside = next((unit * 10.0**power for power in _DECADES if holds(unit * 10.0**power)), None)
+    inside = next(
+        (unit * 10.0**power for power in _DECADES if holds(unit * 10.0**power)), None
+    )
     if inside is None:
         return None
     return last_inside(
-        holds, inside, 0.1 * inside if inside > unit * 10.0 ** _DECADES[0] else 0.0, _HALVINGS
+        holds,
+        inside,
+        0.1 * inside if inside > unit * 10.0 ** _DECADES[0] else 0.0,
+        _HALVINGS,
     )
 
 
@@ -89,7 +94,11 @@ def _for_any_hand_any_world(law: CompiledLaw, plant: Plant) -> float | None:
         return None
     # The loop of a damped device belongs to the family; with this damping it must be stable.
     damping = 0.5 * plant.period * max(0.0, -float(lowest.min()))
-    return damping if is_stable(law, replace(plant, damping=damping * (1.0 + 1e-9))) else None
+    return (
+        damping
+        if is_stable(law, replace(plant, damping=damping * (1.0 + 1e-9)))
+        else None
+    )
 
 
 def needed_tool_damping(
@@ -115,7 +124,11 @@ def needed_tool_damping(
 
 
 def needed_tool_mass(
-    law: CompiledLaw, plant: Plant, any_hand: bool = False, steps: int = 1, delay: float = 0.0
+    law: CompiledLaw,
+    plant: Plant,
+    any_hand: bool = False,
+    steps: int = 1,
+    delay: float = 0.0,
 ) -> float | None:
     """Return the least mass of a semi-implicit Euler tool that certifies a law [kg].
 
@@ -156,7 +169,9 @@ def _least_tool(
         a, b, c = region.grown(law, unit, at)
         with np.errstate(divide="ignore", invalid="ignore"):
             largest = c / (np.sqrt(np.maximum(b * b - a * c, 0.0)) - b)
-        return np.where(np.isfinite(largest) & (largest > 0.0), largest, math.inf) / unit.radii(at)
+        return np.where(
+            np.isfinite(largest) & (largest > 0.0), largest, math.inf
+        ) / unit.radii(at)
 
     _, least = dips(size, theta, size(theta))
     if not least.size:

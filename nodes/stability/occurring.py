@@ -40,11 +40,15 @@ def damping_shown(plant: Plant, theta: float) -> float:
     For light damping it is b (1 + tan²(ωT/2)/3).
     """
     z = cmath.exp(1j * theta)
-    shown: complex = -1.0 / ((1.0 - z) * position_over_force(z, replace(plant, delay=0.0)))
+    shown: complex = -1.0 / (
+        (1.0 - z) * position_over_force(z, replace(plant, delay=0.0))
+    )
     return plant.period * shown.real
 
 
-def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False) -> Edge:
+def edge_at(
+    derivative: CompiledLaw, plant: Plant, omega: float, light: bool = False
+) -> Edge:
     """Return what Colgate's condition allows at one frequency [rad/s].
 
     With `light`, b ≪ m/T is assumed and the mass is not used.
@@ -74,7 +78,9 @@ def edge_at(derivative: CompiledLaw, plant: Plant, omega: float, light: bool = F
     else:
         factor = damping_shown(plant, theta) / damping if damping > 0.0 else 1.0
     simple, exact = ((damping * r - by_law) / by_spring for r in (1.0, factor))
-    return Edge(omega, by_law + exact * (by_spring - 0.5 * period), factor, simple, exact)
+    return Edge(
+        omega, by_law + exact * (by_spring - 0.5 * period), factor, simple, exact
+    )
 
 
 def position_over_force(z: Any, plant: Plant) -> Any:
@@ -83,9 +89,9 @@ def position_over_force(z: Any, plant: Plant) -> Any:
     Of a pair it is that of the distance between both.
     """
     if plant.other is not None:
-        return position_over_force(z, replace(plant, partner=None)) + position_over_force(
-            z, plant.other
-        )
+        return position_over_force(
+            z, replace(plant, partner=None)
+        ) + position_over_force(z, plant.other)
     held = held_plant(plant)
     n2, n1, n0 = held.numerator
     _, d1, d0 = held.denominator

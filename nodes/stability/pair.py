@@ -23,10 +23,18 @@ def as_one(plant: Plant) -> Plant:
     moves like m₁ m₂/(m₁ + m₂).
     """
     partner = plant.partner
-    if partner is None or plant.anchored or plant.damping or partner.damping or partner.later:
+    if (
+        partner is None
+        or plant.anchored
+        or plant.damping
+        or partner.damping
+        or partner.later
+    ):
         return plant
     return replace(
-        plant, mass=plant.mass * partner.mass / (plant.mass + partner.mass), partner=None
+        plant,
+        mass=plant.mass * partner.mass / (plant.mass + partner.mass),
+        partner=None,
     )
 
 
@@ -39,7 +47,9 @@ def reduced_mass(plant: Plant) -> float:
     )
 
 
-def held_pair(plant: Plant) -> tuple[NDArray[np.float64], list[tuple[int, NDArray[np.float64]]]]:
+def held_pair(
+    plant: Plant,
+) -> tuple[NDArray[np.float64], list[tuple[int, NDArray[np.float64]]]]:
     """Return one tick of two bodies.
 
     Parameters
@@ -69,14 +79,27 @@ def held_pair(plant: Plant) -> tuple[NDArray[np.float64], list[tuple[int, NDArra
         for lag, push in ((whole, new), (whole + 1, old)):
             if any(push):
                 vector = np.zeros(4)
-                vector[first : first + 2] = sign * push[0], sign * push[1] * plant.period
+                vector[first : first + 2] = (
+                    sign * push[0],
+                    sign * push[1] * plant.period,
+                )
                 pushes.append((lag, vector))
     # From [x₁, v₁, x₂, v₂] to [x₁ − x₂, v₁, v₂, x₂].
     to = np.array(
-        [[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
+        [
+            [1.0, 0.0, -1.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
     )
     back = np.array(
-        [[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
+        [
+            [1.0, 0.0, 0.0, 1.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
     )
     states = 4 if plant.anchored else 3
     return (to @ step @ back)[:states, :states], [

@@ -136,7 +136,9 @@ class Plant:
         values = {"period": period, "mass": mass, "damping": damping}
         if missing := [name for name, value in values.items() if value is None]:
             named = ", ".join(missing).replace("period", "period or rate")
-            raise TypeError(f"Plant: missing {named}; e.g. Plant(rate=500, mass=0.1, damping=1.0)")
+            raise TypeError(
+                f"Plant: missing {named}; e.g. Plant(rate=500, mass=0.1, damping=1.0)"
+            )
         values |= {"delay": delay, "stiffness": stiffness}
         for name, value in values.items():
             object.__setattr__(self, name, _checked(name, value))
@@ -147,7 +149,9 @@ class Plant:
                 f" {self.period:g} Hz write rate={self.period:g}"
             )
         if self.delay > MAX_DELAY:
-            raise ValueError(f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks")
+            raise ValueError(
+                f"delay = {self.delay!r}: must be at most {MAX_DELAY:g} ticks"
+            )
         if partner is not None:
             Plant(
                 self.period,
@@ -207,7 +211,9 @@ class Plant:
         if self.partner is None:
             return None
         whom = self.partner
-        return Plant(self.period, whom.mass, whom.damping, self._delay_of_partner, whom.stiffness)
+        return Plant(
+            self.period, whom.mass, whom.damping, self._delay_of_partner, whom.stiffness
+        )
 
     @property
     def _delay_of_partner(self) -> float:
@@ -218,7 +224,9 @@ class Plant:
     @property
     def anchored(self) -> bool:
         """Whether a spring ties the device, or its partner, to ground."""
-        return self.stiffness > 0.0 or (self.partner is not None and self.partner.stiffness > 0.0)
+        return self.stiffness > 0.0 or (
+            self.partner is not None and self.partner.stiffness > 0.0
+        )
 
     @property
     def damping_of_any_hand(self) -> float:
@@ -255,17 +263,26 @@ def held_plant(plant: Plant) -> HeldPlant:
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
-@functools.lru_cache(maxsize=1024)  # a search uses the same few devices thousands of times
+@functools.lru_cache(
+    maxsize=1024
+)  # a search uses the same few devices thousands of times
 def held_step(
     plant: Plant,
-) -> tuple[int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]]:
+) -> tuple[
+    int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]
+]:
     """Return one tick of m x'' + b x' + k x = u in position and velocity.
 
     Whole ticks of the delay; a11, a12, a21, a22 of the free motion [1], [s], [1/s], [1]; position
     and velocity per force [m/N], [m/(N s)], of the force that arrives within this tick, and of the
     one before it.
     """
-    mass, damping, stiffness, period = plant.mass, plant.damping, plant.stiffness, plant.period
+    mass, damping, stiffness, period = (
+        plant.mass,
+        plant.damping,
+        plant.stiffness,
+        plant.period,
+    )
     whole = math.floor(plant.delay)
     fraction = plant.delay - whole
     if fraction < _SHORTEST:
@@ -275,7 +292,10 @@ def held_step(
         return whole, (a11, a12, a21, a22), (g1, g2), (0.0, 0.0)
     late = _transition(mass, damping, stiffness, (1.0 - fraction) * period)
     early = _transition(mass, damping, stiffness, fraction * period)
-    older = (late[0] * early[4] + late[1] * early[5], late[2] * early[4] + late[3] * early[5])
+    older = (
+        late[0] * early[4] + late[1] * early[5],
+        late[2] * early[4] + late[3] * early[5],
+    )
     return whole, (a11, a12, a21, a22), late[4:], older
 
 
@@ -289,7 +309,13 @@ def _transition(
     halvings = max(
         0,
         math.ceil(
-            math.log2(max(damping / mass * duration, math.sqrt(stiffness / mass) * duration, 0.25))
+            math.log2(
+                max(
+                    damping / mass * duration,
+                    math.sqrt(stiffness / mass) * duration,
+                    0.25,
+                )
+            )
         )
         + 2,
     )

@@ -63,7 +63,11 @@ class Rest:
 
     def text(self) -> str:
         """Return the frictions as text."""
-        kind = "proof" if self.certain else "no proof: the law is not passive on this damping"
+        kind = (
+            "proof"
+            if self.certain
+            else "no proof: the law is not passive on this damping"
+        )
         guess = (
             ""
             if self.friction_estimated_n is None
@@ -80,9 +84,13 @@ def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
     # the estimate needs a single body of mass, damping and stiffness
     plant = loop if isinstance(loop, Plant) and loop.partner is None else None
     period, damping, delay = (
-        (loop.period, loop.damping, loop.delay) if isinstance(loop, Plant) else (loop, 0.0, 0.0)
+        (loop.period, loop.damping, loop.delay)
+        if isinstance(loop, Plant)
+        else (loop, 0.0, 0.0)
     )
-    estimated, buzz = (None, None) if plant is None else _describing(law, plant, resolution)
+    estimated, buzz = (
+        (None, None) if plant is None else _describing(law, plant, resolution)
+    )
     return Rest(
         friction_bound_n=0.5 * resolution * absolute_sum(law),
         certain=damping_needed(law, period, delay) <= damping,
@@ -92,13 +100,17 @@ def rest(law: CompiledLaw, loop: Plant | float, resolution: float) -> Rest:
     )
 
 
-def stiffest_at_rest(derivative: CompiledLaw, resolution: float, friction: float) -> float:
+def stiffest_at_rest(
+    derivative: CompiledLaw, resolution: float, friction: float
+) -> float:
     """Return the largest nominal stiffness with Σ|h_m| ≤ 2 f_c/Δ [N/m].
 
     For PD it is 2 f_c/Δ − 2B/T. It is negative if D alone needs more friction.
     """
     newest = derivative.taps[0] + sum(b0 for b0, *_ in derivative.sections)
-    return 2.0 * friction / resolution - (absolute_sum(derivative) - abs(newest)) - newest
+    return (
+        2.0 * friction / resolution - (absolute_sum(derivative) - abs(newest)) - newest
+    )
 
 
 def absolute_sum(law: CompiledLaw) -> float:
@@ -123,7 +135,9 @@ def absolute_sum(law: CompiledLaw) -> float:
     return total
 
 
-def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[float, float | None]:
+def _describing(
+    law: CompiledLaw, plant: Plant, resolution: float
+) -> tuple[float, float | None]:
     """Return the largest f_c at which an oscillation across one edge balances; its frequency.
 
     The encoder is a relay of Δ/2, friction a relay of f_c against the velocity. With amplitude A at
@@ -140,7 +154,9 @@ def _describing(law: CompiledLaw, plant: Plant, resolution: float) -> tuple[floa
         inertia = plant.mass * omega * omega - plant.stiffness
         if g.real * inertia <= 0.0:
             continue
-        friction = 0.5 * resolution * (-g.imag - plant.damping * omega / inertia * g.real)
+        friction = (
+            0.5 * resolution * (-g.imag - plant.damping * omega / inertia * g.real)
+        )
         if friction > best:
             best, at = friction, omega / (2.0 * math.pi)
     return best, at

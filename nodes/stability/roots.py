@@ -22,7 +22,9 @@ def largest_root(coefficients: NDArray[np.float64]) -> float:
     """Return the modulus of the largest root."""
     c = np.asarray(coefficients, dtype=np.float64)
     if c.size == 0 or c[0] == 0.0 or not np.isfinite(c).all():
-        raise ValueError("coefficients: the leading one must not be zero and all must be finite")
+        raise ValueError(
+            "coefficients: the leading one must not be zero and all must be finite"
+        )
     c = np.trim_zeros(c, "b")
     if c.size <= COMPANION_LIMIT + 1:
         return float(largest_roots(c[None, :])[0])
@@ -38,7 +40,9 @@ def largest_roots(coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
     companion = np.zeros((*c.shape[:-1], degree, degree))
     companion[..., 0, :] = -c[..., 1:] / c[..., :1]
     companion[..., np.arange(1, degree), np.arange(degree - 1)] = 1.0
-    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=-1), dtype=np.float64)
+    return np.asarray(
+        np.abs(np.linalg.eigvals(companion)).max(axis=-1), dtype=np.float64
+    )
 
 
 def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | None:
@@ -67,7 +71,9 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
         turned += float(np.sum(np.angle(b[sure] * np.conj(a[sure]))))
         if sure.all():
             return round(-turned / np.pi)
-        left, a, b, slope_a, slope_b = (array[~sure] for array in (left, a, b, slope_a, slope_b))
+        left, a, b, slope_a, slope_b = (
+            array[~sure] for array in (left, a, b, slope_a, slope_b)
+        )
         if min(np.abs(a).min(), np.abs(b).min()) <= 2.0 * rounding:
             return None
         width /= 4.0

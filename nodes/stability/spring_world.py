@@ -40,7 +40,11 @@ def spring_window(
     cuts = sorted(
         {
             (floor, 0.0),
-            *((k, theta) for k, theta in swings.cuts() if k > floor * (1.0 + 1e-9) + 1e-9),
+            *(
+                (k, theta)
+                for k, theta in swings.cuts()
+                if k > floor * (1.0 + 1e-9) + 1e-9
+            ),
         }
     )
     inside: tuple[float, float] | None = None
@@ -49,7 +53,9 @@ def spring_window(
         if high <= low * (1.0 + 1e-12):
             continue
         middle = 0.5 * (low + high) if math.isfinite(high) else 2.0 * low + 1e3
-        stable = stable_with_springs(with_spring(derivative, middle), plant, softest, stiffest)
+        stable = stable_with_springs(
+            with_spring(derivative, middle), plant, softest, stiffest
+        )
         if stable and inside is None:
             inside = low, 0.0
         if not stable and inside is not None:
@@ -62,7 +68,9 @@ def wall_swings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, floa
     return _Swings(derivative, plant, 0.0, 0.0).cuts()
 
 
-def stable_with_springs(law: CompiledLaw, plant: Plant, softest: float, stiffest: float) -> bool:
+def stable_with_springs(
+    law: CompiledLaw, plant: Plant, softest: float, stiffest: float
+) -> bool:
     """Return whether the loop of a law is stable with every spring of a range."""
     newest = law.taps[0] + sum(b0 for b0, *_ in law.sections)
     if not (law.h1 > 0.0 and 1.0 + newest / softest > 0.0):
@@ -81,18 +89,22 @@ def stable_with_springs(law: CompiledLaw, plant: Plant, softest: float, stiffest
 
     def balance(at: Reals) -> Complexes:
         return np.asarray(
-            1.0 / law.response(np.exp(1j * at)) + _answer(plant, at), dtype=np.complex128
+            1.0 / law.response(np.exp(1j * at)) + _answer(plant, at),
+            dtype=np.complex128,
         )
 
     value = balance(theta)
     found = [float(value[-1].real)]  # z = −1 is always real
     found += [
-        float(balance(np.array([at]))[0].real) for at in _real_at(balance, theta[:-1], value[:-1])
+        float(balance(np.array([at]))[0].real)
+        for at in _real_at(balance, theta[:-1], value[:-1])
     ]
     return not any(1.0 / stiffest <= -real <= 1.0 / softest for real in found)
 
 
-def _real_at(curve: Callable[[Reals], Complexes], theta: Reals, value: Complexes) -> list[float]:
+def _real_at(
+    curve: Callable[[Reals], Complexes], theta: Reals, value: Complexes
+) -> list[float]:
     """Return the ωT at which a curve crosses the real axis, by bisection between grid points."""
     above = value.imag >= 0.0
     found = []
@@ -108,7 +120,8 @@ def _real_at(curve: Callable[[Reals], Complexes], theta: Reals, value: Complexes
 def _answer(plant: Plant, theta: Reals) -> Complexes:
     """Return P, position over force of the held device [m/N]."""
     return np.asarray(
-        known_answer(plant, theta) / (2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)),
+        known_answer(plant, theta)
+        / (2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)),
         dtype=np.complex128,
     )
 
@@ -144,7 +157,11 @@ class _Swings:
         # a bare spring has one frequency for all compliances, and no extrema
         if np.abs(h.imag).max() > 0.0:
             k, _ = self.points(theta)
-            found += [turn for branch in (0, 1) for turn in self._turns(branch, theta, k[branch])]
+            found += [
+                turn
+                for branch in (0, 1)
+                for turn in self._turns(branch, theta, k[branch])
+            ]
         alternating = (
             float(self.derivative.h_nyquist),
             float(_answer(self.plant, np.array([math.pi]))[0].real),
@@ -153,8 +170,14 @@ class _Swings:
             if alternating[1] + end != 0.0:
                 found.append((-1.0 / (alternating[1] + end) - alternating[0], math.pi))
         # A newest gain of −1/s puts a pole at infinity.
-        newest = self.derivative.taps[0] + sum(b0 for b0, *_ in self.derivative.sections)
-        found += [(-1.0 / end - newest, math.pi) for end in (self.least, self.most) if end > 0.0]
+        newest = self.derivative.taps[0] + sum(
+            b0 for b0, *_ in self.derivative.sections
+        )
+        found += [
+            (-1.0 / end - newest, math.pi)
+            for end in (self.least, self.most)
+            if end > 0.0
+        ]
         return [(stiffness, at) for stiffness, at in found if math.isfinite(stiffness)]
 
     def _turns(self, branch: int, theta: Reals, k: Reals) -> list[tuple[float, float]]:
@@ -162,16 +185,26 @@ class _Swings:
         found = []
         with np.errstate(invalid="ignore"):
             inner = k[1:-1]
-            turning = ((inner < k[:-2]) & (inner <= k[2:])) | ((inner > k[:-2]) & (inner >= k[2:]))
+            turning = ((inner < k[:-2]) & (inner <= k[2:])) | (
+                (inner > k[:-2]) & (inner >= k[2:])
+            )
         for i in np.flatnonzero(turning) + 1:
-            left, right, sign = theta[i - 1], theta[i + 1], 1.0 if k[i] <= k[i - 1] else -1.0
+            left, right, sign = (
+                theta[i - 1],
+                theta[i + 1],
+                1.0 if k[i] <= k[i - 1] else -1.0,
+            )
             for _ in range(_ZOOMS):
                 cells = np.linspace(left, right, 17)
                 values = sign * self.points(cells)[0][branch]
                 best = int(np.nanargmin(values))
                 left, right = cells[max(best - 1, 0)], cells[min(best + 1, 16)]
             compliance = float(self.points(cells[best : best + 1])[1][branch, 0])
-            if self.least * (1.0 - 1e-9) - 1e-15 <= compliance <= self.most * (1.0 + 1e-9):
+            if (
+                self.least * (1.0 - 1e-9) - 1e-15
+                <= compliance
+                <= self.most * (1.0 + 1e-9)
+            ):
                 found.append((sign * float(values[best]), float(cells[best])))
         return found
 
@@ -181,7 +214,8 @@ class _Swings:
         def curve(at: Reals) -> Complexes:
             answer = _answer(self.plant, at) + end
             return np.asarray(
-                -1.0 / answer - self.derivative.response(np.exp(1j * at)), dtype=np.complex128
+                -1.0 / answer - self.derivative.response(np.exp(1j * at)),
+                dtype=np.complex128,
             )
 
         return [

@@ -78,7 +78,9 @@ class TwoHands:
         return cls(laws, ((own[0], own[0] + back), (own[1] + there, own[1])))
 
 
-def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float]) -> float:
+def damping_share(
+    coupling: TwoHands, period: float, damping: tuple[float, float]
+) -> float:
     """Return the share of both devices' damping that the coupling uses.
 
     Below 1 it is passive for any two hands.
@@ -104,7 +106,10 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
     length = max(len(law.taps) for law in coupling.laws) + math.ceil(
         max(max(row) for row in coupling.delays)
     )
-    grid = [np.linspace(0.0, np.pi, 16 * length + 257)[1:], np.geomspace(1e-4, np.pi, 801)]
+    grid = [
+        np.linspace(0.0, np.pi, 16 * length + 257)[1:],
+        np.geomspace(1e-4, np.pi, 801),
+    ]
     grid += [sharp[sharp >= 1e-4] for sharp in map(resonances, coupling.laws)]
 
     def share(theta: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -114,7 +119,10 @@ def damping_share(coupling: TwoHands, period: float, damping: tuple[float, float
 
 
 def _share(
-    coupling: TwoHands, period: float, damping: tuple[float, float], theta: NDArray[np.float64]
+    coupling: TwoHands,
+    period: float,
+    damping: tuple[float, float],
+    theta: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
     # (1 − w)/(2 (1 − cos θ)) = 1/(1 − w̄): this form avoids cancellation.
@@ -124,7 +132,9 @@ def _share(
     own = [(rows[0] * lag(w, d11)).real, (rows[1] * lag(w, d22)).real]
     across = -0.5 * (rows[0] * lag(w, d12) + np.conj(rows[1] * lag(w, d21)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for i, (row, (first, second)) in enumerate(zip(rows, coupling.delays, strict=True)):
+        for i, (row, (first, second)) in enumerate(
+            zip(rows, coupling.delays, strict=True)
+        ):
             # Additional need of a force that changes within a tick, of the positions x₁ and −x₂.
             size = np.abs(row) ** 2 / (4.0 * damping[i])
             own[0] = own[0] + size * _spread(w, first, first).real
@@ -140,30 +150,41 @@ def lag(w: NDArray[np.complex128], delay: float) -> NDArray[np.complex128]:
     """Return ψ, the mean over the aliases of a lag of `delay` ticks; a negative one is ahead."""
     whole = math.floor(delay)
     late = delay - whole
-    return w**whole if late == 0.0 else (1.0 - late) * w**whole + late * w ** (whole + 1)
+    return (
+        w**whole if late == 0.0 else (1.0 - late) * w**whole + late * w ** (whole + 1)
+    )
 
 
-def _spread(w: NDArray[np.complex128], first: float, second: float) -> NDArray[np.complex128]:
+def _spread(
+    w: NDArray[np.complex128], first: float, second: float
+) -> NDArray[np.complex128]:
     """Return the covariance over the aliases of two lags, the first conjugated."""
     return lag(w, second - first) - np.conj(lag(w, first)) * lag(w, second)
 
 
 def _highest(
-    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], grid: NDArray[np.float64]
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    grid: NDArray[np.float64],
 ) -> float:
     """Return the largest value: the highest cells of a grid, each zoomed into."""
     value = function(grid)
     padded = np.concatenate([[-np.inf], value, [-np.inf]])
     peaks = np.flatnonzero((value >= padded[:-2]) & (value >= padded[2:]))
     peaks = peaks[np.argsort(-value[peaks])][:8]
-    left, right = grid[np.maximum(peaks - 1, 0)], grid[np.minimum(peaks + 1, len(grid) - 1)]
+    left, right = (
+        grid[np.maximum(peaks - 1, 0)],
+        grid[np.minimum(peaks + 1, len(grid) - 1)],
+    )
     best = float(value.max())
     for _ in range(_ZOOMS):
         cells = np.linspace(left, right, 17)
         values = function(cells.ravel()).reshape(cells.shape)
         at, column = np.argmax(values, axis=0), np.arange(len(peaks))
         best = max(best, float(values.max()))
-        left, right = cells[np.maximum(at - 1, 0), column], cells[np.minimum(at + 1, 16), column]
+        left, right = (
+            cells[np.maximum(at - 1, 0), column],
+            cells[np.minimum(at + 1, 16), column],
+        )
     return best
 
 

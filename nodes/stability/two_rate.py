@@ -46,7 +46,9 @@ class TwoRate:
 
 def heavy_limit(device: TwoRate, period: float) -> float:
     """Return the stiffness limit of a heavy device, (b + B_s)/(T (½ + d)), d in ticks [N/m]."""
-    return (device.damping + device.servo_damping) / (period * (0.5 + device.delay / device.ratio))
+    return (device.damping + device.servo_damping) / (
+        period * (0.5 + device.delay / device.ratio)
+    )
 
 
 def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float64]:
@@ -59,7 +61,9 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     if law.sections:
         raise ValueError("law: only taps can be lifted over the servo's ticks")
     short = period / device.ratio
-    _, (a11, a12, a21, a22), (b1, b2), _ = held_step(Plant(short, device.mass, device.damping))
+    _, (a11, a12, a21, a22), (b1, b2), _ = held_step(
+        Plant(short, device.mass, device.damping)
+    )
     n, waiting = len(law.taps) - 1, device.delay // device.ratio + 1
     size = 3 + n + waiting
     rows = np.eye(size)
@@ -68,13 +72,18 @@ def lifted(law: CompiledLaw, period: float, device: TwoRate) -> NDArray[np.float
     forces = [rows[3 + n + i] for i in range(waiting)]
     # The force of this tick pulls back: the deflection is −x.
     newest = -sum(
-        (tap * sample for tap, sample in zip(law.taps, samples, strict=True)), np.zeros(size)
+        (tap * sample for tap, sample in zip(law.taps, samples, strict=True)),
+        np.zeros(size),
     )
     queue = [*forces, newest]
     for j in range(device.ratio):
         # queue[-1] is this tick's force; it acts from servo tick `delay` on, each older one N servo
         # ticks earlier.
-        age = (device.delay - j + device.ratio - 1) // device.ratio if j < device.delay else 0
+        age = (
+            (device.delay - j + device.ratio - 1) // device.ratio
+            if j < device.delay
+            else 0
+        )
         acting = queue[-1 - age]
         servo = -device.servo_damping / short * (x - before)
         u = acting + servo
@@ -99,7 +108,9 @@ def two_rate_k_max(
     def stable(k: float) -> bool:
         return (
             two_rate_radius(
-                replace(derivative, taps=(derivative.taps[0] + k, *derivative.taps[1:])),
+                replace(
+                    derivative, taps=(derivative.taps[0] + k, *derivative.taps[1:])
+                ),
                 period,
                 device,
             )

@@ -7,7 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from nodes.laws import CompiledLaw
-from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
+from nodes.stability.needed import (
+    needed_device_damping,
+    needed_tool_damping,
+    needed_tool_mass,
+)
 from nodes.stability.plant import Plant
 from nodes.stability.worlds import (
     AnyWorld,
@@ -92,7 +96,10 @@ def finite(value: float | None) -> float | None:
 
 
 def world_limits(
-    derivative: CompiledLaw, plant: Plant, moving: Moving | None = None, worst: bool = False
+    derivative: CompiledLaw,
+    plant: Plant,
+    moving: Moving | None = None,
+    worst: bool = False,
 ) -> WorldLimits:
     """Return the largest stiffness of a law for each kind of world.
 
@@ -117,7 +124,9 @@ def world_limits(
         one = world_k_max(derivative, plant, world, any_hand)
         found[name] = one.k_max_n_per_m
         about[name] = (
-            one.about if world is not _WALL else f"{Wall().about}; {hand_text(plant, any_hand)}"
+            one.about
+            if world is not _WALL
+            else f"{Wall().about}; {hand_text(plant, any_hand)}"
         )
     return WorldLimits(found, about, worst_world(derivative, plant) if worst else None)
 
@@ -129,11 +138,15 @@ def world_needs(law: CompiledLaw, plant: Plant) -> dict[str, float | None]:
     s/m], ``tool_mass_…`` of a tool moved by semi-implicit Euler [kg].
     """
     return {
-        "device_damping_any_world_n_s_per_m": needed_device_damping(law, plant, AnyWorld()),
+        "device_damping_any_world_n_s_per_m": needed_device_damping(
+            law, plant, AnyWorld()
+        ),
         "device_damping_any_hand_any_world_n_s_per_m": needed_device_damping(
             law, plant, AnyWorld(), any_hand=True
         ),
         "tool_damping_any_world_n_s_per_m": needed_tool_damping(law, plant),
-        "tool_damping_any_hand_any_world_n_s_per_m": needed_tool_damping(law, plant, any_hand=True),
+        "tool_damping_any_hand_any_world_n_s_per_m": needed_tool_damping(
+            law, plant, any_hand=True
+        ),
         "tool_mass_euler_kg": needed_tool_mass(law, plant),
     }

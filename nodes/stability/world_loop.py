@@ -18,7 +18,10 @@ from nodes.stability.dips import Reals
 from nodes.stability.plant import Plant, held_step
 
 Integrator: TypeAlias = Literal["implicit", "lossless", "semi_implicit", "exact"]
-STEPPED = ("semi_implicit", "exact")  # they answer a force after the tick in which it acts
+STEPPED = (
+    "semi_implicit",
+    "exact",
+)  # they answer a force after the tick in which it acts
 HeldStep: TypeAlias = tuple[
     int, tuple[float, float, float, float], tuple[float, float], tuple[float, float]
 ]
@@ -56,7 +59,9 @@ class Body:
     def __post_init__(self) -> None:
         """Check the fields."""
         values = (self.mass, self.damping, self.stiffness)
-        if not all(math.isfinite(value) and value >= 0.0 for value in values) or not any(values):
+        if not all(
+            math.isfinite(value) and value >= 0.0 for value in values
+        ) or not any(values):
             raise ValueError(
                 f"mass, damping, stiffness = {values!r}: expected at least 0, finite, and not all 0"
             )
@@ -96,7 +101,9 @@ class Body:
         below = [inertia + loss + k, -2.0 * inertia - loss, inertia]
         return [1.0], below[: 3 if self.mass else 2 if self.damping else 1]
 
-    def _stepped(self, period: float, free: bool, delay: float) -> tuple[list[float], list[float]]:
+    def _stepped(
+        self, period: float, free: bool, delay: float
+    ) -> tuple[list[float], list[float]]:
         if self.integrator == "exact":
             whole, (a11, a12, a21, a22), new, old = held_step(
                 Plant(period, self.mass, self.damping, delay, self.stiffness)
@@ -156,7 +163,9 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     drifts = body.stiffness == 0.0 and plant.stiffness == 0.0
     above, below = body.rational(plant.period, drifts, plant.delay)
     order = max(len(above), len(below)) - 1
-    ahead = [value / below[0] / unit for value in above] + [0.0] * (order + 1 - len(above))
+    ahead = [value / below[0] / unit for value in above] + [0.0] * (
+        order + 1 - len(above)
+    )
     back = [value / below[0] for value in below] + [0.0] * (order + 1 - len(below))
 
     count = len(law.sections)
@@ -165,12 +174,15 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     (p,), (v,), past, sections, forces, own = np.split(np.eye(ends[-1]), ends[:-1])
     # F = free + gain x, with x = p − y and y = rest + give F.
     free = sum(
-        (tap * unit * before for tap, before in zip(law.taps[1:], past, strict=False)), 0.0 * p
+        (tap * unit * before for tap, before in zip(law.taps[1:], past, strict=False)),
+        0.0 * p,
     )
     gain = law.taps[0] * unit
     answers: list[Reals] = []
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
-        answers.append(b1 * unit * past[0] - a1 * sections[2 * s] - a2 * sections[2 * s + 1])
+        answers.append(
+            b1 * unit * past[0] - a1 * sections[2 * s] - a2 * sections[2 * s + 1]
+        )
         free, gain = free + answers[-1], gain + b0 * unit
     rest, give = own[0] if order else 0.0 * p, ahead[0]
     if not 1.0 + gain * give > 0.0:
@@ -182,17 +194,25 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     y = rest + give * force
     x = p - y
     settled = [
-        b0 * unit * x + answer for (b0, *_), answer in zip(law.sections, answers, strict=True)
+        b0 * unit * x + answer
+        for (b0, *_), answer in zip(law.sections, answers, strict=True)
     ]
 
     acting = (-force, *(-f for f in forces))
     push, before = acting[whole] / unit, acting[whole + 1] / unit
     period = plant.period
-    moved = a11 * p + a12 / period * v + new[0] * push + old[0] * before - (y if drifts else 0.0)
+    moved = (
+        a11 * p
+        + a12 / period * v
+        + new[0] * push
+        + old[0] * before
+        - (y if drifts else 0.0)
+    )
     faster = a21 * period * p + a22 * v + period * (new[1] * push + old[1] * before)
     shifted = [row for s, one in enumerate(settled) for row in (one, sections[2 * s])]
     following = [
-        ahead[j] * force - back[j] * y + (own[j] if j < order else 0.0) for j in range(1, order + 1)
+        ahead[j] * force - back[j] * y + (own[j] if j < order else 0.0)
+        for j in range(1, order + 1)
     ]
     return np.array(
         [

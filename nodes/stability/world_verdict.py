@@ -7,7 +7,11 @@ from dataclasses import dataclass
 
 from nodes.laws import CompiledLaw
 from nodes.stability.k_max import with_spring
-from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
+from nodes.stability.needed import (
+    needed_device_damping,
+    needed_tool_damping,
+    needed_tool_mass,
+)
 from nodes.stability.plant import Plant
 from nodes.stability.worlds import (
     EulerTool,
@@ -62,9 +66,8 @@ class WorldVerdict:
         ]
         remedy = f"; it takes {' or '.join(ways)}" if ways else ""
         if self.tool_mass_kg is None and self.tool_mass_one_step_kg is not None:
-            remedy += (
-                f"; at one step a tick {self.tool_mass_one_step_kg:.3g} kg of the tool would do"
-            )
+            needed = f"{self.tool_mass_one_step_kg:.3g} kg"
+            remedy += f"; at one step a tick {needed} of the tool would do"
         return (
             f"not certified with {self.about}: {limit}, and it has {self.h1_n_per_m:.4g}"
             f" N/m{remedy}"
@@ -75,7 +78,11 @@ class WorldVerdict:
         """The unit of a mass, and which scenes and steps it is for."""
         one = self.tool_mass_one_step_kg
         fewer = "" if one is None else f"; {one:.3g} kg at one step a tick"
-        return f"kg ({self.steps} steps of Euler a tick{fewer})" if self.steps > 1 else "kg"
+        return (
+            f"kg ({self.steps} steps of Euler a tick{fewer})"
+            if self.steps > 1
+            else "kg"
+        )
 
 
 def judge_world(
@@ -116,12 +123,24 @@ def judge_world(
         if not isinstance(world, Wall | OtherDevice) or any_hand:
             device_damping = needed_device_damping(law, plant, world, any_hand)
     return WorldVerdict(
-        holds, about, law.h1, high, device_damping, tool_damping, tool_mass, steps, one_step
+        holds,
+        about,
+        law.h1,
+        high,
+        device_damping,
+        tool_damping,
+        tool_mass,
+        steps,
+        one_step,
     )
 
 
 def judge_tool(
-    law: CompiledLaw, plant: Plant, tool: SteppedTool, mass: float | None, any_hand: bool = False
+    law: CompiledLaw,
+    plant: Plant,
+    tool: SteppedTool,
+    mass: float | None,
+    any_hand: bool = False,
 ) -> WorldVerdict | None:
     """Judge a law on a stepped tool by its damping, and by its mass if that is too little.
 
@@ -142,7 +161,9 @@ def judge_tool(
     if damped is None or damped.certified or mass is None or tool.steps is None:
         return damped
     late = plant.delay if tool.delay is None else tool.delay
-    heavy = judge_world(law, plant, EulerTool(mass, tool.steps, tool.damping, late), any_hand)
+    heavy = judge_world(
+        law, plant, EulerTool(mass, tool.steps, tool.damping, late), any_hand
+    )
     return heavy if heavy is not None and heavy.certified else damped
 
 

@@ -51,7 +51,8 @@ class Springs:
     def about(self) -> str:
         """Description of these worlds."""
         return (
-            f"a spring of {self.softest:g} to {self.stiffest:g} N/m that answers in the same tick"
+            f"a spring of {self.softest:g} to {self.stiffest:g} N/m"
+            " that answers in the same tick"
         )
 
 
@@ -92,7 +93,11 @@ class SteppedTool:
         """Description of these worlds."""
         if self.damping == 0.0:
             return "a stepped tool without damping to the ground, of which nothing is provable"
-        late = "as late as on the device" if self.delay is None else f"{self.delay:g} ticks late"
+        late = (
+            "as late as on the device"
+            if self.delay is None
+            else f"{self.delay:g} ticks late"
+        )
         return (
             f"a stepped tool of at least {self.damping:g} N s/m to the ground with anything passive"
             f" hung on it (force held, {late}, any sub-steps)"
@@ -112,7 +117,9 @@ class EulerTool:
     def __post_init__(self) -> None:
         """Check the mass."""
         if not (math.isfinite(self.mass) and self.mass > 0.0):
-            raise ValueError(f"mass = {self.mass!r} kg: expected a finite value above 0")
+            raise ValueError(
+                f"mass = {self.mass!r} kg: expected a finite value above 0"
+            )
         _check_damped(self.damping, self.delay)
         if self.steps < 1:
             raise ValueError(f"steps = {self.steps!r}: expected at least 1")
@@ -149,7 +156,9 @@ class OtherDevice:
 def _check_damped(damping: float, delay: float | None) -> None:
     """Check that a damping is finite and at least 0, and a delay within the loop's limits."""
     if not 0.0 <= damping < math.inf:
-        raise ValueError(f"damping = {damping!r} N s/m: expected a finite value of at least 0")
+        raise ValueError(
+            f"damping = {damping!r} N s/m: expected a finite value of at least 0"
+        )
     if delay is not None and not 0.0 <= delay <= MAX_DELAY:
         raise ValueError(f"delay = {delay!r} ticks: expected 0 to {MAX_DELAY:g}")
 
@@ -182,7 +191,9 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
     """
     refuse_partner(plant)
     known, hands = (
-        (None, (held_disc(plant, plant.damping, plant.delay),)) if any_hand else (plant, ())
+        (None, (held_disc(plant, plant.damping, plant.delay),))
+        if any_hand
+        else (plant, ())
     )
     if isinstance(world, AnyWorld):
         return Region(plant.period, known, hands, any_world=True)
@@ -190,9 +201,13 @@ def region_of(plant: Plant, world: WorldKind, any_hand: bool) -> Region:
         return Region(plant.period, known, hands)
     if isinstance(world, SteppedTool):
         late = plant.delay if world.delay is None else world.delay
-        return Region(plant.period, known, (*hands, held_disc(plant, world.damping, late)))
+        return Region(
+            plant.period, known, (*hands, held_disc(plant, world.damping, late))
+        )
     if isinstance(world, OtherDevice):
-        return Region(plant.period, known, (*hands, held_disc(plant, world.damping, world.delay)))
+        return Region(
+            plant.period, known, (*hands, held_disc(plant, world.damping, world.delay))
+        )
     if isinstance(world, EulerTool):
         disc = euler_disc(plant, world.mass, world.steps, world.damping, world.delay)
         return Region(plant.period, known, (*hands, disc))
@@ -292,7 +307,9 @@ def world_k_max(
             else WorldKMax(wall.k_max_n_per_m, wall.stable[0][0], None, about)
         )
     if isinstance(world, Springs) and any_hand:
-        raise ValueError("world: springs are certified for a known device only; any hand: AnyWorld")
+        raise ValueError(
+            "world: springs are certified for a known device only; any hand: AnyWorld"
+        )
     if undamped(plant, world) and not isinstance(world, Springs):
         return none
     try:
@@ -317,7 +334,10 @@ def _window(
         return is_stable(with_spring(derivative, stiffness), plant)
 
     return k_window(
-        derivative, region_of(plant, world, any_hand), stable, wall_swings(derivative, plant)
+        derivative,
+        region_of(plant, world, any_hand),
+        stable,
+        wall_swings(derivative, plant),
     )
 
 
@@ -344,7 +364,9 @@ def hand_text(plant: Plant, any_hand: bool) -> str:
     return f"the known device of {plant.mass:g} kg, {plant.damping:g} N s/m{hand}"
 
 
-def certified(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False) -> bool:
+def certified(
+    law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool = False
+) -> bool:
     """Return whether a law is certified for every world of a kind (see `world_k_max`)."""
     plant = replace(plant, partner=None)
     if law.evaluate is not None:
@@ -355,4 +377,6 @@ def certified(law: CompiledLaw, plant: Plant, world: WorldKind, any_hand: bool =
         return stable_with_springs(law, plant, world.softest, world.stiffest)
     if isinstance(world, Wall) and not any_hand:
         return True
-    return not undamped(plant, world) and outside(law, region_of(plant, world, any_hand))
+    return not undamped(plant, world) and outside(
+        law, region_of(plant, world, any_hand)
+    )

@@ -84,4 +84,6 @@ def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
         return None
     mass = 0.5 * plant.period**2 / (left * half) if left > 0.0 else None
     stiffness = -2.0 * half / left if left < 0.0 else None
-    return WorstWorld(mass, stiffness, None, edge.frequency_hz, "lossless", edge.k_max_n_per_m)
+    return WorstWorld(
+        mass, stiffness, None, edge.frequency_hz, "lossless", edge.k_max_n_per_m
+    )

@@ -22,7 +22,9 @@ def bundle(sources: Mapping[str, str], first: str) -> str:
 
     def add(name: str, above: tuple[str, ...]) -> None:
         if name in above:
-            raise ValueError(f"circular imports of page modules: {' > '.join([*above, name])}")
+            raise ValueError(
+                f"circular imports of page modules: {' > '.join([*above, name])}"
+            )
         if name in done:
             return
         done.add(name)
@@ -35,7 +37,9 @@ def bundle(sources: Mapping[str, str], first: str) -> str:
             raise ValueError(
                 f"{name}.js: only named imports and exports can be bundled, not {left[0]}"
             )
-        parts.append(f"const ${name} = (() => {{\n{body}\nreturn {{ {exports} }};\n}})();\n")
+        parts.append(
+            f"const ${name} = (() => {{\n{body}\nreturn {{ {exports} }};\n}})();\n"
+        )
 
     add(first, ())
     return "".join(parts)

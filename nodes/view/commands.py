@@ -39,7 +39,12 @@ TOGETHER = 1.0
 STEPS = 100  # limit of undo steps stored
 
 
-JUDGES = ("stability", "fallback", "budget", "plant")  # parameters that a page cannot change
+JUDGES = (
+    "stability",
+    "fallback",
+    "budget",
+    "plant",
+)  # parameters that a page cannot change
 
 
 class CommandError(HapticError):
@@ -71,12 +76,18 @@ class Commander:
             kind = load(driver.factory)
             self._tells_inertia = hasattr(kind, "hardware")
             if getattr(kind, "virtual", False):
-                self.beyond = bool((driver.parameters.get("pointer") or {}).get("beyond"))
+                self.beyond = bool(
+                    (driver.parameters.get("pointer") or {}).get("beyond")
+                )
                 device = getattr(
-                    convert(driver.parameters, kind.Parameters, driver.name), "device", None
+                    convert(driver.parameters, kind.Parameters, driver.name),
+                    "device",
+                    None,
                 )
                 self.delays = (
-                    bool(self.coupling) and driver.pace == "realtime" and hasattr(device, "delay")
+                    bool(self.coupling)
+                    and driver.pace == "realtime"
+                    and hasattr(device, "delay")
                 )
         self.again = again and self.beyond
 
@@ -88,14 +99,22 @@ class Commander:
             )
         return self._run.nodes[node].control
 
-    def ask(self, node: str, op: str, timeout: float = TIMEOUT, /, **args: object) -> Any:
+    def ask(
+        self, node: str, op: str, timeout: float = TIMEOUT, /, **args: object
+    ) -> Any:
         """Send one request to a node and return its answer."""
         endpoint = self._endpoint(node)
         if node not in self._lines:
             self._lines[node] = Connection(self._context, endpoint)
         try:
             return self._lines[node].call(op, timeout, **args)
-        except (HapticError, ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
+        except (
+            HapticError,
+            ValueError,
+            OverflowError,
+            TypeError,
+            zmq.ZMQError,
+        ) as error:
             # Refusals; also unusable endpoints or keys, values that cannot be encoded, and the
             # end of the context.
             raise CommandError(str(error)) from error
@@ -117,7 +136,9 @@ class Commander:
             raise CommandError(
                 f"view: unknown request {str(op)[:100]!r}; a page can ask: {', '.join(known)}"
             )
-        arguments = {key: value for key, value in request.items() if key not in ("op", "id")}
+        arguments = {
+            key: value for key, value in request.items() if key not in ("op", "id")
+        }
         types = get_type_hints(known[op])
         try:
             inspect.signature(known[op]).bind(**arguments)
@@ -130,7 +151,9 @@ class Commander:
     def _set(self, node: str, values: dict[str, Any]) -> dict[str, Any]:
         return self._change(node, values)
 
-    def _change(self, node: str, values: dict[str, Any], **args: object) -> dict[str, Any]:
+    def _change(
+        self, node: str, values: dict[str, Any], **args: object
+    ) -> dict[str, Any]:
         before = {}
         for name in values:
             if name.partition(".")[0] in JUDGES:
@@ -164,7 +187,9 @@ class Commander:
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
             return self._change(self.coupling, {f"laws.{name}.{field}": value}, **force)
-        return self._change(self.coupling, {f"laws.{name}": {"kind": name, field: value}}, **force)
+        return self._change(
+            self.coupling, {f"laws.{name}": {"kind": name, field: value}}, **force
+        )
 
     def _forced(self, beyond: bool) -> dict[str, Any]:
         """Return the option for a change past the stability limit; refuse it if not allowed."""
@@ -190,7 +215,9 @@ class Commander:
         """Return the device's delay [ticks]; None for a device that is not virtual."""
         if not self.delays:
             return None
-        return float(self.ask(self.driver, "param.get", READ_TIMEOUT, name="device.delay"))
+        return float(
+            self.ask(self.driver, "param.get", READ_TIMEOUT, name="device.delay")
+        )
 
     def _set_delay(self, ticks: float, beyond: bool = False) -> dict[str, Any]:
         before = self.device_delay()
@@ -224,16 +251,25 @@ class Commander:
     def _switch(self, law: str, ramp: int | None = None) -> dict[str, Any]:
         before = self.ask(self.coupling, "law.list")["active"]
         receipt = self.ask(
-            self.coupling, "law.switch", law=law, **({} if ramp is None else {"ramp": ramp})
+            self.coupling,
+            "law.switch",
+            law=law,
+            **({} if ramp is None else {"ramp": ramp}),
         )
         self._remember(self.coupling, {"law": before}, {"law": law})
         return {"node": self.coupling, "values": {"law": law}, "receipt": receipt}
 
-    def _remember(self, node: str, before: dict[str, Any], values: dict[str, Any]) -> None:
+    def _remember(
+        self, node: str, before: dict[str, Any], values: dict[str, Any]
+    ) -> None:
         now = time.monotonic()
         if self._undo:
             last_node, last_before, last_values, when = self._undo[-1]
-            if last_node == node and set(last_values) == set(values) and now - when < TOGETHER:
+            if (
+                last_node == node
+                and set(last_values) == set(values)
+                and now - when < TOGETHER
+            ):
                 self._undo[-1] = (node, last_before, values, now)
                 return
         self._undo = [*self._undo[1 - STEPS :], (node, before, values, now)]
@@ -263,9 +299,8 @@ class Commander:
         before = self.recording()
         if on and not before["recording"]:
             self._recordings, self._failure = self._recordings + 1, ""
-            self._path = (
-                f"recordings/{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}.mcap"
-            )
+            name = f"{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}"
+            self._path = f"recordings/{name}.mcap"
             options = ("--run", self._run.chosen, "--out", self._path, "--json")
             self._recorder = subprocess.Popen(
                 [*PYTHON, "-m", "nodes.cli.command", "bag", "record", *options],
@@ -286,7 +321,11 @@ class Commander:
         """Return the state of the recording; if it ended by itself, also the reason."""
         if self._recorder is not None and self._recorder.poll() is not None:
             self._end_recorder()
-        return {"recording": self._recorder is not None, "path": self._path, "error": self._failure}
+        return {
+            "recording": self._recorder is not None,
+            "path": self._path,
+            "error": self._failure,
+        }
 
     def _end_recorder(self) -> None:
         recorder = self._recorder
@@ -297,7 +336,8 @@ class Commander:
             answered, said = recorder.communicate(timeout=TIMEOUT)
         except subprocess.TimeoutExpired:
             self._failure = (
-                f"recording: {self._path} is not complete {TIMEOUT:g} s after the request to end"
+                f"recording: {self._path} is not complete"
+                f" {TIMEOUT:g} s after the request to end"
             )
             return
         self._recorder, self._failure = None, ""
@@ -305,10 +345,12 @@ class Commander:
             # Its interpreter was still starting.
             self._failure = "recording: stopped before it began"
         elif recorder.returncode not in (0, 130):
-            why = _error_of(answered) or " ".join(said.decode(errors="replace").split())[-500:]
-            self._failure = (
-                f"recording failed: {why or f'it ended with exit code {recorder.returncode}'}"
+            why = (
+                _error_of(answered)
+                or " ".join(said.decode(errors="replace").split())[-500:]
             )
+            why = why or f"it ended with exit code {recorder.returncode}"
+            self._failure = f"recording failed: {why}"
 
     def end(self) -> None:
         """Cancel all pending requests; returns after `close` on another thread."""
@@ -324,6 +366,8 @@ class Commander:
 def _error_of(answer: bytes) -> str:
     """Return the error of a command's ``--json`` answer; empty if there is none."""
     try:
-        return str(msgspec.json.decode(answer, type=dict[str, Any]).get("error", ""))[-500:]
+        return str(msgspec.json.decode(answer, type=dict[str, Any]).get("error", ""))[
+            -500:
+        ]
     except msgspec.DecodeError:
         return ""

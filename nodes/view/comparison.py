@@ -33,7 +33,9 @@ It computes position and force from nodes, law, hand targets, initial state and 
 PLAY_PERIOD = 0.05  # time between two continuations of B [s]
 FREE = 0.4  # time without contact of both after which B restarts from A's state [s]
 RESTART_AFTER = 30.0  # time after which it restarts in any case [s]
-SHOWN = 1.0  # duration of B that each message contains, so that slow pages miss nothing [s]
+SHOWN = (
+    1.0  # duration of B that each message contains, so that slow pages miss nothing [s]
+)
 
 
 class Comparison:
@@ -77,7 +79,9 @@ class Comparison:
 
     def delayed(self, ticks: float) -> None:
         """Set the device's present delay [ticks]; if it changed, restart B."""
-        later = ticks - float(self._setups[self._driver].parameters["device"].get("delay", 0.0))
+        later = ticks - float(
+            self._setups[self._driver].parameters["device"].get("delay", 0.0)
+        )
         if later != self.later:
             self.later = later
             self._restart()
@@ -99,12 +103,23 @@ class Comparison:
             return
         axis, ticks = self._axis, message.seq - before.seq
         # Without contact, the histories of both laws are empty.
-        self._free = self._free + ticks if message.force[axis] == 0.0 == before.force[axis] else 0
+        self._free = (
+            self._free + ticks
+            if message.force[axis] == 0.0 == before.force[axis]
+            else 0
+        )
         longest = len(self._targets) * self._period > RESTART_AFTER
-        if not self._targets or longest or (self._free * self._period > FREE and self._b_is_free):
+        if (
+            not self._targets
+            or longest
+            or (self._free * self._period > FREE and self._b_is_free)
+        ):
             self._restart()
             x, old = message.position[axis], before.position[axis]
-            self._begin, self._from = (x, (x - old) / (ticks * self._period)), message.seq
+            self._begin, self._from = (
+                (x, (x - old) / (ticks * self._period)),
+                message.seq,
+            )
             self._b_is_free = False
         else:
             # Interpolate targets of lost states linearly.
@@ -115,7 +130,12 @@ class Comparison:
     def step(self, now: float, delay: float) -> None:
         """Continue the simulation when due and idle."""
         busy = self._job is not None and not self._job.done()
-        if self.law and self._targets and not busy and now - self._played_at > PLAY_PERIOD:
+        if (
+            self.law
+            and self._targets
+            and not busy
+            and now - self._played_at > PLAY_PERIOD
+        ):
             self._played_at = now
             late = round(max(0.0, delay - self._late) + self.later, 2)
             self._job = asyncio.get_running_loop().create_task(
@@ -126,11 +146,19 @@ class Comparison:
         if law != self.law or begun != self._from or not self._targets:
             return  # another law, or none, was chosen before this task began
         work = partial(
-            _play, self._kind, self._setups, self._described, list(self._targets), self._begin, late
+            _play,
+            self._kind,
+            self._setups,
+            self._described,
+            list(self._targets),
+            self._begin,
+            late,
         )
         self._pool = self._pool or Workers(1)
         try:
-            position, force = await asyncio.get_running_loop().run_in_executor(self._pool, work)
+            position, force = await asyncio.get_running_loop().run_in_executor(
+                self._pool, work
+            )
         except (HapticError, ValueError) as error:
             if law == self.law and begun == self._from:
                 self.law = ""

@@ -27,11 +27,16 @@ class RunningBodies:
     """
 
     def __init__(self, setup: Setup, given_up: Callable[[], bool]) -> None:
-        parameters: MujocoParameters = convert(setup.parameters, MujocoParameters, setup.name)
+        parameters: MujocoParameters = convert(
+            setup.parameters, MujocoParameters, setup.name
+        )
         world = load_world(parameters, setup.period, setup.name)
         count = world.model.ngeom
         self._poses = Poses(
-            awaited(poses_file(setup.run_dir, setup.name), file_size(count), setup, given_up), count
+            awaited(
+                poses_file(setup.run_dir, setup.name), file_size(count), setup, given_up
+            ),
+            count,
         )
         self.shape = bodies_of(world)  # their triangles
 
@@ -74,7 +79,9 @@ class RecordedBodies:
     def follow(self, state: DeviceState) -> None:
         """Step the scene to a state's tick."""
         self.asked = True
-        if state.safety == "fault" or (self._met is not None and state.seq not in self._met):
+        if state.safety == "fault" or (
+            self._met is not None and state.seq not in self._met
+        ):
             return
         self.world.follow(
             state.seq,

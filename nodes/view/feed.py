@@ -39,8 +39,13 @@ class Feed:
         bins_per_second: float = BINS_PER_SECOND,
     ) -> None:
         # Names of the series.
-        self.names = [*(f"{field}.{axis}" for field in _FIELDS for axis in axes), *_SCALARS]
-        self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))  # ticks in a bin
+        self.names = [
+            *(f"{field}.{axis}" for field in _FIELDS for axis in axes),
+            *_SCALARS,
+        ]
+        self.per_bin = max(
+            1, math.ceil(1.0 / (period * bins_per_second) - 1e-9)
+        )  # ticks in a bin
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
         self._grace = max(2, math.ceil(GRACE / (self.per_bin * period)))
@@ -142,7 +147,11 @@ class Feed:
         )
 
     def frame(
-        self, first: int, end: int, void: bool = False, now: Sequence[float] | None = None
+        self,
+        first: int,
+        end: int,
+        void: bool = False,
+        now: Sequence[float] | None = None,
     ) -> bytes:
         """Encode bins for the page, little endian.
 
@@ -152,9 +161,15 @@ class Feed:
         first = max(first, self.oldest())
         slots = np.arange(first, max(end, first)) % self._size
         head = HEAD.pack(
-            1, len(slots), len(self.names), int(void), *(self.now() if now is None else now)
+            1,
+            len(slots),
+            len(self.names),
+            int(void),
+            *(self.now() if now is None else now),
         )
-        return b"".join((head, self._times[slots].tobytes(), self._values[:, slots].tobytes()))
+        return b"".join(
+            (head, self._times[slots].tobytes(), self._values[:, slots].tobytes())
+        )
 
     def now(self) -> tuple[float, ...]:
         """Return the present state of the scene, 22 numbers; NaN if unknown."""

@@ -33,7 +33,8 @@ def load() -> Any:
         import foxglove
     except ImportError as error:
         raise ParameterError(
-            f"{error}; install it with: pip install 'haptic-nodes[foxglove]'", path="view.foxglove"
+            f"{error}; install it with: pip install 'haptic-nodes[foxglove]'",
+            path="view.foxglove",
         ) from error
     return foxglove
 
@@ -55,7 +56,9 @@ class Bridge:
             {name: setup.parameters for name, setup in run.nodes.items()}, period
         )
         schema = library.Schema(
-            name=SCHEMA["title"], encoding="jsonschema", data=msgspec.json.encode(SCHEMA)
+            name=SCHEMA["title"],
+            encoding="jsonschema",
+            data=msgspec.json.encode(SCHEMA),
         )
         # Advertised at once, so that every subscriber is noticed and gets the shape.
         self._drawn = library.Channel(
@@ -95,7 +98,9 @@ class Bridge:
                 session_id=run.run,
             )
         except Exception as error:  # the library raises its own types
-            raise ParameterError(f"port {port}: {error}", path="view.foxglove") from error
+            raise ParameterError(
+                f"port {port}: {error}", path="view.foxglove"
+            ) from error
         self.port: int = self._server.port  # where it is served
 
     def subscribed(self, topic: str) -> None:
@@ -112,7 +117,8 @@ class Bridge:
             entities += self._scene.still(at)
         if entities:
             self._drawn.log(
-                msgspec.json.encode({"deletions": [], "entities": entities}), log_time=at
+                msgspec.json.encode({"deletions": [], "entities": entities}),
+                log_time=at,
             )
 
     def _wall(self, message: Message) -> int:
@@ -133,7 +139,9 @@ class Bridge:
         if channel is None:
             kind = type(message)
             schema = self._library.Schema(
-                name=f"haptic.{kind.__name__}", encoding="jsonschema", data=schema_json(kind)
+                name=f"haptic.{kind.__name__}",
+                encoding="jsonschema",
+                data=schema_json(kind),
             )
             channel = self._channels[topic] = self._library.Channel(
                 topic, schema=schema, message_encoding="json", context=self._context
@@ -157,7 +165,11 @@ class Bridge:
                         if isinstance(value, float)
                         else None
                     )
-                    found.append(self._library.Parameter(f"{node}.{path}", value=value, type=kind))
+                    found.append(
+                        self._library.Parameter(
+                            f"{node}.{path}", value=value, type=kind
+                        )
+                    )
         return found
 
     def refuse(self, names: list[str]) -> list[Any]:

@@ -45,7 +45,10 @@ _LISTS = (
     "metadata",
 )
 
-_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_TIME = {
+    "type": "object",
+    "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+}
 _ENTITY = {
     "type": "object",
     "properties": {
@@ -132,19 +135,30 @@ class _Bodies(RecordedBodies):
         import mujoco
 
         model, data, kinds = self.world.model, self.world.data, mujoco.mjtGeom
-        found: dict[str, list[dict[str, Any]]] = {"cubes": [], "spheres": [], "cylinders": []}
+        found: dict[str, list[dict[str, Any]]] = {
+            "cubes": [],
+            "spheres": [],
+            "cylinders": [],
+        }
         turn = np.empty(4)
         for i in range(model.ngeom):
             mujoco.mju_mat2Quat(turn, data.geom_xmat[i])
             size, kind = model.geom_size[i].tolist(), kinds(int(model.geom_type[i]))
-            drawn = {"pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])), "color": _SURFACE}
+            drawn = {
+                "pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])),
+                "color": _SURFACE,
+            }
             if kind == kinds.mjGEOM_BOX:
-                found["cubes"].append({**drawn, "size": _point([2.0 * side for side in size])})
+                found["cubes"].append(
+                    {**drawn, "size": _point([2.0 * side for side in size])}
+                )
             elif kind == kinds.mjGEOM_PLANE:
                 found["cubes"].append(
                     {
                         **drawn,
-                        "size": _point([2.0 * (size[0] or 1.0), 2.0 * (size[1] or 1.0), 1e-4]),
+                        "size": _point(
+                            [2.0 * (size[0] or 1.0), 2.0 * (size[1] or 1.0), 1e-4]
+                        ),
                     }
                 )
             elif kind == kinds.mjGEOM_SPHERE:
@@ -152,7 +166,12 @@ class _Bodies(RecordedBodies):
             elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
                 whole = [2.0 * size[0], 2.0 * size[0], 2.0 * size[1]]
                 found["cylinders"].append(
-                    {**drawn, "size": _point(whole), "bottom_scale": 1.0, "top_scale": 1.0}
+                    {
+                        **drawn,
+                        "size": _point(whole),
+                        "bottom_scale": 1.0,
+                        "top_scale": 1.0,
+                    }
                 )
         return _entity(at, name, **found)
 
@@ -177,7 +196,9 @@ class DrawnScene:
         for node, parameters in nodes.items():
             chain = node.rpartition("/")[0]
             try:
-                if recording is not None and ("surface" in parameters or "scene" in parameters):
+                if recording is not None and (
+                    "surface" in parameters or "scene" in parameters
+                ):
                     refuse_foreign_files(recording, parameters, node)
                 if "surface" in parameters:
                     shape = shape_of(parameters)
@@ -192,7 +213,9 @@ class DrawnScene:
 
     def still(self, at: int) -> list[dict[str, Any]]:
         """Return the static entities and the text about omissions, at a time [ns]."""
-        drawn = [_surface(at, node, found) for node, found in self._surfaces.items() if found]
+        drawn = [
+            _surface(at, node, found) for node, found in self._surfaces.items() if found
+        ]
         return [*drawn, *self._words(at)]
 
     def _words(self, at: int) -> list[dict[str, Any]]:
@@ -202,7 +225,9 @@ class DrawnScene:
             else []
         )
 
-    def moving(self, topic: str, message: DeviceState | Proxy, at: int) -> Iterator[dict[str, Any]]:
+    def moving(
+        self, topic: str, message: DeviceState | Proxy, at: int
+    ) -> Iterator[dict[str, Any]]:
         """Yield the moving entities due for a message at a time [ns]; needs every state."""
         chain = topic.removesuffix(DEVICE_STATE).removesuffix(PROXY).strip("/")
         before = f"{chain}/" if chain else ""
@@ -219,8 +244,12 @@ class DrawnScene:
         if len(self.left_out) > left_out:
             yield from self._words(at)
         if self._is_due(topic, message.stamp):
-            yield _entity(at, f"{before}device", spheres=[_ball(message.position, 0.0, _DEVICE)])
-            yield _entity(at, f"{before}force", lines=[_line(message.position, message.force)])
+            yield _entity(
+                at, f"{before}device", spheres=[_ball(message.position, 0.0, _DEVICE)]
+            )
+            yield _entity(
+                at, f"{before}force", lines=[_line(message.position, message.force)]
+            )
             if bodies is not None:
                 yield bodies.entity(at, f"{before}bodies")
 
@@ -248,7 +277,12 @@ class DrawnScene:
 
 
 def _text(text: str) -> dict[str, Any]:
-    style = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "color": _DEVICE}
+    style = {
+        "billboard": True,
+        "font_size": 12.0,
+        "scale_invariant": True,
+        "color": _DEVICE,
+    }
     return {"pose": _pose((0.0, 0.0, 0.05)), "text": text, **style}
 
 

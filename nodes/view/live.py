@@ -82,7 +82,9 @@ class Facts(NamedTuple):
     apply: str
     axes: list[str]  # axes that the scene computes
     driver: str  # name of the driver node
-    run_dir: str = ""  # directory where the launcher writes why it ends; empty for a recording
+    run_dir: str = (
+        ""  # directory where the launcher writes why it ends; empty for a recording
+    )
     # Limit of the force that the driver hands over, if the launch has one [N].
     peak: float | None = None
 
@@ -108,7 +110,9 @@ def facts_of(run: RunInfo, driver: str) -> Facts:
     peak = None
     if driver:
         parameters = convert(
-            run.nodes[driver].parameters, load(run.nodes[driver].factory).Parameters, driver
+            run.nodes[driver].parameters,
+            load(run.nodes[driver].factory).Parameters,
+            driver,
         )
         peak = parameters.safety.peak_force
     return Facts(
@@ -134,7 +138,9 @@ class LiveRun:
         self._period = facts.period
         self._run_dir = facts.run_dir
         self._driver, self._driver_status = facts.driver, f"/{facts.driver}/status"
-        self.feed = Feed(facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND))
+        self.feed = Feed(
+            facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND)
+        )
         self.board = Board()  # everything else
         # Measured delay of the loop, smoothed over 64 ticks [ticks].
         self.delay = 1.0 if facts.apply == "next_tick" else 0.0
@@ -144,7 +150,9 @@ class LiveRun:
         self.ended = ""  # why the run ended; empty while it runs
         self.refused = 0  # messages that do not follow the protocol
         self._decoders: dict[bytes, tuple[str, Decoder[Message]]] = {}
-        self._responses: deque[float] = deque(maxlen=max(100, round(RECENT / facts.period)))
+        self._responses: deque[float] = deque(
+            maxlen=max(100, round(RECENT / facts.period))
+        )
         self._heard: dict[str, tuple[NodeStatus, float]] = {}
         self._state_at = -1.0
         self._why = self._device = self._failed = ""
@@ -156,7 +164,9 @@ class LiveRun:
         self._rate: tuple[float, int] = (0.0, 0)
         self._rate_hz = 0.0
 
-    def take(self, frames: tuple[bytes, bytes], now: float) -> tuple[str, Message] | None:
+    def take(
+        self, frames: tuple[bytes, bytes], now: float
+    ) -> tuple[str, Message] | None:
         """Decode and store a message; return its topic and content, or None if refused."""
         known = self._decoders.get(frames[0])
         if known is None:
@@ -194,7 +204,9 @@ class LiveRun:
             if topic == self._driver_status:
                 # A failed driver may be restarted; only the launcher decides whether the run ends.
                 self._failed = (
-                    (message.reason or message.state) if message.state == "failed" else ""
+                    (message.reason or message.state)
+                    if message.state == "failed"
+                    else ""
                 )
                 if message.state == "finished":
                     self.end(message.reason or message.state)
@@ -202,7 +214,11 @@ class LiveRun:
         elif isinstance(message, Receipt):
             self.changed = True
             self.board.log(
-                {"kind": "receipt", "t": message.seq * self._period, **_receipt_facts(message)}
+                {
+                    "kind": "receipt",
+                    "t": message.seq * self._period,
+                    **_receipt_facts(message),
+                }
             )
             return
         elif isinstance(message, Event):
@@ -272,30 +288,47 @@ class LiveRun:
             }
             for name, (status, at) in self._heard.items()
         }
-        why = self._why if state is not None and state.safety not in ("active", "ramp") else ""
+        why = (
+            self._why
+            if state is not None and state.safety not in ("active", "ramp")
+            else ""
+        )
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             why = f"{' and '.join(gone)} silent"
         level, text = explain(
-            state, self.feed.proxy, force, silent, why, str(self.rings() or ""), self._device
+            state,
+            self.feed.proxy,
+            force,
+            silent,
+            why,
+            str(self.rings() or ""),
+            self._device,
         )
         if self.ended:
             level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():
                 # The named node caused the end; the others were stopped because of it.
-                found |= {"silent_s": 0.0, "state": "failed" if name == self._end.node else "ended"}
+                found |= {
+                    "silent_s": 0.0,
+                    "state": "failed" if name == self._end.node else "ended",
+                }
         ticks = state.seq if state else 0
         missed = state.missed if state else 0
         began, count = self._rate
         if now - began >= 1.0:
-            self._rate_hz = (ticks - count) / (now - began) if began and ticks >= count else 0.0
+            self._rate_hz = (
+                (ticks - count) / (now - began) if began and ticks >= count else 0.0
+            )
             self._rate = (now, ticks)
         return {
             "level": level,
             "words": text,
             "safety": state.safety if state else "",
             "stop": (
-                (self._stop or None) if state is not None and state.safety == "stopped" else None
+                (self._stop or None)
+                if state is not None and state.safety == "stopped"
+                else None
             ),
             "tick": ticks,
             "t": ticks * self._period,

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from nodes.view.run_pages import RunPages
 
 
-class ViewParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ViewParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of a view node.
 
     address: Where the page is served: 127.0.0.1, and nothing else.
@@ -71,7 +73,9 @@ class View(Node):
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Refuse any non-local address."""
-        parameters: ViewParameters = convert(setup.parameters, ViewParameters, setup.name)
+        parameters: ViewParameters = convert(
+            setup.parameters, ViewParameters, setup.name
+        )
         check_address(parameters.address, parameters.port)
         if parameters.foxglove is not None:
             from nodes.view.foxglove import load
@@ -117,4 +121,8 @@ class View(Node):
 
     def report(self) -> dict[str, Any]:
         """Return the number of requests turned away."""
-        return {"turned_away": self._pages.server.turned_away} if hasattr(self, "_pages") else {}
+        return (
+            {"turned_away": self._pages.server.turned_away}
+            if hasattr(self, "_pages")
+            else {}
+        )

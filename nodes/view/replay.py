@@ -74,10 +74,16 @@ class Timeline:
 
 
 def _facts(recording: Recording) -> Facts:
-    manifest, period, axes = recording.manifest, period_of(recording), axes_of(recording)
+    manifest, period, axes = (
+        recording.manifest,
+        period_of(recording),
+        axes_of(recording),
+    )
     published = publishers_of(recording)
     # Older recordings do not list publishers; assume the usual name.
-    driver = next((name for name, topics in published.items() if DEVICE_STATE in topics), "driver")
+    driver = next(
+        (name for name, topics in published.items() if DEVICE_STATE in topics), "driver"
+    )
     summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
     return Facts(
         run,
@@ -129,7 +135,9 @@ class ReplayPages:
         self._delay = 0.0
         notices = self._read(recording, progress)
         if not recording.complete:
-            notices.append(f"The recording is cut: it ends at {self.begin + self.duration:.1f} s.")
+            notices.append(
+                f"The recording is cut: it ends at {self.begin + self.duration:.1f} s."
+            )
         if recording.foreign:
             notices.append(f"Not read: {described(recording.foreign)}.")
         feed = self.live.feed
@@ -138,7 +146,9 @@ class ReplayPages:
             "bin_s": feed.per_bin * self._facts.period,
             "replay": True,
             "hand": False,
-            "has_hand": any(scene[16:19] != (0.0, 0.0, 0.0) for scene, _ in self.scenes.items),
+            "has_hand": any(
+                scene[16:19] != (0.0, 0.0, 0.0) for scene, _ in self.scenes.items
+            ),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
             "notice": " ".join(notices),
@@ -153,7 +163,9 @@ class ReplayPages:
         self._mapping = ThreadPoolExecutor(1, "map")
         self._maps: dict[str, dict[str, Any]] = {}
 
-    def _read(self, recording: Recording, progress: Callable[[float], None]) -> list[str]:
+    def _read(
+        self, recording: Recording, progress: Callable[[float], None]
+    ) -> list[str]:
         """Play the recording once; return notices for the page."""
         notices = self._read_parameters(recording)
         live, period = self.live, self._facts.period
@@ -183,7 +195,11 @@ class ReplayPages:
             delays, states = delays + message.delay, states + 1.0
             if at >= next_scene:
                 next_scene = at + self._scene_period
-                poses = None if self._bodies is None else self._bodies.poses().astype(np.float32)
+                poses = (
+                    None
+                    if self._bodies is None
+                    else self._bodies.poses().astype(np.float32)
+                )
                 self.scenes.add(at, (live.feed.now(), poses))
                 live.feed.file()
             if at >= next_status:
@@ -205,15 +221,24 @@ class ReplayPages:
         recording = Recording(path)
         recording.require_ticks()
         facts, axis = _facts(recording), AXIS_INDEX[self._facts.axes[0]]
-        states = [one for one in recording.messages(DEVICE_STATE) if isinstance(one, DeviceState)]
+        states = [
+            one
+            for one in recording.messages(DEVICE_STATE)
+            if isinstance(one, DeviceState)
+        ]
         shown = states[:: 1 + len(states) // OVER]
         begin = states[0].seq * facts.period
         document = {
-            "times": [round(self.begin + state.seq * facts.period - begin, 6) for state in shown],
+            "times": [
+                round(self.begin + state.seq * facts.period - begin, 6)
+                for state in shown
+            ],
             "position": [round(state.position[axis], 8) for state in shown],
             "force": [round(state.force[axis], 5) for state in shown],
         }
-        return msgspec.json.encode({"type": "over", "name": path.stem, **document}).decode()
+        return msgspec.json.encode(
+            {"type": "over", "name": path.stem, **document}
+        ).decode()
 
     def _read_parameters(self, recording: Recording) -> list[str]:
         """Read the initial laws and the scene; return why a scene is not drawn."""
@@ -223,7 +248,9 @@ class ReplayPages:
                 self._read_coupling(name, parameters)
             elif "device" in parameters:
                 self._driver = parameters
-            elif ("surface" in parameters or "scene" in parameters) and len(self._facts.axes) > 1:
+            elif ("surface" in parameters or "scene" in parameters) and len(
+                self._facts.axes
+            ) > 1:
                 notices += self._read_shape(name, parameters, recording)
         if self.laws.items and isinstance(
             delay := group(self._driver, "device").get("delay"), int | float
@@ -231,7 +258,9 @@ class ReplayPages:
             self.laws.items[0]["device_delay"] = delay
         return notices
 
-    def _read_shape(self, name: str, parameters: dict[str, Any], recording: Recording) -> list[str]:
+    def _read_shape(
+        self, name: str, parameters: dict[str, Any], recording: Recording
+    ) -> list[str]:
         from nodes.view.drawn_bodies import RecordedBodies, met_ticks
         from nodes.view.shape import bodies_of, shape_of
 
@@ -253,7 +282,9 @@ class ReplayPages:
         try:
             coupling: CouplingParameters = convert(parameters, CouplingParameters, name)
             book = LawBook(name, self._facts.period)
-            laws = {law: book.description(coupling, law) for law in book.names(coupling)}
+            laws = {
+                law: book.description(coupling, law) for law in book.names(coupling)
+            }
         except ParameterError:
             # The law is not installed here; its receipts still show its parameters.
             return
@@ -271,21 +302,32 @@ class ReplayPages:
         try:
             after = msgspec.json.decode(receipt.after)
             law = after.pop("law")
-        except (msgspec.DecodeError, RecursionError, KeyError, AttributeError, TypeError):
+        except (
+            msgspec.DecodeError,
+            RecursionError,
+            KeyError,
+            AttributeError,
+            TypeError,
+        ):
             return
         if not isinstance(law, str):
             return
         before: dict[str, Any] = (
-            self.laws.items[-1] if self.laws.items else {"node": "", "laws": {}, "ramp": 0}
+            self.laws.items[-1]
+            if self.laws.items
+            else {"node": "", "laws": {}, "ramp": 0}
         )
         laws = {**before["laws"], law: after} if "kind" in after else before["laws"]
-        self.laws.add(receipt.seq * self._facts.period, {**before, "active": law, "laws": laws})
+        self.laws.add(
+            receipt.seq * self._facts.period, {**before, "active": law, "laws": laws}
+        )
 
     def _read_delay(self, event: Event) -> None:
         """Apply a change of the virtual device's delay, which changes the stability map."""
         if (ticks := event.data.get("delay_ticks")) is not None and self.laws.items:
             self.laws.add(
-                event.seq * self._facts.period, {**self.laws.items[-1], "device_delay": ticks}
+                event.seq * self._facts.period,
+                {**self.laws.items[-1], "device_delay": ticks},
             )
 
     async def run(self, stopping: Callable[[], bool]) -> None:
@@ -314,7 +356,12 @@ class ReplayPages:
                 )
             tell(
                 msgspec.json.encode(
-                    {"type": "map", "law": active, "device_delay": later, **self._maps[key]}
+                    {
+                        "type": "map",
+                        "law": active,
+                        "device_delay": later,
+                        **self._maps[key],
+                    }
                 ).decode()
             )
 
@@ -357,12 +404,18 @@ class ReplayPage:
         self._first = self._cursor = -1
         self._void = True
         self._shown = math.nan
-        self._outbox: list[str | bytes] = [pages.hello, *([pages.over] if pages.over else [])]
+        self._outbox: list[str | bytes] = [
+            pages.hello,
+            *([pages.over] if pages.over else []),
+        ]
         self._go(pages.begin)
 
     def _go(self, at: float) -> None:
         """Jump to a time; bins already sent stay valid, so that dragging the slider is cheap."""
-        self._at, self._since = min(max(at, self._pages.begin), self._end), time.monotonic()
+        self._at, self._since = (
+            min(max(at, self._pages.begin), self._end),
+            time.monotonic(),
+        )
         feed = self._pages.live.feed
         first = feed.until(self._at - HISTORY)
         if not self._first <= feed.until(self._at) <= self._cursor:
@@ -400,7 +453,9 @@ class ReplayPage:
             now = (at, *shown[1:])
             if poses is not None:
                 placed = np.round(poses.astype(float), 6).tolist()
-                found.append(msgspec.json.encode({"type": "poses", "poses": placed}).decode())
+                found.append(
+                    msgspec.json.encode({"type": "poses", "poses": placed}).decode()
+                )
             end = max(end, self._cursor)
             found.append(pages.live.feed.frame(self._cursor, end, self._void, now))
             # The capacity of the page's ring buffer.

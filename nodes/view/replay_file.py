@@ -25,7 +25,9 @@ _ALONE: Final = Path(__file__).with_name("alone")
 _MOST_BINS: Final = 60_000.0
 
 
-def export_html(recording: Recording, out: str | Path, *, overwrite: bool = False) -> list[Path]:
+def export_html(
+    recording: Recording, out: str | Path, *, overwrite: bool = False
+) -> list[Path]:
     """Write a recording's page with its data inside; it opens without a server.
 
     Parameters
@@ -59,7 +61,9 @@ def export_html(recording: Recording, out: str | Path, *, overwrite: bool = Fals
 def page_of(pages: ReplayPages) -> str:
     """Return the HTML of a recording's page: styles, scripts and data in one text."""
     html = (_WEB / "index.html").read_text(encoding="utf-8")
-    modules = {path.name: path.read_text(encoding="utf-8") for path in _WEB.glob("*.js")}
+    modules = {
+        path.name: path.read_text(encoding="utf-8") for path in _WEB.glob("*.js")
+    }
     data = base64.b64encode(zlib.compress(recorded(pages), 9)).decode()
     scripts = (
         _text("vendor/uPlot.iife.min.js"),
@@ -70,7 +74,8 @@ def page_of(pages: ReplayPages) -> str:
         f"<script>\n{_inside(script)}</script>\n" for script in scripts
     )
     styles = "".join(
-        f"<style>\n{_text(name)}</style>\n" for name in ("vendor/uPlot.min.css", "style.css")
+        f"<style>\n{_text(name)}</style>\n"
+        for name in ("vendor/uPlot.min.css", "style.css")
     )
     for tag in (
         '<link rel="icon" href="icon.svg">\n',
@@ -112,7 +117,12 @@ def recorded(pages: ReplayPages) -> bytes:
             "pose": shape[1],
         }
     )
-    arrays: list[NDArray[Any]] = [np.array(pages.scenes.times, dtype="<f8"), nows, times, low]
+    arrays: list[NDArray[Any]] = [
+        np.array(pages.scenes.times, dtype="<f8"),
+        nows,
+        times,
+        low,
+    ]
     arrays += [] if is_same else [high]
     arrays += [np.array(poses, dtype="<f4")] if has_bodies else []
     found = bytearray(struct.pack("<I", len(head)) + head)

@@ -60,5 +60,7 @@ class Ringing:
             return None
         span = self._turns[-1] - self._turns[0]
         return (
-            Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1]) if span > 0.0 else None
+            Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1])
+            if span > 0.0
+            else None
         )

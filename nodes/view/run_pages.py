@@ -58,7 +58,9 @@ class RunPage:
         )
         found: list[str | bytes] = list(texts)
         state = self._feed.state
-        if state is not None and (state.seq != self._seq or self._feed.head > self._cursor):
+        if state is not None and (
+            state.seq != self._seq or self._feed.head > self._cursor
+        ):
             found.append(self._feed.frame(self._cursor, self._feed.head, self._void))
             self._cursor, self._seq, self._void = self._feed.head, state.seq, False
         return found
@@ -100,7 +102,9 @@ class RunPages:
         self._axis = AXIS_INDEX[facts.axes[0]]
         self.live = LiveRun(facts)  # state of the run
         # Target of the simulated hand.
-        self.hand = SharedHand(awaited_pointer(run.nodes[self._commander.driver], stopping))
+        self.hand = SharedHand(
+            awaited_pointer(run.nodes[self._commander.driver], stopping)
+        )
         self.server = PageServer(self._open_page, token)  # serves the pages
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         # Called with topic and content of every message.
@@ -127,7 +131,9 @@ class RunPages:
             "delays": self._commander.delays,
             "shape": self._shape(stopping),
         }
-        self.live.board.put("hello", {**facts.hello(), **document, "fields": all_law_fields()})
+        self.live.board.put(
+            "hello", {**facts.hello(), **document, "fields": all_law_fields()}
+        )
 
     def _shape(self, stopping: Callable[[], bool]) -> dict[str, Any]:
         """Return the static shape of a scene with several axes; empty for one axis."""
@@ -195,7 +201,9 @@ class RunPages:
         self.listeners.append(self._bridge.take)
         return self._bridge.port
 
-    async def run(self, stopping: Callable[[], bool], between: Callable[[], None]) -> None:
+    async def run(
+        self, stopping: Callable[[], bool], between: Callable[[], None]
+    ) -> None:
         """Process messages, laws and map until told to stop; the caller starts the server."""
         try:
             while not stopping():
@@ -233,7 +241,9 @@ class RunPages:
             self._show_bodies()
             side = proxy.normal[axis] if proxy is not None else 0.0
             surface = (
-                proxy.position[axis] - side * proxy.distance if proxy is not None and side else None
+                proxy.position[axis] - side * proxy.distance
+                if proxy is not None and side
+                else None
             )
             self.hand.tap(axis, surface, side)
 
@@ -285,7 +295,12 @@ class RunPages:
             else now - self._opened_at > PICTURE_FIRST
         )
         if self.server.pages and described is not None and rested:
-            judged = (wanted, described, self._laws.get("plant"), self._laws.get("device_delay"))
+            judged = (
+                wanted,
+                described,
+                self._laws.get("plant"),
+                self._laws.get("device_delay"),
+            )
             key, delay = repr(judged), self._mapped[1]
             # Small changes of the delay do not redraw the map.
             if key != self._mapped[0] or abs(live.delay - delay) > 0.02 + 0.05 * delay:
@@ -318,7 +333,9 @@ class RunPages:
             # Read the delay first: the plant is changed before it, so the plant is never older.
             delay = self._commander.device_delay()
             parameters = self._commander.ask(node, "param.dump")
-            chosen = {name: parameters.get(name) for name in ("ramp", "plant", "stability")}
+            chosen = {
+                name: parameters.get(name) for name in ("ramp", "plant", "stability")
+            }
             named = list(parameters.get("laws", {}))
             return {
                 "node": node,
@@ -329,13 +346,17 @@ class RunPages:
             }
 
         try:
-            self._laws = await asyncio.get_running_loop().run_in_executor(self._asking, ask)
+            self._laws = await asyncio.get_running_loop().run_in_executor(
+                self._asking, ask
+            )
             self._comparison.follow(self._laws["laws"])
             if self._laws["device_delay"] is not None:
                 self._comparison.delayed(self._laws["device_delay"])
             self.live.board.put("laws", self._laws)
             if self._bridge is not None:
-                await asyncio.get_running_loop().run_in_executor(None, self._bridge.tell_parameters)
+                await asyncio.get_running_loop().run_in_executor(
+                    None, self._bridge.tell_parameters
+                )
         except CommandError:
             # A restarting coupling or driver does not answer yet.
             await asyncio.sleep(ASK_AGAIN)
@@ -361,7 +382,15 @@ class RunPages:
             self._asking, self._commander.inertia
         )
         draw = partial(
-            drawn_map, described, self._period, laws.get("plant"), driver, delay, inertia
+            drawn_map,
+            described,
+            self._period,
+            laws.get("plant"),
+            driver,
+            delay,
+            inertia,
         )
         found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
-        self.live.board.put("map", {"law": laws["active"], "device_delay": own, **found})
+        self.live.board.put(
+            "map", {"law": laws["active"], "device_delay": own, **found}
+        )

@@ -80,9 +80,14 @@ def _files() -> dict[str, tuple[str, bytes]]:
     found: dict[str, tuple[str, bytes]] = {}
     for path in filter(Path.is_file, web.rglob("*")):
         kind = mimetypes.guess_type(path.name)[0] or "text/plain"
-        found[path.relative_to(web).as_posix()] = (f"{kind}; charset=utf-8", path.read_bytes())
+        found[path.relative_to(web).as_posix()] = (
+            f"{kind}; charset=utf-8",
+            path.read_bytes(),
+        )
     kind = found["main.js"][0]
-    modules = {name: body.decode() for name, (_, body) in found.items() if name.endswith(".js")}
+    modules = {
+        name: body.decode() for name, (_, body) in found.items() if name.endswith(".js")
+    }
     found["main.js"] = kind, bundle(modules, "main").encode()
     return found
 
@@ -93,7 +98,12 @@ def _text(status: HTTPStatus, text: str) -> Response:
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
     headers = Headers(
-        {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+        {
+            **_HEADERS,
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+        }
     )
     return Response(status.value, status.phrase, headers, body)
 
@@ -143,7 +153,9 @@ class PageServer:
             self._server.close(code=1001, reason="the run has ended")
             await self._server.wait_closed()
 
-    def _request(self, _connection: ServerConnection, request: Request) -> Response | None:
+    def _request(
+        self, _connection: ServerConnection, request: Request
+    ) -> Response | None:
         host = _one(request, "Host") or ""
         origin = _one(request, "Origin")
         token, slash, name = request.path.partition("?")[0].lstrip("/").partition("/")
@@ -154,7 +166,9 @@ class PageServer:
         elif origin is not None and origin != f"http://{host}":
             refused = f"haptic view accepts no requests from {origin[:100]}\n"
         elif not secrets.compare_digest(token.encode(), self.token.encode()):
-            refused = "Wrong or missing token: open the complete URL that haptic printed.\n"
+            refused = (
+                "Wrong or missing token: open the complete URL that haptic printed.\n"
+            )
         if refused:
             self.turned_away += 1
             return _text(HTTPStatus.FORBIDDEN, refused)
@@ -229,13 +243,16 @@ def _decoded(text: str | bytes) -> dict[str, Any] | None:
 def _moved(page: Page, target: Any) -> str:
     fits = isinstance(target, list) and len(target) == 3
     if target is not None and not (
-        fits and all(isinstance(part, int | float) and abs(part) < FAR for part in target)
+        fits
+        and all(isinstance(part, int | float) and abs(part) < FAR for part in target)
     ):
         return f"hand: the target is three numbers [m] below {FAR:g}, or null to let go"
     return page.hand(target)
 
 
-async def _do(connection: ServerConnection, page: Page, request: dict[str, Any]) -> None:
+async def _do(
+    connection: ServerConnection, page: Page, request: dict[str, Any]
+) -> None:
     try:
         result = await page.ask(request)
     except CommandError as error:
@@ -245,9 +262,18 @@ async def _do(connection: ServerConnection, page: Page, request: dict[str, Any])
 
 
 async def _answer(
-    connection: ServerConnection, request: dict[str, Any], result: Any = None, error: str = ""
+    connection: ServerConnection,
+    request: dict[str, Any],
+    result: Any = None,
+    error: str = "",
 ) -> None:
     known = {"id": request.get("id"), "op": request.get("op")}
-    answer = {"type": "answer", **known, "ok": not error, "result": result, "error": error}
+    answer = {
+        "type": "answer",
+        **known,
+        "ok": not error,
+        "result": result,
+        "error": error,
+    }
     with contextlib.suppress(ConnectionClosed):
         await connection.send(msgspec.json.encode(answer).decode())

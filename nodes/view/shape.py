@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 Points = NDArray[np.float64]
 
-AROUND, ACROSS = 28, 14  # segments of a round shape around its axis, and from pole to pole
+AROUND, ACROSS = (
+    28,
+    14,
+)  # segments of a round shape around its axis, and from pole to pole
 REACH = 0.08  # half side of the drawn part of an infinite plane [m]
 _UP = np.array([0.0, 0.0, 1.0])
 TRIANGLE_LIMIT = 20_000  # approximate limit of triangles sent; a finer mesh is thinned
@@ -38,7 +41,9 @@ def _frame(axis: Points) -> tuple[Points, Points]:
     return first, np.cross(axis, first)
 
 
-def _round(outline: Points, centre: Points, axis: Points, around: int = AROUND) -> Points:
+def _round(
+    outline: Points, centre: Points, axis: Points, around: int = AROUND
+) -> Points:
     """Return the triangles of a surface of revolution about `axis`.
 
     `outline` has rows of (position along the axis, distance from it) [m].
@@ -73,12 +78,25 @@ def _cylinder(half: float, radius: float) -> Points:
 
 def _box(centre: Points, axes: Points, half: Points) -> Points:
     corners = (
-        np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]) * half @ axes
+        np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+        * half
+        @ axes
         + centre
     )
-    faces = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    faces = (
+        (0, 1, 3, 2),
+        (4, 6, 7, 5),
+        (0, 4, 5, 1),
+        (2, 3, 7, 6),
+        (0, 2, 6, 4),
+        (1, 5, 7, 3),
+    )
     return np.array(
-        [corners[[a, b, c]] for f in faces for a, b, c in ((f[0], f[1], f[2]), (f[0], f[2], f[3]))]
+        [
+            corners[[a, b, c]]
+            for f in faces
+            for a, b, c in ((f[0], f[1], f[2]), (f[0], f[2], f[3]))
+        ]
     )
 
 
@@ -108,9 +126,13 @@ def shape_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(surface, Touchable):
         found = [_triangles(solid) for solid in surface.solids("surface")]
         return {
-            "triangles": np.round(np.concatenate(found).reshape(-1, 9), 6).ravel().tolist(),
+            "triangles": np.round(np.concatenate(found).reshape(-1, 9), 6)
+            .ravel()
+            .tolist(),
             "tool_radius": surface.tool_radius,
-            "friction": max(solid.friction.static for solid in surface.solids("surface")),
+            "friction": max(
+                solid.friction.static for solid in surface.solids("surface")
+            ),
         }
     axis, position = getattr(surface, "axis", None), getattr(surface, "position", None)
     if axis is None or position is None:

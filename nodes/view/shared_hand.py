@@ -17,7 +17,11 @@ from nodes.driver.pointer import PointerWriter
 
 SILENCE_LIMIT = 2.0  # time that the target of a silent page stays [s]
 SLOWLY = 0.05  # speed at which it then returns home, and comes back [m/s]
-EVERY, PRESS, DEPTH = 3.0, 0.9, 0.004  # taps of an unowned hand: period, duration [s], depth [m]
+EVERY, PRESS, DEPTH = (
+    3.0,
+    0.9,
+    0.004,
+)  # taps of an unowned hand: period, duration [s], depth [m]
 REST = 1.0  # time that its path must be at rest before the first tap [s]
 
 
@@ -114,7 +118,9 @@ class SharedHand:
         self._tap(writer, now, axis, surface - side * DEPTH)
         writer.leave()
 
-    def _tap(self, writer: PointerWriter, now: float, axis: int, deepest: float) -> None:
+    def _tap(
+        self, writer: PointerWriter, now: float, axis: int, deepest: float
+    ) -> None:
         if now - self._taps > EVERY:
             if now - self._still < REST:
                 return

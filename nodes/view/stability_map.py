@@ -23,9 +23,18 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.worlds import AnyWorld, EulerTool, SteppedTool, WorldKind, world_k_max
+from nodes.stability.worlds import (
+    AnyWorld,
+    EulerTool,
+    SteppedTool,
+    WorldKind,
+    world_k_max,
+)
 
-NEAR, FAR = 33, 24  # points of the edge: evenly spaced around the gain, then geometrically
+NEAR, FAR = (
+    33,
+    24,
+)  # points of the edge: evenly spaced around the gain, then geometrically
 FARTHEST = 4096.0  # search limit of the far end, relative to the near part
 DELAY_LIMIT = 20.0  # search limit of the delay margin [ticks]
 DELAYS = 25  # points of the edge over the delay
@@ -45,8 +54,13 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
     masses = [float(mass) for _, mass in device.get("mass_by_position", ())] or [
         float(device["mass"])
     ]
-    least, most = (end + float(hand.get("mass", 0.0)) for end in (min(masses), max(masses)))
-    stiffness, delay = float(hand.get("stiffness", 0.0)), float(device.get("delay", 0.0))
+    least, most = (
+        end + float(hand.get("mass", 0.0)) for end in (min(masses), max(masses))
+    )
+    stiffness, delay = (
+        float(hand.get("stiffness", 0.0)),
+        float(device.get("delay", 0.0)),
+    )
     return PlantParameters(
         mass=least,
         heaviest=most if most > least else None,
@@ -107,11 +121,15 @@ def _at(law: Law, damping: float) -> Law:
     return msgspec.structs.replace(law, damping=damping)
 
 
-def _bounds(law: Law, devices: Sequence[Plant], dampings: list[float]) -> list[list[float | None]]:
+def _bounds(
+    law: Law, devices: Sequence[Plant], dampings: list[float]
+) -> list[list[float | None]]:
     found: list[list[float | None]] = []
     for damping in dampings:
         low, high = _edges(_at(law, damping), devices) or (None, None)
-        found.append([damping, low, high if high is None or math.isfinite(high) else None])
+        found.append(
+            [damping, low, high if high is None or math.isfinite(high) else None]
+        )
     return found
 
 
@@ -122,7 +140,10 @@ def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
         outside = 2.0 * inside
         if _edges(_at(law, outside), devices) is None:
             return last_inside(
-                lambda damping: _edges(_at(law, damping), devices) is not None, inside, outside, 10
+                lambda damping: _edges(_at(law, damping), devices) is not None,
+                inside,
+                outside,
+                10,
             )
         inside = outside
     return inside
@@ -133,7 +154,10 @@ def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
     compiled, begin = law.compile(devices[0].period), devices[0].delay
 
     def stable(delay: float) -> bool:
-        return all(pole_radius(compiled, replace(device, delay=delay)) < 1.0 for device in devices)
+        return all(
+            pole_radius(compiled, replace(device, delay=delay)) < 1.0
+            for device in devices
+        )
 
     if not stable(begin):
         return 0.0
@@ -181,7 +205,9 @@ def with_inertia(
     )
 
 
-def stability_map(law: Law, period: float, plant: PlantParameters, delay: float) -> dict[str, Any]:
+def stability_map(
+    law: Law, period: float, plant: PlantParameters, delay: float
+) -> dict[str, Any]:
     """Compute the stable region of the (B, K) plane for every mass of the device."""
     compiled = law.compile(period)
     if compiled.evaluate is not None:
@@ -203,7 +229,9 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
         "pole_radius": radius,
         "stable": radius < 1.0,
         "k_n_per_m": k,
-        "k_max_n_per_m": edge[1] if edge is not None and math.isfinite(edge[1]) else None,
+        "k_max_n_per_m": edge[1]
+        if edge is not None and math.isfinite(edge[1])
+        else None,
         "delay_margin_ticks": delay_margin(law, devices),
     }
     b = getattr(law, "damping", None)
@@ -221,7 +249,9 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     if world is None:
         return drawn
     # The device alone: the tool coupled to it is part of the world.
-    some = [replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})]
+    some = [
+        replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})
+    ]
     gains = np.linspace(0.0, near, ANY_NEAR).tolist()
     # The limit falls fastest at small delays.
     delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()
@@ -230,11 +260,15 @@ def stability_map(law: Law, period: float, plant: PlantParameters, delay: float)
     return drawn | {
         "world": about,
         "k_max_any_world_n_per_m": _certified(law, some, world, plant),
-        "any_world": [[gain, _certified(_at(law, gain), some, world, plant)] for gain in gains],
+        "any_world": [
+            [gain, _certified(_at(law, gain), some, world, plant)] for gain in gains
+        ],
         "any_world_over_delay": [
             [
                 delay,
-                _certified(law, [replace(device, delay=delay) for device in some], world, plant),
+                _certified(
+                    law, [replace(device, delay=delay) for device in some], world, plant
+                ),
             ]
             for delay in delays
         ],

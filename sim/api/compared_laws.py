@@ -38,11 +38,17 @@ class LawTable(Result):
 
     law: NDArray[np.str_]  # name
     k_max_wall_n_per_m: Array  # largest stable nominal stiffness at a wall
-    k_max_any_world_n_per_m: Array  # the same before any world that answers in the same tick
+    k_max_any_world_n_per_m: (
+        Array  # the same before any world that answers in the same tick
+    )
     h1_n_per_m: Array  # stiffness felt at rest, H(1)
-    noise_gain_n_per_m: Array  # largest |H| up to half the rate: force per error of the encoder
+    noise_gain_n_per_m: (
+        Array  # largest |H| up to half the rate: force per error of the encoder
+    )
     pole_radius: Array  # of the loop as given; stable below 1
-    lands: NDArray[np.bool_]  # whether a mass dropped from 10 mm comes to rest, with the clamp
+    lands: NDArray[
+        np.bool_
+    ]  # whether a mass dropped from 10 mm comes to rest, with the clamp
     peak_force_n: Array  # largest force of that drop
     rest_friction_n: Array  # friction with which no limit cycle persists: (Δ/2) Σ|h_m|
     plant: Plant
@@ -71,7 +77,9 @@ class LawTable(Result):
         return {name: tuple(values.tolist()) for name, values in self.columns().items()}
 
     def __str__(self) -> str:
-        table = [[name, *map(_shown, values)] for name, values in self.figures().items()]
+        table = [
+            [name, *map(_shown, values)] for name, values in self.figures().items()
+        ]
         first = max(len(row[0]) for row in table)
         wide = max(len(cell) for row in table for cell in row[1:])
         lines = [
@@ -168,7 +176,9 @@ def compare(
         plant=device,
         resolution_m=resolution,
         _responses={
-            name: response(one, device) for name, one in named.items() if _is_linear(one, device)
+            name: response(one, device)
+            for name, one in named.items()
+            if _is_linear(one, device)
         },
     )
 
@@ -177,7 +187,9 @@ def _named(laws: Any) -> dict[str, LawLike]:
     """Return the laws by name; equal names are numbered."""
     if isinstance(laws, Mapping) and "kind" not in laws:
         return dict(laws)
-    single = not isinstance(laws, list | tuple) or all(isinstance(one, int | float) for one in laws)
+    single = not isinstance(laws, list | tuple) or all(
+        isinstance(one, int | float) for one in laws
+    )
     found: dict[str, LawLike] = {}
     for one in cast("Sequence[LawLike]", [laws] if single and laws else laws):
         name, number = law_name(one), 1
@@ -209,7 +221,11 @@ def _row(law: LawLike, plant: Plant, resolution: float) -> dict[str, Any]:
         pole_radius(found, plant),
     )
     friction = rest(found, plant, resolution).friction_bound_n
-    return {**dict(zip(_LINEAR, figures, strict=True)), **landed, "rest_friction_n": friction}
+    return {
+        **dict(zip(_LINEAR, figures, strict=True)),
+        **landed,
+        "rest_friction_n": friction,
+    }
 
 
 _LINEAR = (

@@ -19,7 +19,11 @@ class Parameters:
     def __getitem__(self, name: str) -> Any:
         """Read ``node.path``, or all parameters of ``node``."""
         node, _, path = name.partition(".")
-        return self._ask(node, "param.get", name=path) if path else self._ask(node, "param.dump")
+        return (
+            self._ask(node, "param.get", name=path)
+            if path
+            else self._ask(node, "param.dump")
+        )
 
     def _ipython_key_completions_(self) -> list[str]:
         return [f"{node}.{path}" for node in self._nodes for path in self.list(node)]
@@ -29,14 +33,19 @@ class Parameters:
         node, _, path = name.partition(".")
         self.set(node, {path: value})
 
-    def set(self, node: str, values: dict[str, Any], force: bool = False) -> dict[str, Any]:
+    def set(
+        self, node: str, values: dict[str, Any], force: bool = False
+    ) -> dict[str, Any]:
         """Change a node's parameters between two ticks, all or none; return the receipt.
 
         The receipt holds the tick, the old and new values by path, and the force step [N]. With
         `force` a change that makes the loop unstable is accepted.
         """
         receipt: dict[str, Any] = self._ask(
-            node, "param.set", values=plain(values), **({"force": True} if force else {})
+            node,
+            "param.set",
+            values=plain(values),
+            **({"force": True} if force else {}),
         )
         return receipt
 
@@ -52,7 +61,9 @@ class Laws:
     def __init__(self, ask: AskNode) -> None:
         self._ask = ask
 
-    def switch(self, law: LawLike, ramp: int | None = None, force: bool = False) -> dict[str, Any]:
+    def switch(
+        self, law: LawLike, ramp: int | None = None, force: bool = False
+    ) -> dict[str, Any]:
         """Switch the law between two ticks; return the receipt.
 
         The receipt holds the tick, the force step [N] and both laws. `law`: a name of `list`, or

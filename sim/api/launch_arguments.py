@@ -52,5 +52,7 @@ def left_out(without: str | Sequence[str]) -> list[str]:
     names = [without] if isinstance(without, str) else list(without)
     for name in names:
         if not isinstance(name, str):
-            raise UsageError(f"without: expected names of nodes, e.g. ['logger'], got {name!r:.80}")
+            raise UsageError(
+                f"without: expected names of nodes, e.g. ['logger'], got {name!r:.80}"
+            )
     return names

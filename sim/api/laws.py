@@ -14,7 +14,9 @@ from nodes.laws.presets import preset_names
 
 # A law, or its description: `law`'s result, a mapping ``{"kind": ...}``, the name of a preset, or
 # taps [N/m].
-LawLike: TypeAlias = "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
+LawLike: TypeAlias = (
+    "Law | CompiledLaw | Mapping[str, Any] | str | Sequence[float] | NDArray[Any]"
+)
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -38,8 +40,12 @@ def _plain(value: Any) -> Any:
 def _as_fir(law: CompiledLaw) -> Law:
     """Return a compiled law as taps and sections with parameters of their own."""
     if law.evaluate is not None:
-        raise TypeError("a compiled law with code of its own; pass the law that it was made from")
-    sections = [dict(zip(("b0", "b1", "a1", "a2"), one, strict=True)) for one in law.sections]
+        raise TypeError(
+            "a compiled law with code of its own; pass the law that it was made from"
+        )
+    sections = [
+        dict(zip(("b0", "b1", "a1", "a2"), one, strict=True)) for one in law.sections
+    ]
     recursive = {"recursive": sections} if sections else {}
     return parse_law({"kind": "fir", "taps": list(law.taps), **recursive})
 
@@ -130,7 +136,10 @@ def law(kind: LawLike, **parameters: Any) -> Law:
             return parse_law({"kind": kind, **parameters}, kind)
         except LawRefusedError as error:
             if not parameters and kind in law_kinds():
-                error.args = (f"{error.text}; e.g. {_example(law_kinds()[kind])}", error.path)
+                error.args = (
+                    f"{error.text}; e.g. {_example(law_kinds()[kind])}",
+                    error.path,
+                )
             raise
     if isinstance(kind, Mapping):
         return parse_law(plain({**kind, **parameters}))
@@ -141,7 +150,9 @@ def law(kind: LawLike, **parameters: Any) -> Law:
             f"{kind!r} is no law: expected a kind, a preset, a mapping as in YAML, taps [N/m] or"
             f" a law{example}"
         )
-    return parse_law({"kind": "fir", "taps": [float(tap) for tap in kind], **parameters})
+    return parse_law(
+        {"kind": "fir", "taps": [float(tap) for tap in kind], **parameters}
+    )
 
 
 def _example(kind: type[Law]) -> str:

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POINTS = 2000  # frequencies of a plot of the loop
-_FACTORS = np.geomspace(1e-3, 1e3, 241)  # factors on the law among which a margin is searched
+_FACTORS = np.geomspace(
+    1e-3, 1e3, 241
+)  # factors on the law among which a margin is searched
 _LOCUS = 160  # stiffnesses of a root locus
 
 
@@ -105,7 +107,9 @@ def to_control(law: LawLike, plant: Plant | None = None) -> Any:
 def _linear(law: LawLike, period: float) -> CompiledLaw:
     found = compiled(law, period)
     if found.evaluate is not None:
-        raise ValueError("law: has code of its own and no transfer function; play it instead")
+        raise ValueError(
+            "law: has code of its own and no transfer function; play it instead"
+        )
     return found
 
 
@@ -130,7 +134,9 @@ def _as_control(system: Any) -> Any:
     try:
         control = importlib.import_module("control")
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("needs python-control: pip install control") from error
+        raise ModuleNotFoundError(
+            "needs python-control: pip install control"
+        ) from error
     if hasattr(system, "num"):
         return control.TransferFunction(system.num, system.den, system.dt)
     return control.StateSpace(system.A, system.B, system.C, system.D, system.dt)
@@ -149,7 +155,9 @@ class OpenLoop(Result):
     # factors on the whole law between which the closed loop stays stable; None: no such edge
     gain_margin: float | None
     least_gain: float | None
-    phase_margin_deg: float | None  # at the last frequency where |L| = 1; None if it never is
+    phase_margin_deg: (
+        float | None
+    )  # at the last frequency where |L| = 1; None if it never is
     crossover_hz: float | None  # that frequency
     plant: Plant
     frequency_hz: Array
@@ -211,7 +219,11 @@ class OpenLoop(Result):
             If python-control is not installed.
         """
         law = self._law.sections and _as_control(to_scipy(self._law, self.plant))
-        return law * _as_control(self.device_to_scipy()) if law else _as_control(self.to_scipy())
+        return (
+            law * _as_control(self.device_to_scipy())
+            if law
+            else _as_control(self.to_scipy())
+        )
 
     def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
         """Plot magnitude and phase of L over frequency.
@@ -252,7 +264,9 @@ class OpenLoop(Result):
         values = self.magnitude * np.exp(1j * np.radians(self.phase_deg))
         near = np.abs(values) <= 5.0  # a device that is free goes to infinity at rest
         line = axes.plot(values.real[near], values.imag[near], label=self.name)
-        axes.plot(values.real[near], -values.imag[near], color=line[0].get_color(), ls=":")
+        axes.plot(
+            values.real[near], -values.imag[near], color=line[0].get_color(), ls=":"
+        )
         axes.plot([-1.0], [0.0], "k+", ls="none")
         axes.set(xlabel="Re L", ylabel="Im L", aspect="equal", title="Nyquist plot")
         axes.legend(frameon=False)
@@ -276,11 +290,20 @@ class OpenLoop(Result):
         axes = new_figure(width=4.6, height=4.2)[1][0] if ax is None else ax
         derivative, nominal = self._nominal
         edge = k_max(derivative, self.plant).k_max_n_per_m
-        top = most or 1.5 * (edge if edge and np.isfinite(edge) else 2.0 * max(nominal, 1.0))
+        top = most or 1.5 * (
+            edge if edge and np.isfinite(edge) else 2.0 * max(nominal, 1.0)
+        )
         angle = np.linspace(0.0, 2.0 * np.pi, 361)
         axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8, ls="-")
         poles = self.locus(np.linspace(top / _LOCUS, top, _LOCUS))
-        axes.plot(poles.real.ravel(), poles.imag.ravel(), ".", ms=2.0, ls="none", label=self.name)
+        axes.plot(
+            poles.real.ravel(),
+            poles.imag.ravel(),
+            ".",
+            ms=2.0,
+            ls="none",
+            label=self.name,
+        )
         here = np.linalg.eigvals(state_matrix(self._law, self.plant))
         axes.plot(here.real, here.imag, "kx", ls="none")
         title = f"K from 0 to {top:.4g} N/m" + (f", K_max {edge:.4g}" if edge else "")
@@ -312,7 +335,9 @@ def _device(plant: Plant) -> tuple[Array, Array]:
     """Return numerator and denominator of the held, delayed device [m/N], highest power first."""
     one = as_one(plant)
     if one.partner is not None:
-        raise ValueError("plant: a pair has no transfer function of low order; use haptic.poles")
+        raise ValueError(
+            "plant: a pair has no transfer function of low order; use haptic.poles"
+        )
     held = held_plant(one)
     numerator = np.array(held.numerator)
     denominator = np.concatenate([held.denominator, np.zeros(held.whole + 1)])
@@ -414,5 +439,7 @@ def _gain_edges(law: CompiledLaw, plant: Plant) -> tuple[float | None, float | N
 
 def scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
     """Return a linear law with all forces multiplied by a factor."""
-    sections = tuple((factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections)
+    sections = tuple(
+        (factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections
+    )
     return replace(law, taps=tuple(factor * tap for tap in law.taps), sections=sections)

@@ -55,9 +55,13 @@ class Stream:
         Time after which it ends [s]; 0: with the launch.
     """
 
-    def __init__(self, run: RunInfo, topics: tuple[str, ...], duration: float = 0.0) -> None:
+    def __init__(
+        self, run: RunInfo, topics: tuple[str, ...], duration: float = 0.0
+    ) -> None:
         if not topics:
-            raise UsageError(f"stream: name a topic; there are {', '.join(run.endpoints())}")
+            raise UsageError(
+                f"stream: name a topic; there are {', '.join(run.endpoints())}"
+            )
         if not duration >= 0.0:
             raise UsageError(f"stream: duration {duration} s; expected 0 or more")
         self._run, self._duration = run, duration
@@ -68,7 +72,11 @@ class Stream:
         last: dict[str, Message] = {}
         for heard in listen(self._run, self._topics, self._duration):
             # In lockstep a node that is asked again repeats its answer.
-            if heard is None or heard.message is None or last.get(heard.topic) == heard.message:
+            if (
+                heard is None
+                or heard.message is None
+                or last.get(heard.topic) == heard.message
+            ):
                 yield None
                 continue
             last[heard.topic] = heard.message
@@ -143,7 +151,9 @@ class RecentMessages:
         self.span = 0.0  # seconds of messages to keep; at least the newest one is kept
         self._lock = threading.Lock()
         self._failure: Exception | None = None
-        threading.Thread(target=self._receive, name="haptic-latest", daemon=True).start()
+        threading.Thread(
+            target=self._receive, name="haptic-latest", daemon=True
+        ).start()
 
     def _receive(self) -> None:
         try:
@@ -163,7 +173,10 @@ class RecentMessages:
             messages.append(received.message)
             oldest = received.message.stamp - self.span
             # Stamps that went back are those of a restarted driver.
-            while len(messages) > 1 and not oldest <= messages[0].stamp <= messages[-1].stamp:
+            while (
+                len(messages) > 1
+                and not oldest <= messages[0].stamp <= messages[-1].stamp
+            ):
                 messages.popleft()
 
     def close(self) -> None:
@@ -205,7 +218,9 @@ class Live:
 
     def _kept(self, topics: tuple[str, ...]) -> RecentMessages:
         """Return the listener to some topics, started by the first call."""
-        kept: dict[tuple[str, ...], RecentMessages] = self.__dict__.setdefault("_listeners", {})
+        kept: dict[tuple[str, ...], RecentMessages] = self.__dict__.setdefault(
+            "_listeners", {}
+        )
         if topics not in kept or kept[topics].ended.is_set():
             kept[topics] = RecentMessages(self.info, topics)
             weakref.finalize(self, kept[topics].close)
@@ -267,7 +282,11 @@ class Live:
         """
         kept = self._kept((topic,))
         if not kept.await_(lambda: bool(kept.of(topic)), timeout):
-            why = "the launch has ended" if kept.ended.is_set() else f"none within {timeout:g} s"
+            why = (
+                "the launch has ended"
+                if kept.ended.is_set()
+                else f"none within {timeout:g} s"
+            )
             raise HapticError(f"{self.info.run}: no message on {topic}: {why}")
         return kept.of(topic)[-1]
 
@@ -303,7 +322,9 @@ class Live:
             )
         self.info.only_chain()
         topics = tuple(
-            topic for topic in (DEVICE_STATE, PROXY, FORCE) if topic in self.info.endpoints()
+            topic
+            for topic in (DEVICE_STATE, PROXY, FORCE)
+            if topic in self.info.endpoints()
         )
         kept = self._kept(topics)
         kept.span = max(kept.span, seconds)
@@ -315,9 +336,13 @@ class Live:
         kept.await_(gathered, timeout)
         states = kept.of(DEVICE_STATE)
         if len(states) < 2:
-            raise HapticError(f"{self.info.run}: {len(states)} ticks came within {timeout:g} s")
+            raise HapticError(
+                f"{self.info.run}: {len(states)} ticks came within {timeout:g} s"
+            )
         newest = states[-1].stamp
-        found = [m for topic in topics for m in kept.of(topic) if m.stamp >= newest - seconds]
+        found = [
+            m for topic in topics for m in kept.of(topic) if m.stamp >= newest - seconds
+        ]
         found.sort(key=lambda message: message.seq)
         columns = columns_of(joined(found))
         columns["time"] = columns["time"] - columns["time"][0]

@@ -29,10 +29,14 @@ _SHOWN = 41
 class KMaxResult(Result):
     """Largest stable stiffness of a law on a device."""
 
-    k_max_n_per_m: float | None  # largest stable nominal stiffness [N/m]; None: none is stable
+    k_max_n_per_m: (
+        float | None
+    )  # largest stable nominal stiffness [N/m]; None: none is stable
     h1_max_n_per_m: float | None  # DC stiffness there, H(1) [N/m]
     method: str  # ``closed_form``, ``pole_radius``, or ``certificate`` for worlds other than a wall
-    stable: tuple[tuple[float, float], ...]  # stable intervals of the nominal stiffness [N/m]
+    stable: tuple[
+        tuple[float, float], ...
+    ]  # stable intervals of the nominal stiffness [N/m]
     plant: Plant  # the device and the loop's period
     about: str  # the worlds and hands for which it holds
     _derivative: Any
@@ -82,12 +86,17 @@ class Poles(Result):
         axes.plot(np.cos(angle), np.sin(angle), color="0.6", lw=0.8)
         axes.plot(self.real, self.imaginary, "x", ls="none")
         axes.set(
-            xlabel="Re z", ylabel="Im z", aspect="equal", title=f"pole radius {self.radius:.5g}"
+            xlabel="Re z",
+            ylabel="Im z",
+            aspect="equal",
+            title=f"pole radius {self.radius:.5g}",
         )
         return figure_of(axes)
 
 
-def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KMaxResult:
+def k_max(
+    law: LawLike, plant: Plant, world: str = "wall", **options: Any
+) -> KMaxResult:
     """Compute the largest stable stiffness of a law, everything else fixed.
 
     Parameters
@@ -152,7 +161,13 @@ def k_max(law: LawLike, plant: Plant, world: str = "wall", **options: Any) -> KM
     if top is None or low is None:
         return KMaxResult(None, None, "certificate", (), plant, edge.about, derivative)
     return KMaxResult(
-        top, top + derivative.h1, "certificate", ((low, top),), plant, edge.about, derivative
+        top,
+        top + derivative.h1,
+        "certificate",
+        ((low, top),),
+        plant,
+        edge.about,
+        derivative,
     )
 
 

@@ -71,7 +71,12 @@ def as_recording(
         "decimal_comma": decimal_comma,
     }
     is_folder = path.is_dir() and not is_export(path) and not _is_foreign_bag(path)
-    if is_folder or not path.exists() or path.suffix.lower() == ".mcap" or is_mcap(path):
+    if (
+        is_folder
+        or not path.exists()
+        or path.suffix.lower() == ".mcap"
+        or is_mcap(path)
+    ):
         if given := [name for name, value in of_table.items() if value]:
             raise UsageError(f"{path}: is no table; {', '.join(given)} are of tables")
         yield path
@@ -114,10 +119,14 @@ def is_mcap(path: Path) -> bool:
 
 def in_python(text: str) -> str:
     """Return an error's text with the options of the command line as Python names them."""
-    return re.sub(r"--([a-z]+)(?:-([a-z]+))?", lambda m: "_".join(filter(None, m.groups())), text)
+    return re.sub(
+        r"--([a-z]+)(?:-([a-z]+))?", lambda m: "_".join(filter(None, m.groups())), text
+    )
 
 
-def _columns(columns: Mapping[str, str | Sequence[str]] | None) -> dict[str, Sequence[str]]:
+def _columns(
+    columns: Mapping[str, str | Sequence[str]] | None,
+) -> dict[str, Sequence[str]]:
     return {
         role: names.split(":") if isinstance(names, str) else names
         for role, names in (columns or {}).items()
@@ -196,7 +205,9 @@ def identify_arrays(
         axis = axis or "xyz"[int(np.argmax(np.std(pushed, axis=0)))]
         where, pushed = where[:, "xyz".index(axis)], pushed[:, "xyz".index(axis)]
     try:
-        found = identify(lockstep(1.0 / rate, where, pushed, delay, axis or "x"), held, window)
+        found = identify(
+            lockstep(1.0 / rate, where, pushed, delay, axis or "x"), held, window
+        )
     except ValueError as error:
         raise RefusedError(str(error)) from error
     return IdentifiedRecording(ARRAYS, found)
@@ -252,14 +263,18 @@ def hand_path(
 
     if isinstance(position, str | Path):
         if time is not None:
-            raise UsageError("hand_path: times of a file are a column of it; name it in columns")
+            raise UsageError(
+                "hand_path: times of a file are a column of it; name it in columns"
+            )
         try:
             found = read_path(str(position), columns or {}, _units(units), rate or 0.0)
         except ValueError as error:
             raise UsageError(f"hand_path: {error}") from None
         return _as_hand([[list(corner) for corner in path] for path in found.values()])
     if columns or units:
-        raise UsageError("hand_path: columns and units are of a file, but an array is given")
+        raise UsageError(
+            "hand_path: columns and units are of a file, but an array is given"
+        )
     where = _checked("position", position)
     if (rate is None) == (time is None):
         given = "needs rate or time" if rate is None else "takes rate or time, not both"
@@ -268,13 +283,17 @@ def hand_path(
         if not isinstance(rate, Real):
             raise UsageError(f"rate {rate!r} is no number of points per second")
         if not SLOWEST <= rate <= FASTEST:
-            raise UsageError(f"rate {rate:g} Hz; expected {SLOWEST:g} to {FASTEST:g} Hz")
+            raise UsageError(
+                f"rate {rate:g} Hz; expected {SLOWEST:g} to {FASTEST:g} Hz"
+            )
         at = np.arange(len(where)) / rate
     else:
         at = _checked("time", time)
         at = at - at[0] if at.size else at
     if at.shape != where.shape[:1]:
-        raise UsageError(f"{at.size} times and {len(where)} positions; they need the same number")
+        raise UsageError(
+            f"{at.size} times and {len(where)} positions; they need the same number"
+        )
     if (back := np.flatnonzero(np.diff(at) <= 0.0)).size:
         raise UsageError(f"time[{back[0] + 1}] does not grow")
     try:
@@ -292,7 +311,10 @@ def _as_hand(paths: Sequence[list[list[float]]]) -> dict[str, Any]:
     """Return paths along x, or along x, y and z, as fields of a device's hand."""
     if len(paths) == 1:
         return {"path": paths[0]}
-    own = {axis: {"hand": {"path": path}} for axis, path in zip("yz", paths[1:], strict=True)}
+    own = {
+        axis: {"hand": {"path": path}}
+        for axis, path in zip("yz", paths[1:], strict=True)
+    }
     return {"path": paths[0], "axes": own}
 
 

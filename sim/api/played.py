@@ -35,7 +35,9 @@ class Played(Result):
     # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None if nothing
     # falls or the run is too short.
     settled: bool | None
-    stopped_at_tick: int | None  # first tick with the driver stopped; None: never stopped
+    stopped_at_tick: (
+        int | None
+    )  # first tick with the driver stopped; None: never stopped
     peak_force_n: float  # largest force [N]
     # Final position [m]: a number for one axis, else one per axis.
     final_position_m: float | tuple[float, ...]
@@ -63,7 +65,11 @@ class Played(Result):
         ``position_z``, which is what the encoder read, ``proxy_z``, ``force_z``; for each axis.
         The arrays by their names here follow.
         """
-        shown = {"position": self.measured_m, "proxy": self.proxy_m, "force": self.force_n}
+        shown = {
+            "position": self.measured_m,
+            "proxy": self.proxy_m,
+            "force": self.force_n,
+        }
         found: dict[str, NDArray[Any]] = {"time": self.time_s}
         for name, values in shown.items():
             rows = values.reshape(len(values), -1)
@@ -72,7 +78,9 @@ class Played(Result):
         for name, body in self.bodies.items():
             found[f"{name}_m"] = body.position
             if body.turn is not None:
-                found |= {f"{name}_q{part}": body.turn[:, i] for i, part in enumerate("wxyz")}
+                found |= {
+                    f"{name}_q{part}": body.turn[:, i] for i, part in enumerate("wxyz")
+                }
         return found
 
     def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
@@ -81,7 +89,8 @@ class Played(Result):
         several = len(self.axes) > 1
         for i, axis in enumerate(self.axes):
             position, force = (
-                values[:, i] if several else values for values in (self.position_m, self.force_n)
+                values[:, i] if several else values
+                for values in (self.position_m, self.force_n)
             )
             name = axis if ax is None else f"{self.name} {axis}"
             top.plot(self.time_s, position * 1e3, label=name)
@@ -137,7 +146,9 @@ def drop(
     from sim.experiments.drop import Convention, dropped, held
 
     if history not in ("penetration", "position"):
-        raise ValueError(f"history is {history!r}, expected 'penetration' or 'position'")
+        raise ValueError(
+            f"history is {history!r}, expected 'penetration' or 'position'"
+        )
     if plant.stiffness:
         raise ValueError(
             f"plant.stiffness is {plant.stiffness:g} N/m, expected 0: no hand holds a dropped mass"
@@ -148,10 +159,17 @@ def drop(
             " partner out"
         )
     if not 0.0 <= height < np.inf:
-        raise ValueError(f"height is {height:g} m, expected at least 0: the floor is at 0")
+        raise ValueError(
+            f"height is {height:g} m, expected at least 0: the floor is at 0"
+        )
     convention = Convention(history == "position", clamp)
     trace, rested = dropped(
-        held(plant), compiled(law, plant.period), plant.period, ticks, convention, height
+        held(plant),
+        compiled(law, plant.period),
+        plant.period,
+        ticks,
+        convention,
+        height,
     )
     peak = float(np.max(np.abs(trace.force)))
     proxy = np.where(trace.measured < 0.0, 0.0, trace.measured)
@@ -222,7 +240,9 @@ def play(
 
     with speaking_python():
         given = launch_arguments(arguments, params)
-        launch = launch_file.without(launch_file.read(scenario, given), left_out(without))
+        launch = launch_file.without(
+            launch_file.read(scenario, given), left_out(without)
+        )
         try:
             trace = play_chain(launch, chain)
         except ParameterError as error:
@@ -241,11 +261,17 @@ def _settled(launch: Launch, chain: str, trace: ChainTrace) -> bool | None:
     except NotOneAxisError:
         return None
     device = one.scene.device
-    falls = bool(device.gravity) and device.hand is None and one.scene.surface.kind == "plane"
+    falls = (
+        bool(device.gravity)
+        and device.hand is None
+        and one.scene.surface.kind == "plane"
+    )
     if not falls or trace.ticks < SHORTEST:
         return None
     along = trace.along()
-    return settled(one.scene, one.last_law, along.position, along.force, Criterion(trace.ticks))
+    return settled(
+        one.scene, one.last_law, along.position, along.force, Criterion(trace.ticks)
+    )
 
 
 def _played(name: str, trace: ChainTrace, settled: bool | None) -> Played:

@@ -30,7 +30,9 @@ from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
 
 STARTS_WITHIN = 60.0  # time to the first tick before a launch is given up [s]
-COMPILES_WITHIN = 900.0  # the same where the tick is compiled first: once for each version [s]
+COMPILES_WITHIN = (
+    900.0  # the same where the tick is compiled first: once for each version [s]
+)
 
 
 class LaunchError(HapticError):
@@ -91,9 +93,8 @@ class Run(Live):
 
     def __repr__(self) -> str:
         state = "running" if self.running else "ended"
-        return (
-            f"<{self.info.run}: {self.info.scenario}, {state}, nodes {', '.join(self.info.nodes)}>"
-        )
+        nodes = ", ".join(self.info.nodes)
+        return f"<{self.info.run}: {self.info.scenario}, {state}, nodes {nodes}>"
 
     @property
     def nodes(self) -> list[str]:
@@ -181,7 +182,14 @@ class Run(Live):
             if out is not None
             else self._recordings() / f"recording-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
         )
-        words = ["--run", self.info.chosen, "--duration", str(duration), "--out", str(path)]
+        words = [
+            "--run",
+            self.info.chosen,
+            "--duration",
+            str(duration),
+            "--out",
+            str(path),
+        ]
         try:
             run_beside("bag", "record", *words, "--json")
         except MeasurementError as error:
@@ -222,7 +230,9 @@ class Run(Live):
             with deferred() as came, progress(self.info.scenario, total) as step:
                 while not started.ended and not came:
                     if until is not None and time.monotonic() > until:
-                        raise LaunchError(f"{self.info.run}: still running after {timeout:g} s")
+                        raise LaunchError(
+                            f"{self.info.run}: still running after {timeout:g} s"
+                        )
                     if driver:
                         with contextlib.suppress(HapticError):
                             step(int(self.ask(driver, "status", timeout=1.0)["ticks"]))
@@ -260,7 +270,9 @@ class Run(Live):
         HapticError
             If there are several drivers and none is named.
         """
-        receipt: dict[str, Any] = self.ask(driver or self.role("driver"), "rearm", beside=True)
+        receipt: dict[str, Any] = self.ask(
+            driver or self.role("driver"), "rearm", beside=True
+        )
         return receipt
 
     def stop(self) -> None:
@@ -294,7 +306,9 @@ class Run(Live):
         started = self._started_here("report")
         if self._summary is None:
             if not started.ended:
-                raise LaunchError(f"{self.info.run}: still running; wait() or stop() first")
+                raise LaunchError(
+                    f"{self.info.run}: still running; wait() or stop() first"
+                )
             printed = started.figures
             # A killed launch may have printed only the URL of its page.
             if started.exit_code == 1 or "exit_reason" not in printed:

@@ -22,7 +22,10 @@ WORDS: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"\brun haptic node rearm\b", "call run.rearm()"),
         (r"\bhaptic node rearm\b", "run.rearm()"),
         (r"\bhaptic launch --list\b", "haptic.scenarios()"),
-        (r"\bhaptic launch --show-args (\w+)", r'haptic.scenarios()["\1"]["arguments"]'),
+        (
+            r"\bhaptic launch --show-args (\w+)",
+            r'haptic.scenarios()["\1"]["arguments"]',
+        ),
         (r"\bhaptic law list\b", "run.law.list()"),
         (r"\bhaptic law switch\b", "run.law.switch"),
         (r"\bhaptic study (\w+)", r'haptic.study("\1")'),

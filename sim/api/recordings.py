@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 
 
 # Names of `Played` for columns of a recording.
-_NAMES = {"time_s": "time", "measured_m": "position", "proxy_m": "proxy", "force_n": "force"}
+_NAMES = {
+    "time_s": "time",
+    "measured_m": "position",
+    "proxy_m": "proxy",
+    "force_n": "force",
+}
 
 
 class TickTable(Result):
@@ -39,7 +44,9 @@ class TickTable(Result):
         """Return one column, e.g. ``recorded["position"]``, also by its name in `Played`."""
         column = _NAMES.get(column, column)
         if column not in self._table:
-            raise KeyError(f"{column!r} is no column; there are {', '.join(self._table)}")
+            raise KeyError(
+                f"{column!r} is no column; there are {', '.join(self._table)}"
+            )
         return self._table[column]
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -53,13 +60,20 @@ class TickTable(Result):
         time, position, proxy, force = (
             self._table[name] for name in ("time", "position", "proxy", "force")
         )
-        axis = int((position.max(axis=0) - position.min(axis=0)).argmax()) if len(position) else 0
+        axis = (
+            int((position.max(axis=0) - position.min(axis=0)).argmax())
+            if len(position)
+            else 0
+        )
         top, below = two_axes(ax, height=2.2)
         name = "device" if ax is None else f"{self.label} {'xyz'[axis]}"
         top.plot(time, position[:, axis] * 1e3, label=name)
         if ax is None:
             top.plot(time, proxy[:, axis] * 1e3, ls="--", label="proxy")
-        top.set(ylabel=f"position {'xyz'[axis]} [mm]", title=self.scenario if ax is None else "")
+        top.set(
+            ylabel=f"position {'xyz'[axis]} [mm]",
+            title=self.scenario if ax is None else "",
+        )
         top.legend(frameon=False)
         below.step(time, force[:, axis], where="post", label=name)
         below.set(ylabel=f"force {'xyz'[axis]} [N]", xlabel="time [s]")
@@ -137,7 +151,11 @@ def read(recording: str | Path, **options: Any) -> Recorded:
 
 
 def plot(
-    what: Result | str | Path | Sequence[Result | str | Path] | Mapping[str, Result | str | Path],
+    what: Result
+    | str
+    | Path
+    | Sequence[Result | str | Path]
+    | Mapping[str, Result | str | Path],
 ) -> Figure:
     """Plot a result, or a recording given by path; several of one kind over each other.
 
@@ -167,7 +185,10 @@ def plot(
     """
     if isinstance(what, Mapping):
         return overlay(
-            {name: one if isinstance(one, Result) else read(one) for name, one in what.items()}
+            {
+                name: one if isinstance(one, Result) else read(one)
+                for name, one in what.items()
+            }
         )
     if isinstance(what, list | tuple):
         return overlay([one if isinstance(one, Result) else read(one) for one in what])

@@ -46,7 +46,9 @@ class Response(Result):
             (top, "stiffness_n_per_m", "N/m"),
             (below, "damping_n_s_per_m", "N s/m"),
         ):
-            line = axes.semilogx(self.frequency_hz, getattr(self, key), label=f"{self.name}, felt")
+            line = axes.semilogx(
+                self.frequency_hz, getattr(self, key), label=f"{self.name}, felt"
+            )
             axes.semilogx(
                 self.frequency_hz,
                 getattr(self, f"law_{key}"),
@@ -72,13 +74,16 @@ class ZWidthResult(Result):
         """Return gains and stiffnesses, law after law."""
         names = [field.name for field in fields(ZWidth) if field.name != "kind"]
         return {
-            name: np.concatenate([getattr(one, name) for one in self._planes]) for name in names
+            name: np.concatenate([getattr(one, name) for one in self._planes])
+            for name in names
         }
 
     def of(self, name: str) -> ZWidth:
         """Return the plane of one law; KeyError lists the names."""
         if name not in self.names:
-            raise KeyError(f"{name!r}: no such law here; there are {', '.join(self.names)}")
+            raise KeyError(
+                f"{name!r}: no such law here; there are {', '.join(self.names)}"
+            )
         return self._planes[self.names.index(name)]
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -89,10 +94,16 @@ class ZWidthResult(Result):
         axes = new_figure(height=4.0)[1][0] if ax is None else ax
         looks = law_looks(self.names)
         for name, look, one in zip(self.names, looks, self._planes, strict=True):
-            axes.plot(one.gain, one.h1_max_n_per_m, **look.curve(), label=f"{name}, stable")
+            axes.plot(
+                one.gain, one.h1_max_n_per_m, **look.curve(), label=f"{name}, stable"
+            )
             passive: dict[str, Any] = look.curve() | {"lw": 0.7}
-            axes.plot(one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive")
-        axes.set(xlabel="gain B of the damper", ylabel="stiffness [N/m]", title="Z-width")
+            axes.plot(
+                one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive"
+            )
+        axes.set(
+            xlabel="gain B of the damper", ylabel="stiffness [N/m]", title="Z-width"
+        )
         axes.legend(frameon=False)
         return figure_of(axes)
 
@@ -144,7 +155,10 @@ def response(
 
 
 def bode(
-    law: LawLike, plant: Plant | None = None, ax: Sequence[Axes] | None = None, **options: Any
+    law: LawLike,
+    plant: Plant | None = None,
+    ax: Sequence[Axes] | None = None,
+    **options: Any,
 ) -> Figure:
     """Plot magnitude and phase of a law's response, with hold and delay.
 
@@ -217,17 +231,27 @@ def z_width(
     array([1003., 3782.])
     """
     device = plant or USUAL
-    several = list(cast("Sequence[LawLike]", laws)) if _several(laws) else [cast("LawLike", laws)]
+    several = (
+        list(cast("Sequence[LawLike]", laws))
+        if _several(laws)
+        else [cast("LawLike", laws)]
+    )
     chosen = [made(one, **_missing(one)) for one in several]
     top = 2.0 * device.mass / device.period / (1.0 + 2.0 * device.delay)
-    at = np.linspace(0.0, top, 41) if gains is None else np.asarray(gains, dtype=np.float64)
+    at = (
+        np.linspace(0.0, top, 41)
+        if gains is None
+        else np.asarray(gains, dtype=np.float64)
+    )
     planes = tuple(plane(one, device, at.tolist()) for one in chosen)
     return ZWidthResult(tuple(law_name(one) for one in several), device, planes)
 
 
 def _several(laws: object) -> bool:
     """Return whether a list contains laws; a list of numbers is one law's taps."""
-    return isinstance(laws, list | tuple) and not all(isinstance(one, int | float) for one in laws)
+    return isinstance(laws, list | tuple) and not all(
+        isinstance(one, int | float) for one in laws
+    )
 
 
 def _missing(law: LawLike) -> dict[str, float]:

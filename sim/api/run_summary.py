@@ -26,7 +26,9 @@ _SERIOUS = (
 _EVENT = re.compile(rf"^\[(?P<node>[\w/]+)\] (?:{_SERIOUS}): ")
 _LAUNCHER = re.compile(r"^\[launch\] (?P<text>.*)")
 # What a launcher reports of every healthy run.
-_ROUTINE = re.compile(r"the (plain|compiled) tick|waiting for |\S+: connected|no plot: |compil")
+_ROUTINE = re.compile(
+    r"the (plain|compiled) tick|waiting for |\S+: connected|no plot: |compil"
+)
 
 
 class LaunchWarning(UserWarning):
@@ -57,7 +59,9 @@ class RunSummary(Result):
     response_us: dict[str, float]  # percentiles of the response time [µs]
     final: dict[str, Any]  # final position [m], force [N] and motion
     recording: str | None  # path of the recording
-    stopped_at_tick: int | None  # first tick with the driver stopped; None: never stopped
+    stopped_at_tick: (
+        int | None
+    )  # first tick with the driver stopped; None: never stopped
     stopped_why: str  # reason of that stop
     refused: dict[str, int]  # forces that the driver refused, by reason
     limited: dict[str, int]  # forces that it lowered, by limit
@@ -108,7 +112,15 @@ def summary_of(printed: dict[str, Any], errors: str, ended_here: bool) -> RunSum
         exit_reason = f"loop stopped at tick {at}"
     elif ended_here and exit_reason == "SIGINT":
         exit_reason = "stopped"
-    same = ("scenario", "ticks", "missed", "rate_hz", "response_us", "final", "recording")
+    same = (
+        "scenario",
+        "ticks",
+        "missed",
+        "rate_hz",
+        "response_us",
+        "final",
+        "recording",
+    )
     return RunSummary(
         **{key: printed[key] for key in same},
         exit_reason=in_python(exit_reason),
@@ -126,12 +138,17 @@ def summary_of(printed: dict[str, Any], errors: str, ended_here: bool) -> RunSum
 def _stop_of(chains: dict[str, dict[str, Any]]) -> tuple[int | None, str, bool]:
     """Return tick and reason of the first stop of any chain, and whether one is still stopped."""
     stops = [
-        (int(change["tick"]), f"{chain}: {change['reason']}" if chain else str(change["reason"]))
+        (
+            int(change["tick"]),
+            f"{chain}: {change['reason']}" if chain else str(change["reason"]),
+        )
         for chain, figures in chains.items()
         for change in figures["safety"].get("changes", ())
         if change["after"] == "stopped"
     ]
-    still = any(figures["safety"].get("state") == "stopped" for figures in chains.values())
+    still = any(
+        figures["safety"].get("state") == "stopped" for figures in chains.values()
+    )
     at, why = min(stops, default=(None, ""))
     return at, why, still and at is not None
 

@@ -58,8 +58,13 @@ class Staircase:
 
     def __post_init__(self) -> None:
         """Check the parameters."""
-        real = all(isinstance(one, int | float | np.number) for one in (self.value, self.factor))
-        whole = all(isinstance(one, int | np.integer) for one in (self.down, self.reversals))
+        real = all(
+            isinstance(one, int | float | np.number)
+            for one in (self.value, self.factor)
+        )
+        whole = all(
+            isinstance(one, int | np.integer) for one in (self.down, self.reversals)
+        )
         if not (
             real
             and whole
@@ -115,5 +120,7 @@ class Staircase:
         late = self.turns[4:] if len(self.turns) > 5 else self.turns
         late = late[len(late) % 2 :]
         if not late:
-            raise UsageError(f"staircase: {len(self.turns)} reversals; a threshold needs two")
+            raise UsageError(
+                f"staircase: {len(self.turns)} reversals; a threshold needs two"
+            )
         return float(np.exp(np.mean(np.log(late))))

@@ -34,7 +34,9 @@ class PlannedTrial:
     number: int  # from 1
     block: int  # from 1
     condition: str  # name of the condition
-    arguments: Mapping[str, Any]  # what differs in this condition, e.g. arguments of a launch
+    arguments: Mapping[
+        str, Any
+    ]  # what differs in this condition, e.g. arguments of a launch
 
     def row(self) -> dict[str, Any]:
         """Return the columns that the plan decides, and the scalars of the condition."""
@@ -43,7 +45,10 @@ class PlannedTrial:
             for name, value in plain(self.arguments).items()
             if isinstance(value, bool | int | float | str)
         }
-        return {**dict(zip(_PLAN, (self.number, self.block, self.condition), strict=True)), **shown}
+        return {
+            **dict(zip(_PLAN, (self.number, self.block, self.condition), strict=True)),
+            **shown,
+        }
 
 
 @dataclass(repr=False)
@@ -54,7 +59,9 @@ class TrialTable(Result):
     blocks: int
     seed: int
     plan: Sequence[PlannedTrial]
-    rows: list[dict[str, Any]] = field(default_factory=list)  # a tidy row per trial that is done
+    rows: list[dict[str, Any]] = field(
+        default_factory=list
+    )  # a tidy row per trial that is done
     out: Path | None = None  # CSV file to which each row is appended
 
     def __len__(self) -> int:
@@ -86,11 +93,15 @@ class TrialTable(Result):
         """
         number = len(self.rows) + 1
         if trial.number != number:
-            raise UsageError(f"trial {trial.number} is not the next one, which is {number}")
+            raise UsageError(
+                f"trial {trial.number} is not the next one, which is {number}"
+            )
         found = plain(outcome if isinstance(outcome, Mapping) else {"outcome": outcome})
         row = trial.row()
         if taken := sorted(set(found) & set(row)):
-            raise UsageError(f"trial {number}: outcome {taken[0]!r} is already a column")
+            raise UsageError(
+                f"trial {number}: outcome {taken[0]!r} is already a column"
+            )
         names = [name for name in self.columns_of_outcome() if name not in found]
         if self.rows and (names or set(found) - set(self.columns_of_outcome())):
             raise UsageError(
@@ -122,7 +133,9 @@ class TrialTable(Result):
             Names.
         """
         known = set(self.factors())
-        return [name for name in (self.rows[0] if self.rows else {}) if name not in known]
+        return [
+            name for name in (self.rows[0] if self.rows else {}) if name not in known
+        ]
 
     def run(self, function: Callable[[PlannedTrial], Any]) -> TrialTable:
         """Do all trials that are left; return this table.
@@ -182,10 +195,16 @@ class TrialTable(Result):
             If no outcome is a number.
         """
         columns = self.columns()
-        numbers = [name for name in self.columns_of_outcome() if columns[name].dtype.kind in "bif"]
+        numbers = [
+            name
+            for name in self.columns_of_outcome()
+            if columns[name].dtype.kind in "bif"
+        ]
         name = outcome or next(iter(numbers), None)
         if name is None or name not in columns:
-            raise UsageError(f"outcome {outcome!r}: expected one of {', '.join(numbers) or 'none'}")
+            raise UsageError(
+                f"outcome {outcome!r}: expected one of {', '.join(numbers) or 'none'}"
+            )
         axes = new_figure()[1][0] if ax is None else ax
         values, conditions = columns[name].astype(float), columns["condition"]
         spread = random.Random(self.seed)  # noqa: S311  # of dots beside each other
@@ -252,14 +271,17 @@ def trials(
         )
     for name, arguments in named.items():
         if taken := sorted(set(arguments) & set(_PLAN)):
-            raise UsageError(f"condition {name!r}: {taken[0]!r} is the name of a column; rename it")
+            raise UsageError(
+                f"condition {name!r}: {taken[0]!r} is the name of a column; rename it"
+            )
     order = random.Random(seed)  # noqa: S311  # a reproducible order, not a secret
     plan: list[PlannedTrial] = []
     for block in range(1, blocks + 1):
         drawn = [name for name in named for _ in range(repeats)]
         order.shuffle(drawn)
         plan += [
-            PlannedTrial(len(plan) + i, block, name, named[name]) for i, name in enumerate(drawn, 1)
+            PlannedTrial(len(plan) + i, block, name, named[name])
+            for i, name in enumerate(drawn, 1)
         ]
     made = TrialTable(named, blocks, seed, plan, out=None if out is None else Path(out))
     if made.out is not None:
@@ -279,7 +301,9 @@ def _by_name(
 ) -> dict[str, Mapping[str, Any]]:
     """Return the conditions by name; refuse what is no list of names and no mapping."""
     if isinstance(conditions, str):
-        raise UsageError(f"trials: {conditions!r}: expected names of conditions, [{conditions!r}]")
+        raise UsageError(
+            f"trials: {conditions!r}: expected names of conditions, [{conditions!r}]"
+        )
     if isinstance(conditions, Mapping):
         for name, arguments in conditions.items():
             if not isinstance(arguments, Mapping):
@@ -290,7 +314,9 @@ def _by_name(
         return dict(conditions)
     names = list(conditions)
     if twice := [name for i, name in enumerate(names) if name in names[:i]]:
-        raise UsageError(f"condition {twice[0]!r} is named twice; repeats= repeats conditions")
+        raise UsageError(
+            f"condition {twice[0]!r} is named twice; repeats= repeats conditions"
+        )
     return {name: {} for name in names}
 
 
@@ -312,7 +338,9 @@ def _read(path: Path, made: TrialTable) -> list[dict[str, Any]]:
         reader = csv.DictReader(file)
         lines = list(reader)
     if len(lines) > len(made.plan):
-        raise UsageError(f"{path}: {len(lines)} rows, this plan has {len(made.plan)} trials")
+        raise UsageError(
+            f"{path}: {len(lines)} rows, this plan has {len(made.plan)} trials"
+        )
     rows = []
     for line, trial in zip(lines, made.plan, strict=False):
         if None in line or None in line.values():
@@ -335,7 +363,9 @@ def _read(path: Path, made: TrialTable) -> list[dict[str, Any]]:
                     f"{path}: row {trial.number} has {name} {there}, this plan {value}: the"
                     " condition has changed; choose another file"
                 )
-        outcome = {name: _value(text) for name, text in line.items() if name not in planned}
+        outcome = {
+            name: _value(text) for name, text in line.items() if name not in planned
+        }
         rows.append({**planned, **outcome})
     return rows
 

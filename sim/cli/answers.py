@@ -13,14 +13,21 @@ from nodes.cli.main import add_json, answer
 
 
 def add_answer(
-    parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int], files: bool = True
+    parser: argparse.ArgumentParser,
+    run: Callable[[argparse.Namespace], int],
+    files: bool = True,
 ) -> None:
     """Declare --json, --out for a verb that writes files, and the function to run."""
     add_json(parser)
     if files:
         text = "directory of files (default: %(default)s)"
         parser.add_argument(
-            "--out-dir", "--out", type=Path, default=Path("studies"), dest="out", help=text
+            "--out-dir",
+            "--out",
+            type=Path,
+            default=Path("studies"),
+            dest="out",
+            help=text,
         )
     parser.set_defaults(run=run, default_of=parser.get_default)
 
@@ -36,7 +43,9 @@ def report(
 ) -> int:
     """Print figures and lines, then the paths of files; return the exit code, 1 if not `held`."""
     files = {
-        name: str(path) for name, path in (("ledger", ledger), ("plot", plot)) if path is not None
+        name: str(path)
+        for name, path in (("ledger", ledger), ("plot", plot))
+        if path is not None
     }
     text = [lines] if isinstance(lines, str) else lines
     answer(arguments.json, {**figures, **files}, "\n".join([*text, *files.values()]))

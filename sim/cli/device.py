@@ -15,7 +15,9 @@ from sim.studies.device_identify import device_identify
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
     sub = parser.add_subparsers(
-        dest="chosen", metavar="list|info|check|free|recentre|presets|identify", required=True
+        dest="chosen",
+        metavar="list|info|check|free|recentre|presets|identify",
+        required=True,
     )
     listed = sub.add_parser("list", help="which devices can be driven from here")
     add_answer(listed, _list, files=False)
@@ -60,10 +62,14 @@ def add(parser: argparse.ArgumentParser) -> None:
         "Put the device of a running launch into the middle of its scene, wherever its handle is.",
     )
     centred.add_argument(
-        "driver", nargs="?", default="driver", help="node that drives it (default: %(default)s)"
+        "driver",
+        nargs="?",
+        default="driver",
+        help="node that drives it (default: %(default)s)",
     )
     known = sub.add_parser(
-        "presets", help="known values of real devices, with their sources: device:=touch_x"
+        "presets",
+        help="known values of real devices, with their sources: device:=touch_x",
     )
     add_answer(known, _presets, files=False)
     text = "Push the device of a running launch (or of a scenario, started for it) and identify it."
@@ -100,7 +106,9 @@ def _free(arguments: argparse.Namespace) -> int:
 
     device = device_of(arguments.kind, arguments.parameters)
     return report(
-        arguments, free(device), f"{arguments.kind}: forces are off, and no process holds it"
+        arguments,
+        free(device),
+        f"{arguments.kind}: forces are off, and no process holds it",
     )
 
 
@@ -111,7 +119,9 @@ def _recentre(arguments: argparse.Namespace) -> int:
     found = ask(run, node_name(run, arguments.driver), "recentre")
     x, y, z = (f"{1e3 * value:+.1f}" for value in found["moved_m"])
     return report(
-        arguments, found, f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm"
+        arguments,
+        found,
+        f"the device is in the middle of the scene: moved by {x}, {y}, {z} mm",
     )
 
 

@@ -36,7 +36,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="how many of random (default: %(default)s)",
     )
     parser.add_argument(
-        "--seed", default="", help="what random draws from (default: the time, which is printed)"
+        "--seed",
+        default="",
+        help="what random draws from (default: the time, which is printed)",
     )
     parser.add_argument(
         "--minutes",
@@ -52,7 +54,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument(
-        "--markdown", action="store_true", help="write the table as Markdown, for a page"
+        "--markdown",
+        action="store_true",
+        help="write the table as Markdown, for a page",
     )
     add_answer(parser, run, files=False)
 
@@ -69,11 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.list:
         figures = {name: fault.what for name, fault in known.items()}
         return report(
-            arguments, {"faults": figures}, [f"{name:18} {what}" for name, what in figures.items()]
+            arguments,
+            {"faults": figures},
+            [f"{name:18} {what}" for name, what in figures.items()],
         )
     unknown = [name for name in arguments.faults if name not in known]
     if unknown:
-        raise UsageError(f"no fault is named {unknown[0]!r}; available: {', '.join(known)}")
+        raise UsageError(
+            f"no fault is named {unknown[0]!r}; available: {', '.join(known)}"
+        )
     outcomes = []
     for name in arguments.faults or known:
         print(f"[drill] {name}", file=sys.stderr, flush=True)
@@ -85,7 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
         "passed": passed,
         "drills": msgspec.to_builtins(outcomes),
     }
-    return report(arguments, figures_all, table(outcomes, arguments.markdown), held=passed)
+    return report(
+        arguments, figures_all, table(outcomes, arguments.markdown), held=passed
+    )
 
 
 def _soak(arguments: argparse.Namespace) -> int:
@@ -110,7 +120,12 @@ def _random(arguments: argparse.Namespace) -> int:
         )
 
     found = launch_many(arguments.launches, seed, shown=show)
-    return report(arguments, msgspec.to_builtins(found), text_of_launches(found), held=found.passed)
+    return report(
+        arguments,
+        msgspec.to_builtins(found),
+        text_of_launches(found),
+        held=found.passed,
+    )
 
 
 # Columns of the table; columns three to five are numbers.
@@ -151,14 +166,30 @@ def table(outcomes: list[DrillOutcome], markdown: bool = False) -> str:
 def _row(one: DrillOutcome) -> tuple[str, ...]:
     if one.skipped:
         return (one.fault, one.what, "", "", "", "", "skipped")
-    lost, given_out = f"{one.lost_ticks} of {one.window_ticks}", f"{one.energy_j * 1e3:.2f}"
-    came_back, result = "yes" if one.recovered else "no", "passed" if one.passed else "FAILED"
-    return (one.fault, one.what, str(one.safe_ticks), lost, given_out, came_back, result)
+    lost, given_out = (
+        f"{one.lost_ticks} of {one.window_ticks}",
+        f"{one.energy_j * 1e3:.2f}",
+    )
+    came_back, result = (
+        "yes" if one.recovered else "no",
+        "passed" if one.passed else "FAILED",
+    )
+    return (
+        one.fault,
+        one.what,
+        str(one.safe_ticks),
+        lost,
+        given_out,
+        came_back,
+        result,
+    )
 
 
 def _laid_out(row: tuple[str, ...], widths: list[int]) -> str:
     sides = [str.rjust if 2 <= i <= 4 else str.ljust for i in range(len(row))]
-    cells = [side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)]
+    cells = [
+        side(cell, width) for side, cell, width in zip(sides, row, widths, strict=True)
+    ]
     if color := {"passed": "green", "FAILED": "red"}.get(row[-1]):
         cells[-1] = coloured(cells[-1], color, sys.stdout)
     return "  ".join(cells).rstrip()

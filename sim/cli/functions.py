@@ -35,7 +35,9 @@ def declare(function: Any, parser: argparse.ArgumentParser) -> None:
         flags = one.flags or (one.flag(name),)
         place.add_argument(*flags, dest=name, default=default, **words)
         if one.off:
-            place.add_argument(one.off, dest=name, action="store_false", help=one.off_help)
+            place.add_argument(
+                one.off, dest=name, action="store_false", help=one.off_help
+            )
     add_json(parser)
     parser.set_defaults(run=partial(_run, function, options))
 
@@ -48,7 +50,9 @@ def progress(total: int) -> ProgressStep:
 
 
 def _run(
-    function: Callable[[Options], StudyResult], kind: type[Options], arguments: argparse.Namespace
+    function: Callable[[Options], StudyResult],
+    kind: type[Options],
+    arguments: argparse.Namespace,
 ) -> int:
     """Call the function and print its result; return the exit code.
 

@@ -92,7 +92,8 @@ class Requirement:
         top, bottom = law_polynomials(law)
         linear = 2.0 / self.period * (top * bottom.conjugate).real_over_one_less_w()
         return _sum(
-            _product(self.weight, linear), _product(self.rest, (top * top.conjugate).real())
+            _product(self.weight, linear),
+            _product(self.rest, (top * top.conjugate).real()),
         )
 
 
@@ -106,7 +107,9 @@ class WorldDesign:
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     limit_n_per_m: float  # the closed limit for any hand, 2b/(T(1 + d)) [N/m]
-    bound_n_per_m: float | None  # upper bound for the family; None for a known device [N/m]
+    bound_n_per_m: (
+        float | None
+    )  # upper bound for the family; None for a known device [N/m]
     # whether the condition is met at every frequency, and H has no zero outside the unit circle
     proven: bool
 
@@ -168,18 +171,29 @@ class _Table:
     """Terms of all conditions over a grid of angles, linear in a family's parameters."""
 
     def __init__(
-        self, conditions: Sequence[Requirement], basis: Array, bottom: Array, fineness: int = 64
+        self,
+        conditions: Sequence[Requirement],
+        basis: Array,
+        bottom: Array,
+        fineness: int = 64,
     ) -> None:
         size = fineness * (basis.shape[1] + 4)
         # A slow pole makes narrow dips far below ω_N.
         low = size if len(bottom) == 1 else 6 * size
-        theta = np.union1d(np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, low))
+        theta = np.union1d(
+            np.linspace(0.0, np.pi, size + 1), np.geomspace(1e-3, np.pi, low)
+        )
         below = Laurent(bottom)
         rows = [Laurent(row) for row in basis]
         linear = np.array(
-            [values((row * below.conjugate).real_over_one_less_w(), theta) for row in rows]
+            [
+                values((row * below.conjugate).real_over_one_less_w(), theta)
+                for row in rows
+            ]
         ).T
-        self.response = np.array([row.at(theta) for row in rows]).T  # of the numerator, (t, p)
+        self.response = np.array(
+            [row.at(theta) for row in rows]
+        ).T  # of the numerator, (t, p)
         period = conditions[0].period
         weights = [values(one.weight, theta) for one in conditions]
         rests = [values(one.rest, theta) for one in conditions]
@@ -193,7 +207,9 @@ class _Table:
         """Return the linear part, rest |N|², and the gradient of the latter by the parameters."""
         response = self.response @ parameters
         square = self.rest * np.abs(response) ** 2
-        slopes = 2.0 * self.rest[:, None] * (np.conj(response)[:, None] * self.response).real
+        slopes = (
+            2.0 * self.rest[:, None] * (np.conj(response)[:, None] * self.response).real
+        )
         return self.linear @ parameters, square, slopes
 
 
@@ -224,7 +240,9 @@ def _convex(
     rows = [*rows, *(-few * scale)]
     limits = [*limits, *np.zeros(len(few))]
     for _ in range(_CUTS):
-        found = linprog(-gain * scale, A_ub=np.array(rows), b_ub=np.array(limits), bounds=bounds)
+        found = linprog(
+            -gain * scale, A_ub=np.array(rows), b_ub=np.array(limits), bounds=bounds
+        )
         if not found.success or found.x is None:
             break
         here = np.asarray(found.x, dtype=np.float64) * scale
@@ -242,7 +260,9 @@ def _convex(
             break
         excess = -(linear + square)
         padded = np.concatenate([[-np.inf], excess, [-np.inf]])
-        peaks = np.flatnonzero((excess >= padded[:-2]) & (excess >= padded[2:]) & (excess > 0.0))
+        peaks = np.flatnonzero(
+            (excess >= padded[:-2]) & (excess >= padded[2:]) & (excess > 0.0)
+        )
         # linear + square(here) + slopes (p − here) ≥ 0, and square(p) ≤ its tangent.
         rows += list(-(table.linear[peaks] + slopes[peaks]) * scale)
         limits += list(square[peaks] - slopes[peaks] @ here)
@@ -276,7 +296,9 @@ def _for_device(
         if parameters is None:
             return 1.0
         stiffest, shortfall = _largest_scale(grid, parameters)
-        stiffest = min(stiffest, surroundings.nyquist / max(abs(float(noise @ parameters)), 1e-300))
+        stiffest = min(
+            stiffest, surroundings.nyquist / max(abs(float(noise @ parameters)), 1e-300)
+        )
         if shortfall > 0.0 or not zeros_inside(over(parameters @ basis, bottom)):
             return 1.0 + min(shortfall, 1e3)
         return -stiffest / surroundings.limit
@@ -297,14 +319,20 @@ def _for_device(
         )
         options: Any = {"maxiter": 150 * len(basis), "xatol": 1e-8, "fatol": 1e-9}
         polished = minimize(
-            less_stiffness, found.x, args=(table,), method="Nelder-Mead", options=options
+            less_stiffness,
+            found.x,
+            args=(table,),
+            method="Nelder-Mead",
+            options=options,
         )
         best = np.asarray(polished.x, dtype=np.float64)
     value = less_stiffness(best, table)
     parameters = shape(best)
     if value >= 0.0 or parameters is None:
         return None
-    return _finished(surroundings, parameters * -value * surroundings.limit, basis, bottom, None)
+    return _finished(
+        surroundings, parameters * -value * surroundings.limit, basis, bottom, None
+    )
 
 
 def _largest_scale(table: _Table, parameters: Array) -> tuple[float, float]:
@@ -333,7 +361,11 @@ def zeros_inside(law: CompiledLaw) -> bool:
 
 
 def _finished(
-    surroundings: Surroundings, parameters: Array, basis: Array, bottom: Array, bound: float | None
+    surroundings: Surroundings,
+    parameters: Array,
+    basis: Array,
+    bottom: Array,
+    bound: float | None,
 ) -> WorldDesign | None:
     """Shrink a design slightly for rounding, and prove it at every frequency."""
     inside = parameters
@@ -365,13 +397,15 @@ def keeps(surroundings: Surroundings, law: CompiledLaw, masses: int = 15) -> boo
             for delay in sorted(set(surroundings.delay)):
                 if (
                     not pole_radius(
-                        law, Plant(surroundings.period, mass, surroundings.damping, delay)
+                        law,
+                        Plant(surroundings.period, mass, surroundings.damping, delay),
                     )
                     < 1.0
                 ):
                     return False
     return all(
-        positive(condition.margin(law)) is True for condition in surroundings.conditions(masses)
+        positive(condition.margin(law)) is True
+        for condition in surroundings.conditions(masses)
     )
 
 
@@ -382,7 +416,9 @@ def _any_hand(surroundings: Surroundings, delay: float) -> Requirement:
     rest = (1.0 - fraction) * np.append(
         one_less_cosine(1 + whole), 0.0
     ) + fraction * one_less_cosine(2 + whole)
-    return Requirement(surroundings.period, np.array([1.0]), -rest / (2.0 * surroundings.damping))
+    return Requirement(
+        surroundings.period, np.array([1.0]), -rest / (2.0 * surroundings.damping)
+    )
 
 
 def _known(surroundings: Surroundings, mass: float, delay: float) -> Requirement:

@@ -12,7 +12,12 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.stability.landing_proof import law_polynomials
 from sim.arrays import Array
-from sim.design.any_world import Surroundings, WorldDesign, behind_poles, stiffest_for_any_world
+from sim.design.any_world import (
+    Surroundings,
+    WorldDesign,
+    behind_poles,
+    stiffest_for_any_world,
+)
 
 # orders at which PDα is tuned before the best is refined
 ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))
@@ -21,7 +26,9 @@ MOST_POLE = 0.995  # largest radius of a pole
 POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)
 # with a known device a slow pole adds static stiffness (THEORY.md §20)
 SLOW_POLES = (0.9, 0.97)
-FELT_AT = 10.0  # frequency at which a hand moves; there the stiffness is given as well [Hz]
+FELT_AT = (
+    10.0  # frequency at which a hand moves; there the stiffness is given as well [Hz]
+)
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,9 @@ def stiffest_members(
     yield stiffest_pd(surroundings)
     yield stiffest_pd_alpha(surroundings, taps)
     yield stiffest_linear(
-        "paper_optimum", {**PRESETS["paper_optimum"], "kind": "paper_optimum"}, surroundings
+        "paper_optimum",
+        {**PRESETS["paper_optimum"], "kind": "paper_optimum"},
+        surroundings,
     )
     yield stiffest_taps(surroundings, taps)
     yield stiffest_one_pole(surroundings)
@@ -80,7 +89,9 @@ def stiffest_taps(surroundings: Surroundings, taps: int) -> Member:
     for length in range(1 if surroundings.mass is None else min(2, taps), taps + 1):
         design = stiffest_for_any_world(surroundings, np.eye(length))
         member = Member(
-            "taps", None if design is None else _fir(design, surroundings.period), design
+            "taps",
+            None if design is None else _fir(design, surroundings.period),
+            design,
         )
         # The shorter law is preferred if more taps gain less than a thousandth.
         if best is None or stiffness(member) > 1.001 * stiffness(best):
@@ -139,16 +150,22 @@ def stiffest_two_poles(surroundings: Surroundings, taps: int = 3) -> Member:
     return max(tried.values(), key=stiffness)
 
 
-def _behind(family: str, surroundings: Surroundings, taps: int, bottom: Array) -> Member:
+def _behind(
+    family: str, surroundings: Surroundings, taps: int, bottom: Array
+) -> Member:
     basis = np.eye(taps)
     if surroundings.mass is not None:
         # All but the first have no static gain: what they must be does not depend on a slow pole.
         basis[1:] -= np.eye(taps)[:-1]
     design = stiffest_for_any_world(surroundings, basis, bottom=bottom)
-    return Member(family, None if design is None else _fir(design, surroundings.period), design)
+    return Member(
+        family, None if design is None else _fir(design, surroundings.period), design
+    )
 
 
-def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundings) -> Member:
+def stiffest_linear(
+    family: str, shape: dict[str, Any], surroundings: Surroundings
+) -> Member:
     """Tune stiffness and damping of a law of taps that is linear in both."""
     spring, both = (
         np.array(
@@ -159,11 +176,15 @@ def stiffest_linear(family: str, shape: dict[str, Any], surroundings: Surroundin
         for gain in (0.0, 1.0)
     )
     spring = np.pad(spring, (0, len(both) - len(spring)))
-    design = stiffest_for_any_world(surroundings, np.array([spring, both - spring]), free=False)
+    design = stiffest_for_any_world(
+        surroundings, np.array([spring, both - spring]), free=False
+    )
     if design is None or not design.parameters[0] > 0.0:
         return Member(family, None, None)
     stiffness_, damping = design.parameters.tolist()
-    return Member(family, {**shape, "stiffness": stiffness_, "damping": damping}, design)
+    return Member(
+        family, {**shape, "stiffness": stiffness_, "damping": damping}, design
+    )
 
 
 def stiffness(member: Member) -> float:
@@ -172,7 +193,10 @@ def stiffness(member: Member) -> float:
 
 
 def _refined(
-    at: Callable[[float], Member], values: tuple[float, ...], step: float, ends: tuple[float, float]
+    at: Callable[[float], Member],
+    values: tuple[float, ...],
+    step: float,
+    ends: tuple[float, float],
 ) -> Member:
     """Return the best of some values, refined by smaller and smaller steps."""
     tried = {value: at(value) for value in values}
@@ -188,11 +212,16 @@ def _refined(
 
 def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
     law = design.law
-    described: dict[str, Any] = {"kind": "fir", "taps": list(law.taps), "period": period}
+    described: dict[str, Any] = {
+        "kind": "fir",
+        "taps": list(law.taps),
+        "period": period,
+    }
     return described | (
         {
             "recursive": [
-                dict(zip(("b0", "b1", "a1", "a2"), part, strict=True)) for part in law.sections
+                dict(zip(("b0", "b1", "a1", "a2"), part, strict=True))
+                for part in law.sections
             ]
         }
         if law.sections
@@ -203,10 +232,16 @@ def _fir(design: WorldDesign, period: float) -> dict[str, Any]:
 def fractional_gain(members: list[Member]) -> float | None:
     """Return the ratio of H(1) of PDα to PD; None if one of them has no stiffness."""
     found = {member.family: stiffness(member) for member in members}
-    return found["pd_alpha"] / found["pd"] if min(found["pd_alpha"], found["pd"]) > 0.0 else None
+    return (
+        found["pd_alpha"] / found["pd"]
+        if min(found["pd_alpha"], found["pd"]) > 0.0
+        else None
+    )
 
 
-def felt_stiffness(law: CompiledLaw, period: float, frequency: float = FELT_AT) -> float:
+def felt_stiffness(
+    law: CompiledLaw, period: float, frequency: float = FELT_AT
+) -> float:
     """Return the stiffness that a motion of this frequency [Hz] meets, Re H [N/m]."""
     top, bottom = law_polynomials(law)
     theta = np.array([2.0 * math.pi * frequency * period])

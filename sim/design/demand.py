@@ -30,14 +30,23 @@ class Demand:
 
     # lightest and heaviest device, including the hand's share [kg], shape (2,)
     mass: tuple[float, float]
-    damping: float  # viscous damping b of the device, the minimum if it is a range [N s/m]
+    damping: (
+        float  # viscous damping b of the device, the minimum if it is a range [N s/m]
+    )
     # shortest and longest delay of the loop, may be fractional [ticks], shape (2,)
     delay: tuple[float, float]
     period: float  # sampling period T [s]
-    radius: float  # largest pole radius R allowed at any mass, delay and hand in the ranges
+    radius: (
+        float  # largest pole radius R allowed at any mass, delay and hand in the ranges
+    )
     nyquist: float  # largest |H(−1)| allowed [N/m]
-    stiffness: tuple[float, float] = (0.0, 0.0)  # softest and stiffest hand [N/m], shape (2,)
-    damping_max: float | None = None  # maximum damping of the device; None if it is known [N s/m]
+    stiffness: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # softest and stiffest hand [N/m], shape (2,)
+    damping_max: float | None = (
+        None  # maximum damping of the device; None if it is known [N s/m]
+    )
     # Contact conventions (raw history, clamped force) under which every drop must also settle, with
     # a margin (`sim.design.landing`); empty if impact stability is not required.
     lands: tuple[tuple[bool, bool], ...] = ()
@@ -51,7 +60,10 @@ class Demand:
     @property
     def dampings(self) -> tuple[float, float]:
         """Return the minimum and maximum damping of the device [N s/m]."""
-        return self.damping, self.damping if self.damping_max is None else self.damping_max
+        return (
+            self.damping,
+            self.damping if self.damping_max is None else self.damping_max,
+        )
 
 
 @dataclass(frozen=True)
@@ -67,7 +79,9 @@ class Robust:
     # the case with that radius: mass [kg], delay [ticks], hand stiffness [N/m], device damping [N
     # s/m], shape (4,)
     worst: tuple[float, ...]
-    pole: float = 0.0  # pole of the filter behind two taps (`pd_filtered`); 0: no filter
+    pole: float = (
+        0.0  # pole of the filter behind two taps (`pd_filtered`); 0: no filter
+    )
 
     @property
     def law(self) -> CompiledLaw:
@@ -93,7 +107,9 @@ _VERIFIED = 801
 class LoopCase:
     """Closed-loop polynomials of given cases (mass, delay, hand), linear in the taps."""
 
-    def __init__(self, demand: Demand, cases: Array, taps: int, pole: float = 0.0) -> None:
+    def __init__(
+        self, demand: Demand, cases: Array, taps: int, pole: float = 0.0
+    ) -> None:
         plants = [
             _rational(demand.period, case, beyond)
             for case in cases.tolist()
@@ -101,7 +117,9 @@ class LoopCase:
         ]
         # A shorter delay gives the same polynomial times a power of z, which only adds roots at
         # zero.
-        size = max(whole + len(below) for whole, _, below in plants) + taps + (pole != 0.0)
+        size = (
+            max(whole + len(below) for whole, _, below in plants) + taps + (pole != 0.0)
+        )
         self.taps, self.pole = taps, pole
         self._cases = len(cases)
         self.fixed = np.zeros((len(plants), size))
@@ -116,17 +134,21 @@ class LoopCase:
     def polynomials(self, taps: Array) -> Array:
         """Return the coefficients for taps (..., taps) in every case: (..., cases, size)."""
         return np.asarray(
-            self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap), dtype=np.float64
+            self.fixed + np.einsum("...j,ijk->...ik", taps, self.by_tap),
+            dtype=np.float64,
         )
 
     def radii(self, taps: Array) -> Array:
         """Return the largest pole radius of each case over all `Demand.beyond` devices."""
         found = largest_roots(self.polynomials(taps))
         return np.asarray(
-            found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1), dtype=np.float64
+            found.reshape(*found.shape[:-1], self._cases, -1).max(axis=-1),
+            dtype=np.float64,
         )
 
-    def poles(self, taps: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    def poles(
+        self, taps: Array
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """Return all poles (cases, k) and their derivatives by the taps (cases, k, taps)."""
         polynomials = self.polynomials(taps)
         degree = polynomials.shape[1] - 1
@@ -136,14 +158,20 @@ class LoopCase:
         poles = np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
         powers = poles[:, :, None] ** np.arange(degree, -1, -1)
         steep = np.einsum(
-            "ik,ipk->ip", polynomials[:, :-1] * np.arange(degree, 0, -1), powers[:, :, 1:]
+            "ik,ipk->ip",
+            polynomials[:, :-1] * np.arange(degree, 0, -1),
+            powers[:, :, 1:],
         )
         steep = np.where(np.abs(steep) < 1e-9, 1e-9, steep)
-        return poles, -np.einsum("ijk,ipk->ipj", self.by_tap, powers) / steep[:, :, None]
+        return poles, -np.einsum("ijk,ipk->ipj", self.by_tap, powers) / steep[
+            :, :, None
+        ]
 
 
 def _rational(
-    period: float, case: Sequence[float], beyond: tuple[float, float, float, float] | None
+    period: float,
+    case: Sequence[float],
+    beyond: tuple[float, float, float, float] | None,
 ) -> tuple[int, Sequence[float], Sequence[float]]:
     """Return whole ticks of delay, numerator and denominator of the device of a case."""
     mass, delay, hand, damping = case
@@ -166,8 +194,12 @@ def verified_cases(demand: Demand) -> Array:
     if demand.beyond:
         # The number of cases is multiplied by len(beyond); fewer masses suffice because poles move
         # smoothly.
-        return cases_of(demand, 51 if all(low == high for low, high in ranges) else 21, 5)
-    return cases_of(demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11)
+        return cases_of(
+            demand, 51 if all(low == high for low, high in ranges) else 21, 5
+        )
+    return cases_of(
+        demand, 101 if any(low < high for low, high in ranges) else _VERIFIED, 11
+    )
 
 
 def cases_of(demand: Demand, masses: int, others: int) -> Array:
@@ -194,7 +226,9 @@ def cases_of(demand: Demand, masses: int, others: int) -> Array:
             else np.array([demand.damping])
         ),
     ]
-    return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    return np.stack(
+        [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1
+    )
 
 
 def corners(demand: Demand) -> Iterator[FlexiblePlant]:

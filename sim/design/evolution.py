@@ -23,7 +23,13 @@ from sim.play.compiled import compiled
 
 _uniform, _integer = np.random.uniform, np.random.randint
 
-_BOXES = (0.3, 0.1, 0.03, 0.01, 0.003)  # half-widths of the boxes around the best member
+_BOXES = (
+    0.3,
+    0.1,
+    0.03,
+    0.01,
+    0.003,
+)  # half-widths of the boxes around the best member
 
 
 @kernel
@@ -98,7 +104,9 @@ def _lands(
     if not settles_one(first, drops, spring, recursive, ticks, tolerance, True):
         return 0.0, first
     for i in range(len(drops.whole)):
-        if i != first and not settles_one(i, drops, spring, recursive, ticks, tolerance, True):
+        if i != first and not settles_one(
+            i, drops, spring, recursive, ticks, tolerance, True
+        ):
             return i / len(drops.whole), i
     return 1.0, first
 
@@ -140,7 +148,9 @@ def _evolve(  # noqa: C901
                 if g == 0:
                     tried[j] = start[j] if i == 0 else _uniform(box[0, j], box[1, j])
                 elif j == kept or _uniform(0.0, 1.0) < 0.9:
-                    tried[j] = members[best, j] + weight * (members[one, j] - members[other, j])
+                    tried[j] = members[best, j] + weight * (
+                        members[one, j] - members[other, j]
+                    )
                     if not box[0, j] <= tried[j] <= box[1, j]:
                         tried[j] = _uniform(box[0, j], box[1, j])
                 else:
@@ -152,13 +162,17 @@ def _evolve(  # noqa: C901
             # Feasible members compete by H(1), the others by their distance from feasibility, so
             # that none of them can win.
             outside = max(abs(loud) - quiet, 0.0)
-            if -felt > scores[i] or (outside > 0.0 and 1.0 + 10.0 * outside > scores[i]):
+            if -felt > scores[i] or (
+                outside > 0.0 and 1.0 + 10.0 * outside > scores[i]
+            ):
                 continue
             for m in range(n):
                 taps[m] = 0.0
                 for j in range(p):
                     taps[m] += tried[j] * basis[j, m]
-            if scores[i] <= 1.0 and not _within(fixed[broken], by_tap[broken], taps, radius, work):
+            if scores[i] <= 1.0 and not _within(
+                fixed[broken], by_tap[broken], taps, radius, work
+            ):
                 # An infeasible candidate is rejected against a feasible member; the case that
                 # failed last is tried first.
                 continue
@@ -172,7 +186,12 @@ def _evolve(  # noqa: C901
                 # Laws that settle compete by H(1), the others by the number of drops that settle.
                 # Against a member that settles, the drop that failed last is tried first.
                 share, failed = _lands(
-                    drops, taps, pole, ticks, tolerance, failed if scores[i] < 0.0 else 0
+                    drops,
+                    taps,
+                    pole,
+                    ticks,
+                    tolerance,
+                    failed if scores[i] < 0.0 else 0,
                 )
                 score = 1.0 - share if share < 1.0 else score
             elif outside == 0.0:
@@ -181,7 +200,9 @@ def _evolve(  # noqa: C901
             if score <= scores[i]:
                 members[i], scores[i] = tried, score
         best = int(np.argmin(scores))
-        if len(drops.whole) > 0 and scores.max() < scores[best] + 2e-4 * abs(scores[best]):
+        if len(drops.whole) > 0 and scores.max() < scores[best] + 2e-4 * abs(
+            scores[best]
+        ):
             # All members are nearly equal, and each drop costs time.
             break
         if scores[best] == scores.max() and np.all(members == members[best]):
@@ -216,20 +237,45 @@ def evolved(
     here = np.zeros(p)
     # Empty arrays in place of None, whose different type would cost a second compilation (6 s).
     no_drops = Falls(
-        *(column[:0] for column in falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,)))
+        *(
+            column[:0]
+            for column in falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,))
+        )
     )
     # With two or three parameters the linear programs find the rest.
     for i, width in enumerate((span, *_BOXES) if p > 3 else (span,)):
         check()
         # The last box enforces the bound in all cases.
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
-        box = np.array([here - width if free else np.maximum(here - width, 0.0), here + width])
-        members, generations = (
-            (30 * p, (20 + 20 * p) * effort) if i else (60 * p, (100 + 100 * p) * effort)
+        box = np.array(
+            [here - width if free else np.maximum(here - width, 0.0), here + width]
         )
-        given = (loop.fixed, loop.by_tap, basis, gain, noise, demand.nyquist / unit, radius)
+        members, generations = (
+            (30 * p, (20 + 20 * p) * effort)
+            if i
+            else (60 * p, (100 + 100 * p) * effort)
+        )
+        given = (
+            loop.fixed,
+            loop.by_tap,
+            basis,
+            gain,
+            noise,
+            demand.nyquist / unit,
+            radius,
+        )
         here, score = evolve(
-            *given, box, here, members, generations, seed, -math.inf, no_drops, 0.0, 0, 0.0
+            *given,
+            box,
+            here,
+            members,
+            generations,
+            seed,
+            -math.inf,
+            no_drops,
+            0.0,
+            0,
+            0.0,
         )
         if not score < 0.0:
             return None

@@ -21,7 +21,15 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import CONVENTION as USUAL
-from sim.experiments.drop import GRAVITY, Convention, Criterion, fall, floor_force, rests, rises
+from sim.experiments.drop import (
+    GRAVITY,
+    Convention,
+    Criterion,
+    fall,
+    floor_force,
+    rests,
+    rises,
+)
 from sim.play.compiled import compiled
 
 CLOSE = 0.01  # a quick drop settles if it stays this close to its rest [share of the tolerance]
@@ -59,19 +67,28 @@ def falls(
         pull = plant.pulled(demand.period, GRAVITY)
         most = max(most, len(new))
         for (raw, clamp), height in itertools.product(conventions, heights):
-            rows.append((step, new, old, pull, whole, mass * GRAVITY, height, raw, clamp))
+            rows.append(
+                (step, new, old, pull, whole, mass * GRAVITY, height, raw, clamp)
+            )
 
     def padded(i: int) -> Any:
         return np.array([np.pad(row[i], (0, most - len(row[i]))) for row in rows])
 
     return Falls(
-        *(padded(i) for i in range(4)), *(np.array([row[i] for row in rows]) for i in range(4, 9))
+        *(padded(i) for i in range(4)),
+        *(np.array([row[i] for row in rows]) for i in range(4, 9)),
     )
 
 
 @kernel
 def settles_one(
-    i: int, drops: Any, taps: Any, recursive: Any, ticks: int, tolerance: float, quick: bool
+    i: int,
+    drops: Any,
+    taps: Any,
+    recursive: Any,
+    ticks: int,
+    tolerance: float,
+    quick: bool,
 ) -> bool:
     """Drop once and check that it settles, by the rules of `sim.experiments.drop`."""
     size = drops.step.shape[1]
@@ -105,7 +122,15 @@ def settles_one(
     for k in range(ticks):
         x = state[0]
         head, force, touches = floor_force(
-            x, taps, recursive, memory, history, head, length, drops.raw[i], drops.clamp[i]
+            x,
+            taps,
+            recursive,
+            memory,
+            history,
+            head,
+            length,
+            drops.raw[i],
+            drops.clamp[i],
         )
         fallen_in = fallen_in or touches
         if fallen_in and rises(x, start, tolerance):
@@ -174,12 +199,19 @@ def _settled(
 _settled_compiled = compiled()(_settled)
 
 
-def settled(law: CompiledLaw, drops: Falls, criterion: Criterion | None = None) -> list[bool]:
+def settled(
+    law: CompiledLaw, drops: Falls, criterion: Criterion | None = None
+) -> list[bool]:
     """Check which drops settle with a law, played to the end."""
     criterion = criterion or Criterion()
     verdicts = np.zeros(len(drops.whole), dtype=np.bool_)
     recursive = np.array([number for section in law.sections for number in section])
     _settled_compiled(
-        drops, np.array(law.taps), recursive, criterion.ticks, criterion.tolerance, verdicts
+        drops,
+        np.array(law.taps),
+        recursive,
+        criterion.ticks,
+        criterion.tolerance,
+        verdicts,
     )
     return [bool(one) for one in verdicts]

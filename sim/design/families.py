@@ -38,7 +38,9 @@ CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
 class Tuned:
     """The stiffest member of a family at one demand."""
 
-    family: str  # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
+    family: (
+        str  # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
+    )
     # description for `nodes.laws.parse.parse_law`; None if no member meets the demand
     law: dict[str, Any] | None
     found: Robust | None  # its figures
@@ -51,7 +53,9 @@ def designed(demand: Demand, taps: int, effort: int = 1) -> Tuned:
     for length in range(min(taps, 2), taps + 1):
         shorter: list[Array] = [] if found is None else [np.append(found.taps, 0.0)]
         found = stiffest(demand, np.eye(length), effort=effort, known=shorter)
-    return Tuned("designed", None if found is None else fir(found.taps, demand.period), found)
+    return Tuned(
+        "designed", None if found is None else fir(found.taps, demand.period), found
+    )
 
 
 def fir(taps: Array, period: float) -> dict[str, Any]:
@@ -68,7 +72,9 @@ def best_pd_filtered(demand: Demand) -> Tuned:
     """Tune PD with a filtered velocity at `CUTOFFS`, then refine the best cutoff [Hz]."""
 
     def at(cutoff: float, wanted: Demand) -> Tuned:
-        return best_linear("pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted)
+        return best_linear(
+            "pd_filtered", {"kind": "pd_filtered", "cutoff": cutoff}, wanted
+        )
 
     best = _stiffest_of(at, [share / demand.period for share in CUTOFFS], demand)
     for step in (1.3, 1.1):
@@ -78,7 +84,9 @@ def best_pd_filtered(demand: Demand) -> Tuned:
     return best
 
 
-def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = None) -> Tuned:
+def best_pd_alpha(
+    demand: Demand, taps: int, orders: tuple[float, ...] | None = None
+) -> Tuned:
     """Tune stiffness and damping of PDα at every order and refine the best.
 
     orders: by default `ORDERS`.
@@ -86,7 +94,9 @@ def best_pd_alpha(demand: Demand, taps: int, orders: tuple[float, ...] | None = 
 
     def at(order: float, wanted: Demand) -> Tuned:
         return best_linear(
-            "pd_alpha", {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"}, wanted
+            "pd_alpha",
+            {"kind": "pd_alpha", "order": order, "taps": taps, "gains": "paper"},
+            wanted,
         )
 
     best = _stiffest_of(at, ORDERS if orders is None else orders, demand)
@@ -149,11 +159,15 @@ def _stiffest_of(
         found = [at(value, demand) for value in values]
         return max(found if best is None else [best, *found], key=_stiffness)
     linear = replace(demand, lands=())
-    bounds = sorted(((_stiffness(at(value, linear)), value) for value in values), reverse=True)
+    bounds = sorted(
+        ((_stiffness(at(value, linear)), value) for value in values), reverse=True
+    )
     for bound, value in bounds:
         if best is None or bound > _stiffness(best):
             # 2 % below the best, so that the search still explores where drops settle.
-            tuned = at(value, replace(demand, above=0.98 * _stiffness(best) if best else 0.0))
+            tuned = at(
+                value, replace(demand, above=0.98 * _stiffness(best) if best else 0.0)
+            )
             best = tuned if best is None else max(best, tuned, key=_stiffness)
     if best is None:
         raise ValueError("no value was given")
@@ -181,16 +195,22 @@ def latest_delay(law: CompiledLaw, demand: Demand) -> float | None:
     ):
         if demand.beyond:
             edges += [
-                _latest(law, demand, (mass, damping), (hand, *beyond)) for beyond in demand.beyond
+                _latest(law, demand, (mass, damping), (hand, *beyond))
+                for beyond in demand.beyond
             ]
         else:
-            limit = tolerance(law, Plant(demand.period, mass, damping, demand.delay[1], hand))
+            limit = tolerance(
+                law, Plant(demand.period, mass, damping, demand.delay[1], hand)
+            )
             edges.append(0.0 if limit is None else limit.delay_max_ticks)
     return min((edge for edge in edges if edge is not None), default=None)
 
 
 def _latest(
-    law: CompiledLaw, demand: Demand, body: tuple[float, float], beyond: tuple[float, ...]
+    law: CompiledLaw,
+    demand: Demand,
+    body: tuple[float, float],
+    beyond: tuple[float, ...],
 ) -> float | None:
     """Return the delay at which a pole leaves the unit circle, up to 20 ticks beyond.
 
@@ -198,7 +218,10 @@ def _latest(
     """
 
     def stable(delay: float) -> bool:
-        return flexible_radius(law, demand.period, FlexiblePlant(*body, delay, *beyond)) < 1.0
+        return (
+            flexible_radius(law, demand.period, FlexiblePlant(*body, delay, *beyond))
+            < 1.0
+        )
 
     if not stable(demand.delay[1]):
         return 0.0
@@ -248,7 +271,10 @@ def certified(tune: Callable[[Demand], Tuned], demand: Demand) -> Tuned:
 
 
 def to_yaml(
-    law: dict[str, Any], name: str = "designed", node: str = "coupling", comment: str = ""
+    law: dict[str, Any],
+    name: str = "designed",
+    node: str = "coupling",
+    comment: str = "",
 ) -> str:
     """Return a law as YAML for ``haptic param load``, which defines and activates it."""
     head = "".join(f"# {line}\n" for line in comment.splitlines())

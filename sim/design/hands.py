@@ -44,8 +44,12 @@ class HandBox:
             if not (0.0 <= low <= high and math.isfinite(high)) or (
                 low == 0.0 and name != "damping"
             ):
-                expected = "0 <= low <= high" if name == "damping" else "0 < low <= high"
-                raise ValueError(f"{name} = {low:g}..{high:g}: expected {expected}, finite")
+                expected = (
+                    "0 <= low <= high" if name == "damping" else "0 < low <= high"
+                )
+                raise ValueError(
+                    f"{name} = {low:g}..{high:g}: expected {expected}, finite"
+                )
 
     @property
     def sides(self) -> tuple[tuple[float, float], ...]:
@@ -62,7 +66,8 @@ class HandBox:
     def text(self) -> str:
         """Return the box as text with units."""
         mass, stiffness, damping = (
-            f"{low:g}..{high:g}" if low < high else f"{low:g}" for low, high in self.sides
+            f"{low:g}..{high:g}" if low < high else f"{low:g}"
+            for low, high in self.sides
         )
         return f"grasp of {mass} kg behind {stiffness} N/m and {damping} N s/m"
 
@@ -82,7 +87,9 @@ class WorstGrasp:
     cells: int  # cells the certificate needed
 
 
-def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = False) -> WorstGrasp:
+def worst_grasp(
+    law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = False
+) -> WorstGrasp:
     """Search a box of grasps for the largest pole radius; optionally certify the box.
 
     `plant`: device, delay and sampling period. The grid is geometric (linear in damping) and is
@@ -106,7 +113,9 @@ def worst_grasp(law: CompiledLaw, plant: Plant, box: HandBox, certify: bool = Fa
         limits = [_closer(axis, value) for axis, value in zip(axes, worst, strict=True)]
     if best >= 1.0:
         return WorstGrasp(best, at, Certificate.UNSTABLE, 0)
-    certified, cells = certify_box(law, plant, box) if certify else (Certificate.UNDECIDED, 0)
+    certified, cells = (
+        certify_box(law, plant, box) if certify else (Certificate.UNDECIDED, 0)
+    )
     return WorstGrasp(best, at, certified, cells)
 
 
@@ -134,11 +143,15 @@ class JudgedGrasps:
         )
 
 
-def judge_grasps(law: CompiledLaw, demand: Demand, box: HandBox, most: int = CELLS) -> JudgedGrasps:
+def judge_grasps(
+    law: CompiledLaw, demand: Demand, box: HandBox, most: int = CELLS
+) -> JudgedGrasps:
     """Judge a law for every grasp of a box, at the ends of the demand's ranges."""
     found = []
     for mass, damping, delay in itertools.product(
-        sorted(set(demand.mass)), sorted(set(demand.dampings)), sorted(set(demand.delay))
+        sorted(set(demand.mass)),
+        sorted(set(demand.dampings)),
+        sorted(set(demand.delay)),
     ):
         plant = Plant(demand.period, mass, damping, delay)
         found.append((worst_grasp(law, plant, box), plant))
@@ -191,7 +204,9 @@ def k_max_over(
 def _axis(low: float, high: float, linear: bool) -> list[float]:
     if low == high:
         return [low]
-    points = np.linspace(low, high, _POINTS) if linear else np.geomspace(low, high, _POINTS)
+    points = (
+        np.linspace(low, high, _POINTS) if linear else np.geomspace(low, high, _POINTS)
+    )
     return [float(one) for one in points]
 
 
@@ -211,7 +226,9 @@ def certify_box(
     ticks = _Ticks(law, plant)
     # With 1/mass as coordinate, the generator of a tick is linear in each of the three parameters,
     # so the hull of a cell's corners contains it.
-    waiting = np.array([((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)])
+    waiting = np.array(
+        [((1.0 / box.mass[1], 1.0 / box.mass[0]), box.stiffness, box.damping)]
+    )
     cells = 0
     while len(waiting):
         # Depth first: proven cells free memory, and a box that cannot be proven fails early at one
@@ -265,9 +282,13 @@ class _Ticks:
         inverse, stiffness, damping = np.moveaxis(grasps, -1, 0)
         spring = stiffness * period**2
         damper = damping * period
-        return np.stack([spring * own, damper * own, spring * inverse, damper * inverse], axis=-1)
+        return np.stack(
+            [spring * own, damper * own, spring * inverse, damper * inverse], axis=-1
+        )
 
-    def _motion(self, generator: Array, change: Array | None = None) -> tuple[Array, Array, Array]:
+    def _motion(
+        self, generator: Array, change: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return the motion over a tick: free, from the newer force and from the older force.
 
         Shapes: (c, 4, 4), (c, 4), (c, 4). With a `change` of the generator, return its first-order
@@ -281,7 +302,9 @@ class _Ticks:
         blocks[:, :5, :5] = blocks[:, 5:, 5:] = generator
         blocks[:, :5, 5:] = change
         early, late = (_exponential(blocks * share) for share in self._durations)
-        return _joined(early[:, :5, 5:], late[:, :5, :5], late[:, :5, 5:], early[:, :5, :5])
+        return _joined(
+            early[:, :5, 5:], late[:, :5, :5], late[:, :5, 5:], early[:, :5, :5]
+        )
 
     def _loop(self, motion: tuple[Array, Array, Array], moving: bool) -> Array:
         """Insert motions into the loop's matrix; `moving`: without the shift, for a derivative."""
@@ -300,9 +323,9 @@ class _Ticks:
         step, new, old = motion
         matrix = np.zeros((len(step), *self._shift.shape))
         matrix[:, :4, :4] += step
-        matrix[:, :4] += new[:, :, None] * np.abs(self._newer) + old[:, :, None] * np.abs(
-            self._older
-        )
+        matrix[:, :4] += new[:, :, None] * np.abs(self._newer) + old[
+            :, :, None
+        ] * np.abs(self._older)
         return matrix
 
     def radii(self, grasps: Array) -> Array:
@@ -323,15 +346,18 @@ class _Ticks:
         norm = _norms(matrix / scale[:, None, None])
         inverse = np.linalg.inv(norm)
         slopes = [
-            self._loop(self._motion(generator, np.broadcast_to(part, generator.shape)), moving=True)
+            self._loop(
+                self._motion(generator, np.broadcast_to(part, generator.shape)),
+                moving=True,
+            )
             for part in _PARTS
         ]
         which = np.array(list(itertools.product((0, 1), repeat=3)))
         corners = self._numbers(cells[:, np.arange(3), which]) - middles[:, None]
         moved = matrix[:, None] + np.einsum("cnk,kcij->cnij", corners, np.array(slopes))
-        largest = np.linalg.norm(norm[:, None] @ moved @ inverse[:, None], ord=2, axis=(2, 3)).max(
-            axis=1
-        )
+        largest = np.linalg.norm(
+            norm[:, None] @ moved @ inverse[:, None], ord=2, axis=(2, 3)
+        ).max(axis=1)
         # Beyond first order: bounded entry by entry by the series with all signs positive.
         size = np.abs(generator)
         change = np.einsum("ck,kij->cij", np.abs(corners).max(axis=1), np.abs(_PARTS))
@@ -343,12 +369,18 @@ class _Ticks:
                 np.maximum(a - b - c, 0.0) + _SERIES * (1.0 + a)
                 for a, b, c in zip(both, own, linear, strict=True)
             ]
-            rest = np.abs(norm) @ self._bound((beyond[0], beyond[1], beyond[2])) @ np.abs(inverse)
+            rest = (
+                np.abs(norm)
+                @ self._bound((beyond[0], beyond[1], beyond[2]))
+                @ np.abs(inverse)
+            )
         # For a stiff and light grasp the bound overflows a double: no proof.
         known = np.isfinite(rest).all(axis=(1, 2))
         rest[~known] = 0.0
         return np.asarray(
-            sure & known & (largest + np.linalg.norm(rest, ord=2, axis=(1, 2)) < 1.0 - 1e-9)
+            sure
+            & known
+            & (largest + np.linalg.norm(rest, ord=2, axis=(1, 2)) < 1.0 - 1e-9)
         )
 
     def halved(self, cells: Array) -> Array:
@@ -365,7 +397,9 @@ class _Ticks:
         every = np.arange(len(cells))
         low = cells.copy()
         high = cells.copy()
-        low[every, widest, 1] = high[every, widest, 0] = cells[every, widest].mean(axis=1)
+        low[every, widest, 1] = high[every, widest, 0] = cells[every, widest].mean(
+            axis=1
+        )
         return np.concatenate([low, high])
 
 
@@ -391,7 +425,10 @@ def _exponential(matrix: Array) -> Array:
 
 
 def _joined(
-    early: Array, late: Array, late_moved: Array | None = None, early_still: Array | None = None
+    early: Array,
+    late: Array,
+    late_moved: Array | None = None,
+    early_still: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Join the motions before and after the force arrives.
 
@@ -417,7 +454,12 @@ def _norms(matrix: Array) -> Array:
         moved = np.swapaxes(power, 1, 2) @ gram @ power
         gram = gram + moved
         power = power @ power
-        if float((np.abs(moved).max(axis=(1, 2)) / np.abs(gram).max(axis=(1, 2))).max()) < 1e-12:
+        if (
+            float(
+                (np.abs(moved).max(axis=(1, 2)) / np.abs(gram).max(axis=(1, 2))).max()
+            )
+            < 1e-12
+        ):
             break
     return np.asarray(np.swapaxes(np.linalg.cholesky(gram), 1, 2), dtype=np.float64)
 

@@ -36,7 +36,9 @@ from sim.device.model import DeviceModel
 from sim.experiments.drop import Criterion, drop_scene, settles
 from sim.play.one_axis import Scene
 
-MARGIN = 0.03  # how far the masses of the drops lie outside the demanded range, relative
+MARGIN = (
+    0.03  # how far the masses of the drops lie outside the demanded range, relative
+)
 # heights from which laws must settle [m]; the first is that of `sim.experiments.drop`
 HEIGHTS = (0.01, 0.005, 0.02)
 # half-widths of the boxes, in forces that move the lightest device by the deflection within one
@@ -44,7 +46,9 @@ HEIGHTS = (0.01, 0.005, 0.02)
 _BOXES = (1.5, 0.3, 0.03)
 
 
-def dropped(demand: Demand, mass: float, raw: bool, clamp: bool, height: float) -> Scene:
+def dropped(
+    demand: Demand, mass: float, raw: bool, clamp: bool, height: float
+) -> Scene:
     """Return the drop of a device of a demand, with least damping and longest delay."""
     device = DeviceModel(mass=mass, damping=demand.damping, delay=demand.delay[1])
     return drop_scene(device, demand.period, raw, clamp, height)
@@ -63,7 +67,9 @@ def drops(law: CompiledLaw, demand: Demand) -> dict[str, bool]:
                 f" {mass:.3g} kg"
             )
             if demand.beyond:
-                given[name] = all(settled(law, falls(demand, [mass], [(raw, clamp)], HEIGHTS[:1])))
+                given[name] = all(
+                    settled(law, falls(demand, [mass], [(raw, clamp)], HEIGHTS[:1]))
+                )
             else:
                 given[name] = settles(
                     dropped(demand, mass, raw, clamp, HEIGHTS[0]), [law], Criterion()
@@ -102,13 +108,17 @@ def prove_over(law: CompiledLaw, demand: Demand) -> ProvenLanding:
     for corner, delay in itertools.product(corners(demand), sorted(set(demand.delay))):
         plant: Plant | FlexiblePlant = replace(corner, delay=delay)
         if corner.rigid and corner.lag == 0.0:
-            plant = Plant(demand.period, corner.mass, corner.damping, delay, corner.stiffness)
+            plant = Plant(
+                demand.period, corner.mass, corner.damping, delay, corner.stiffness
+            )
         found = prove_landing(law, plant, demand.period)
         cases = cases + 1
         margin = min(margin, found.margin)
         if not found.proven:
             where = f"{corner.mass:.3g} kg, {delay:.3g} ticks, hand {corner.stiffness:.3g} N/m"
-            return ProvenLanding(False, cases, margin, CONVENTION, f"{found.why} ({where})")
+            return ProvenLanding(
+                False, cases, margin, CONVENTION, f"{found.why} ({where})"
+            )
     return ProvenLanding(True, cases, margin, CONVENTION, "")
 
 
@@ -123,7 +133,9 @@ def landings(demand: Demand) -> list[Scene]:
     Masses are up to 3 % beyond the range, conventions are those of the demand, with three heights.
     """
     cases = itertools.product(_margin(demand), demand.lands, HEIGHTS)
-    return [dropped(demand, mass, *convention, height) for mass, convention, height in cases]
+    return [
+        dropped(demand, mass, *convention, height) for mass, convention, height in cases
+    ]
 
 
 def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None:
@@ -132,7 +144,9 @@ def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None
     This law has no poles to judge it by. Return its parameters, or None if none settles.
     """
     scenes = [
-        replace(scene, device=msgspec.structs.replace(scene.device, resolution=resolution))
+        replace(
+            scene, device=msgspec.structs.replace(scene.device, resolution=resolution)
+        )
         for scene in landings(replace(demand, lands=CONVENTIONS))
     ]
     best: dict[str, Any] | None = None
@@ -141,11 +155,19 @@ def best_pd_windowed(demand: Demand, resolution: float) -> dict[str, Any] | None
     gains = np.geomspace(0.01, 0.8, 8) * unit * demand.period
     for spread in (1.2, 1.05, 1.0):
         tried = [
-            {"kind": "pd_windowed", "stiffness": k, "damping": b, "resolution": resolution}
+            {
+                "kind": "pd_windowed",
+                "stiffness": k,
+                "damping": b,
+                "resolution": resolution,
+            }
             for k, b in itertools.product(stiffnesses.tolist(), gains.tolist())
             if k + 2.0 * b / demand.period <= demand.nyquist
         ]
-        lands = _settled([parse_law(law).compile(demand.period) for law in tried], scenes) == 1.0
+        lands = (
+            _settled([parse_law(law).compile(demand.period) for law in tried], scenes)
+            == 1.0
+        )
         best = max(
             (law for law, good in zip(tried, lands, strict=True) if good),
             key=_stiffness,
@@ -201,7 +223,9 @@ def landed(
             ):
                 continue
             taps = one @ basis
-            if keeps(demand, taps, fine) and all(settled(filtered(taps, fine.pole), drops)):
+            if keeps(demand, taps, fine) and all(
+                settled(filtered(taps, fine.pole), drops)
+            ):
                 best, most = one, stiffness
     return best
 
@@ -240,7 +264,9 @@ def _shrunk(
     generations = (10 + 15 * parameters) * effort
     for span in _BOXES if start is None else _BOXES[1:]:
         middle = np.zeros(parameters) if here is None else here
-        box = np.array([np.maximum(middle - span, -np.inf if free else 0.0), middle + span])
+        box = np.array(
+            [np.maximum(middle - span, -np.inf if free else 0.0), middle + span]
+        )
         lands = (least, drops, fine.pole, criterion.ticks, criterion.tolerance)
         here, score = evolve(*given, box, middle, size, generations, seed, *lands)
     return here if score < 0.0 else None

@@ -74,10 +74,15 @@ def stiffest_passive(
     bound = math.inf
     for _ in range(_CUTS):
         solution = linprog(
-            -np.ones(taps), A_ub=np.array(rows), b_ub=np.array(limits), bounds=[(-1e3, 1e3)] * taps
+            -np.ones(taps),
+            A_ub=np.array(rows),
+            b_ub=np.array(limits),
+            bounds=[(-1e3, 1e3)] * taps,
         )
         if not solution.success or solution.x is None:
-            raise ValueError(f"taps = {taps}: the linear programme ended with: {solution.message}")
+            raise ValueError(
+                f"taps = {taps}: the linear programme ended with: {solution.message}"
+            )
         h = np.asarray(solution.x, dtype=np.float64)
         bound = min(bound, float(h.sum()))
         every = [_needed(h, *basis) for basis in bases]
@@ -89,7 +94,9 @@ def stiffest_passive(
         for needed, slopes in every:
             padded = np.concatenate([[-math.inf], needed, [-math.inf]])
             peaks = np.flatnonzero(
-                (needed >= padded[:-2]) & (needed >= padded[2:]) & (needed > 1.0 + 1e-12)
+                (needed >= padded[:-2])
+                & (needed >= padded[2:])
+                & (needed > 1.0 + 1e-12)
             )
             rows += list(slopes[peaks])
             limits += [1.0] * peaks.size
@@ -98,11 +105,18 @@ def stiffest_passive(
     law = CompiledLaw(tuple(final.tolist()))
     ratio = law.h1 * period / damping
     return Passive(
-        final, law.h1, law.h_nyquist, min(certain, damping), ratio, bound * damping / period
+        final,
+        law.h1,
+        law.h_nyquist,
+        min(certain, damping),
+        ratio,
+        bound * damping / period,
     )
 
 
-def certain_damping(h: Array, period: float, delay: float, latest: float | None = None) -> float:
+def certain_damping(
+    h: Array, period: float, delay: float, latest: float | None = None
+) -> float:
     """Bound from above the damping a law needs at a delay, or up to the `latest` [N s/m].
 
     The bound is the largest of many samples over the frequencies plus the most that may lie between
@@ -117,17 +131,24 @@ def certain_damping(h: Array, period: float, delay: float, latest: float | None 
     degree = len(h) + math.ceil(latest) + 1
     largest, modulus = 0.0, 0.0
     for part in np.array_split(np.linspace(0.0, np.pi, 2048 * degree + 1), degree):
-        for whole in range(math.floor(delay), max(math.ceil(latest), math.floor(delay) + 1)):
+        for whole in range(
+            math.floor(delay), max(math.ceil(latest), math.floor(delay) + 1)
+        ):
             soon, cosine, sine, _ = _bases(part, len(h), whole)
             late, *_ = _bases(part, len(h), whole + 1)
             ends = max(delay - whole, 0.0), min(latest - whole, 1.0)
             size = np.hypot(cosine @ h, sine @ h)
             largest = max(largest, float(_most(soon @ h, late @ h, size, ends).max()))
             middle = min(max(0.5, ends[0]), ends[1])
-            s = np.maximum(*(np.abs((1.0 - phi) * (soon @ h) + phi * (late @ h)) for phi in ends))
+            s = np.maximum(
+                *(np.abs((1.0 - phi) * (soon @ h) + phi * (late @ h)) for phi in ends)
+            )
             modulus = max(
                 modulus,
-                float(0.5 * (s + np.sqrt(s * s + middle * (1.0 - middle) * size * size)).max()),
+                float(
+                    0.5
+                    * (s + np.sqrt(s * s + middle * (1.0 - middle) * size * size)).max()
+                ),
             )
     return period * (largest + modulus * (1.0 / math.cos(math.pi / 4096.0) - 1.0))
 
@@ -153,7 +174,9 @@ def _most(soon: Array, late: Array, size: Array, ends: tuple[float, float]) -> A
         peak = (
             size
             * size
-            * np.where(middle < 0.0, 0.125 / (root - middle), 0.5 * (middle + root) / room)
+            * np.where(
+                middle < 0.0, 0.125 / (root - middle), 0.5 * (middle + root) / room
+            )
         )
         at = 0.5 + 2.0 * peak * slope / (size * size)
         inside = (room > 0.0) & (ends[0] < at) & (at < ends[1])
@@ -192,6 +215,8 @@ def _needed(
     root = np.sqrt(s * s + spread * (c * c + d * d))
     safe = np.maximum(root, 1e-300)[:, None]
     slope = 0.5 * (
-        real + (s[:, None] * real + spread * (c[:, None] * cosine + d[:, None] * sine)) / safe
+        real
+        + (s[:, None] * real + spread * (c[:, None] * cosine + d[:, None] * sine))
+        / safe
     )
     return 0.5 * (s + root), slope

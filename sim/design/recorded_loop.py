@@ -60,7 +60,9 @@ def measure(path: Path) -> Measured:
     # reports none. A tick not answered in time reports the age of the older force that acted; its
     # own force never acts.
     with_answer = [state for state in states[1:] if state.force_seq >= 0]
-    delays = tuple(state.delay + own if state.age == 0 else math.inf for state in with_answer)
+    delays = tuple(
+        state.delay + own if state.age == 0 else math.inf for state in with_answer
+    )
     answered = sorted(filter(math.isfinite, delays))
     if len(answered) < 100:
         raise ValueError(
@@ -74,7 +76,9 @@ def measure(path: Path) -> Measured:
             f"{path}: a real-time run without any delay: it was recorded before delays were; record"
             " it again"
         )
-    low, middle, high = (quantile(answered, fraction) for fraction in (0.001, 0.5, 0.999))
+    low, middle, high = (
+        quantile(answered, fraction) for fraction in (0.001, 0.5, 0.999)
+    )
     told = (low, high), middle, high - low, delays, len(delays) - len(answered)
     return Measured(period, *told, device.get("mass"), device.get("damping"))
 
@@ -82,10 +86,16 @@ def measure(path: Path) -> Measured:
 def node_with(recording: Recording, name: str) -> dict[str, Any]:
     """Return the recorded parameters of the node with a group `name`; empty if none."""
     nodes = (
-        parse_yaml(text, "parameters") for text in recording.metadata.get("parameters", {}).values()
+        parse_yaml(text, "parameters")
+        for text in recording.metadata.get("parameters", {}).values()
     )
     return next(
-        (node for node in nodes if isinstance(node, dict) and isinstance(node.get(name), dict)), {}
+        (
+            node
+            for node in nodes
+            if isinstance(node, dict) and isinstance(node.get(name), dict)
+        ),
+        {},
     )
 
 
@@ -103,10 +113,18 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
         raise ValueError(
             f"delays: {len(delays)} ticks, at least 40 are needed for a first and a last quarter"
         )
-    hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness else None
-    device = DeviceModel(mass=plant.mass, damping=plant.damping, position=1.0, hand=hand)
+    hand = (
+        Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness else None
+    )
+    device = DeviceModel(
+        mass=plant.mass, damping=plant.damping, position=1.0, hand=hand
+    )
     scene = Scene(
-        device=device, surface=SceneSurface("anchor"), period=plant.period, raw=False, clamp=False
+        device=device,
+        surface=SceneSurface("anchor"),
+        period=plant.period,
+        raw=False,
+        clamp=False,
     )
     arrivals: list[tuple[float, int]] = []
     for at, seq in sorted((k + delay, k) for k, delay in enumerate(delays)):
@@ -130,5 +148,7 @@ def replayed_radius(law: CompiledLaw, plant: Plant, delays: Sequence[float]) -> 
     first = float(np.max(size[:quarter]))
     last = float(np.max(size[-quarter:]))
     return (
-        math.exp((math.log(last) - math.log(first)) / (len(size) - quarter)) if last > 0.0 else 0.0
+        math.exp((math.log(last) - math.log(first)) / (len(size) - quarter))
+        if last > 0.0
+        else 0.0
     )

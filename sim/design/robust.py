@@ -71,7 +71,9 @@ def stiffest(
     worst = int(np.argmax(radii))
     law = filtered(taps, pole)
     case = tuple(everywhere[worst].tolist())
-    return Robust(taps, best * scale, law.h1, law.h_nyquist, float(radii[worst]), case, pole)
+    return Robust(
+        taps, best * scale, law.h1, law.h_nyquist, float(radii[worst]), case, pole
+    )
 
 
 def _climbed(
@@ -116,7 +118,12 @@ def _settle(
     everywhere = verified_cases(demand)
     for _ in range(12):
         here = _climb(
-            demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free
+            demand,
+            basis,
+            LoopCase(demand, cases, fine.taps, fine.pole),
+            here,
+            target,
+            free,
         )
         radii = fine.radii(here @ basis)
         worst = int(np.argmax(radii))
@@ -124,18 +131,30 @@ def _settle(
             return here if quiet(demand, here @ basis) else None
         cases = np.vstack([cases, everywhere[worst]])
         here = _retreat(
-            demand, basis, LoopCase(demand, cases, fine.taps, fine.pole), here, target, free
+            demand,
+            basis,
+            LoopCase(demand, cases, fine.taps, fine.pole),
+            here,
+            target,
+            free,
         )
     return None
 
 
 def _global(
-    demand: Demand, basis: Array, fine: LoopCase, free: bool, seed: int, effort: int, target: float
+    demand: Demand,
+    basis: Array,
+    fine: LoopCase,
+    free: bool,
+    seed: int,
+    effort: int,
+    target: float,
 ) -> list[Array]:
     """Return feasible starts, stiffest first, each from its own seed."""
     p = len(basis)
     few, many = (
-        LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole) for masses in (15, 101)
+        LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole)
+        for masses in (15, 101)
     )
     # Ranges of delay and hand give thousands of cases; the climb then brings the start inside all
     # of them.
@@ -146,12 +165,18 @@ def _global(
         for i, span in enumerate(spans)
     ]
     return sorted(
-        (one for one in tried if one is not None), key=lambda one: -float(one @ basis.sum(axis=1))
+        (one for one in tried if one is not None),
+        key=lambda one: -float(one @ basis.sum(axis=1)),
     )
 
 
 def _climb(
-    demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool
+    demand: Demand,
+    basis: Array,
+    loop: LoopCase,
+    start: Array,
+    target: float,
+    free: bool,
 ) -> Array:
     """Raise H(1) by linear programs over the linearised poles without leaving the bound."""
     from scipy.optimize import linprog
@@ -168,7 +193,9 @@ def _climb(
         poles, slopes = loop.poles(here @ basis)
         size = np.abs(poles)
         near = size > target - 0.05 - 3.0 * trust
-        along = (np.conj(poles)[..., None] * slopes).real / np.maximum(size, 1e-12)[..., None]
+        along = (np.conj(poles)[..., None] * slopes).real / np.maximum(size, 1e-12)[
+            ..., None
+        ]
         rows = along[near] @ basis.T
         limits = target - size[near]
         rows = np.vstack([rows, noise, -noise])
@@ -177,7 +204,9 @@ def _climb(
         )
         # A start on the bound may exceed it by a rounding error.
         bounds = [(-trust if free else max(-trust, -at), trust) for at in here.tolist()]
-        solution = linprog(-gain, A_ub=rows, b_ub=np.maximum(limits, 0.0), bounds=bounds)
+        solution = linprog(
+            -gain, A_ub=rows, b_ub=np.maximum(limits, 0.0), bounds=bounds
+        )
         if not solution.success or solution.x is None:
             trust *= 0.25
             continue
@@ -205,7 +234,12 @@ def _climb(
 
 
 def _retreat(
-    demand: Demand, basis: Array, loop: LoopCase, start: Array, target: float, free: bool
+    demand: Demand,
+    basis: Array,
+    loop: LoopCase,
+    start: Array,
+    target: float,
+    free: bool,
 ) -> Array:
     """Return a law to the inside of the bound after a case was added.
 
@@ -236,6 +270,8 @@ def _retreat(
     for _ in range(40):
         middle = 0.5 * (low + high)
         low, high = (
-            (middle, high) if excess(inner + middle * (start - inner)) <= 0.0 else (low, middle)
+            (middle, high)
+            if excess(inner + middle * (start - inner)) <= 0.0
+            else (low, middle)
         )
     return inner + low * (start - inner)

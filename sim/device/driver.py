@@ -26,7 +26,9 @@ PEAK, SLEW, REACH = 40.0, 20_000.0, 0.2
 NO_END: Final = DeviceLimits().workspace  # workspace of a device that declares none [m]
 
 
-class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SimDriverParameters(
+    DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the sim driver.
 
     device: The virtual device; see sim/device/model.py.
@@ -62,7 +64,9 @@ class SimDriverParameters(DriverParameters, frozen=True, forbid_unknown_fields=T
             if device.peak_force is not None:
                 peak = min(self.safety.peak_force or math.inf, device.peak_force)
                 msgspec.structs.force_setattr(
-                    self, "safety", msgspec.structs.replace(self.safety, peak_force=peak)
+                    self,
+                    "safety",
+                    msgspec.structs.replace(self.safety, peak_force=peak),
                 )
 
     def _limit(self) -> None:
@@ -133,7 +137,9 @@ def parts_of(
     """Create the device of each axis of a scene; see `sim.device.state.VirtualDevice`."""
     numbers = [AXIS_INDEX[axis] for axis in axes]
     return [
-        VirtualDevice(of_axis, period, next_tick, workspace[i], lockstep, hold, i, compiled)
+        VirtualDevice(
+            of_axis, period, next_tick, workspace[i], lockstep, hold, i, compiled
+        )
         for i, of_axis in zip(numbers, along(model, axes), strict=True)
     ]
 
@@ -172,7 +178,9 @@ class SimDevice:
         self._states = [part.state for part in self.parts]
         self._reader: PointerReader | None = None
         if model.hand is not None and pointer is not None and not lockstep:
-            self._reader = PointerReader(pointer_file(setup.run_dir, setup.name), pointer.silence)
+            self._reader = PointerReader(
+                pointer_file(setup.run_dir, setup.name), pointer.silence
+            )
             for d in self._states:
                 d.pointer = self._reader.address
                 d.silence = pointer.silence
@@ -201,7 +209,10 @@ class SimDevice:
             # The driver then calls the Python methods.
             return None
         for d in self._states:
-            d.clock_gettime, d.time = functions()["clock_gettime"], self._clock.buffer_info()[0]
+            d.clock_gettime, d.time = (
+                functions()["clock_gettime"],
+                self._clock.buffer_info()[0],
+            )
         self._context = array(
             "q", [len(self.parts), *(part.address for part in self.parts), 0, 0][:4]
         )
@@ -229,7 +240,9 @@ class SimDevice:
         """Hand over a force; each axis takes its component."""
         for d in self._states:
             if not write_axis(d, force[d.axis], seq, offset):
-                raise OverflowError(f"more than {PENDING} forces in flight to the virtual device")
+                raise OverflowError(
+                    f"more than {PENDING} forces in flight to the virtual device"
+                )
 
     def close(self) -> None:
         """Do nothing: there is nothing to disconnect."""
@@ -287,8 +300,12 @@ class SimDriver(Driver):
     def check(cls, setup: Setup) -> None:
         """Check that the device starts inside its workspace, and that a pointer has a hand."""
         super().check(setup)
-        parameters: SimDriverParameters = convert(setup.parameters, cls.Parameters, setup.name)
-        for axis, device in zip(setup.axes, along(parameters.device, setup.axes), strict=True):
+        parameters: SimDriverParameters = convert(
+            setup.parameters, cls.Parameters, setup.name
+        )
+        for axis, device in zip(
+            setup.axes, along(parameters.device, setup.axes), strict=True
+        ):
             low, high = parameters.ends[AXIS_INDEX[axis]]
             if not low <= device.position <= high:
                 field = "position" if axis == setup.axes[0] else f"axes.{axis}.position"
@@ -314,7 +331,11 @@ class SimDriver(Driver):
         """Create the virtual device."""
         parameters: SimDriverParameters = self.store.current
         self._sim = SimDevice(
-            parameters.device, self.setup, parameters.hold, parameters.pointer, parameters.ends
+            parameters.device,
+            self.setup,
+            parameters.hold,
+            parameters.pointer,
+            parameters.ends,
         )
         return self._sim
 

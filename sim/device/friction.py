@@ -13,7 +13,13 @@ from sim.device.model import Coefficients, advance, coefficients
 
 @rule
 def halt_time(
-    x: float, v: float, u: float, direction: float, mass: float, damping: float, stiffness: float
+    x: float,
+    v: float,
+    u: float,
+    direction: float,
+    mass: float,
+    damping: float,
+    stiffness: float,
 ) -> float:
     """Return the time until the velocity reaches zero under a held force [s]; inf if never.
 
@@ -64,7 +70,9 @@ def slide(
         if not halt < remaining:
             if whole:
                 return advance(x, v, sliding, coefs)
-            return advance(x, v, sliding, coefficients(mass, damping, stiffness, remaining))
+            return advance(
+                x, v, sliding, coefficients(mass, damping, stiffness, remaining)
+            )
         x, v = advance(x, v, sliding, coefficients(mass, damping, stiffness, halt))
         v = 0.0
         remaining -= halt

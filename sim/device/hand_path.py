@@ -24,7 +24,10 @@ OF_A_RECORDING = ("position", "target")
 
 
 def read_path(
-    file: str, columns: Mapping[str, str | Sequence[str]], units: Mapping[str, str], rate: float
+    file: str,
+    columns: Mapping[str, str | Sequence[str]],
+    units: Mapping[str, str],
+    rate: float,
 ) -> dict[str, list[tuple[float, float]]]:
     """Return the paths in a file, by axis.
 
@@ -56,14 +59,19 @@ def read_path(
     try:
         stat = path.stat()
     except (OSError, ValueError) as error:
-        raise ValueError(f"file {file!r}: {getattr(error, 'strerror', None) or error}") from error
+        raise ValueError(
+            f"file {file!r}: {getattr(error, 'strerror', None) or error}"
+        ) from error
     if not path.is_file() and not path.is_dir():
         raise ValueError(f"file {file!r}: is no regular file")
     key = tuple(
-        (role, names if isinstance(names, str) else tuple(names)) for role, names in columns.items()
+        (role, names if isinstance(names, str) else tuple(names))
+        for role, names in columns.items()
     )
     try:
-        return _read(path, stat.st_mtime_ns, stat.st_size, key, tuple(units.items()), rate)
+        return _read(
+            path, stat.st_mtime_ns, stat.st_size, key, tuple(units.items()), rate
+        )
     except RecordError as error:
         raise ValueError(_in_a_launch_file(str(error))) from error
 
@@ -78,7 +86,9 @@ def _read(
     rate: float,
 ) -> dict[str, list[tuple[float, float]]]:
     """Read a file once for all that ask; a changed file is read again."""
-    chosen = {role: [names] if isinstance(names, str) else names for role, names in columns}
+    chosen = {
+        role: [names] if isinstance(names, str) else names for role, names in columns
+    }
     if path.suffix.lower() == ".mcap" or (path.is_dir() and not is_export(path)):
         time, position, axes = _of_recording(path, chosen, dict(units), rate)
     else:
@@ -89,7 +99,10 @@ def _read(
 
 
 def _of_recording(
-    path: Path, columns: Mapping[str, Sequence[str]], units: Mapping[str, str], rate: float
+    path: Path,
+    columns: Mapping[str, Sequence[str]],
+    units: Mapping[str, str],
+    rate: float,
 ) -> tuple[Array, Array, str]:
     import numpy as np
 
@@ -104,7 +117,9 @@ def _of_recording(
     states = recording.messages(DEVICE_STATE)
     time = np.array([state.stamp for state in states])
     if len(time) < 2 or (np.diff(time) <= 0.0).any():
-        raise RecordError(f"{path}: its stamps do not grow; cut one run of it with haptic bag cut")
+        raise RecordError(
+            f"{path}: its stamps do not grow; cut one run of it with haptic bag cut"
+        )
     position = np.array([getattr(state, field) for state in states])
     axes = "".join(axis for i, axis in enumerate("xyz") if np.ptp(position[:, i]) > 0.0)
     return time - time[0], position, axes or "x"
@@ -141,4 +156,6 @@ def _in_a_launch_file(text: str) -> str:
         "read it as a number with --decimal-comma",
         "make a recording of it, which file: reads too, with haptic bag import --decimal-comma",
     )
-    return re.sub(r"--rate HZ", "rate: HZ", text).replace(", or time=s if it is", ", or s")
+    return re.sub(r"--rate HZ", "rate: HZ", text).replace(
+        ", or time=s if it is", ", or s"
+    )

@@ -43,7 +43,9 @@ def decay_mean(y: float) -> float:
 
 
 @rule
-def coefficients(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
+def coefficients(
+    mass: float, damping: float, stiffness: float, duration: float
+) -> Coefficients:
     """Return the exact map of m x'' + b x' + k x = u over `duration` [s] with constant u.
 
     For m > 0 [kg], b ≥ 0 [N s/m], k ≥ 0 [N/m]: x⁺ = a11 x + a12 v + b1 u, v⁺ = a21 x + a22 v + b2 u
@@ -98,7 +100,9 @@ def coefficients(mass: float, damping: float, stiffness: float, duration: float)
 @rule
 def advance(x: float, v: float, u: float, coefs: Coefficients) -> tuple[float, float]:
     """Return x [m], v [m/s] after one exact step under a held force u [N], without friction."""
-    return coefs[0] * x + coefs[1] * v + coefs[4] * u, coefs[2] * x + coefs[3] * v + coefs[5] * u
+    return coefs[0] * x + coefs[1] * v + coefs[4] * u, coefs[2] * x + coefs[
+        3
+    ] * v + coefs[5] * u
 
 
 @rule
@@ -119,7 +123,9 @@ def end_stop(x: float, v: float, low: float, high: float) -> tuple[float, float]
     return x, v
 
 
-def ends_of(workspace: tuple[float, float], resolution: float | None) -> tuple[float, float]:
+def ends_of(
+    workspace: tuple[float, float], resolution: float | None
+) -> tuple[float, float]:
     """Return where a device stops [m]: its workspace, or its outermost encoder counts within."""
     low, high = workspace
     if resolution is None:
@@ -229,7 +235,9 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     @property
     def length(self) -> float:
         """Time of the path's last corner [s]."""
-        return max(corners[-1][0] for corners in [self.path, *self.paths().values()] if corners)
+        return max(
+            corners[-1][0] for corners in [self.path, *self.paths().values()] if corners
+        )
 
     def along(self, axis: str, is_first: bool) -> Hand:
         """Return the hand along an axis, with that path of its file.
@@ -254,13 +262,17 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     def point(self, time: float) -> float:
         """Return the point of the path at a time [s], to which the hand pulls [m]."""
-        return path_position(self.corners, time if self.repeat is None else time % self.repeat)
+        return path_position(
+            self.corners, time if self.repeat is None else time % self.repeat
+        )
 
 
 _OF_A_PATH = ("path", "file", "columns", "units", "rate")
 
 
-class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class DeviceModel(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the virtual device; terms that are None or omitted are absent.
 
     mass: m [kg].
@@ -296,7 +308,11 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def __post_init__(self) -> None:
         check_fields(self, "device")
-        for name, value in (("mass", self.mass), ("resolution", self.resolution), *self._masses()):
+        for name, value in (
+            ("mass", self.mass),
+            ("resolution", self.resolution),
+            *self._masses(),
+        ):
             if value is not None and value < SMALLEST:
                 raise ValueError(
                     f"{name} is {value!r}, expected at least {SMALLEST:g}: below it a step of the"
@@ -317,7 +333,8 @@ class DeviceModel(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def _masses(self) -> list[tuple[str, float]]:
         return [
-            (f"mass_by_position[{i}]", mass) for i, (_, mass) in enumerate(self.mass_by_position)
+            (f"mass_by_position[{i}]", mass)
+            for i, (_, mass) in enumerate(self.mass_by_position)
         ]
 
     def along(self, axis: str) -> DeviceModel:

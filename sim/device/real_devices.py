@@ -17,7 +17,8 @@ STYLUS = (
     " another reader quotes them"
 )
 YOKOKOHJI = (
-    "remembered, not checked: Yokokohji & Yoshikawa 1994, IEEE Trans. Robotics and Automation"
+    "remembered, not checked: Yokokohji & Yoshikawa 1994,"
+    " IEEE Trans. Robotics and Automation"
 )
 MEMORY = "remembered, not checked"
 
@@ -85,9 +86,13 @@ PRESETS: dict[str, Preset] = {
         {"stiffness": Fact(5000.0, CHAI3D), "damping": Fact(30.0, CHAI3D)},
     ),
     "falcon": Preset(
-        "Novint Falcon", {"resolution": Fact(6.35e-5, H3D), "peak_force": Fact(8.9, H3D)}, {}
+        "Novint Falcon",
+        {"resolution": Fact(6.35e-5, H3D), "peak_force": Fact(8.9, H3D)},
+        {},
     ),
-    "delta_3": Preset("Force Dimension delta.3", {"peak_force": Fact(20.0, CHAI3D)}, {}),
+    "delta_3": Preset(
+        "Force Dimension delta.3", {"peak_force": Fact(20.0, CHAI3D)}, {}
+    ),
 }
 _ARM = (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
 # Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above
@@ -105,7 +110,11 @@ HANDS: dict[str, Preset] = {
     ),
     "arm_soft": Preset(
         "hand and arm behind that grasp, low end",
-        {"mass": Fact(0.2, STYLUS), "damping": Fact(4.6, STYLUS), "stiffness": Fact(79.0, STYLUS)},
+        {
+            "mass": Fact(0.2, STYLUS),
+            "damping": Fact(4.6, STYLUS),
+            "stiffness": Fact(79.0, STYLUS),
+        },
         {},
     ),
     "arm_firm": Preset(
@@ -138,8 +147,12 @@ def preset(name: str) -> dict[str, float]:
 def provenance(name: str) -> str:
     """Return a line with the sources of a device's values."""
     one = PRESETS[name]
-    known = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.model.items()]
-    advised = [f"{field} {fact.value:g} ({fact.source})" for field, fact in one.limits.items()]
+    known = [
+        f"{field} {fact.value:g} ({fact.source})" for field, fact in one.model.items()
+    ]
+    advised = [
+        f"{field} {fact.value:g} ({fact.source})" for field, fact in one.limits.items()
+    ]
     return f"{one.title}: {', '.join(known)}" + (
         f"; advised, not applied: {', '.join(advised)}" if advised else ""
     )
@@ -152,7 +165,12 @@ def figures() -> list[dict[str, Any]]:
         return {field: asdict(fact) for field, fact in given.items()}
 
     return [
-        {"name": name, "title": one.title, "model": facts(one.model), "limits": facts(one.limits)}
+        {
+            "name": name,
+            "title": one.title,
+            "model": facts(one.model),
+            "limits": facts(one.limits),
+        }
         for name, one in (PRESETS | HANDS).items()
     ]
 

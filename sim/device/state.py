@@ -87,7 +87,9 @@ class AxisState:
     commands_count: int
     slot: int  # index of the next force
 
-    push: float  # force from outside besides the motor's, the weight's and the hand's [N]
+    push: (
+        float  # force from outside besides the motor's, the weight's and the hand's [N]
+    )
 
     # Real time
     delay: float  # delay of the device [ticks]
@@ -140,7 +142,9 @@ def target(d: AxisState, seq: int) -> float:
     d.pull = rest
     if is_held or d.is_away != 0:
         d.pull = move_towards(
-            d.wanted if is_held else rest, d.away if d.is_away != 0 else rest, d.farthest
+            d.wanted if is_held else rest,
+            d.away if d.is_away != 0 else rest,
+            d.farthest,
         )
         # The hand is no longer away once it is back on its path.
         d.is_away = 1 if is_held or d.pull != rest else 0
@@ -188,9 +192,16 @@ def device_tick(d: AxisState, force: float) -> None:
     d.slot = older
     if d.early > 0.0:
         m = d.early_map
-        _move(d, _pulled(d, d.commands[older]), d.early, (m[0], m[1], m[2], m[3], m[4], m[5]))
+        _move(
+            d,
+            _pulled(d, d.commands[older]),
+            d.early,
+            (m[0], m[1], m[2], m[3], m[4], m[5]),
+        )
     m = d.late_map
-    _move(d, _pulled(d, d.commands[newer]), d.late, (m[0], m[1], m[2], m[3], m[4], m[5]))
+    _move(
+        d, _pulled(d, d.commands[newer]), d.late, (m[0], m[1], m[2], m[3], m[4], m[5])
+    )
     d.ticks += 1
 
 
@@ -199,7 +210,12 @@ def device_part(d: AxisState, force: float, duration: float) -> None:
     """Advance by part of a tick under one force."""
     if duration > 0.0:
         # With a position-dependent mass, _move recomputes the coefficients.
-        _move(d, _pulled(d, force), duration, coefficients(d.mass, d.damping, d.grip, duration))
+        _move(
+            d,
+            _pulled(d, force),
+            duration,
+            coefficients(d.mass, d.damping, d.grip, duration),
+        )
 
 
 @rule
@@ -279,7 +295,10 @@ class VirtualDevice:
         self._masses = array(
             "d", [number for corner in model.mass_by_position for number in corner]
         )
-        d.masses, d.masses_count = self._masses.buffer_info()[0], len(model.mass_by_position)
+        d.masses, d.masses_count = (
+            self._masses.buffer_info()[0],
+            len(model.mass_by_position),
+        )
         d.carried = 0.0 if model.hand is None else model.hand.mass
         d.low, d.high = ends_of(workspace, model.resolution)
         d.weight = 0.0 if model.gravity is None else 0.0 - model.mass * model.gravity

@@ -169,7 +169,9 @@ def push(device: MailboxDevice, force: float) -> TriedForce:
                 speed = math.dist(place, last) / (now - at)
                 last, at = place, now
                 if speed > FASTEST:
-                    ended = f"the handle moved at {speed:.2f} m/s, limit {FASTEST:g} m/s"
+                    ended = (
+                        f"the handle moved at {speed:.2f} m/s, limit {FASTEST:g} m/s"
+                    )
                     break
             why = why or device.condition()
     finally:
@@ -186,7 +188,9 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
         device.open()
         for name, value in device.facts.items():
             print(f"  {name}: {value}", file=sys.stderr)
-        ask("No force yet. Put the handle down so that nothing moves it, and press Enter:")
+        ask(
+            "No force yet. Put the handle down so that nothing moves it, and press Enter:"
+        )
         rest = at_rest(device)
         step = "none was seen" if rest.step is None else f"{1e6 * rest.step:.3g} µm"
         noise = "/".join(f"{1e6 * value:.3g}" for value in rest.noise)
@@ -200,7 +204,9 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
         if not right:
             written = ", ".join(f'"{name}"' for name in found)
             try:
-                Mapping(axes=msgspec.convert(found, tuple[AxisName, AxisName, AxisName]))
+                Mapping(
+                    axes=msgspec.convert(found, tuple[AxisName, AxisName, AxisName])
+                )
             except ValueError as error:
                 raise RefusedError(
                     f"the handle's movements give {error}; nothing was pushed. Check again: forward"
@@ -218,11 +224,15 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
     finally:
         device.close()
     felt = (
-        ", ".join(f"{one.force:g} N {'felt' if one.felt else 'NOT felt'}" for one in pushes)
+        ", ".join(
+            f"{one.force:g} N {'felt' if one.felt else 'NOT felt'}" for one in pushes
+        )
         or "no force tried"
     )
     facts = ", ".join(
-        str(device.facts[name]) for name in ("model", "serial") if device.facts.get(name)
+        str(device.facts[name])
+        for name in ("model", "serial")
+        if device.facts.get(name)
     )
     line = (
         f"haptic device check {kind}: {facts}; axes {' '.join(found)} right; noise {noise} µm, step"
@@ -231,7 +241,13 @@ def check(device: MailboxDevice, kind: str) -> dict[str, Any]:
     )
     told = {"rest": rest, "pushes": pushes, "delay": measured}
     found_out = {"axes_right": right, "axes": found, **msgspec.to_builtins(told)}
-    return {"kind": kind, "facts": device.facts, **found_out, "line": line, "passed": passed}
+    return {
+        "kind": kind,
+        "facts": device.facts,
+        **found_out,
+        "line": line,
+        "passed": passed,
+    }
 
 
 def _pushes(device: MailboxDevice) -> list[TriedForce]:
@@ -239,7 +255,9 @@ def _pushes(device: MailboxDevice) -> list[TriedForce]:
     pushes: list[TriedForce] = []
     for force in (0.1, 1.0, device.limits.peak_force):
         largest = (
-            " (the largest that the device allows)" if force == device.limits.peak_force else ""
+            " (the largest that the device allows)"
+            if force == device.limits.peak_force
+            else ""
         )
         if not ask(
             f"Hold the handle loosely. Push upwards with {force:g} N{largest}? [y/n]"
@@ -269,7 +287,8 @@ def _delay(device: MailboxDevice) -> MeasuredDelay | None:
     if measured.delay is not None:
         ticks = measured.delay * 500.0
         print(
-            f"  for a launch file at 500 Hz: plant: {{device_delay: {ticks:.2g}}}", file=sys.stderr
+            f"  for a launch file at 500 Hz: plant: {{device_delay: {ticks:.2g}}}",
+            file=sys.stderr,
         )
     return measured
 

@@ -86,7 +86,9 @@ def begins(times: Array, places: Array) -> float | None:
             response = since - constant * -np.expm1(-since / constant)
             columns = np.stack([np.ones_like(times), times, response], axis=1)
             fitted, *_ = np.linalg.lstsq(columns, places, rcond=None)
-            found = min(found, (float(np.sum((columns @ fitted - places) ** 2)), float(delay)))
+            found = min(
+                found, (float(np.sum((columns @ fitted - places) ** 2)), float(delay))
+            )
     return found[1]
 
 
@@ -107,7 +109,9 @@ def measure(device: MailboxDevice) -> MeasuredDelay:
             f"only {len(found)} of {PULSES} pulses moved the handle by"
             f" {1e3 * SMALLEST_MOVE:g} mm: {reason}"
         )
-        return MeasuredDelay(delay=None, uncertainty=math.inf, pulses=len(found), why=why)
+        return MeasuredDelay(
+            delay=None, uncertainty=math.inf, pulses=len(found), why=why
+        )
     ordered = sorted(found)
     # Robust against pulses in which the machine stalled: median and interquartile range.
     spread = ordered[(3 * len(ordered)) // 4] - ordered[len(ordered) // 4]

@@ -38,13 +38,17 @@ def real_kinds() -> dict[str, type[HardwareDriver]]:
 def devices() -> list[DeviceKind]:
     """Return every kind of device, with the library it needs."""
     listed = [
-        DeviceKind("sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)")
+        DeviceKind(
+            "sim_driver", True, None, (), "closed forms and lockstep runs (no hardware)"
+        )
     ]
     for name, kind in sorted(real_kinds().items()):
         library, searched = kind.find(convert({}, kind.Parameters, name))
         # If it is missing, show its name.
         named = library or searched[-1].rpartition("/")[2]
-        listed.append(DeviceKind(name, library is not None, named, searched, kind.checked))
+        listed.append(
+            DeviceKind(name, library is not None, named, searched, kind.checked)
+        )
     return listed
 
 
@@ -56,7 +60,9 @@ def text() -> str:
     for kind in listed:
         state = "ready" if kind.found else "not found"
         where = f" ({kind.library})" if kind.library else ""
-        lines.append(f"{kind.kind:{width}}  {state}{where}; tested against {kind.checked}")
+        lines.append(
+            f"{kind.kind:{width}}  {state}{where}; tested against {kind.checked}"
+        )
         if not kind.found:
             lines += [f"{'':{width}}  looked in {place}" for place in kind.searched]
     return "\n".join(lines)

@@ -35,7 +35,9 @@ def free(device: MailboxDevice) -> dict[str, Any]:
     """Release a device; refuse if another process uses it, or if it cannot be reached."""
     others = holders(type(device).find(device.parameters).library)
     if others:
-        named = "; ".join(f"process {number}: {command[:120]}" for number, command in others)
+        named = "; ".join(
+            f"process {number}: {command[:120]}" for number, command in others
+        )
         raise RefusedError(
             f"{device.TITLE}: held by {named}. End that first: haptic stop, or kill the process"
         )

@@ -13,7 +13,9 @@ from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 
 
-def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> dict[str, Any]:
+def info(
+    device: MailboxDevice, rate: float, delay: float, damping: float
+) -> dict[str, Any]:
     """Connect to a device without forces; return facts, limits, inertia and PD's K_max."""
     try:
         device.connect()
@@ -26,7 +28,9 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
     report: dict[str, Any] = {
         "facts": device.facts,
         "limits": {
-            name: value if not isinstance(value, float) or math.isfinite(value) else None
+            name: value
+            if not isinstance(value, float) or math.isfinite(value)
+            else None
             for name, value in msgspec.to_builtins(device.limits).items()
         },
         "inertia_kg": inertia and [list(row) for row in inertia],
@@ -34,7 +38,8 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
     }
     if inertia is not None:
         law = without_spring(
-            parse_law({"kind": "pd", "stiffness": 1.0, "damping": damping}, "pd"), 1.0 / rate
+            parse_law({"kind": "pd", "stiffness": 1.0, "damping": damping}, "pd"),
+            1.0 / rate,
         )
         edges = []
         try:
@@ -43,7 +48,9 @@ def info(device: MailboxDevice, rate: float, delay: float, damping: float) -> di
             raise RefusedError(f"{device.TITLE}: {error}") from error
         for mass in masses:
             plant = Plant(period=1.0 / rate, mass=mass, damping=0.0, delay=delay)
-            edges.append({"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m})
+            edges.append(
+                {"mass_kg": mass, "k_max_n_per_m": k_max(law, plant).k_max_n_per_m}
+            )
         report["edge"] = {
             "rate_hz": rate,
             "delay_ticks": delay,
@@ -90,7 +97,11 @@ def text(report: dict[str, Any]) -> str:
             " poses have others"
         )
         # The scene moves the device's own mass divided by the square of the scale.
-        least, greatest = (edge[name] * edge["scale"] ** 2 for name in ("least_kg", "greatest_kg"))
+        least, greatest = (
+            edge[name] * edge["scale"] ** 2 for name in ("least_kg", "greatest_kg")
+        )
         heaviest = f", heaviest: {greatest:.4g}" if greatest > least else ""
-        lines.append(f"  for a launch file: plant: {{mass: {least:.4g}{heaviest}, damping: 0.0}}")
+        lines.append(
+            f"  for a launch file: plant: {{mass: {least:.4g}{heaviest}, damping: 0.0}}"
+        )
     return "\n".join(lines)

@@ -46,7 +46,9 @@ class LoggedDevice:
         self._slew = slew
         self._path = Path()
         # A restarted driver continues the log; its first force is ramped like a launch's.
-        self._bounds = Promise(1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery)
+        self._bounds = Promise(
+            1.0 / RATE, PEAK, slew / RATE, HOLD, SafetyParameters().recovery
+        )
 
     def change(self, content: dict[str, Any]) -> None:
         """Replace the launch's virtual device by the logged one."""
@@ -72,7 +74,9 @@ class LoggedDevice:
         log = [sample.write for sample in read_log(self._path, 1.0 / RATE)]
         # While the launch runs, a force on the device is allowed.
         self.wrong = [
-            text for text in broken(log, self._bounds) if "is left on the device" not in text
+            text
+            for text in broken(log, self._bounds)
+            if "is left on the device" not in text
         ]
 
 
@@ -94,7 +98,9 @@ class HeldUp(LoggedDevice):
             os.kill(driver, signal.SIGCONT)
             rig.let_pass(0.1)
             os.kill(coupling, signal.SIGCONT)
-            wait_for(lambda: rig.states[-1].safety == "active", "forces to come back", 15.0)
+            wait_for(
+                lambda: rig.states[-1].safety == "active", "forces to come back", 15.0
+            )
         self.ended()
 
 
@@ -127,7 +133,9 @@ class Inside(LoggedDevice):
             15.0,
         )
         if not any(read_log(self._path, 1.0 / RATE)[0].write.force):
-            raise MeasurementError("not struck: the first force is zero, so that no ramp was due")
+            raise MeasurementError(
+                "not struck: the first force is zero, so that no ramp was due"
+            )
         self.ended()
 
 
@@ -139,7 +147,9 @@ class Moved(LoggedDevice):
         self.struck(rig)
         moved_at = []
         for place in PLACES:
-            receipt = rig.call("environment", "param.set", values={"surface.position": place})
+            receipt = rig.call(
+                "environment", "param.set", values={"surface.position": place}
+            )
             moved_at.append(int(receipt["seq"]))
             rig.let_pass(3.0 * SafetyParameters().recovery)
         await_strike(
@@ -147,7 +157,10 @@ class Moved(LoggedDevice):
             "the force step of each move",
         )
         self.ended()
-        self.wrong = [*self.wrong, *pushed(read_log(self._path, 1.0 / RATE), moved_at)[0]]
+        self.wrong = [
+            *self.wrong,
+            *pushed(read_log(self._path, 1.0 / RATE), moved_at)[0],
+        ]
 
 
 class Vague(LoggedDevice):
@@ -160,10 +173,12 @@ class Vague(LoggedDevice):
         order = rig.folder / ORDER
         order.write_text(f"{FAILS}condition", encoding="ascii")
         await_strike(
-            lambda: "condition() of the device failed" in rig.errors, "what the driver says"
+            lambda: "condition() of the device failed" in rig.errors,
+            "what the driver says",
         )
         await_strike(
-            lambda: "driver: ended with exit code 1" in rig.errors, "the end of the driver"
+            lambda: "driver: ended with exit code 1" in rig.errors,
+            "the end of the driver",
         )
         order.unlink()
         last = read_log(self._path, 1.0 / RATE)[-1]
@@ -215,7 +230,9 @@ class Apart:
         """Kill the driver, so that another one finds the devices apart."""
         kill("driver")(rig)
         wait_for(
-            lambda: rig.errors.count("apart without a motion") >= 2, "both drivers align", 15.0
+            lambda: rig.errors.count("apart without a motion") >= 2,
+            "both drivers align",
+            15.0,
         )
         rig.let_pass(1.0)
 

@@ -45,12 +45,16 @@ class DrilledKind(NamedTuple):
 
 # Every kind of real device.
 KINDS: Final = (
-    DrilledKind("Touch", "touch_driver", "touch", "hd", "hdGetDoublev", {"serial": "1234"}),
+    DrilledKind(
+        "Touch", "touch_driver", "touch", "hd", "hdGetDoublev", {"serial": "1234"}
+    ),
     DrilledKind(
         *("Force Dimension", "force_dimension_driver", "force_dimension"),
         *("dhd", "dhdGetPosition", {"serial": 1234, "ready_time": 1.0}),
     ),
-    DrilledKind("Inverse3", "inverse3_driver", "inverse3", "", "state", {"start_time": 5.0}),
+    DrilledKind(
+        "Inverse3", "inverse3_driver", "inverse3", "", "state", {"start_time": 5.0}
+    ),
 )
 
 
@@ -120,7 +124,9 @@ class StandIn:
 
     def held(self) -> None:
         """Wait until a force acts on the arm, so that the fault can remove it."""
-        await_strike(lambda: any(self.arm.force()), "a force on the arm before the fault")
+        await_strike(
+            lambda: any(self.arm.force()), "a force on the arm before the fault"
+        )
 
     def force_ends(self) -> None:
         """Wait until no force acts on the arm; record if that takes too long."""
@@ -134,7 +140,9 @@ class StandIn:
 
     def _ends(self, rig: Rig) -> None:
         self.force_ends()
-        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone")
+        wait_for(
+            lambda: "[driver] ended: " in rig.errors, "the driver says that it is gone"
+        )
 
     def unplug(self, rig: Rig) -> None:
         """Unplug the cable until the driver has ended, then plug it in again."""
@@ -156,7 +164,10 @@ class StandIn:
         arm.serial = serial + 1
         arm.largest = 0.0
         arm.unplugged = 0
-        wait_for(lambda: f"serial number {serial + 1}" in rig.errors, "the wrong device is named")
+        wait_for(
+            lambda: f"serial number {serial + 1}" in rig.errors,
+            "the wrong device is named",
+        )
         if arm.largest:
             self._wrong.append(f"the wrong device got {arm.largest:.3g} N")
         arm.serial = serial
@@ -195,7 +206,9 @@ class StandIn:
         self.held()
         before = rig.pid("driver")
         self.arm.fail("twice")
-        wait_for(lambda: "[driver] ended: " in rig.errors, "the driver gives the service up")
+        wait_for(
+            lambda: "[driver] ended: " in rig.errors, "the driver gives the service up"
+        )
         self.force_ends()
         self.arm.fail("")
         await_another(rig, "driver", before)
@@ -226,13 +239,22 @@ def faults() -> list[Fault]:
         ]
         if kind.stand_in:
             rows.append(
-                ("swapped", "another serial number plugged in, then the right one", stand.swap)
+                (
+                    "swapped",
+                    "another serial number plugged in, then the right one",
+                    stand.swap,
+                )
             )
         else:
             rows.append(("service dies", "SIGKILL, started again", stand.kill_service))
-            rows.append(("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow))
-            rows.append(("answers twice", "each state sent twice, then once again", stand.twice))
+            rows.append(
+                ("service slow", f"each answer 80 ms late for {BAD:g} s", stand.slow)
+            )
+            rows.append(
+                ("answers twice", "each state sent twice, then once again", stand.twice)
+            )
         found += [
-            fault_of(stand, f"{kind.title} {name}", what, strike) for name, what, strike in rows
+            fault_of(stand, f"{kind.title} {name}", what, strike)
+            for name, what, strike in rows
         ]
     return found

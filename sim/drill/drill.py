@@ -28,7 +28,12 @@ HOLD = 0.05  # deadline of the virtual device, like that of a servo thread [s]
 # two for the tick of the fault and for the message that reports it. If a driver loses its
 # processor while damping or ramping, the device's deadline ends that force: such ticks are
 # subtracted (`driven_to_safe`).
-LIMIT = max(WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)) + 2
+LIMIT = (
+    max(
+        WATCHDOG + DAMPING_TICKS + math.ceil(PEAK * RATE / SLEW), math.ceil(HOLD * RATE)
+    )
+    + 2
+)
 CALM = 25  # consecutive good ticks that count as a recovery
 
 
@@ -63,19 +68,27 @@ class Fault:
     what: str
     # Injects the fault into a running rig, and reverts it if that is part of it.
     strike: Callable[[Rig], None]
-    change: Callable[[dict[str, Any]], object] = dict  # changes the launch file beforehand
+    change: Callable[[dict[str, Any]], object] = (
+        dict  # changes the launch file beforehand
+    )
     # Prepares what it needs before the launch and returns environment variables; raises
     # FaultSkippedError if that is not possible here.
     prepare: Callable[[], Mapping[str, str]] = dict
     tidy: Callable[[], None] = lambda: None  # removes what `prepare` made
     unread: bool = False  # whether nobody reads what the launch prints
-    exit_code: int = 0  # expected exit code of the launch; not 0 if a node does not return
+    exit_code: int = (
+        0  # expected exit code of the launch; not 0 if a node does not return
+    )
     # Returns further violations in the driver's states since the strike.
     judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
 
 
 def fault_of(
-    made: Any, name: str, what: str, strike: Callable[[Rig], None] | None = None, **more: Any
+    made: Any,
+    name: str,
+    what: str,
+    strike: Callable[[Rig], None] | None = None,
+    **more: Any,
 ) -> Fault:
     """Create a fault from the methods of an object."""
     parts = {
@@ -94,7 +107,12 @@ def scene() -> dict[str, Any]:
         "damping_ticks": DAMPING_TICKS,
         "damping": DAMPING,
     }
-    safety |= {"peak_force": PEAK, "slew": SLEW, "ramp": 0.02, "workspace": [[-0.05, 0.05]] * 3}
+    safety |= {
+        "peak_force": PEAK,
+        "slew": SLEW,
+        "ramp": 0.02,
+        "workspace": [[-0.05, 0.05]] * 3,
+    }
     parameters = {
         "driver": {
             "device": {"mass": 0.1, "damping": 1.0, "hand": hand},
@@ -110,12 +128,20 @@ def scene() -> dict[str, Any]:
     }
     again = {"respawn": True, "respawn_delay": 0.1, "respawn_max": -1}
     nodes: dict[str, dict[str, Any]] = {
-        name: {"kind": "sim_driver" if name == "driver" else name, **again, "parameters": given}
+        name: {
+            "kind": "sim_driver" if name == "driver" else name,
+            **again,
+            "parameters": given,
+        }
         for name, given in parameters.items()
     }
     nodes["logger"]["required"] = False
     run = {"rate": RATE, "duration": 0.0}
-    return {"summary": "A hand pressing into a wall, for drills", "run": run, "nodes": nodes}
+    return {
+        "summary": "A hand pressing into a wall, for drills",
+        "run": run,
+        "nodes": nodes,
+    }
 
 
 def with_link(content: dict[str, Any]) -> None:
@@ -123,7 +149,9 @@ def with_link(content: dict[str, Any]) -> None:
     content["nodes"]["link"] = {"kind": "link"}
 
 
-def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[int, int]]:
+def _acting(
+    states: Sequence[DeviceState], hold_ticks: float
+) -> Iterator[tuple[int, int]]:
     """Yield per tick how long an old force or damping has acted, and for how long unattended.
 
     Unattended: without processor time for the driver.
@@ -140,7 +168,11 @@ def _acting(states: Sequence[DeviceState], hold_ticks: float) -> Iterator[tuple[
             yield ended - since, away
         if state.force != before.force or state.safety not in ("active", "ramp"):
             written = state.seq
-        if state.force_seq > before.force_seq or state.force == ZERO or gap >= hold_ticks:
+        if (
+            state.force_seq > before.force_seq
+            or state.force == ZERO
+            or gap >= hold_ticks
+        ):
             since = state.seq
             written = state.seq
             away = 0
@@ -195,8 +227,12 @@ def overdamped(states: Sequence[DeviceState]) -> float:
 def in_order(states: Sequence[DeviceState]) -> bool:
     """Whether the last ticks were all answered and active."""
     last = states[-CALM:]
-    fresh = sum(later.force_seq > earlier.force_seq for earlier, later in pairwise(last))
-    return len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
+    fresh = sum(
+        later.force_seq > earlier.force_seq for earlier, later in pairwise(last)
+    )
+    return (
+        len(last) == CALM and last[-1].safety == "active" and fresh >= 0.8 * (CALM - 1)
+    )
 
 
 def await_strike(shows: Callable[[], Any], what: str, timeout: float = 5.0) -> None:
@@ -260,7 +296,9 @@ def drill(fault: Fault, timeout: float = 15.0) -> DrillOutcome:
         fault.tidy()
     outcome.safe_ticks = time_to_safe(window, HOLD * RATE)
     outcome.window_ticks = window[-1].seq - window[0].seq
-    outcome.lost_ticks = outcome.window_ticks - sum(state.response > 0.0 for state in window[1:])
+    outcome.lost_ticks = outcome.window_ticks - sum(
+        state.response > 0.0 for state in window[1:]
+    )
     outcome.energy_j = energy_given_out(window)
     outcome.left = rig.left
     wrong = []
@@ -271,7 +309,9 @@ def drill(fault: Fault, timeout: float = 15.0) -> DrillOutcome:
     if (excess := overdamped(window)) > 0.0:
         wrong.append(f"damped with {excess:.3g} N more than damping times velocity")
     if rig.exit_code != fault.exit_code:
-        wrong.append(f"the launch ended with exit code {rig.exit_code}: {rig.said[-1000:]}")
+        wrong.append(
+            f"the launch ended with exit code {rig.exit_code}: {rig.said[-1000:]}"
+        )
     wrong += fault.judge(window)
     wrong += [f"left behind: {what}" for what in rig.left]
     outcome.passed = not wrong

@@ -17,7 +17,14 @@ from typing import Any
 
 from nodes.base.processor_wait import state_of
 from sim.drill import begins, devices, held_up, intruders, last_line, overload, people
-from sim.drill.drill import Fault, FaultSkippedError, await_strike, fault_of, kill, with_link
+from sim.drill.drill import (
+    Fault,
+    FaultSkippedError,
+    await_strike,
+    fault_of,
+    kill,
+    with_link,
+)
 from sim.measure.haptic_commands import within
 from sim.measure.rig import Rig
 
@@ -35,7 +42,9 @@ def _stop(node: str) -> Callable[[Rig], None]:
     return strike
 
 
-def _bad_link(count: Callable[[Rig], int], shows: str, **values: float) -> Callable[[Rig], None]:
+def _bad_link(
+    count: Callable[[Rig], int], shows: str, **values: float
+) -> Callable[[Rig], None]:
     """Return a strike that sets a link's faults until `count` shows their effect."""
 
     def strike(rig: Rig) -> None:
@@ -74,7 +83,9 @@ class _SmallDisk:
         command = ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", self.folder]
         allowed = shutil.which("mount") is not None
         self.mounted = (
-            allowed and subprocess.run(command, capture_output=True, check=False).returncode == 0
+            allowed
+            and subprocess.run(command, capture_output=True, check=False).returncode
+            == 0
         )
         return {}
 
@@ -88,17 +99,24 @@ class _SmallDisk:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (300_000, 300_000))
         else:
             # Fill the space that the recording leaves.
-            with contextlib.suppress(OSError), open(f"{self.folder}/filler", "wb") as filler:
+            with (
+                contextlib.suppress(OSError),
+                open(f"{self.folder}/filler", "wb") as filler,
+            ):
                 while True:
                     filler.write(bytes(4096))
                     filler.flush()
         if not within(lambda: "logger: ended with" in rig.errors, 30.0):
-            raise FaultSkippedError("the logger did not notice the full disk within 30 s")
+            raise FaultSkippedError(
+                "the logger did not notice the full disk within 30 s"
+            )
 
     def tidy(self) -> None:
         if self.folder:
             if self.mounted:
-                subprocess.run(["umount", self.folder], capture_output=True, check=False)
+                subprocess.run(
+                    ["umount", self.folder], capture_output=True, check=False
+                )
             shutil.rmtree(self.folder, ignore_errors=True)
 
 
@@ -119,7 +137,9 @@ def _hogs() -> Iterator[list[subprocess.Popen[bytes]]]:
 def _starve(rig: Rig) -> None:
     with _hogs() as hogs:
         rig.let_pass(3 * STOPPED)
-        await_strike(lambda: all(hog.poll() is None for hog in hogs), "all processors busy")
+        await_strike(
+            lambda: all(hog.poll() is None for hog in hogs), "all processors busy"
+        )
 
 
 CLOCK = """
@@ -190,7 +210,9 @@ class SteppedClock:
             check=False,
         )
         if done.returncode:
-            raise FaultSkippedError(f"{compiler} cannot compile the clock: {done.stderr[-300:]}")
+            raise FaultSkippedError(
+                f"{compiler} cannot compile the clock: {done.stderr[-300:]}"
+            )
         return {"LD_PRELOAD": str(library), "HAPTIC_DRILL_CLOCK": str(self._offset)}
 
     def strike(self, rig: Rig) -> None:
@@ -231,7 +253,10 @@ def faults() -> list[Fault]:
 
     return [
         *(Fault(f"kill {node}", "SIGKILL, respawned", kill(node)) for node in chain),
-        *(Fault(f"stop {node}", f"SIGSTOP for {STOPPED:g} s", _stop(node)) for node in chain),
+        *(
+            Fault(f"stop {node}", f"SIGSTOP for {STOPPED:g} s", _stop(node))
+            for node in chain
+        ),
         link(
             "flood",
             "300 old forces after each force",
@@ -241,9 +266,15 @@ def faults() -> list[Fault]:
         ),
         link("dead link", "every force lost", lost, "forces lost", drop=1.0),
         link("lossy link", "every third force lost", lost, "forces lost", drop=0.33),
-        link("slow link", "20 ms late, limit 10 ms", _missed, "late forces", delay=0.02),
         link(
-            "reordering link", "up to 12 ms late, overtaking", _missed, "late forces", jitter=0.012
+            "slow link", "20 ms late, limit 10 ms", _missed, "late forces", delay=0.02
+        ),
+        link(
+            "reordering link",
+            "up to 12 ms late, overtaking",
+            _missed,
+            "late forces",
+            jitter=0.012,
         ),
         link(
             "garbage",
@@ -255,7 +286,10 @@ def faults() -> list[Fault]:
         fault_of(disk, "full disk", "no room under the logger", exit_code=1),
         fault_of(clock, "clock step", "wall clock −1 h, +2 h"),
         Fault(
-            "starvation", "4 busy processes per core, no FIFO", _starve, change=last_line.no_fifo
+            "starvation",
+            "4 busy processes per core, no FIFO",
+            _starve,
+            change=last_line.no_fifo,
         ),
         *overload.faults(),
         *last_line.faults(),

@@ -60,7 +60,9 @@ class FaultyDevice:
 
     def _meet(self, call: str, order: str) -> None:
         if order == FAILS + call:
-            raise OSError(f"faulty device: {call}() fails, as a device does that was unplugged")
+            raise OSError(
+                f"faulty device: {call}() fails, as a device does that was unplugged"
+            )
 
     def meet(self, call: str) -> None:
         """Raise if `call` is ordered to fail."""
@@ -95,7 +97,9 @@ class FaultyDevice:
         if order == EXIT:
             os._exit(0)
         if order.startswith(LATE):
-            return self._positions[max(-1 - int(order.removeprefix(LATE)), -len(self._positions))]
+            return self._positions[
+                max(-1 - int(order.removeprefix(LATE)), -len(self._positions))
+            ]
         if order.startswith(SCALE):
             factor = float(order.removeprefix(SCALE))
             return (factor * position[0], factor * position[1], factor * position[2])
@@ -108,7 +112,9 @@ class FaultyDevice:
             time.sleep(0.1)
         self._meet("write_force", order)
         if self._log is not None:
-            self._log.write(struct.pack(LOGGED, at, seq, self.jumps, *force, *self._read))
+            self._log.write(
+                struct.pack(LOGGED, at, seq, self.jumps, *force, *self._read)
+            )
         self._device.write_force(force, seq, offset)
 
     def close(self) -> None:
@@ -125,7 +131,9 @@ class FaultyDriver(SimDriver):
     def make_device(self) -> Device:
         """Create the virtual device and wrap it."""
         parameters: Any = self.store.current
-        self._faulty = FaultyDevice(super().make_device(), parameters.order, parameters.log)
+        self._faulty = FaultyDevice(
+            super().make_device(), parameters.order, parameters.log
+        )
         return self._faulty
 
     def condition(self) -> str:

@@ -56,8 +56,12 @@ def given_prediction(h1: float, linear: float = 1.0, **known: Any) -> PredictedS
     return PredictedStep(**given | known)
 
 
-def given_record(designed: DesignedStep, predicted: PredictedStep, plan: Plan) -> TuneRecord:
+def given_record(
+    designed: DesignedStep, predicted: PredictedStep, plan: Plan
+) -> TuneRecord:
     """Return the record of both, with the steps that are tried."""
     return TuneRecord(
-        designed=designed, predicted=predicted, predicted_steps=PlannedKnocks((), "", plan)
+        designed=designed,
+        predicted=predicted,
+        predicted_steps=PlannedKnocks((), "", plan),
     )

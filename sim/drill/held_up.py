@@ -29,7 +29,9 @@ def _suspend(rig: Rig) -> None:
                 _await_law(rig, verb, law)
                 os.kill(verb.pid, signal.SIGSTOP)
                 wait_for(
-                    lambda: borrowed_now(rig) == before, "own law and surface after SIGSTOP", BACK
+                    lambda: borrowed_now(rig) == before,
+                    "own law and surface after SIGSTOP",
+                    BACK,
                 )
                 os.kill(verb.pid, signal.SIGCONT)
                 _await_refusal(rig, verb, words)
@@ -42,17 +44,27 @@ def _suspend(rig: Rig) -> None:
 
 
 def _await_law(rig: Rig, verb: subprocess.Popen[bytes], law: str) -> None:
-    wait_for(lambda: verb.poll() is not None or borrowed_now(rig)[0] == law, f"law {law}", 30.0)
+    wait_for(
+        lambda: verb.poll() is not None or borrowed_now(rig)[0] == law,
+        f"law {law}",
+        30.0,
+    )
 
 
-def _await_refusal(rig: Rig, verb: subprocess.Popen[bytes], words: Sequence[str]) -> None:
+def _await_refusal(
+    rig: Rig, verb: subprocess.Popen[bytes], words: Sequence[str]
+) -> None:
     try:
         code = verb.wait(BACK)
     except subprocess.TimeoutExpired as error:
-        raise MeasurementError(f"haptic {' '.join(words)}: does not end after SIGCONT") from error
+        raise MeasurementError(
+            f"haptic {' '.join(words)}: does not end after SIGCONT"
+        ) from error
     if code != 1:
         said = (rig.folder / "beside.txt").read_text(encoding="utf-8")
-        raise MeasurementError(f"haptic {' '.join(words)}: exit code {code}: {said[-500:]}")
+        raise MeasurementError(
+            f"haptic {' '.join(words)}: exit code {code}: {said[-500:]}"
+        )
 
 
 def faults() -> list[Fault]:

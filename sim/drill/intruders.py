@@ -56,7 +56,10 @@ class _Elsewhere:
         for name in ("near", "far"):
             with _keys_of(self.folder / name):
                 made[name] = keys.new_identity().public
-        for name, other, called in (("near", "far", "robot"), ("far", "near", "launcher")):
+        for name, other, called in (
+            ("near", "far", "robot"),
+            ("far", "near", "launcher"),
+        ):
             with _keys_of(self.folder / name):
                 keys.allow(called, made[other])
         self.start()
@@ -234,7 +237,10 @@ def faults() -> list[Fault]:
             impostor.replace,
         ),
         fault_of(
-            revoked, "revoked key", "of a coupling over tcp, allowed again later", revoked.revoke
+            revoked,
+            "revoked key",
+            "of a coupling over tcp, allowed again later",
+            revoked.revoke,
         ),
         fault_of(few, "fd exhaustion", f"{4 * FEW} connections, {FEW} descriptors"),
         Fault(
@@ -256,7 +262,9 @@ def _command(name: bytes, body: bytes) -> bytes:
 
 PING = _command(b"PING", b"\0\x01abc")
 # Enough in a row to fill a queue of a few dozen, then a heartbeat, both within one read of 8 KiB.
-SUBSCRIPTIONS = b"".join(b"\0\x05\x01%04d" % i + PING * (i % 50 == 49) for i in range(3000))
+SUBSCRIPTIONS = b"".join(
+    b"\0\x05\x01%04d" % i + PING * (i % 50 == 49) for i in range(3000)
+)
 REQUESTS = ((b"\x01\0" + b"\0\x05hello") * 20 + PING) * 50
 LONG_FRAME = b"\x02" + struct.pack(">Q", 100_000) + bytes(100_000)
 
@@ -289,14 +297,20 @@ def visit(place: str, chance: random.Random, requests: bool = False) -> bool:
     # The peer may disconnect it before it has sent everything.
     with contextlib.suppress(OSError), found:
         found.sendall(
-            GREETING + _command(b"READY", b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind)
+            GREETING
+            + _command(
+                b"READY", b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind
+            )
         )
         found.sendall(
-            content[: chance.randrange(1, len(content))] + LONG_FRAME * chance.randrange(2)
+            content[: chance.randrange(1, len(content))]
+            + LONG_FRAME * chance.randrange(2)
         )
         # With or without time for the peer to read.
         time.sleep(0.01 * chance.randrange(2))
         if chance.randrange(2):
             # Reset the connection instead of closing it.
-            found.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            found.setsockopt(
+                socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+            )
     return True

@@ -70,12 +70,16 @@ def _fall_behind(rig: Rig) -> None:
     before = behind()
     (rig.folder / ORDER).touch()
     rig.let_pass(BEHIND)
-    await_strike(lambda: behind() > before + RATE * BEHIND / 4.0, "a logger that falls behind")
+    await_strike(
+        lambda: behind() > before + RATE * BEHIND / 4.0, "a logger that falls behind"
+    )
 
 
 def _stop_reaper(rig: Rig) -> None:
     reapers = [
-        number for number, line in processes_of(rig.runtime_dir).items() if "reaper.py" in line
+        number
+        for number, line in processes_of(rig.runtime_dir).items()
+        if "reaper.py" in line
     ]
     for number in reapers:
         os.kill(number, signal.SIGSTOP)
@@ -112,8 +116,14 @@ class _Quota:
                 if is_there:
                     self._group = group
                     break
-        way = "a cgroup" if self._group else "stopped and continued: no cgroup can be made"
-        self.what = f"{ON / (ON + OFF):.0%} of a processor for the loop, no FIFO ({way})"
+        way = (
+            "a cgroup"
+            if self._group
+            else "stopped and continued: no cgroup can be made"
+        )
+        self.what = (
+            f"{ON / (ON + OFF):.0%} of a processor for the loop, no FIFO ({way})"
+        )
 
     def prepare(self) -> Mapping[str, str]:
         if self._group:
@@ -208,7 +218,12 @@ def faults() -> list[Fault]:
     """Return the faults of this module."""
     quota = _Quota()
     return [
-        Fault("blocked stderr", "coupling killed, output unread", kill("coupling"), unread=True),
+        Fault(
+            "blocked stderr",
+            "coupling killed, output unread",
+            kill("coupling"),
+            unread=True,
+        ),
         Fault(
             "hung device",
             "a force that is never taken",
@@ -228,7 +243,14 @@ def faults() -> list[Fault]:
             change=_slow_disk,
         ),
         Fault("stopped reaper", "SIGSTOP, then the end", _stop_reaper),
-        Fault("huge position", "the device gives 1.7e308 m", _misplace("1.7e308"), change=_faulty),
+        Fault(
+            "huge position",
+            "the device gives 1.7e308 m",
+            _misplace("1.7e308"),
+            change=_faulty,
+        ),
         fault_of(quota, "ticks lost by quota", quota.what, change=_plain),
-        Fault("killed in start-up", "launcher and reaper of 5 launches", _kill_at_start),
+        Fault(
+            "killed in start-up", "launcher and reaper of 5 launches", _kill_at_start
+        ),
     ]

@@ -19,7 +19,9 @@ Portion = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Time = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 
 
-class LinkParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LinkParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the link; by default it forwards everything at once.
 
     drop: Share of messages lost.
@@ -76,7 +78,9 @@ class Link(Node):
             return
         if chance() < now.corrupt:
             spoilt = bytearray(payload)
-            spoilt[self._random.randrange(len(spoilt))] ^= 1 << self._random.randrange(8)
+            spoilt[self._random.randrange(len(spoilt))] ^= 1 << self._random.randrange(
+                8
+            )
             payload = bytes(spoilt)
         self._count += 1
         due = time.monotonic() + now.delay + now.jitter * chance()

@@ -30,11 +30,14 @@ class Overload:
         ]
         with contextlib.ExitStack() as held:
             folder = Path(
-                held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-overload-"))
+                held.enter_context(
+                    tempfile.TemporaryDirectory(prefix="haptic-overload-")
+                )
             )
             path = folder / "many.yaml"
             path.write_text(
-                json.dumps({"summary": f"{CHAINS} chains", "include": included}), encoding="utf-8"
+                json.dumps({"summary": f"{CHAINS} chains", "include": included}),
+                encoding="utf-8",
             )
             words = (
                 str(path),
@@ -46,7 +49,12 @@ class Overload:
             )
             output = held.enter_context(open(folder / "output.txt", "wb"))
             start_command(
-                "launch", *words, cwd=folder, env=rig.environment, stdout=output, stderr=output
+                "launch",
+                *words,
+                cwd=folder,
+                env=rig.environment,
+                stdout=output,
+                stderr=output,
             ).wait(COMPILE_TIMEOUT)
 
     def judge(self, states: Sequence[DeviceState]) -> list[str]:
@@ -56,13 +64,21 @@ class Overload:
         ticks = states[-1].seq - states[0].seq
         first = states[0]
         last = states[-1]
-        lost = (last.missed - first.missed + last.overruns - first.overruns) / max(ticks, 1)
+        lost = (last.missed - first.missed + last.overruns - first.overruns) / max(
+            ticks, 1
+        )
         return (
-            [f"{lost:.0%} of the ticks lost, limit {LOST_LIMIT:.0%}"] if lost > LOST_LIMIT else []
+            [f"{lost:.0%} of the ticks lost, limit {LOST_LIMIT:.0%}"]
+            if lost > LOST_LIMIT
+            else []
         )
 
 
 def faults() -> list[Fault]:
     """Return the fault of this module."""
     made = Overload()
-    return [fault_of(made, "overload", f"{CHAINS} more chains for {SECONDS:g} s", made.strike)]
+    return [
+        fault_of(
+            made, "overload", f"{CHAINS} more chains for {SECONDS:g} s", made.strike
+        )
+    ]

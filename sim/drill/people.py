@@ -63,9 +63,15 @@ def thrown(states: Sequence[DeviceState]) -> list[str]:
     """Return violations: forces that returned faster than their ramp, or too much energy."""
     recovery = round(SafetyParameters().recovery * RATE)
     silent = [
-        n for n, (a, b) in enumerate(pairwise(states)) if (a.safety, b.safety) == ("zero", "ramp")
+        n
+        for n, (a, b) in enumerate(pairwise(states))
+        if (a.safety, b.safety) == ("zero", "ramp")
     ]
-    wrong = [] if len(silent) >= 2 else [f"the force came back {len(silent)} times, not twice"]
+    wrong = (
+        []
+        if len(silent) >= 2
+        else [f"the force came back {len(silent)} times, not twice"]
+    )
     for n in silent:
         last = states[n].seq
         after = [state for state in states[n:] if state.seq <= last + 6 * recovery]
@@ -108,7 +114,9 @@ def held_at_a_point(content: dict[str, Any]) -> None:
 def leave_a_design(rig: Rig) -> None:
     """Write the files of a design and a prediction: a law to be tried from above."""
     law = given_design(TAPS, 1.0 / RATE, MASS)
-    record = given_record(law, given_prediction(sum(TAPS), 10.0), Plan(FIRST, FIRST, LAST))
+    record = given_record(
+        law, given_prediction(sum(TAPS), 10.0), Plan(FIRST, FIRST, LAST)
+    )
     folder = rig.folder / "tuning"
     folder.mkdir(exist_ok=True)
     record.write(folder / "tune.json")
@@ -143,9 +151,13 @@ def _end_tuning(rig: Rig) -> None:
         )
 
 
-def _end_on_trial(rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Signals) -> None:
+def _end_on_trial(
+    rig: Rig, tuning: subprocess.Popen[bytes], number: signal.Signals
+) -> None:
     wait_for(
-        lambda: tuning.poll() is not None or borrowed_now(rig)[0] == TRIAL, "a law on trial", 30.0
+        lambda: tuning.poll() is not None or borrowed_now(rig)[0] == TRIAL,
+        "a law on trial",
+        30.0,
     )
     tuning.send_signal(number)
     try:
@@ -172,7 +184,9 @@ def _press(rig: Rig) -> None:
                 f"{verb}: exit code {done.returncode} while a hand presses: {said[-500:]}"
             )
         if borrowed_now(rig) != before:
-            raise MeasurementError(f"{verb}: refused, and has changed law or surface all the same")
+            raise MeasurementError(
+                f"{verb}: refused, and has changed law or surface all the same"
+            )
 
 
 def unasked(states: Sequence[DeviceState]) -> list[str]:
@@ -198,6 +212,16 @@ def faults() -> list[Fault]:
     signals = ", ".join(number.name for number in SIGNALS)
     return [
         Fault("hand sinks in", sinks, _let_sink, change=_pushed, judge=thrown),
-        Fault("tune ended", f"{signals} with a law on trial", _end_tuning, change=held_at_a_point),
-        Fault("pressed device", "identify and tune while a hand presses", _press, judge=unasked),
+        Fault(
+            "tune ended",
+            f"{signals} with a law on trial",
+            _end_tuning,
+            change=held_at_a_point,
+        ),
+        Fault(
+            "pressed device",
+            "identify and tune while a hand presses",
+            _press,
+            judge=unasked,
+        ),
     ]

@@ -127,7 +127,11 @@ def _sphere(random: Random, content: dict[str, Any]) -> str:
     return f"sphere, begins {1e3 * depth:.2g} mm inside"
 
 
-SCENES: Final[tuple[Callable[[Random, dict[str, Any]], str], ...]] = (_floor, _drop, _sphere)
+SCENES: Final[tuple[Callable[[Random, dict[str, Any]], str], ...]] = (
+    _floor,
+    _drop,
+    _sphere,
+)
 
 
 def drawn(
@@ -161,7 +165,9 @@ class _Course:
         self.moved_at: list[int] = []  # ticks at which a surface moved
         self.swapped_at: list[int] = []  # ticks at which the law changed
         self.kinds: Counter[str] = Counter()
-        self._at: Sequence[float] = surface.get("position", ())  # position of a sphere [m]
+        self._at: Sequence[float] = surface.get(
+            "position", ()
+        )  # position of a sphere [m]
 
     def do(self) -> None:
         """Perform a random action at a random time."""
@@ -191,9 +197,9 @@ class _Course:
     def stop(self) -> str:
         """Stop a node for a while."""
         node = self._random.choice(("driver", "coupling", "environment"))
-        seconds = self._random.choice((0.005, 0.03, 0.055, 0.1, 0.3, 0.9)) * self._random.uniform(
-            0.8, 1.2
-        )
+        seconds = self._random.choice(
+            (0.005, 0.03, 0.055, 0.1, 0.3, 0.9)
+        ) * self._random.uniform(0.8, 1.2)
         pid = self._rig.kill(node, signal.SIGSTOP)
         try:
             self._rig.let_pass(seconds)
@@ -214,14 +220,18 @@ class _Course:
         receipt = self._rig.call("coupling", "law.switch", law=law, ramp=ramp)
         self.swapped_at.append(int(receipt["seq"]))
         if not math.isfinite(receipt["force_step_n"]):
-            raise MeasurementError(f"law.switch: no force step in its receipt: {receipt}")
+            raise MeasurementError(
+                f"law.switch: no force step in its receipt: {receipt}"
+            )
         return f"to {law} within {ramp} ticks"
 
     def move(self) -> str:
         """Move the surface."""
         by = self._random.uniform(-REACH, REACH)
         position = [self._at[0], self._at[1], self._at[2] + by] if self._at else by
-        receipt = self._rig.call("environment", "param.set", values={"surface.position": position})
+        receipt = self._rig.call(
+            "environment", "param.set", values={"surface.position": position}
+        )
         self.moved_at.append(int(receipt["seq"]))
         return f"surface to {1e3 * by:.3g} mm at tick {receipt['seq']}"
 
@@ -282,7 +292,9 @@ def begins_in(log: Sequence[Sample], states: Sequence[DeviceState]) -> list[floa
     begins = []
     # A jump in free air needs no ramp, nor does a later contact by motion.
     for before, sample in pairwise(log):
-        if sample.jumps > before.jumps and any((*before.write.force, *sample.write.force)):
+        if sample.jumps > before.jumps and any(
+            (*before.write.force, *sample.write.force)
+        ):
             begins.append(sample.write.at)
     was_fault = False
     since = -1
@@ -330,14 +342,18 @@ def pushed(
         way = [0.0] * 3
         speed = [0.0] * 3
         for before, sample in zip(log[first - 1 :], log[first:], strict=False):
-            since = max(sample.write.at - began.write.at, sample.write.due - began.write.due)
+            since = max(
+                sample.write.at - began.write.at, sample.write.due - began.write.due
+            )
             if since >= RAMP or sample.jumps != began.jumps:
                 break
             took = max(sample.seq - before.seq, 1) / RATE
             share = min((since + 2.0 / RATE) / RAMP, 1.0)
             for i in range(3):
                 way[i] = max(way[i], abs(sample.position[i] - began.position[i]))
-                speed[i] = max(speed[i], abs(sample.position[i] - before.position[i]) / took)
+                speed[i] = max(
+                    speed[i], abs(sample.position[i] - before.position[i]) / took
+                )
                 allowed = share * PEAK + (1.0 - share) * felt[i]
                 moved = STIFFNESS * max(way) + DAMPING * max(speed)
                 steepest = max(steepest, (abs(sample.write.force[i]) - moved) / allowed)
@@ -363,7 +379,9 @@ def launch_once(
     swapped_at: list[int] = []
     try:
         with Rig(content) as rig:
-            course = _Course(random, rig, content["nodes"]["environment"]["parameters"]["surface"])
+            course = _Course(
+                random, rig, content["nodes"]["environment"]["parameters"]["surface"]
+            )
             outcome.done, kinds, moved_at = course.done, course.kinds, course.moved_at
             swapped_at = course.swapped_at
             for _ in range(random.randint(*DONE)):

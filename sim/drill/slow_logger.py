@@ -12,7 +12,9 @@ from nodes.recording.writer import RecordWriter
 PER_MESSAGE = 0.002  # delay per message: slower than messages arrive [s]
 
 
-class SlowLoggerParameters(LoggerParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SlowLoggerParameters(
+    LoggerParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the logger."""
 
     order: str  # file; while it exists, the disk is slow

@@ -104,7 +104,9 @@ class _Memory:
             if now - self._born.setdefault(pid, now) < self._settle:
                 continue
             first = self._first.setdefault(pid, status["memory"])
-            self.growth[name] = max(self.growth.get(name, 0.0), status["memory"] - first)
+            self.growth[name] = max(
+                self.growth.get(name, 0.0), status["memory"] - first
+            )
 
 
 def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
@@ -115,7 +117,9 @@ def _pass_time(rig: Rig, seconds: float, memory: _Memory) -> None:
 
 
 # Long: one story in time, from the launch to its verdict.
-def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT) -> Soak:  # noqa: PLR0915
+def soak(  # noqa: PLR0915
+    seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_LIMIT
+) -> Soak:
     """Run a soak test of `seconds` [s]."""
     content = scene()
     content["nodes"]["logger"]["respawn"] = False
@@ -137,7 +141,9 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     with rig:
         begun = time.monotonic()
         while time.monotonic() - begun < seconds and rig.process.poll() is None:
-            part = min(round_seconds, max(seconds - (time.monotonic() - begun), 1.0)) / 6.0
+            part = (
+                min(round_seconds, max(seconds - (time.monotonic() - begun), 1.0)) / 6.0
+            )
             number = found.rounds = found.rounds + 1
             done.append((rig.states[-1].seq, "loggers attached"))
             staying = rig.beside("bag", "record", "--out", f"round{number}.mcap")
@@ -149,7 +155,11 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             for _ in range(4):
                 _pass_time(rig, part, memory)
                 done.append((rig.states[-1].seq, "parameters and law changed"))
-                rig.call("coupling", "param.set", values={"laws.pd.stiffness": next(stiffness)})
+                rig.call(
+                    "coupling",
+                    "param.set",
+                    values={"laws.pd.stiffness": next(stiffness)},
+                )
                 rig.call("coupling", "law.switch", law=next(law), ramp=20)
                 found.changes += 2
             done.append((rig.states[-1].seq, "loggers killed and stopped"))
@@ -182,7 +192,9 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
     _explain(rig, found, _count(rig, found, excused, done), witness)
     found.growth_bytes = memory.growth
     index = INDEX * sum(account["recorded"] for account in found.accounts.values())
-    limits = {node: GROWTH + (index if node == "logger" else 0.0) for node in memory.growth}
+    limits = {
+        node: GROWTH + (index if node == "logger" else 0.0) for node in memory.growth
+    }
     found.reasons += [
         f"{node}: memory grew by {growth / 1e6:.1f} MB, limit {limits[node] / 1e6:.1f} MB"
         for node, growth in memory.growth.items()
@@ -198,7 +210,9 @@ def soak(seconds: float, round_seconds: float = 60.0, miss_limit: float = MISS_L
             f"{found.causes[UNEXPLAINED]} missed ticks have no cause that was measured"
         )
     if rig.exit_code != 0:
-        found.reasons.append(f"the launch ended with exit code {rig.exit_code}: {rig.said}")
+        found.reasons.append(
+            f"the launch ended with exit code {rig.exit_code}: {rig.said}"
+        )
     found.reasons += [f"left behind: {what}" for what in rig.left]
     found.passed = not found.reasons
     return found
@@ -266,7 +280,9 @@ def _count(
             continue
         missed.append(seq)
         found.held_up += not {seq, seq + 1} <= punctual
-        last, what = max((event for event in done if event[0] <= seq), default=(-math.inf, ""))
+        last, what = max(
+            (event for event in done if event[0] <= seq), default=(-math.inf, "")
+        )
         blamed = what if seq - last <= BLAME * RATE else "nothing"
         found.missed_after[blamed] = found.missed_after.get(blamed, 0) + 1
     found.missed = len(missed)
@@ -292,7 +308,9 @@ def _explain(rig: Rig, found: Soak, missed: list[int], witness: Witness) -> None
 def text(found: Soak) -> str:
     """Return the result as text."""
     sent = sum(one["sent"] for one in found.accounts.values())
-    growth = ", ".join(f"{node} {value / 1e6:+.1f}" for node, value in found.growth_bytes.items())
+    growth = ", ".join(
+        f"{node} {value / 1e6:+.1f}" for node, value in found.growth_bytes.items()
+    )
     lines = [
         (
             f"soak {'passed' if found.passed else 'FAILED'}: {found.duration_s:.0f} s at {RATE:g}"
@@ -305,10 +323,14 @@ def text(found: Soak) -> str:
         f"  missed {found.missed} ticks outside the respawns ({found.held_up} while even the driver"
         f" was held up), {found.excused} within them"
         + "".join(
-            f"; {count} within {BLAME:g} s of: {what}" for what, count in found.missed_after.items()
+            f"; {count} within {BLAME:g} s of: {what}"
+            for what, count in found.missed_after.items()
         ),
         "  causes measured: "
-        + (", ".join(f"{count} {cause}" for cause, count in found.causes.items()) or "none needed"),
+        + (
+            ", ".join(f"{count} {cause}" for cause, count in found.causes.items())
+            or "none needed"
+        ),
         f"  memory growth [MB]: {growth}",
         (
             f"  {sent} messages sent by the nodes' own count,"
@@ -352,7 +374,9 @@ class Witness:
                         )
                     except OSError:
                         continue
-                    look[name, thread, f"{whose}waited for its processor"] = int(waited) * 1e-9
+                    look[name, thread, f"{whose}waited for its processor"] = (
+                        int(waited) * 1e-9
+                    )
                     look[name, thread, f"{whose}computed"] = int(ran) * 1e-9
             with open("/proc/stat", encoding="ascii") as stat:
                 steal = float(stat.readline().split()[8])
@@ -401,7 +425,11 @@ def largest(
     found: list[tuple[float, str]] = []
     for key, value in after.items():
         if key in before:
-            grown = value - before[key] - (0.5 * seconds if key[2].endswith("computed") else 0.0)
+            grown = (
+                value
+                - before[key]
+                - (0.5 * seconds if key[2].endswith("computed") else 0.0)
+            )
             found.append((grown, f"{key[0]} {key[2]}".replace(" '", "'")))
     longest, what = max(found, default=(0.0, ""))
     return what if longest >= SHARE * period else UNEXPLAINED

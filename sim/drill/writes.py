@@ -76,12 +76,16 @@ class LogFindings(NamedTuple):
     steepest: float
 
 
-def broken(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> list[str]:
+def broken(
+    log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()
+) -> list[str]:
     """Return the violations in a log; see `judge`."""
     return judge(log, bounds, begins).broken
 
 
-def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -> LogFindings:
+def judge(
+    log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()
+) -> LogFindings:
     """Judge a log: peak, slew, the ramp after every gap and beginning, and zero at the end.
 
     A ramp is due from the first write on, unless it is zero; from the first write after the device
@@ -143,7 +147,10 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
             if (one[0] == due if known else at - one[0] < 0.5 * bounds.period)
         ]
         changes.append(
-            (due if known else at, [abs(new - old) for new, old in zip(force, felt, strict=True)])
+            (
+                due if known else at,
+                [abs(new - old) for new, old in zip(force, felt, strict=True)],
+            )
         )
         moved = max(sum(change[i] for _, change in changes) for i in range(3))
         if moved > 2.0 * bounds.slew + EPSILON:
@@ -153,12 +160,20 @@ def judge(log: Sequence[Write], bounds: Promise, begins: Sequence[float] = ()) -
             )
         # The first force of a ramp is one step of it, and may come a tick after the assumed start.
         since = (
-            at - ramp_from if math.isnan(due - due_from) else max(at - ramp_from, due - due_from)
+            at - ramp_from
+            if math.isnan(due - due_from)
+            else max(at - ramp_from, due - due_from)
         )
-        share = min((since + 2.0 * bounds.period) / bounds.ramp, 1.0) if bounds.ramp > 0.0 else 1.0
+        share = (
+            min((since + 2.0 * bounds.period) / bounds.ramp, 1.0)
+            if bounds.ramp > 0.0
+            else 1.0
+        )
         for i in range(3):
             allowed = share * bounds.peak + (1.0 - share) * abs(before[i])
-            steepest = max(steepest, abs(force[i]) / allowed) if share < 1.0 else steepest
+            steepest = (
+                max(steepest, abs(force[i]) / allowed) if share < 1.0 else steepest
+            )
             if abs(force[i]) > allowed + EPSILON:
                 found.append(
                     f"{where}: {force[i]:g} N along {'xyz'[i]}, {since:.4f} s after a force that no"

@@ -33,7 +33,9 @@ DEVICE: Final = "04BA"
 
 def _vector(numbers: tuple[float, float, float]) -> dict[str, float]:
     """Return a vector as JSON; zeros are omitted."""
-    return {name: value for name, value in zip("xyz", numbers, strict=True) if value != 0.0}
+    return {
+        name: value for name, value in zip("xyz", numbers, strict=True) if value != 0.0
+    }
 
 
 class Service:
@@ -61,7 +63,8 @@ class Service:
             return None
         (x, y, z), (vx, vy, vz) = read
         fx, fy, fz = (
-            a + b for a, b in zip(self._world.force(), self._world.state.other, strict=True)
+            a + b
+            for a, b in zip(self._world.force(), self._world.state.other, strict=True)
         )
         state = {
             "cursor_position": _vector((-y, x, z)),
@@ -87,8 +90,12 @@ class Service:
                     connection.close()
                     return
                 state = None if failing == b"state" else self._state()
-                device = {"device_id": DEVICE} | ({} if state is None else {"state": state})
-                document: dict[str, Any] = {"inverse3": [] if world.state.unplugged else [device]}
+                device = {"device_id": DEVICE} | (
+                    {} if state is None else {"state": state}
+                )
+                document: dict[str, Any] = {
+                    "inverse3": [] if world.state.unplugged else [device]
+                }
                 if failing == b"nested":
                     connection.send('{"more": ' + "[" * 50_000 + "]" * 50_000 + "}")
                     continue
@@ -131,9 +138,15 @@ class Service:
             "/inverse3/0/config/basis": {"permutation": "XYZ"},
         }.get(request.path)
         body = json.dumps(
-            {"ok": data is not None, "data": data, "error": None if data is not None else "unknown"}
+            {
+                "ok": data is not None,
+                "data": data,
+                "error": None if data is not None else "unknown",
+            }
         ).encode()
-        return Response(HTTPStatus.OK, "OK", Headers({"Content-Length": str(len(body))}), body)
+        return Response(
+            HTTPStatus.OK, "OK", Headers({"Content-Length": str(len(body))}), body
+        )
 
     def events(self, connection: ServerConnection) -> None:
         """Send an event for each change of the world's ``cause`` and ``unplugged``."""
@@ -143,11 +156,17 @@ class Service:
                 now = (int(self._world.state.cause), int(self._world.state.unplugged))
                 if now[0] != before[0]:
                     event = "ebrake_triggered" if now[0] else "ebrake_released"
-                    connection.send(json.dumps({"type": "device-safety-triggered", "event": event}))
+                    connection.send(
+                        json.dumps({"type": "device-safety-triggered", "event": event})
+                    )
                 if now[1] != before[1]:
                     connection.send(
                         json.dumps(
-                            {"type": "device-disconnected" if now[1] else "device-connected"}
+                            {
+                                "type": "device-disconnected"
+                                if now[1]
+                                else "device-connected"
+                            }
                         )
                     )
                 before = now
@@ -192,7 +211,10 @@ def main() -> None:
     )
     parser.add_argument("world", type=Path)
     parser.add_argument(
-        "--cold", type=float, default=0.0, help="time after the start without a device [s]"
+        "--cold",
+        type=float,
+        default=0.0,
+        help="time after the start without a device [s]",
     )
     parser.add_argument("--version", default="3.5")
     parser.add_argument(

@@ -23,8 +23,14 @@ class WorldState(ctypes.Structure):
     """Layout of world.h."""
 
     _fields_: ClassVar[list[tuple[str, Any]]] = [
-        *((name, ctypes.c_double) for name in ("mass", "damping", "gravity", "resolution")),
-        *((name, ctypes.c_double * 3) for name in ("position", "velocity", "force", "seen")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("mass", "damping", "gravity", "resolution")
+        ),
+        *(
+            (name, ctypes.c_double * 3)
+            for name in ("position", "velocity", "force", "seen")
+        ),
         *(
             (name, ctypes.c_double)
             for name in ("advanced_at", "free_from", "watchdog", "commanded_at")
@@ -34,7 +40,14 @@ class WorldState(ctypes.Structure):
         *((name, ctypes.c_int32) for name in ("buttons", "serial", "devices", "rate")),
         *(
             (name, ctypes.c_int32)
-            for name in ("open", "forces", "calibrations", "broken", "commands", "style")
+            for name in (
+                "open",
+                "forces",
+                "calibrations",
+                "broken",
+                "commands",
+                "style",
+            )
         ),
         ("largest", ctypes.c_double),
         *(
@@ -113,19 +126,29 @@ class World:
         x, y, z = self.state.force
         return x, y, z
 
-    def read(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+    def read(
+        self,
+    ) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
         """Read position [m] and velocity [m/s]; None if that fails."""
         position = (ctypes.c_double * 3)()
         velocity = (ctypes.c_double * 3)()
         if not self._code.stand_in_read(ctypes.byref(self.state), position, velocity):
             return None
-        return (position[0], position[1], position[2]), (velocity[0], velocity[1], velocity[2])
+        return (position[0], position[1], position[2]), (
+            velocity[0],
+            velocity[1],
+            velocity[2],
+        )
 
     def push(self, force: tuple[float, float, float]) -> None:
         """Apply a force [N]."""
-        self._code.stand_in_push(ctypes.byref(self.state), (ctypes.c_double * 3)(*force))
+        self._code.stand_in_push(
+            ctypes.byref(self.state), (ctypes.c_double * 3)(*force)
+        )
 
-    def drop(self, height: float, gravity: float = 9.81, at: float | None = None) -> None:
+    def drop(
+        self, height: float, gravity: float = 9.81, at: float | None = None
+    ) -> None:
         """Drop the arm from a height [m], now or at a time of the monotonic clock [s]."""
         s = self.state
         s.position[:] = (0.0, 0.0, height)
@@ -138,7 +161,9 @@ def library(name: str, folder: Path, *options: str) -> tuple[Path, World]:
     """Compile an emulated library into a folder; return its path and world."""
     # A unique name, because the name of its library identifies who uses a device.
     path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
-    subprocess.run(_command(name, "-shared", "-fPIC", *options, "-o", str(path)), check=True)
+    subprocess.run(
+        _command(name, "-shared", "-fPIC", *options, "-o", str(path)), check=True
+    )
     return path, world_beside(path)
 
 
@@ -151,10 +176,20 @@ def archive(name: str, folder: Path, *options: str) -> Path:
     """Compile the emulator as a static library, as some vendors ship it."""
     compiled = folder / f"{name}.o"
     path = folder / f"lib{name}.a"
-    subprocess.run(_command(name, "-fPIC", "-c", *options, "-o", str(compiled)), check=True)
+    subprocess.run(
+        _command(name, "-fPIC", "-c", *options, "-o", str(compiled)), check=True
+    )
     subprocess.run(["ar", "rcs", str(path), str(compiled)], check=True)
     return path
 
 
 def _command(name: str, *options: str) -> list[str]:
-    return [compiler(), "-O1", "-pthread", *options, str(HERE / f"{name}.c"), "-ldl", "-lm"]
+    return [
+        compiler(),
+        "-O1",
+        "-pthread",
+        *options,
+        str(HERE / f"{name}.c"),
+        "-ldl",
+        "-lm",
+    ]

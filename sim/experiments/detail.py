@@ -118,8 +118,12 @@ def detail(
     """
     finest = touch(solids, path, tool_radius, period)
     if not finest.contact.any():
-        raise ValueError("the path touches nothing: let it run longer, or lead the hand further")
-    largest = float(stiffness * np.linalg.norm(finest.proxy - path, axis=1)[finest.contact].max())
+        raise ValueError(
+            "the path touches nothing: let it run longer, or lead the hand further"
+        )
+    largest = float(
+        stiffness * np.linalg.norm(finest.proxy - path, axis=1)[finest.contact].max()
+    )
     limit = max(stiffness * resolution, fraction * largest)
     # Points on the surface, not the tool's centre.
     touched = (finest.proxy - tool_radius * finest.normal)[finest.contact]
@@ -139,13 +143,24 @@ def detail(
         )
         difference = stiffness * away
         times = 1e6 * call_times(made, path, tool_radius, period, _TIMED)
-        triangles = sum(len(solid.mesh.corners) for solid in made if solid.mesh is not None)
+        triangles = sum(
+            len(solid.mesh.corners) for solid in made if solid.mesh is not None
+        )
         levels.append(
             Level.measured(
-                name, len(made), triangles, difference, difference[either], away, times, limit
+                name,
+                len(made),
+                triangles,
+                difference,
+                difference[either],
+                away,
+                times,
+                limit,
             )
         )
-    return Detail(tuple(levels), limit, stiffness * resolution, largest, tuple(left_out))
+    return Detail(
+        tuple(levels), limit, stiffness * resolution, largest, tuple(left_out)
+    )
 
 
 def places(over: NDArray[np.bool_]) -> int:
@@ -161,7 +176,10 @@ def _levels(
     rough = any(solid.friction != SLIPPERY for solid in solids)
     yield "as it is", list(solids)
     if rough:
-        yield "without friction", [solid._replace(friction=SLIPPERY) for solid in solids]
+        yield (
+            "without friction",
+            [solid._replace(friction=SLIPPERY) for solid in solids],
+        )
     meshes = [solid for solid in solids if solid.kind == MESH]
     if len(solids) == 1 and meshes:
         found = meshes[0].mesh
@@ -174,7 +192,11 @@ def _levels(
                 _pieces(found, pieces, meshes[0]),
             )
     points = np.concatenate(
-        [solid.mesh.corners.reshape(-1, 3) for solid in meshes if solid.mesh is not None]
+        [
+            solid.mesh.corners.reshape(-1, 3)
+            for solid in meshes
+            if solid.mesh is not None
+        ]
         or [touched]
     )
     friction = solids[0].friction
@@ -190,7 +212,13 @@ def _levels(
         normal = normals.mean(axis=0)
         yield (
             "plane",
-            [plane(tuple(touched.mean(axis=0).tolist()), tuple(normal.tolist()), friction)],
+            [
+                plane(
+                    tuple(touched.mean(axis=0).tolist()),
+                    tuple(normal.tolist()),
+                    friction,
+                )
+            ],
         )
 
 
@@ -209,12 +237,16 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
     _, ids, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     ids = ids.ravel()
     means = (
-        np.stack([np.bincount(ids, corners.reshape(-1, 3)[:, k]) for k in range(3)], axis=1)
+        np.stack(
+            [np.bincount(ids, corners.reshape(-1, 3)[:, k]) for k in range(3)], axis=1
+        )
         / counts[:, None]
     )
     faces = ids.reshape(-1, 3)
     faces = faces[
-        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+        (faces[:, 0] != faces[:, 1])
+        & (faces[:, 1] != faces[:, 2])
+        & (faces[:, 2] != faces[:, 0])
     ]
     # A flattened part has each triangle twice, back to back: both are dropped.
     key = np.sort(faces, axis=1)
@@ -224,7 +256,15 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
     if len(faces) >= len(corners):
         return
     try:
-        yield name, [mesh(prepare_mesh(means[faces], not found.closed, "detail"), whole.friction)]
+        yield (
+            name,
+            [
+                mesh(
+                    prepare_mesh(means[faces], not found.closed, "detail"),
+                    whole.friction,
+                )
+            ],
+        )
     except ParameterError as error:
         yield name, f"is no solid any more: {error}"
 
@@ -235,7 +275,9 @@ def hull(points: Array) -> Array:
 
     found = ConvexHull(points)
     triangles = points[found.simplices]
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    across = np.cross(
+        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    )
     inward = np.einsum("ij,ij->i", across, found.equations[:, :3]) < 0.0
     triangles[inward] = triangles[inward][:, ::-1]
     return np.asarray(triangles, dtype=np.float64)
@@ -257,7 +299,9 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
         try:
             made.append(
                 mesh(
-                    prepare_mesh(hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"),
+                    prepare_mesh(
+                        hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"
+                    ),
                     whole.friction,
                 )
             )
@@ -269,10 +313,15 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
 def _sphere(points: Array) -> Solid:
     """Fit a sphere by linear least squares to |x|² = 2 x·c + (r² − c²)."""
     solution = np.linalg.lstsq(
-        np.column_stack([2.0 * points, np.ones(len(points))]), np.sum(points**2, axis=1), rcond=None
+        np.column_stack([2.0 * points, np.ones(len(points))]),
+        np.sum(points**2, axis=1),
+        rcond=None,
     )[0]
     centre = solution[:3]
-    return sphere(tuple(centre.tolist()), float(np.sqrt(max(solution[3] + centre @ centre, 1e-12))))
+    return sphere(
+        tuple(centre.tolist()),
+        float(np.sqrt(max(solution[3] + centre @ centre, 1e-12))),
+    )
 
 
 def _main_axes(points: Array) -> tuple[Array, Array, Array]:
@@ -293,7 +342,9 @@ def _capsule(points: Array) -> Solid:
     middle, axes, half = _main_axes(points)
     radius = float(0.5 * (half[1] + half[2]))
     end = max(float(half[0]) - radius, 1e-6) * axes[0]
-    return capsule(tuple((middle - end).tolist()), tuple((middle + end).tolist()), radius)
+    return capsule(
+        tuple((middle - end).tolist()), tuple((middle + end).tolist()), radius
+    )
 
 
 _HEAVY = 1e6  # mass factor of a prescribed body: contacts do not move it
@@ -412,7 +463,9 @@ def _untouched(world: _Watched) -> _Watched:
     return world
 
 
-def _level(name: str, world: _Watched, found: ChainTrace, ideal: ChainTrace, limit: float) -> Level:
+def _level(
+    name: str, world: _Watched, found: ChainTrace, ideal: ChainTrace, limit: float
+) -> Level:
     difference = np.linalg.norm(found.force - ideal.force, axis=1)
     away = np.linalg.norm(found.proxy - ideal.proxy, axis=1)
     times = np.array(world.times, dtype=np.float64) / 1e3

@@ -30,7 +30,15 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.device.model import DeviceModel, Hand
 from sim.play.compiled import compiled
-from sim.play.one_axis import Scene, SceneSurface, Trace, contact_of, in_numbers, motion_of, run
+from sim.play.one_axis import (
+    Scene,
+    SceneSurface,
+    Trace,
+    contact_of,
+    in_numbers,
+    motion_of,
+    run,
+)
 from sim.play.one_axis_loop import play_compiled, respond
 from sim.play.one_axis_tables import Contact, LawTables, Motion, Records
 
@@ -51,7 +59,10 @@ class Convention(NamedTuple):
 
 def coupling_convention() -> Convention:
     """Return the default convention of the coupling; every drop uses it by default."""
-    usual = {field.name: field.default for field in msgspec.structs.fields(CouplingParameters)}
+    usual = {
+        field.name: field.default
+        for field in msgspec.structs.fields(CouplingParameters)
+    }
     return Convention(usual["history"] == "position", bool(usual["clamp"]))
 
 
@@ -73,13 +84,21 @@ class Criterion:
                 " two ticks"
             )
         if not self.tolerance > 0.0:
-            raise ValueError(f"criterion.tolerance is {self.tolerance} m, expected more than 0")
+            raise ValueError(
+                f"criterion.tolerance is {self.tolerance} m, expected more than 0"
+            )
 
 
 def held(plant: Plant) -> DeviceModel:
     """Return the virtual device of a linear plant, with the hand's spring fixed at 0."""
-    hand = Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)]) if plant.stiffness > 0.0 else None
-    return DeviceModel(mass=plant.mass, damping=plant.damping, delay=plant.delay, hand=hand)
+    hand = (
+        Hand(stiffness=plant.stiffness, path=[(0.0, 0.0)])
+        if plant.stiffness > 0.0
+        else None
+    )
+    return DeviceModel(
+        mass=plant.mass, damping=plant.damping, delay=plant.delay, hand=hand
+    )
 
 
 def drop_scene(
@@ -94,8 +113,16 @@ def drop_scene(
     A device without gravity gets `GRAVITY`.
     """
     gravity = GRAVITY if device.gravity is None else device.gravity
-    dropped = msgspec.structs.replace(device, position=height, velocity=0.0, gravity=gravity)
-    return Scene(device=dropped, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
+    dropped = msgspec.structs.replace(
+        device, position=height, velocity=0.0, gravity=gravity
+    )
+    return Scene(
+        device=dropped,
+        surface=SceneSurface("plane"),
+        period=period,
+        raw=raw,
+        clamp=clamp,
+    )
 
 
 def press_scene(
@@ -112,13 +139,25 @@ def press_scene(
     """
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
     pressed = msgspec.structs.replace(device, position=depth, velocity=0.0, hand=hand)
-    return Scene(device=pressed, surface=SceneSurface("plane"), period=period, raw=raw, clamp=clamp)
+    return Scene(
+        device=pressed,
+        surface=SceneSurface("plane"),
+        period=period,
+        raw=raw,
+        clamp=clamp,
+    )
 
 
 def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:
     """Return a swing about an anchor at 0, released at rest at `amplitude` [m]: no contact."""
     swung = msgspec.structs.replace(device, position=amplitude, velocity=0.0)
-    return Scene(device=swung, surface=SceneSurface("anchor"), period=period, raw=True, clamp=False)
+    return Scene(
+        device=swung,
+        surface=SceneSurface("anchor"),
+        period=period,
+        raw=True,
+        clamp=False,
+    )
 
 
 @kernel
@@ -178,7 +217,9 @@ def rises(distance: float, start: float, tolerance: float) -> bool:
 
 
 @kernel
-def rests(motion: float, mean: float, rest: float, tolerance: float, band: float) -> bool:
+def rests(
+    motion: float, mean: float, rest: float, tolerance: float, band: float
+) -> bool:
     """Whether the last quarter of a run rests within `band` of the force balance.
 
     False for NaN.
@@ -205,7 +246,9 @@ def _judge(positions: Any, forces: Any, surface: float, normal: float) -> Any:
     touched = normal == 0.0
     for k in range(ticks):
         distance = (
-            abs(positions[k] - surface) if normal == 0.0 else (positions[k] - surface) * normal
+            abs(positions[k] - surface)
+            if normal == 0.0
+            else (positions[k] - surface) * normal
         )
         touched = touched or distance < 0.0
         if touched and not distance <= highest:
@@ -245,13 +288,24 @@ def _trials(
         positions = np.empty(ticks)
         forces = np.empty(ticks)
         none = np.empty(0, dtype=np.int64)
-        laws = LawTables(taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none)
+        laws = LawTables(
+            taps[p], np.array([0, length]), own, np.array([0, width // 2]), none, none
+        )
         states = np.zeros(width // 2)
         history = np.zeros(2 * max(length, 2))
         commands = np.zeros(motion.waiting)
         records = Records(positions, None, None, None, forces, None)
         play_compiled(
-            ticks, motion, contact, laws, states, history, commands, records, None, _row(windows, p)
+            ticks,
+            motion,
+            contact,
+            laws,
+            states,
+            history,
+            commands,
+            records,
+            None,
+            _row(windows, p),
         )
         verdict = _judge(positions, forces, contact.surface, contact.normal)
         for i in range(6):
@@ -295,7 +349,9 @@ def _threads(process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(len(os.sched_getaffinity(0)), "drops")
 
 
-def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> list[bool]:
+def settles(
+    scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion
+) -> list[bool]:
     """Play one experiment with each of several laws, in parallel; return the verdicts.
 
     A scene with a passivity guard is refused; `run` plays it.
@@ -314,19 +370,26 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
         return [
             (
                 _played(scene, law, criterion)
-                if law.evaluate is not None and not isinstance(law.evaluate, WindowedDamper)
+                if law.evaluate is not None
+                and not isinstance(law.evaluate, WindowedDamper)
                 else settles(scene, [law], criterion)[0]
             )
             for law in laws
         ]
-    windows = np.array([(one.gain, one.error, one.window) for one in dampers]) if dampers else None
+    windows = (
+        np.array([(one.gain, one.error, one.window) for one in dampers])
+        if dampers
+        else None
+    )
     ticks = criterion.ticks
     taps = np.zeros((len(laws), max(len(law.taps) for law in laws)))
     most = max(len(law.sections) for law in laws)
     recursive = np.zeros((len(laws), 4 * most))
     for i, law in enumerate(laws):
         taps[i, : len(law.taps)] = law.taps
-        recursive[i, : 4 * len(law.sections)] = [c for section in law.sections for c in section]
+        recursive[i, : 4 * len(law.sections)] = [
+            c for section in law.sections for c in section
+        ]
     results = np.empty((len(laws), 6))
     found = motion_of(scene, ticks)
     contact = contact_of(scene)
@@ -340,7 +403,15 @@ def settles(scene: Scene, laws: Sequence[CompiledLaw], criterion: Criterion) -> 
     def play(part: int) -> None:
         sections = recursive if most else None
         _trials_compiled(
-            bounds[part], bounds[part + 1], ticks, motion, contact, taps, sections, windows, results
+            bounds[part],
+            bounds[part + 1],
+            ticks,
+            motion,
+            contact,
+            taps,
+            sections,
+            windows,
+            results,
         )
 
     if cores == 1:
@@ -370,10 +441,14 @@ def settled(
             " ticks"
         )
     normal = scene.surface.normal if scene.surface.kind == "plane" else 0.0
-    return _verdict(scene, law, _judge(position, force, scene.surface.position, normal), criterion)
+    return _verdict(
+        scene, law, _judge(position, force, scene.surface.position, normal), criterion
+    )
 
 
-def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Criterion) -> bool:
+def _verdict(
+    scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Criterion
+) -> bool:
     device, surface = scene.device, scene.surface
     highest, motion, mean, last, strongest, push = end
     # Friction can stop it anywhere within f_c of balance; the encoder resolves one count.
@@ -382,13 +457,19 @@ def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Cr
         rest = rest_position(scene, law, criterion.ticks)
         if rest is None:
             return False
-        band = criterion.tolerance + friction / (law.h1 + device.grip) + (device.resolution or 0.0)
+        band = (
+            criterion.tolerance
+            + friction / (law.h1 + device.grip)
+            + (device.resolution or 0.0)
+        )
         still = rests(motion, mean, rest, criterion.tolerance, band)
     else:
         # Such a law has no H(1) that predicts its rest position: check the balance of the
         # played forces.
         load = device.load(criterion.ticks - 1, scene.period) - device.grip * mean
-        still = rests(motion, push, -load, criterion.tolerance, friction + BALANCE * abs(load))
+        still = rests(
+            motion, push, -load, criterion.tolerance, friction + BALANCE * abs(load)
+        )
     start = device.position - surface.position
     if surface.kind == "plane":
         high = rises(highest, start * surface.normal, criterion.tolerance)
@@ -396,7 +477,11 @@ def _verdict(scene: Scene, law: CompiledLaw, end: Sequence[float], criterion: Cr
         # At an anchor the damper sees the start as a jump and may kick the device a few
         # times as far; this is linear behaviour.
         high = rises(highest, 10.0 * abs(start), 0.0)
-    limit = min(value for value in (device.peak_force, scene.peak, math.inf) if value is not None)
+    limit = min(
+        value
+        for value in (device.peak_force, scene.peak, math.inf)
+        if value is not None
+    )
     bounces = surface.kind == "plane" and last > (device.resolution or 0.0)
     return bool(still and not high and strongest < limit and not bounces)
 
@@ -419,4 +504,6 @@ def dropped(
     """Drop a device with a law and return every tick, with a launch's default settings."""
     scene = drop_scene(device, period, *convention, height)
     trace = run(scene, law, ticks)
-    return Dropped(trace, settled(scene, law, trace.position, trace.force, Criterion(ticks)))
+    return Dropped(
+        trace, settled(scene, law, trace.position, trace.force, Criterion(ticks))
+    )

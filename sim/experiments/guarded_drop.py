@@ -39,7 +39,9 @@ def measure(trace: Trace, stiffness: float, guarded: bool, delay: float) -> Drop
     part = delay - int(delay)
     # During tick k first the force of tick k−i−1 acts for its fraction, then that of k−i.
     late = np.concatenate((np.zeros(whole + 1), trace.force))
-    acting = (part * late[: len(trace.force)] + (1.0 - part) * late[1 : len(trace.force) + 1])[:-1]
+    acting = (
+        part * late[: len(trace.force)] + (1.0 - part) * late[1 : len(trace.force) + 1]
+    )[:-1]
     energy = np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
     end = slice(int((1.0 - SHARE) * len(trace.position)), None)
     rest, force = trace.measured[end], trace.force[end]
@@ -70,5 +72,7 @@ def compare(
         floor = drop_scene(device, period, height=device.position)
         scene = replace(floor, next_tick=next_tick, passivity=guard)
         trace = run(scene, PD(stiffness=wall, damping=damping).compile(period), ticks)
-        found.append(measure(trace, wall, guard is not None, device.delay + float(next_tick)))
+        found.append(
+            measure(trace, wall, guard is not None, device.delay + float(next_tick))
+        )
     return found

@@ -111,7 +111,10 @@ class _Side:
         """
         self._own = [self.x, *self._own[:-1]]
         self._other = [other, *self._other[:-1]]
-        force = sum(h * (b - a) for h, a, b in zip(self._taps, self._own, self._other, strict=True))
+        force = sum(
+            h * (b - a)
+            for h, a, b in zip(self._taps, self._own, self._other, strict=True)
+        )
         if self._guard is not None:
             force = self._guarded(self._guard, force, credit)
         self.force = force
@@ -200,7 +203,9 @@ def play(
         before = [side.x for side in sides]
         for side, outside in zip(sides, pull, strict=True):
             side.move(outside(k))
-        total += sum(side.force * (side.x - x) for side, x in zip(sides, before, strict=True))
+        total += sum(
+            side.force * (side.x - x) for side, x in zip(sides, before, strict=True)
+        )
         energy[k] = total
     return HandsRun(rows[:, :2], rows[:, 2:], energy)
 
@@ -274,11 +279,15 @@ def felt(
         turn = np.exp(-1j * omega * period * np.arange(ticks))[half]
         # Divide by the motion that remains, so that the fist's own compliance is not
         # counted.
-        moved = run.position[half, 0] - (run.position[half, 1] if partner is firm else 0.0)
+        moved = run.position[half, 0] - (
+            run.position[half, 1] if partner is firm else 0.0
+        )
         found.append(-np.dot(run.force[half, 0], turn) / np.dot(moved, turn))
     held, free = found
     own = omega * plant.mass * 1j + plant.damping
-    return FeltPartner(float(held.real), float((free / (1j * omega)).real - own.real), made)
+    return FeltPartner(
+        float(held.real), float((free / (1j * omega)).real - own.real), made
+    )
 
 
 @dataclass(frozen=True)
@@ -372,7 +381,9 @@ def over_delay(
                 damped_n_per_m=stiffest or None,
                 damper_n_s_per_m=damper if stiffest else None,
                 linear=felt(plant, pd(stiffest, damper), network) if stiffest else None,
-                guarded=felt(plant, pd(asked, gain), network, EndGuard(asked, plant.damping)),
+                guarded=felt(
+                    plant, pd(asked, gain), network, EndGuard(asked, plant.damping)
+                ),
             )
         )
     return rows

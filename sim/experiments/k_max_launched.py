@@ -55,7 +55,9 @@ def with_stiffness(law: Law, stiffness: float) -> dict[str, Any]:
     """Return a law's parameters with another nominal stiffness [N/m]; refuse one without."""
     described = law_to_dict(law)
     if "stiffness" not in described:
-        raise ValueError(f"law kind {law.kind} has no nominal stiffness that could be raised")
+        raise ValueError(
+            f"law kind {law.kind} has no nominal stiffness that could be raised"
+        )
     return {**described, "stiffness": stiffness}
 
 
@@ -63,7 +65,9 @@ def parameters(scene: Scene, law: dict[str, Any]) -> dict[str, Any]:
     """Return node parameters of an experiment: inverse of `sim.play.launched.from_launch`."""
     limited = (scene.peak, scene.slew, scene.workspace) != (None, None, None)
     if limited or scene.passivity is not None or scene.surface.kind == "free":
-        raise ValueError("a drop has a plane or an anchor, no limits by the driver and no guard")
+        raise ValueError(
+            "a drop has a plane or an anchor, no limits by the driver and no guard"
+        )
     at = scene.surface.position
     surface: dict[str, Any] = {"kind": "anchor", "position": [0.0, 0.0, at]}
     if scene.surface.kind == "plane":
@@ -106,7 +110,9 @@ def _written(
     path = folder / "drop.yaml"
     # JSON is valid YAML and preserves floats bit by bit.
     path.write_text(json.dumps(parameters(scene, law)), encoding="utf-8")
-    return path, from_launch(launch_file.read(SCENARIO, _assignments(scene, ticks), [path]))
+    return path, from_launch(
+        launch_file.read(SCENARIO, _assignments(scene, ticks), [path])
+    )
 
 
 def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Array]:
@@ -121,9 +127,16 @@ def launched(scene: Scene, law: dict[str, Any], ticks: int) -> tuple[Array, Arra
                 f"{SCENARIO} plays {read_back.scene} for {read_back.ticks} ticks, wanted was"
                 f" {scene}"
             )
-        words = [f"{name}:={value}" for name, value in _assignments(scene, ticks).items()]
+        words = [
+            f"{name}:={value}" for name, value in _assignments(scene, ticks).items()
+        ]
         figures = measured_launch.launch(
-            SCENARIO, *words, "--params", str(path), folder=Path(folder), timeout=60.0 + 0.1 * ticks
+            SCENARIO,
+            *words,
+            "--params",
+            str(path),
+            folder=Path(folder),
+            timeout=60.0 + 0.1 * ticks,
         )
         states = Recording(Path(folder) / figures["recording"]).messages(DEVICE_STATE)
     if [state.seq for state in states] != list(range(ticks + 1)):
@@ -148,7 +161,9 @@ def compiled(scene: Scene, law: dict[str, Any]) -> CompiledLaw:
         return _written(scene, law, 1, Path(folder))[1].law
 
 
-def last_settling(verdict: Callable[[float], bool], grid: Sequence[float]) -> float | None:
+def last_settling(
+    verdict: Callable[[float], bool], grid: Sequence[float]
+) -> float | None:
     """Return the last K [N/m] of a rising grid that settles, by bisection.
 
     Its upper neighbour does not settle. None if the first does not settle, infinite if the last
@@ -184,8 +199,14 @@ def same_k_max(
         return good
 
     def in_one_process(stiffness: float) -> bool:
-        return settles(scene, [compiled(scene, with_stiffness(law, stiffness))], criterion)[0]
+        return settles(
+            scene, [compiled(scene, with_stiffness(law, stiffness))], criterion
+        )[0]
 
     found = last_settling(by_launch, grid)
-    h1 = None if found in (None, math.inf) else compiled(scene, with_stiffness(law, found)).h1
+    h1 = (
+        None
+        if found in (None, math.inf)
+        else compiled(scene, with_stiffness(law, found)).h1
+    )
     return SameKMax(found, last_settling(in_one_process, grid), h1, launches)

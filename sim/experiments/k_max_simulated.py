@@ -45,7 +45,9 @@ def at_stiffness(law: Law, period: float) -> LawOfStiffness:
     then refused with ValueError, because its code would not use K.
     """
     if "stiffness" in law.__struct_fields__:
-        return lambda stiffness: msgspec.structs.replace(law, stiffness=stiffness).compile(period)
+        return lambda stiffness: msgspec.structs.replace(
+            law, stiffness=stiffness
+        ).compile(period)
     if law.compile(period).evaluate is not None:
         raise ValueError(
             f"law kind {law.kind} has code of its own and no parameter 'stiffness' that could be"
@@ -65,7 +67,9 @@ def swing_frequency(
     y = position - rest
     up = np.flatnonzero((y[:-1] < 0.0) & (y[1:] >= 0.0))
     instants = [k + y[k] / (y[k] - y[k + 1]) for k in up.tolist()]
-    swings = [i for i in range(len(up) - 1) if np.ptp(y[up[i] : up[i + 1] + 1]) > smallest]
+    swings = [
+        i for i in range(len(up) - 1) if np.ptp(y[up[i] : up[i + 1] + 1]) > smallest
+    ]
     gaps = [instants[i + 1] - instants[i] for i in swings]
     if len(gaps) < 2:
         return None
@@ -85,13 +89,17 @@ def simulated_k_max(
     The default range is `SEARCHED`.
     """
     criterion = criterion or Criterion()
-    softest, stiffest = (part * scene.device.moving_mass / scene.period**2 for part in SEARCHED)
+    softest, stiffest = (
+        part * scene.device.moving_mass / scene.period**2 for part in SEARCHED
+    )
     low = softest if low is None else low
     high = stiffest if high is None else high
     good: float | None = None
     bad: float | None = None
     ticks = 0
-    rungs = np.geomspace(low, high, 1 + math.ceil(math.log(high / low) / math.log(1.1))).tolist()
+    rungs = np.geomspace(
+        low, high, 1 + math.ceil(math.log(high / low) / math.log(1.1))
+    ).tolist()
     last = low
     # Eight steps at a time: few enough to stop early, enough to use all cores.
     for tried in (rungs[first : first + 8] for first in range(0, len(rungs), 8)):

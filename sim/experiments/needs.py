@@ -21,7 +21,14 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.experiments.perception import tolerances
 from sim.experiments.term_scene import Edit, TermScene, has_normal, meets, term_scene
-from sim.experiments.terms import BROUGHT, CONVENTIONS, PROTECTS, TERMS, TOGETHER, NeedTerm
+from sim.experiments.terms import (
+    BROUGHT,
+    CONVENTIONS,
+    PROTECTS,
+    TERMS,
+    TOGETHER,
+    NeedTerm,
+)
 from sim.measure.stopwatch import Timing, interleaved
 from sim.play.player import How
 from sim.play.trace import ChainTrace
@@ -116,7 +123,9 @@ def stiffest(scene: TermScene) -> float | None:
     law = scene.laws.all[-1]
     if scene.shortened and laws is not None:
         law = [laws, *(swap.law for swap in scene.instead.swaps)][-1]
-    has_wall = meets(scene).get("kind") != "free" and not scene.shapes and len(scene.axes) == 1
+    has_wall = (
+        meets(scene).get("kind") != "free" and not scene.shapes and len(scene.axes) == 1
+    )
     if not has_wall or plant is None or law.evaluate is not None:
         return None
     return k_max(with_spring(law, -law.h1), plant).h1_max_n_per_m
@@ -141,7 +150,9 @@ def measured_outcome(
     end = position[-tail:]
     rest = force[-tail:].mean(axis=0)
     travel = float(np.ptp(position, axis=0).max())
-    away = np.flatnonzero(~(np.linalg.norm(position - end.mean(axis=0), axis=1) <= 0.01 * travel))
+    away = np.flatnonzero(
+        ~(np.linalg.norm(position - end.mean(axis=0), axis=1) <= 0.01 * travel)
+    )
     return Outcome(
         settling_s=(int(away[-1]) + 1 if len(away) else 0) * period,
         peak_force_n=float(np.linalg.norm(force, axis=1).max()),
@@ -243,7 +254,9 @@ def needs(
                 "proxy": apart(first.proxy, trace.proxy, first.proxy - first.measured),
             }
 
-        variants = variants_of(scene, TERMS, CONVENTIONS if has_normal(scene) else {}, TOGETHER)
+        variants = variants_of(
+            scene, TERMS, CONVENTIONS if has_normal(scene) else {}, TOGETHER
+        )
         played = players([partial(_play, variant.scene) for variant in variants])
         findings = [
             _finding(variant, changes(variant.scene, trace), model, tolerance)
@@ -276,7 +289,11 @@ def _with_cost(
 ) -> Finding:
     """Add the cost of a term per tick [µs] if it exceeds the spread of its timing rounds."""
     cost = 1e6 * (whole.median - mine.median) * (1.0 if variant.off else -1.0)
-    spread = 0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low)) if rounds > 1 else None
+    spread = (
+        0.5e6 * ((mine.high - mine.low) + (whole.high - whole.low))
+        if rounds > 1
+        else None
+    )
     known = finding.switched != "other" and spread is not None and abs(cost) > spread
     return replace(finding, cost_us=cost if known else None, cost_spread_us=spread)
 
@@ -311,7 +328,10 @@ def variants_of(
 
 
 def _finding(
-    variant: Variant, moved_by: dict[str, float], model: Model, tolerance: Callable[[str], float]
+    variant: Variant,
+    moved_by: dict[str, float],
+    model: Model,
+    tolerance: Callable[[str], float],
 ) -> Finding:
     terms, switched = variant.terms, variant.switched
     counts: set[str] = {*model.outcome}
@@ -345,4 +365,6 @@ def apart(before: Array, after: Array, scale: Array) -> float:
     difference = float(np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1))))
     if not np.isfinite(difference):
         return float("inf")
-    return difference / size if size > 0.0 else 0.0 if difference == 0.0 else float("inf")
+    return (
+        difference / size if size > 0.0 else 0.0 if difference == 0.0 else float("inf")
+    )

@@ -50,7 +50,11 @@ def tolerances(usual: float, felt: bool) -> Callable[[str], float]:
     Outcomes without a threshold (settling, travel, limit cycle, proxy) use `usual`.
     """
     known = (
-        {outcome: threshold.low for threshold in THRESHOLDS for outcome in threshold.outcomes}
+        {
+            outcome: threshold.low
+            for threshold in THRESHOLDS
+            for outcome in threshold.outcomes
+        }
         if felt
         else {}
     )

@@ -69,14 +69,23 @@ def _linear(law: CompiledLaw) -> None:
 
 
 def rendered(
-    law: CompiledLaw, period: float, delay: float = 0.0, frequency_hz: Array | None = None
+    law: CompiledLaw,
+    period: float,
+    delay: float = 0.0,
+    frequency_hz: Array | None = None,
 ) -> FeltResponse:
     """Return the response of a law at a period [s] and a delay [ticks].
 
     The default frequencies are `frequencies`.
     """
-    at = frequencies(period) if frequency_hz is None else np.asarray(frequency_hz, dtype=np.float64)
-    if not (at.size and np.all(at > 0.0) and np.all(at <= 0.5 / period * (1.0 + 1e-12))):
+    at = (
+        frequencies(period)
+        if frequency_hz is None
+        else np.asarray(frequency_hz, dtype=np.float64)
+    )
+    if not (
+        at.size and np.all(at > 0.0) and np.all(at <= 0.5 / period * (1.0 + 1e-12))
+    ):
         raise ValueError(
             f"frequency_hz: expected above 0 and up to half the rate, {0.5 / period:g} Hz"
         )
@@ -85,7 +94,13 @@ def rendered(
     pulse = 2.0 * np.pi * at
     phase = np.degrees(np.unwrap(np.angle(felt)))
     return FeltResponse(
-        at, felt.real, felt.imag / pulse, own.real, own.imag / pulse, np.abs(felt), phase
+        at,
+        felt.real,
+        felt.imag / pulse,
+        own.real,
+        own.imag / pulse,
+        np.abs(felt),
+        phase,
     )
 
 
@@ -95,7 +110,9 @@ class ZWidth:
 
     kind: str  # of the law
     gain: Array  # B, in the law's own unit
-    k_max_n_per_m: Array  # nominal K up to which the loop with the known device is stable
+    k_max_n_per_m: (
+        Array  # nominal K up to which the loop with the known device is stable
+    )
     h1_max_n_per_m: Array  # H(1) at `k_max_n_per_m`
     # nominal K up to which the law is passive with the device's damping, for any hand
     passive_n_per_m: Array
@@ -108,7 +125,10 @@ def z_width(law: Law, plant: Plant, gains: Sequence[float]) -> ZWidth:
             raise ValueError(
                 f"law kind {law.kind} has no parameter {field!r}: its K-B plane has no axis for it"
             )
-    rows = [_widest(msgspec.structs.replace(law, damping=float(gain)), plant) for gain in gains]
+    rows = [
+        _widest(msgspec.structs.replace(law, damping=float(gain)), plant)
+        for gain in gains
+    ]
     edges, felt, passive = (np.array(column) for column in zip(*rows, strict=True))
     return ZWidth(law.kind, np.asarray(gains, dtype=np.float64), edges, felt, passive)
 
@@ -116,12 +136,15 @@ def z_width(law: Law, plant: Plant, gains: Sequence[float]) -> ZWidth:
 def _widest(law: Law, plant: Plant) -> tuple[float, float, float]:
     found = k_max(without_spring(law, plant.period), plant)
     edge, felt = (
-        np.nan if value is None else value for value in (found.k_max_n_per_m, found.h1_max_n_per_m)
+        np.nan if value is None else value
+        for value in (found.k_max_n_per_m, found.h1_max_n_per_m)
     )
     return edge, felt, passive_stiffness(at_stiffness(law, plant.period), plant)
 
 
-def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: Plant) -> float:
+def passive_stiffness(
+    law_of_stiffness: Callable[[float], CompiledLaw], plant: Plant
+) -> float:
     """Return the largest K at which the device's damping makes a law passive [N/m].
 
     NaN if there is none. The required damping is a maximum of functions linear in K, so it is
@@ -130,14 +153,18 @@ def passive_stiffness(law_of_stiffness: Callable[[float], CompiledLaw], plant: P
 
     def needed(stiffness: float) -> float:
         law = law_of_stiffness(stiffness)
-        return damping_needed(law, plant.period, plant.delay) if law.h1 > 0.0 else np.inf
+        return (
+            damping_needed(law, plant.period, plant.delay) if law.h1 > 0.0 else np.inf
+        )
 
     # Even without delay a spring needs K T/2 of damping: no law is passive far above this
     # bound.
     grid = np.geomspace(1e-3, 1.0, 17) * 4.0 * plant.damping / plant.period
     values = [needed(k) for k in grid.tolist()] if plant.damping > 0.0 else [np.inf]
     if not min(values) <= plant.damping:
-        low, high, found = _least_between(needed, grid, int(np.argmin(values)), plant.damping)
+        low, high, found = _least_between(
+            needed, grid, int(np.argmin(values)), plant.damping
+        )
         if found is None:
             return float("nan")
         low = found

@@ -36,8 +36,12 @@ class RestFound:
 
     rest: Rest
     map: RestMap
-    limit_cycle_free: ComesToRest | None = None  # with the given friction; None: none was given
-    k_rest_n_per_m: float | None = None  # stiffest at rest with it; None: none, or none given
+    limit_cycle_free: ComesToRest | None = (
+        None  # with the given friction; None: none was given
+    )
+    k_rest_n_per_m: float | None = (
+        None  # stiffest at rest with it; None: none, or none given
+    )
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures, the frictions at the top level, with the text."""
@@ -98,14 +102,18 @@ def _draw(
     resolution, friction = here
     figure = new_figure(6.6, 4.6)
     axes = figure.add_subplot(
-        xlabel="dry friction [N]", ylabel="encoder step [µm]", xscale="log", yscale="log"
+        xlabel="dry friction [N]",
+        ylabel="encoder step [µm]",
+        xscale="log",
+        yscale="log",
     )
     axes.set_title("largest K whose every motion stops")
     axes.grid(visible=False)
     shown = np.ma.masked_less_equal(k, 0.0)
     if shown.count():
         norm = LogNorm(
-            max(float(shown.min()), 1e-2 * float(shown.max())), float(shown.max()) * (1.0 + 1e-9)
+            max(float(shown.min()), 1e-2 * float(shown.max())),
+            float(shown.max()) * (1.0 + 1e-9),
         )
         # Rasterised: thousands of cells would show seams in SVG.
         image = axes.pcolormesh(
@@ -118,7 +126,9 @@ def _draw(
             rasterized=True,
         )
         figure.colorbar(image, ax=axes, label="K [N/m]; blank: none")
-    for force, style, label in zip(needed, ("-", "--"), ("bound", "estimate"), strict=True):
+    for force, style, label in zip(
+        needed, ("-", "--"), ("bound", "estimate"), strict=True
+    ):
         if force:
             axes.plot(
                 force / resolution * steps,
@@ -128,7 +138,13 @@ def _draw(
                 label=f"K = {stiffness:.4g} N/m, {label}",
             )
     axes.plot(
-        friction, 1e6 * resolution, "o", color=COLOURS[1], mec="white", ms=7, label="this device"
+        friction,
+        1e6 * resolution,
+        "o",
+        color=COLOURS[1],
+        mec="white",
+        ms=7,
+        label="this device",
     )
     axes.set(xlim=(frictions[0], frictions[-1]), ylim=(1e6 * steps[0], 1e6 * steps[-1]))
     plain_log(axes.xaxis, float(frictions[0]), float(frictions[-1]))

@@ -88,7 +88,9 @@ def term_scene(launch: Launch, namespace: str = "") -> TermScene:
         surface = parse_surface(spec.parameters.get("surface", {"kind": "free"}), where)
         own = tuple(surface.solids(where)) if isinstance(surface, Touchable) else ()
     # A switch may change the device or make the loop unstable: play it without judging.
-    return with_parameters(TermScene(launch, namespace, hops, own), hops.coupling, UNJUDGED)
+    return with_parameters(
+        TermScene(launch, namespace, hops, own), hops.coupling, UNJUDGED
+    )
 
 
 def half(law: CompiledLaw) -> CompiledLaw:
@@ -109,7 +111,9 @@ def with_node(scene: TermScene, name: str, spec: NodeSpec) -> TermScene:
     return scene._replace(launch=msgspec.structs.replace(scene.launch, nodes=nodes))
 
 
-def with_parameters(scene: TermScene, name: str, changes: Mapping[str, Any]) -> TermScene:
+def with_parameters(
+    scene: TermScene, name: str, changes: Mapping[str, Any]
+) -> TermScene:
     """Change parameters of a node."""
     spec = scene.launch.nodes[name]
     changed = {**spec.parameters, **changes}
@@ -127,7 +131,9 @@ def drivers(scene: TermScene) -> list[SimDriverParameters]:
     if scene.launch.nodes[name].kind != "paired_driver":
         return [convert(given, SimDriverParameters, name)]
     return [
-        convert(given[which].get("parameters", {}), SimDriverParameters, f"{name}.{which}")
+        convert(
+            given[which].get("parameters", {}), SimDriverParameters, f"{name}.{which}"
+        )
         for which in _MEMBERS
     ]
 
@@ -144,7 +150,10 @@ def with_drivers(scene: TermScene, changes: list[dict[str, Any]]) -> TermScene:
         return with_parameters(scene, name, changes[0])
     given = scene.parameters(name)
     changed = {
-        which: {**given[which], "parameters": {**given[which].get("parameters", {}), **change}}
+        which: {
+            **given[which],
+            "parameters": {**given[which].get("parameters", {}), **change},
+        }
         for which, change in zip(_MEMBERS, changes, strict=True)
     }
     return with_parameters(scene, name, changed)
@@ -154,7 +163,8 @@ def with_device(scene: TermScene, **changes: Any) -> TermScene:
     """Change fields of the virtual device, or of both of a pair."""
     models = [msgspec.structs.replace(device, **changes) for device in devices(scene)]
     return with_drivers(
-        scene, [{"device": msgspec.to_builtins(model), "preset": ""} for model in models]
+        scene,
+        [{"device": msgspec.to_builtins(model), "preset": ""} for model in models],
     )
 
 
@@ -234,7 +244,9 @@ def meets(scene: TermScene) -> dict[str, Any]:
     free = {"kind": "free"}
     if scene.launch.nodes[scene.hops.environment].kind != "environment":
         return free
-    surface: dict[str, Any] = scene.parameters(scene.hops.environment).get("surface", free)
+    surface: dict[str, Any] = scene.parameters(scene.hops.environment).get(
+        "surface", free
+    )
     return surface
 
 
@@ -261,7 +273,9 @@ def tool_radius(scene: TermScene) -> float:
 def one_face(scene: TermScene) -> TermScene:
     """Replace the shape by its tangent plane at the deepest point of the path."""
     found = scene.play()
-    depth = np.where(found.contact, np.linalg.norm(found.proxy - found.measured, axis=1), -1.0)
+    depth = np.where(
+        found.contact, np.linalg.norm(found.proxy - found.measured, axis=1), -1.0
+    )
     deepest = int(np.argmax(depth))
     if depth[deepest] < 0.0:
         raise ParameterError(
@@ -271,7 +285,11 @@ def one_face(scene: TermScene) -> TermScene:
     normal = found.normal[deepest]
     point = found.proxy[deepest] - tool_radius(scene) * normal
     return scene._replace(
-        solids=(plane(tuple(point.tolist()), tuple(normal.tolist()), scene.shapes[0].friction),)
+        solids=(
+            plane(
+                tuple(point.tolist()), tuple(normal.tolist()), scene.shapes[0].friction
+            ),
+        )
     )
 
 
@@ -289,7 +307,9 @@ def _halved(solid: Solid) -> Solid:
             if not isinstance(made, str)
         )
         for (made,) in found:
-            if made.mesh is not None and 2 * len(made.mesh.corners) <= len(solid.mesh.corners):
+            if made.mesh is not None and 2 * len(made.mesh.corners) <= len(
+                solid.mesh.corners
+            ):
                 return made
     return solid
 
@@ -318,7 +338,9 @@ def held(scene: TermScene) -> TermScene:
     begin = [0.0, 0.0, 0.0]
     begin["xyz".index(scene.axes[0])] = devices(scene)[0].position
     surface = {"kind": "anchor", "position": spec.parameters.get("position") or begin}
-    return with_node(scene, name, NodeSpec(kind="environment", parameters={"surface": surface}))
+    return with_node(
+        scene, name, NodeSpec(kind="environment", parameters={"surface": surface})
+    )
 
 
 def flipped(name: str, usual: Any, other: Any) -> Edit:
@@ -326,6 +348,8 @@ def flipped(name: str, usual: Any, other: Any) -> Edit:
 
     def edit(scene: TermScene) -> TermScene:
         now = scene.parameters(scene.hops.coupling).get(name, usual)
-        return with_parameters(scene, scene.hops.coupling, {name: other if now == usual else usual})
+        return with_parameters(
+            scene, scene.hops.coupling, {name: other if now == usual else usual}
+        )
 
     return edit

@@ -42,7 +42,9 @@ def _weighed(scene: TermScene) -> TermScene:
 def _uneven(scene: TermScene) -> TermScene:
     mass = of.devices(scene)[0].mass
     others = {
-        axis: {"mass": part * mass} for axis, part in UNEVEN.items() if axis in scene.axes[1:]
+        axis: {"mass": part * mass}
+        for axis, part in UNEVEN.items()
+        if axis in scene.axes[1:]
     }
     return of.with_device(scene, axes=others)
 
@@ -102,7 +104,9 @@ TERMS: tuple[NeedTerm, ...] = (
     NeedTerm("limit", of.limited("peak_force"), of.unlimited("peak_force")),
     NeedTerm("slew", of.limited("slew"), of.unlimited("slew")),
     NeedTerm("workspace", of.limited("workspace"), of.unlimited("workspace")),
-    NeedTerm("contact", lambda scene: of.meets(scene).get("kind") != "free", of.untouched),
+    NeedTerm(
+        "contact", lambda scene: of.meets(scene).get("kind") != "free", of.untouched
+    ),
     NeedTerm("shape", _is_shaped, of.one_face, simpler="the plane that touches it"),
     NeedTerm(
         "triangles",

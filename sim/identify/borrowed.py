@@ -60,7 +60,9 @@ class PushedLaunch:
         )
         setup = run.nodes[self.driver]
         self.period = setup.period  # sampling period [s]
-        self.axes = tuple(AXIS_INDEX[axis] for axis in setup.axes)  # axes that the scene computes
+        self.axes = tuple(
+            AXIS_INDEX[axis] for axis in setup.axes
+        )  # axes that the scene computes
         # driver limits, set by `read_limits`: force [N], change per tick [N]
         self.peak: float | None = None
         self.slew: float | None = None
@@ -78,7 +80,9 @@ class PushedLaunch:
         if answer is None:
             return None
         here = answer["here_kg"][self.axes[0]]
-        return max(0.0, here - answer["least_kg"]), max(0.0, answer["greatest_kg"] - here)
+        return max(0.0, here - answer["least_kg"]), max(
+            0.0, answer["greatest_kg"] - here
+        )
 
     def read_limits(self) -> None:
         """Read the driver's limits."""
@@ -94,7 +98,9 @@ class PushedLaunch:
         """Raise RefusedError for a driver that renders no force."""
         state = self.progress()["safety"]
         if state == "stopped":
-            raise RefusedError(f"{self.driver}: has stopped for good ({self.why_stopped()})")
+            raise RefusedError(
+                f"{self.driver}: has stopped for good ({self.why_stopped()})"
+            )
         if state == "fault":
             raise RefusedError(
                 f"{self.driver}: the device is outside its workspace; bring it back first"
@@ -102,7 +108,9 @@ class PushedLaunch:
 
     def why_stopped(self) -> str:
         """Return the latest change of the driver's safety state."""
-        reasons = ask(self.run, self.driver, "report").get("safety", {}).get("reasons", [])
+        reasons = (
+            ask(self.run, self.driver, "report").get("safety", {}).get("reasons", [])
+        )
         return str(reasons[-1]) if reasons else "the driver gives no reason"
 
     def rearm(self, beside: bool) -> None:
@@ -180,14 +188,22 @@ class PushedLaunch:
 
     def soften(self, load: float) -> None:
         """Switch to a soft spring that holds the device, whatever the surface is."""
-        self.change(self.coupling, "param.set", values={f"laws.{SOFT_LAW}": {**SOFT, "load": load}})
+        self.change(
+            self.coupling,
+            "param.set",
+            values={f"laws.{SOFT_LAW}": {**SOFT, "load": load}},
+        )
         self.change(self.coupling, "law.switch", law=SOFT_LAW, ramp=SOFT_RAMP)
         self.wait(SOFT_RAMP)
 
     def anchor(self, place: Sequence[float]) -> int:
         """Anchor the surface at a point [m]; return the tick from which it applies."""
         surface = {"kind": "anchor", "position": list(place)}
-        return int(self.change(self.environment, "param.set", values={"surface": surface})["seq"])
+        return int(
+            self.change(self.environment, "param.set", values={"surface": surface})[
+                "seq"
+            ]
+        )
 
 
 def carried(loop: PushedLaunch, amplitude: float, given: float | None) -> float:
@@ -246,7 +262,9 @@ class Borrowed:
         self._reverts: dict[str, tuple[str, dict[str, Any]]] = {}
         loop.holder = f"{os.getpid()}-{time.monotonic_ns()}"
         self._over = threading.Event()
-        self._renewing = threading.Thread(target=self._renew, name="leases", daemon=True)
+        self._renewing = threading.Thread(
+            target=self._renew, name="leases", daemon=True
+        )
 
     def _found(self) -> tuple[str, Any]:
         loop = self._loop
@@ -256,8 +274,15 @@ class Borrowed:
     def take(self) -> None:
         """Acquire the leases of law and surface."""
         loop = self._loop
-        self.borrow(loop.coupling, LAW_LEASE, "law.switch", law=self.law, ramp=RAMP, force=True)
-        self.borrow(loop.environment, SURFACE_LEASE, "param.set", values={"surface": self._surface})
+        self.borrow(
+            loop.coupling, LAW_LEASE, "law.switch", law=self.law, ramp=RAMP, force=True
+        )
+        self.borrow(
+            loop.environment,
+            SURFACE_LEASE,
+            "param.set",
+            values={"surface": self._surface},
+        )
         if self._found() != (self.law, self._surface):
             # Another tuning restored them after they were read here: the law read may have been its
             # trial.

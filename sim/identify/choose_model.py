@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from sim.arrays import Array, WholeArray
 from sim.identify.experiment import Experiment
-from sim.identify.identified_motion import AVERAGE, DELAY, FREQUENCY, LAG, LOSS, QUADRATIC, SHARE
+from sim.identify.identified_motion import (
+    AVERAGE,
+    DELAY,
+    FREQUENCY,
+    LAG,
+    LOSS,
+    QUADRATIC,
+    SHARE,
+)
 from sim.identify.judge_fit import (
     FINEST,
     IMPROBABLE,
@@ -28,7 +36,15 @@ from sim.identify.judge_fit import (
     whiteness,
 )
 from sim.identify.output_error import Fit, fit
-from sim.identify.remainder import CLEAR, NAMED, NOTHING, REFUSED, Remainder, likeliest, remainder
+from sim.identify.remainder import (
+    CLEAR,
+    NAMED,
+    NOTHING,
+    REFUSED,
+    Remainder,
+    likeliest,
+    remainder,
+)
 from sim.identify.suspects import describe
 
 # Terms the model can have, and their unknowns.
@@ -88,7 +104,11 @@ class Windows:
 
 
 def choose(
-    experiment: Experiment, found: Fit, windows: Windows, scale: float, step: float | None
+    experiment: Experiment,
+    found: Fit,
+    windows: Windows,
+    scale: float,
+    step: float | None,
 ) -> Choice:
     """Judge a rigid fit, and add terms while the data support them.
 
@@ -108,7 +128,9 @@ def choose(
 
 
 def _weighed(
-    experiment: Experiment, tried: list[tuple[Choice, list[Evidence]]], step: float | None
+    experiment: Experiment,
+    tried: list[tuple[Choice, list[Evidence]]],
+    step: float | None,
 ) -> Choice:
     """Return the model whose remainder matters least, or the rigid one, refuted.
 
@@ -123,7 +145,9 @@ def _weighed(
             # A joint beside an unexplained residual only imitates it (a gap, say): its frequency
             # would be reported with an interval, but belongs to no joint.
             continue
-        if left_out.k_max_change <= REFUSED and (best is None or beyond <= HALVES * best[1]):
+        if left_out.k_max_change <= REFUSED and (
+            best is None or beyond <= HALVES * best[1]
+        ):
             best = _with(choice, left_out), beyond
     if best is not None:
         return best[0]
@@ -138,7 +162,9 @@ def _weighed(
 def _with(choice: Choice, left_out: Remainder) -> Choice:
     """Return a choice with its remainder; a term that explains it replaces jitter."""
     return replace(
-        choice, remainder=left_out, unsteady=0.0 if left_out.explained >= CLEAR else choice.unsteady
+        choice,
+        remainder=left_out,
+        unsteady=0.0 if left_out.explained >= CLEAR else choice.unsteady,
     )
 
 
@@ -190,16 +216,29 @@ def _judged(
     # ones.
     seen = np.isin(model.starts, windows.seen)
     again = fit(
-        experiment, model.starts[seen], length, model.theta, free, scale, model.states[seen]
+        experiment,
+        model.starts[seen],
+        length,
+        model.theta,
+        free,
+        scale,
+        model.states[seen],
     )
-    test = fit(experiment, windows.unseen, length, again.theta, (), scale, model.states[~seen])
+    test = fit(
+        experiment, windows.unseen, length, again.theta, (), scale, model.states[~seen]
+    )
     what = left(experiment, model, step)
     evidence = scan(experiment, model, what)
     spread, sure = unsteady(experiment, what)
     # The effect of a lag beyond its mean delay grows with its square.
-    lags = [one for one in evidence if one.suspect.term == "actuator lag" and one.visible <= 1.0]
+    lags = [
+        one
+        for one in evidence
+        if one.suspect.term == "actuator lag" and one.visible <= 1.0
+    ]
     lag_bound = min(
-        (one.suspect.start[0] * math.sqrt(one.visible) for one in lags), default=math.inf
+        (one.suspect.start[0] * math.sqrt(one.visible) for one in lags),
+        default=math.inf,
     )
     quadratic = min(
         (one.visible for one in evidence if one.suspect.term == "quadratic damping"),
@@ -208,7 +247,16 @@ def _judged(
     white, dropped = whiteness(left(experiment, test, step)), int(np.sum(~undisturbed))
     bounds = _mode_bound(evidence), lag_bound * experiment.period, quadratic
     return (
-        Choice(model, test, white, terms, "", spread if sure > SURE else 0.0, *bounds, dropped),
+        Choice(
+            model,
+            test,
+            white,
+            terms,
+            "",
+            spread if sure > SURE else 0.0,
+            *bounds,
+            dropped,
+        ),
         evidence,
         windows,
     )
@@ -239,7 +287,9 @@ def _undisturbed(
     """
 
     def fits(errors: Array, middle: float, grid: float) -> NDArray[np.bool_]:
-        return np.asarray(errors <= (4.0 * max(middle, grid * math.sqrt(found.length / 12.0))) ** 2)
+        return np.asarray(
+            errors <= (4.0 * max(middle, grid * math.sqrt(found.length / 12.0))) ** 2
+        )
 
     kept = fits(found.errors, math.sqrt(float(np.median(found.errors))), scale)
     if np.mean(kept) <= 2.0 / 3.0:
@@ -250,10 +300,20 @@ def _undisturbed(
         return kept
     free, length = tuple(found.free.tolist()), found.length
     theta = fit(
-        experiment, found.starts[whole], length, found.theta, free, scale, found.states[whole]
+        experiment,
+        found.starts[whole],
+        length,
+        found.theta,
+        free,
+        scale,
+        found.states[whole],
     ).theta
-    errors = fit(experiment, found.starts, length, theta, (), scale, found.states).errors
-    return kept & (whole | fits(errors, math.sqrt(float(np.median(errors[whole]))), step or FINEST))
+    errors = fit(
+        experiment, found.starts, length, theta, (), scale, found.states
+    ).errors
+    return kept & (
+        whole | fits(errors, math.sqrt(float(np.median(errors[whole]))), step or FINEST)
+    )
 
 
 def _late(experiment: Experiment, found: Fit) -> NDArray[np.bool_]:
@@ -267,7 +327,11 @@ def _late(experiment: Experiment, found: Fit) -> NDArray[np.bool_]:
 
 
 def _richer(
-    experiment: Experiment, choice: Choice, evidence: list[Evidence], windows: Windows, scale: float
+    experiment: Experiment,
+    choice: Choice,
+    evidence: list[Evidence],
+    windows: Windows,
+    scale: float,
 ) -> tuple[Fit, str] | None:
     """Fit every remaining term; return the fit that best explains held-out windows, or None."""
     tried: list[tuple[Array, Fit, str]] = []
@@ -275,7 +339,12 @@ def _richer(
     at = np.isin(before.starts, windows.seen)
     for term, unknowns in TERMS.items():
         asked = next((one for one in evidence if one.suspect.term == term), None)
-        if term in choice.terms or asked is None or asked.strength < SURE or asked.share < PROMISES:
+        if (
+            term in choice.terms
+            or asked is None
+            or asked.strength < SURE
+            or asked.share < PROMISES
+        ):
             continue
         theta = before.theta.copy()
         theta[list(unknowns)] = _start(asked)
@@ -292,7 +361,9 @@ def _richer(
             before.states[at],
             steps=30,
         )
-        errors = fit(experiment, windows.unseen, windows.length, found.theta, (), scale).errors
+        errors = fit(
+            experiment, windows.unseen, windows.length, found.theta, (), scale
+        ).errors
         tried.append((errors, found, term))
     best = _simplest(tried)
     if best is None or float(best[0].sum()) > 1.02 * float(choice.test.errors.sum()):
@@ -330,7 +401,9 @@ def _start(asked: Evidence) -> tuple[float, ...]:
     return (min(ratio / (1.0 + ratio), 0.7), *asked.suspect.start[1:])
 
 
-def _why(experiment: Experiment, found: Fit, evidence: list[Evidence], step: float | None) -> str:
+def _why(
+    experiment: Experiment, found: Fit, evidence: list[Evidence], step: float | None
+) -> str:
     """Describe what refutes a model and which term is missing."""
     size = (
         f"{found.rms * 1e6:.3g} µm"

@@ -23,8 +23,15 @@ def nothing(experiment: Experiment, length: int, why: str) -> Identified:
     estimates: dict[str, Any] = dict.fromkeys(
         (name for _, name, _, _ in ROWS), Estimate(None, why=why)
     )
-    estimates |= {"encoder": encoder(experiment.position[~experiment.missing]), "jitter": jitter}
-    figures: dict[str, Any] = {"delay_range": tuple(delays), "held": False, "residual": math.nan}
+    estimates |= {
+        "encoder": encoder(experiment.position[~experiment.missing]),
+        "jitter": jitter,
+    }
+    figures: dict[str, Any] = {
+        "delay_range": tuple(delays),
+        "held": False,
+        "residual": math.nan,
+    }
     figures |= {
         "dropped": 0,
         "windows": 0,
@@ -57,7 +64,9 @@ def covariance_of(found: Fit) -> Array:
     white = inverse * max(found.rms, 1e-12) ** 2
     # The larger variance of each unknown counts.
     wider = np.sqrt(
-        np.maximum(np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0)
+        np.maximum(
+            np.diag(white) / np.maximum(np.diag(between), 1e-12 * np.diag(white)), 1.0
+        )
     )
     return np.asarray(between * np.outer(wider, wider), dtype=np.float64)
 
@@ -90,13 +99,17 @@ class _Widths:
         slope = np.zeros(len(self._found.free))
         slope[index[which]] = 1.0 / g
         slope[index[motion.MOBILITY]] -= value / g
-        chance = self._quantile * math.sqrt(max(float(slope @ self._covariance @ slope), 0.0))
+        chance = self._quantile * math.sqrt(
+            max(float(slope @ self._covariance @ slope), 0.0)
+        )
         return value, chance + float(np.abs(slope) @ self._moved)
 
     def direct(self, which: int, unit: float = 1.0) -> tuple[float, float]:
         """Return an unknown and its half-width."""
         i = self._index[which]
-        width = self._quantile * math.sqrt(self._covariance[i, i]) + float(self._moved[i])
+        width = self._quantile * math.sqrt(self._covariance[i, i]) + float(
+            self._moved[i]
+        )
         return float(self._found.theta[which]) * unit, width * unit
 
     def total_delay(self) -> tuple[float, float]:
@@ -125,13 +138,21 @@ def conclude(experiment: Experiment, choice: Choice, grid: Estimate) -> Identifi
         total = Estimate(own.value + median, low + median, high + median)
         shortest, longest = shortest + low, longest + high
     estimates = _mechanics(experiment, widths, float(found.theta[motion.DAMPING]))
-    estimates |= _terms(experiment.period, choice, widths) | {"delay": total, "device_delay": own}
+    estimates |= _terms(experiment.period, choice, widths) | {
+        "delay": total,
+        "device_delay": own,
+    }
     unbelieved = {}
     if choice.why:
-        unbelieved, unknown = estimates, Estimate(None, why=f"the model is refuted: {choice.why}")
+        unbelieved, unknown = (
+            estimates,
+            Estimate(None, why=f"the model is refuted: {choice.why}"),
+        )
         estimates = dict.fromkeys(estimates, unknown)
     # The median: a window disturbed by a stall does not count against the model.
-    residual = math.sqrt(float(np.median(test.errors)) / (test.length - own_states(test.theta)))
+    residual = math.sqrt(
+        float(np.median(test.errors)) / (test.length - own_states(test.theta))
+    )
     estimates |= {"encoder": grid, "jitter": jitter}
     return Identified(
         **estimates,
@@ -160,7 +181,9 @@ def _mechanics(
 ) -> dict[str, Estimate]:
     """Estimate mass, damping, friction, stiffness and load; none if the mass is unknown."""
     g, relative = widths.mobility, widths.mass_off
-    force = float(np.std(experiment.force))  # root-mean-square variation of the force [N]
+    force = float(
+        np.std(experiment.force)
+    )  # root-mean-square variation of the force [N]
     if relative > 0.5:
         why = (
             f"its error would be {100 * relative:.0f} %: push with forces that change more, or"
@@ -171,12 +194,16 @@ def _mechanics(
             "mass": Estimate(None, why=why),
             **dict.fromkeys(("damping", "friction", "stiffness", "load"), unknown),
         }
-    speed = float(np.sqrt(np.mean((np.diff(experiment.position) / experiment.period) ** 2)))
+    speed = float(
+        np.sqrt(np.mean((np.diff(experiment.position) / experiment.period) ** 2))
+    )
     load, load_width = widths.per_mass(motion.LOAD)
     held = motion.STIFFNESS in widths
     return {
         # The interval of 1/m gives that of m, which is not symmetric.
-        "mass": Estimate(1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative))),
+        "mass": Estimate(
+            1.0 / g, 1.0 / (g * (1.0 + relative)), 1.0 / (g * (1.0 - relative))
+        ),
         "damping": _bounded(
             *widths.per_mass(motion.DAMPING),
             max(damping_per_mass / g, force / speed if speed else 0.0),
@@ -219,7 +246,10 @@ def _terms(period: float, choice: Choice, widths: _Widths) -> dict[str, Estimate
         else "none seen, and none with a quarter of the mass would show: push longer, or faster"
     )
     bound, unseen = choice.quadratic_bound / widths.mobility, Estimate(None, why=seen)
-    terms = {"quadratic": Estimate(0.0, 0.0, bound), "lag": Estimate(0.0, 0.0, choice.lag_bound)}
+    terms = {
+        "quadratic": Estimate(0.0, 0.0, bound),
+        "lag": Estimate(0.0, 0.0, choice.lag_bound),
+    }
     terms |= {
         "frequency": Estimate(None, choice.mode_bound, why=seen),
         "share": unseen,
@@ -266,7 +296,9 @@ def _delays(experiment: Experiment) -> tuple[float, float, float, Estimate]:
             0.0,
             0.0,
             0.0,
-            Estimate(None, why=f"{len(delay)} ticks were answered, at least 100 are needed"),
+            Estimate(
+                None, why=f"{len(delay)} ticks were answered, at least 100 are needed"
+            ),
         )
     median = float(np.median(delay))
     shortest, longest = (float(q) for q in np.quantile(delay, (0.001, 0.999)))

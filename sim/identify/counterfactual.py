@@ -55,8 +55,12 @@ def replay(
     first = played.law if law is None else law
     swaps = [swap for swap in played.swaps if swap.tick < ticks] if law is None else []
     # In lockstep the delay follows from the launch file.
-    arrivals = None if recorded.lockstep else (recorded.came, recorded.answers, recorded.given)
-    given = Given(force=external, target=recorded.target, arrivals=arrivals, nudged=nudged)
+    arrivals = (
+        None if recorded.lockstep else (recorded.came, recorded.answers, recorded.given)
+    )
+    given = Given(
+        force=external, target=recorded.target, arrivals=arrivals, nudged=nudged
+    )
     # Interpreted: compiling the loop takes as long as a million of its ticks.
     trace = play(
         recorded.launch,
@@ -75,7 +79,11 @@ def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
     """
     ticks = len(recorded.position)
     jumps = np.zeros((ticks, 3))
-    arrivals = recorded.came, np.full(len(recorded.came), -1, dtype=np.int64), recorded.given
+    arrivals = (
+        recorded.came,
+        np.full(len(recorded.came), -1, dtype=np.int64),
+        recorded.given,
+    )
     given = Given(
         force=external,
         target=recorded.target,
@@ -93,7 +101,9 @@ def nudges(recorded: RecordedScene, external: Array | None = None) -> Array:
     return jumps
 
 
-def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: Array) -> Felt:
+def _judged(
+    recorded: RecordedScene, law: CompiledLaw, measured: Array, force: Array
+) -> Felt:
     scene = recorded.scene.scene
     last = measured[-(len(measured) // 4) :]
     with np.errstate(invalid="ignore"):
@@ -104,7 +114,9 @@ def _judged(recorded: RecordedScene, law: CompiledLaw, measured: Array, force: A
         and scene.surface.kind == "plane"
     ):
         still = settled(scene, law, measured, force, Criterion(ticks=len(measured)))
-    return Felt(measured, force, still, float(np.max(np.abs(force))), float(np.mean(last)))
+    return Felt(
+        measured, force, still, float(np.max(np.abs(force))), float(np.mean(last))
+    )
 
 
 def missing_force(recorded: RecordedScene, noise: float) -> Array:
@@ -114,7 +126,10 @@ def missing_force(recorded: RecordedScene, noise: float) -> Array:
     """
     device, y = recorded.scene.scene.device, recorded.position
     step = coefficients(
-        device.moving_mass, device.moving_damping, device.grip, recorded.scene.scene.period
+        device.moving_mass,
+        device.moving_damping,
+        device.grip,
+        recorded.scene.scene.period,
     )
     known = _known(recorded)
     best, chosen = -np.inf, np.zeros(len(y))
@@ -135,11 +150,17 @@ def _known(recorded: RecordedScene) -> Array:
     scene = recorded.scene.scene
     device, period, ticks = scene.device, scene.period, len(recorded.position)
     mass, damping, grip = device.moving_mass, device.moving_damping, device.grip
-    speed = np.gradient(np.convolve(recorded.position, np.ones(9) / 9.0, "same")) / period
+    speed = (
+        np.gradient(np.convolve(recorded.position, np.ones(9) / 9.0, "same")) / period
+    )
     slow = (device.resolution or 1e-7) / (9.0 * period)
     rubbing = -(device.friction or 0.0) * np.clip(speed / slow, -1.0, 1.0)
     arrivals = list(
-        zip((recorded.took + device.delay).tolist(), recorded.given.tolist(), strict=True)
+        zip(
+            (recorded.took + device.delay).tolist(),
+            recorded.given.tolist(),
+            strict=True,
+        )
     )
     added, j, acting = np.zeros((ticks, 2)), 0, 0.0
     for k in range(ticks):

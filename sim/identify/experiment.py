@@ -47,7 +47,11 @@ class Experiment:
     @property
     def missing(self) -> NDArray[np.bool_]:
         """Whether the position of each tick was not sampled, shape (N,)."""
-        return np.zeros(len(self.position), dtype=bool) if self.unread is None else self.unread
+        return (
+            np.zeros(len(self.position), dtype=bool)
+            if self.unread is None
+            else self.unread
+        )
 
 
 def lockstep(
@@ -55,7 +59,10 @@ def lockstep(
 ) -> Experiment:
     """Return the experiment of a run in which every tick was answered."""
     ticks = len(position)
-    where, given = np.asarray(position, dtype=np.float64), np.asarray(force, dtype=np.float64)
+    where, given = (
+        np.asarray(position, dtype=np.float64),
+        np.asarray(force, dtype=np.float64),
+    )
     return Experiment(
         period,
         where,
@@ -67,7 +74,9 @@ def lockstep(
     )
 
 
-def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**53)) -> Experiment:
+def read(
+    path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**53)
+) -> Experiment:
     """Read one axis of a recording within a range of ticks.
 
     Without `axis`, the axis with the largest variation of force is used. Raise ValueError for too
@@ -76,7 +85,9 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     recording = Recording(path)
     period = period_of(recording)
     states = [
-        state for state in recording.messages(DEVICE_STATE) if within[0] <= state.seq < within[1]
+        state
+        for state in recording.messages(DEVICE_STATE)
+        if within[0] <= state.seq < within[1]
     ]
     if len(states) < SHORTEST:
         raise ValueError(
@@ -115,12 +126,23 @@ def read(path: Path, axis: str | None = None, within: tuple[int, int] = (0, 2**5
     answers = np.array([state.force_seq for state in states], dtype=np.int64)
     fresh = answers[1:] != answers[:-1]
     # Several ticks sampled between two answers: none of them was answered in its own time.
-    skipped = np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right") > 1
+    skipped = (
+        np.searchsorted(seq, answers[1:]) - np.searchsorted(seq, answers[:-1], "right")
+        > 1
+    )
     late = np.zeros(len(ticks), dtype=bool)
     late[seq[:-1][skipped & fresh & (answers[:-1] >= 0)] - seq[0]] = True
     late[handed.unsure - seq[0]] = True
     return Experiment(
-        period, whole, segments, handed.at - seq[0], handed.force, handed.delay, axis, missing, late
+        period,
+        whole,
+        segments,
+        handed.at - seq[0],
+        handed.force,
+        handed.delay,
+        axis,
+        missing,
+        late,
     )
 
 
@@ -157,5 +179,9 @@ def encoder(position: Array) -> Estimate:
             ),
         )
     # Rounding moves each reading by at most `stray`, which bounds the error of the spacing.
-    error = 2.0 * (stray + float(np.spacing(np.abs(values).max()))) / float(counts[-1] - counts[0])
+    error = (
+        2.0
+        * (stray + float(np.spacing(np.abs(values).max())))
+        / float(counts[-1] - counts[0])
+    )
     return Estimate(float(slope), float(slope) - error, float(slope) + error)

@@ -55,7 +55,9 @@ def handed_over(states: Sequence[DeviceState], axis: int) -> HandedOver:
     since = first.seq
     for before, state in pairwise(states):
         # The mean covers overruns; ticks missing only in the recording had states of their own.
-        covered = min(max(1 + state.overruns - before.overruns, 1), state.seq - before.seq)
+        covered = min(
+            max(1 + state.overruns - before.overruns, 1), state.seq - before.seq
+        )
         begin = state.seq - covered
         if not has_means:
             offset, answer = _last(before, state)
@@ -96,7 +98,12 @@ def _last(before: DeviceState, state: DeviceState) -> tuple[float, int]:
 
 
 def _changes(
-    before: DeviceState, state: DeviceState, axis: int, covered: int, impulse: float, same: float
+    before: DeviceState,
+    state: DeviceState,
+    axis: int,
+    covered: int,
+    impulse: float,
+    same: float,
 ) -> tuple[list[tuple[float, float, int]], bool]:
     """Return the forces of the last tick before a state and of the overrun after it.
 
@@ -121,7 +128,11 @@ def _changes(
         part = (left - last * slept) / (held - last) if abs(held - last) > same else 0.0
         if not slept or -SAME <= part <= slept + SAME:
             return [
-                (1.0 + min(max(part, 0.0), float(slept)), last, -1 if let_go else answers)
+                (
+                    1.0 + min(max(part, 0.0), float(slept)),
+                    last,
+                    -1 if let_go else answers,
+                )
             ], sure
     if let_go or start >= 1.0:
         # An unknown force for an unknown time.
@@ -130,7 +141,9 @@ def _changes(
         until, told = (
             offset,
             (
-                answers - 1 if 0 <= before.force_seq < answers - 1 and not behind_gap else -1,
+                answers - 1
+                if 0 <= before.force_seq < answers - 1 and not behind_gap
+                else -1,
                 answers,
             ),
         )

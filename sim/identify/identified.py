@@ -96,14 +96,22 @@ class Identified:
 
         Quadratic damping is left out because it only stabilises.
         """
-        mass, damping, delay = (one.known()[0] for one in (self.mass, self.damping, self.delay))
+        mass, damping, delay = (
+            one.known()[0] for one in (self.mass, self.damping, self.delay)
+        )
         joint = {}
         if self.frequency.value is not None:
             joint = {
-                name: getattr(self, name).known()[0] for name in ("share", "frequency", "loss")
+                name: getattr(self, name).known()[0]
+                for name in ("share", "frequency", "loss")
             }
         return FlexiblePlant(
-            mass, damping, delay, self.stiffness.value or 0.0, self.lag.value or 0.0, **joint
+            mass,
+            damping,
+            delay,
+            self.stiffness.value or 0.0,
+            self.lag.value or 0.0,
+            **joint,
         )
 
     def steps(self, residual: float | None) -> float | None:

@@ -116,7 +116,12 @@ def _slide_joint(
     )
     for _ in range(4):
         if state[1] == 0.0:
-            net = u - stiffness * state[0] - spring * (state[0] - state[2]) + damper * state[3]
+            net = (
+                u
+                - stiffness * state[0]
+                - spring * (state[0] - state[2])
+                + damper * state[3]
+            )
             if abs(net) <= friction:
                 _flow(state, u, remaining, True, damping, stiffness, share, pulse, loss)
                 return
@@ -150,7 +155,15 @@ def _slide_joint(
             for i in range(STATES):
                 state[i] = before[i]
             _flow(
-                state, u - direction * friction, halt, False, damping, stiffness, share, pulse, loss
+                state,
+                u - direction * friction,
+                halt,
+                False,
+                damping,
+                stiffness,
+                share,
+                pulse,
+                loss,
             )
             if state[1] * direction > 0.0:
                 low, at_low = halt, state[1]
@@ -214,7 +227,14 @@ def _rigid(
                     coefs = coefficients(1.0, damping, stiffness, duration)
                     known = duration
                 x, v = _slide(
-                    x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction
+                    x,
+                    v,
+                    mobility * acting + load,
+                    duration,
+                    coefs,
+                    damping,
+                    stiffness,
+                    friction,
                 )
                 now = until
             j += 1
@@ -225,7 +245,14 @@ def _rigid(
                 coefs = coefficients(1.0, damping, stiffness, duration)
                 known = duration
             x, v = _slide(
-                x, v, mobility * acting + load, duration, coefs, damping, stiffness, friction
+                x,
+                v,
+                mobility * acting + load,
+                duration,
+                coefs,
+                damping,
+                stiffness,
+                friction,
             )
 
 
@@ -317,7 +344,9 @@ def _richer(  # noqa: PLR0915
                         for again in range(2 if quadratic > 0.0 else 1):
                             # Quadratic damping at the midpoint velocity: a first trial step
                             # estimates it.
-                            held = u + quadratic * (state[1] * abs(state[1]) - middle * abs(middle))
+                            held = u + quadratic * (
+                                state[1] * abs(state[1]) - middle * abs(middle)
+                            )
                             x, v = _slide(
                                 state[0],
                                 state[1],
@@ -404,12 +433,18 @@ def slopes(
                 step = steps[free[i]]
                 moved[free[i]] += step
             else:
-                step = 0.01 * scale if (i - p) % 2 == 0 else 0.1 * scale / (length * period)
+                step = (
+                    0.01 * scale
+                    if (i - p) % 2 == 0
+                    else 0.1 * scale / (length * period)
+                )
                 near[i - p] += step
             window(moved, near, start, length, period, at, force, there)
             for k in range(length):
                 out[w, i, k] = (
-                    0.0 if missing[start + k] or k < first else (there[k] - here[k]) / step
+                    0.0
+                    if missing[start + k] or k < first
+                    else (there[k] - here[k]) / step
                 )
             if i < p:
                 moved[free[i]] = theta[free[i]]
@@ -417,5 +452,7 @@ def slopes(
                 near[i - p] = states[w, i - p]
         for k in range(length):
             residuals[w, k] = (
-                0.0 if missing[start + k] or k < first else position[start + k] - here[k]
+                0.0
+                if missing[start + k] or k < first
+                else position[start + k] - here[k]
             )

@@ -28,7 +28,11 @@ ROWS = (
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
-    record: dict[str, Any] = {"value": estimate.value, "low": estimate.low, "high": estimate.high}
+    record: dict[str, Any] = {
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+    }
     return record | ({"why": estimate.why} if estimate.why else {})
 
 
@@ -39,13 +43,17 @@ def figures(found: Identified) -> dict[str, Any]:
         "rate_hz": 1.0 / found.period,
         **{key: _estimate(getattr(found, name)) for key, name, _, _ in ROWS},
         "delay_range_ticks": list(found.delay_range),
-        **{name: getattr(found, name) for name in ("held", "refuted", "why", "windows")},
+        **{
+            name: getattr(found, name) for name in ("held", "refuted", "why", "windows")
+        },
         "residual_steps": found.steps(found.residual),
         "residual_m": None if math.isnan(found.residual) else found.residual,
         "terms": list(found.terms),
         "remainder": {
             "cause": found.remainder,
-            "k_max_change": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+            "k_max_change": found.remainder_k_max
+            if math.isfinite(found.remainder_k_max)
+            else None,
             "devices": [as_record(device) for device in found.altered],
         },
         "unbelieved": {
@@ -71,7 +79,9 @@ def from_figures(record: Mapping[str, Any]) -> Identified:
     low, high = record["delay_range_ticks"]
     return Identified(
         **estimates,
-        **{name: record[name] for name in ("held", "windows", "axis", "refuted", "why")},
+        **{
+            name: record[name] for name in ("held", "windows", "axis", "refuted", "why")
+        },
         delay_range=(low, high),
         residual=math.nan if record["residual_m"] is None else record["residual_m"],
         held_out=record["held_out"]["residual_m"],
@@ -107,7 +117,9 @@ def verdict(found: Identified) -> str:
         return f"REFUTED, nothing to design on: {found.why}"
     if found.mass.value is None:
         return f"unknown: {found.mass.why}"
-    model = " with ".join(["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])])
+    model = " with ".join(
+        ["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])]
+    )
     if found.remainder:
         return (
             f"holds for a design: {model}; the recording also shows {found.remainder}, which the"
@@ -153,7 +165,9 @@ def text(found: Identified) -> str:
     )
     held_out = "none" if unseen is None else f"{unseen * 1e6:.3g} µm"
     left_out = (
-        f", {found.dropped} left out: disturbed by a stall or a knock" if found.dropped else ""
+        f", {found.dropped} left out: disturbed by a stall or a knock"
+        if found.dropped
+        else ""
     )
     windows = f"{found.windows} windows of {found.ticks} ticks{left_out}"
     lines.append(f"  residual {residual}; in held-out windows {held_out}; {windows}")

@@ -33,7 +33,9 @@ from sim.identify.output_error import Fit, fit, windows
 WINDOW = 100  # length of a window [ticks]
 
 
-def identify(experiment: Experiment, held: bool | None = None, length: int = WINDOW) -> Identified:
+def identify(
+    experiment: Experiment, held: bool | None = None, length: int = WINDOW
+) -> Identified:
     """Identify a device from at least 12 windows.
 
     held: whether a hand holds the device; None: decide from the data.
@@ -111,7 +113,11 @@ def _begun(experiment: Experiment, found: Identified, starts: NDArray[np.int64])
 
 
 def _search(
-    experiment: Experiment, starts: NDArray[np.int64], length: int, scale: float, held: bool | None
+    experiment: Experiment,
+    starts: NDArray[np.int64],
+    length: int,
+    scale: float,
+    held: bool | None,
 ) -> Fit:
     """Fit all unknowns, starting at the guess of the linear equations."""
     free = (
@@ -122,8 +128,18 @@ def _search(
     full: Fit | None = None
     for stiff in (True, False)[held is False :]:
         # Without a hand the equations of a free device are more precise; the closer start is used.
-        here = fit(experiment, starts, length, first_guess(experiment, stiff), free, scale, steps=5)
-        here = fit(experiment, starts, length, here.theta, (*free, DELAY), scale, here.states)
+        here = fit(
+            experiment,
+            starts,
+            length,
+            first_guess(experiment, stiff),
+            free,
+            scale,
+            steps=5,
+        )
+        here = fit(
+            experiment, starts, length, here.theta, (*free, DELAY), scale, here.states
+        )
         if full is None or here.rms < full.rms:
             full = here
         if full.rms < 0.5 * scale:
@@ -165,8 +181,13 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
     bend = (-8.0 * (1.0 - s**2) ** 3 + 48.0 * s**2 * (1.0 - s**2) ** 2) / unit**2
     # The integral of the force over its recorded instants is piecewise linear, so it is exact at
     # any delay.
-    impulse = np.concatenate([[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))])
-    best: tuple[float, Array] = (np.inf, np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 6]))
+    impulse = np.concatenate(
+        [[0.0], np.cumsum(experiment.force[:-1] * np.diff(experiment.at))]
+    )
+    best: tuple[float, Array] = (
+        np.inf,
+        np.array([10.0, 5.0, 0.3, 0.0, 0.0, 0.0, *[0.0] * 6]),
+    )
     parts = [part for part in experiment.segments if part[1] - part[0] > 3 * HALF_WIDTH]
 
     def over(signal: Array, kernel: Array) -> Array:
@@ -177,7 +198,11 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
 
     x = experiment.position
     direction = np.sign(np.gradient(np.convolve(x, np.ones(9) / 9.0, "same")))
-    columns = [all_parts(x, slope), -all_parts(direction, bump), all_parts(np.ones_like(x), bump)]
+    columns = [
+        all_parts(x, slope),
+        -all_parts(direction, bump),
+        all_parts(np.ones_like(x), bump),
+    ]
     if held:
         columns.append(-all_parts(x, bump))
     target = all_parts(x, bend)
@@ -196,7 +221,15 @@ def first_guess(experiment: Experiment, held: bool) -> Array:
             best = (
                 error,
                 np.array(
-                    [max(g, 0.1), max(b, 0.0), max(c, 0.0), max(k, 0.0), load, delay, *[0.0] * 6]
+                    [
+                        max(g, 0.1),
+                        max(b, 0.0),
+                        max(c, 0.0),
+                        max(k, 0.0),
+                        load,
+                        delay,
+                        *[0.0] * 6,
+                    ]
                 ),
             )
     return best[1]

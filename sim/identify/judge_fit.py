@@ -20,7 +20,9 @@ DRAWS = 40  # simulated residuals of a valid model
 # error [m]
 FINEST = 1e-9
 LAGS = 20  # lags of the autocorrelation [ticks]
-SURE = 5.0  # significance threshold among about a hundred suspects [standard deviations]
+SURE = (
+    5.0  # significance threshold among about a hundred suspects [standard deviations]
+)
 QUANTILE = 1.96  # half-width of a 95 % interval [standard deviations]
 IMPROBABLE = 1e-4  # whiteness below which a model is refuted
 
@@ -43,7 +45,9 @@ class Left:
 
 def _freed(what: Array, states: Array, unknowns: Array) -> Array:
     """Project out the effects of states and unknowns from shapes (..., W, L)."""
-    what = what - np.einsum("wks,...ws->...wk", states, np.einsum("wks,...wk->...ws", states, what))
+    what = what - np.einsum(
+        "wks,...ws->...wk", states, np.einsum("wks,...wk->...ws", states, what)
+    )
     if unknowns.size:
         flat = what.reshape(*what.shape[:-2], -1)
         flat = flat - (flat @ unknowns) @ unknowns.T
@@ -61,11 +65,15 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
     # An orthonormal basis of the effects of each window's initial state, then one of the remaining
     # effects of the unknowns.
     columns = np.swapaxes(moved[:, p:], 1, 2)
-    columns = columns / np.maximum(np.linalg.norm(columns, axis=1, keepdims=True), 1e-300)
+    columns = columns / np.maximum(
+        np.linalg.norm(columns, axis=1, keepdims=True), 1e-300
+    )
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     states = u * (s > 1e-9 * s[:, :1])[:, None, :]
     unknowns = np.zeros((residual.size, 0))
-    raw = _freed(np.moveaxis(moved[:, :p], 1, 0), states, unknowns).reshape(p, residual.size)
+    raw = _freed(np.moveaxis(moved[:, :p], 1, 0), states, unknowns).reshape(
+        p, residual.size
+    )
     if p:
         along = raw / np.maximum(np.linalg.norm(raw, axis=1, keepdims=True), 1e-300)
         u, s, _ = np.linalg.svd(along.T, full_matrices=False)
@@ -91,7 +99,9 @@ def left(experiment: Experiment, found: Fit, step: float | None, seed: int = 1) 
     noise = math.sqrt(max(size**2 - rounding, 0.0))
     if noise > 0.1 * size:
         draws = drawn(noise)
-    return Left(clean, draws, size, math.sqrt(rounding), modelled, states, unknowns, raw)
+    return Left(
+        clean, draws, size, math.sqrt(rounding), modelled, states, unknowns, raw
+    )
 
 
 def whiteness(what: Left) -> float:
@@ -118,7 +128,9 @@ def whiteness(what: Left) -> float:
     shape = float(own.mean() ** 2 / own.var(ddof=1))
     return float(
         gamma.sf(
-            float(np.mean(((seen - middle) / spread) ** 2)), shape, scale=float(own.mean()) / shape
+            float(np.mean(((seen - middle) / spread) ** 2)),
+            shape,
+            scale=float(own.mean()) / shape,
         )
     )
 
@@ -157,11 +169,15 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
     """Fit every suspect to the residual; return them sorted by explained share."""
     findings = []
     beyond = (
-        max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size) if what.size else 1.0
+        max(1.0 - (what.rounding / what.size) ** 2, 1.0 / what.residual.size)
+        if what.size
+        else 1.0
     )
     power = float(np.sum(what.residual**2)) * beyond
     for suspect in Shapes(experiment, found, what.modelled).all():
-        shapes = _freed(suspect.shapes, what.states, what.unknowns).reshape(len(suspect.shapes), -1)
+        shapes = _freed(suspect.shapes, what.states, what.unknowns).reshape(
+            len(suspect.shapes), -1
+        )
         norms = np.linalg.norm(shapes, axis=1)
         raw = np.linalg.norm(suspect.shapes.reshape(len(shapes), -1), axis=1)
         if not np.all(norms > 1e-6 * raw) or not np.all(np.isfinite(norms)):
@@ -172,7 +188,10 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
         spread = math.sqrt(float(np.mean(drawn**2)) / q.shape[1])
         factor = float(what.residual.ravel() @ shapes[0]) / float(norms[0]) ** 2
         residual = what.residual.ravel()
-        factors = np.linalg.lstsq((shapes / norms[:, None]).T, residual, rcond=None)[0] / norms
+        factors = (
+            np.linalg.lstsq((shapes / norms[:, None]).T, residual, rcond=None)[0]
+            / norms
+        )
         explained = factors @ shapes
         strength, share = (
             seen / spread / math.sqrt(q.shape[1]),
@@ -180,11 +199,15 @@ def scan(experiment: Experiment, found: Fit, what: Left) -> list[Evidence]:
         )
         carried = _carried(what, suspect, factors, explained)
         visible = SURE * spread / float(norms[0])
-        findings.append(Evidence(suspect, strength, share, factor, visible, factors, *carried))
+        findings.append(
+            Evidence(suspect, strength, share, factor, visible, factors, *carried)
+        )
     return sorted(findings, key=lambda one: -one.share)
 
 
-def _carried(what: Left, suspect: Suspect, factors: Array, explained: Array) -> tuple[float, Array]:
+def _carried(
+    what: Left, suspect: Suspect, factors: Array, explained: Array
+) -> tuple[float, Array]:
     """Return the relative uncertainty of a term and its effect on the unknowns of the fit."""
     size = float(np.linalg.norm(explained))
     windows = len(what.residual)
@@ -193,8 +216,14 @@ def _carried(what: Left, suspect: Suspect, factors: Array, explained: Array) -> 
     unit = (explained / size).reshape(windows, -1)
     # One estimate per window: the remaining residual, whatever its spectrum, makes them differ.
     votes = np.sum(what.residual * unit, axis=1) - np.sum(unit**2, axis=1) * size
-    margin = QUANTILE * math.sqrt(float(np.sum(votes**2)) * windows / max(windows - 1, 1)) / size
-    whole = _freed(np.tensordot(factors, suspect.shapes, 1), what.states, what.unknowns[:, :0])
+    margin = (
+        QUANTILE
+        * math.sqrt(float(np.sum(votes**2)) * windows / max(windows - 1, 1))
+        / size
+    )
+    whole = _freed(
+        np.tensordot(factors, suspect.shapes, 1), what.states, what.unknowns[:, :0]
+    )
     moves = (
         np.linalg.lstsq(what.slopes.T, whole.ravel(), rcond=None)[0]
         if len(what.slopes)

@@ -19,14 +19,31 @@ from sim.identify.identified_motion import SHARE, STATES, slopes
 from sim.measure.cancelling import check
 
 # Smallest value of each unknown, in the order and units of `NAMES`.
-LOWER_BOUNDS = np.array([1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0])
+LOWER_BOUNDS = np.array(
+    [1e-3, 0.0, 0.0, 0.0, -math.inf, 0.0, 0.0, 0.0, 1e-3, 1.0, 0.0, 0.0]
+)
 # Largest value of each unknown.
 UPPER_BOUNDS = np.array(
-    [1e5, math.inf, math.inf, math.inf, math.inf, 100.0, math.inf, 50.0, 0.98, 1000.0, 2.0, 0.5]
+    [
+        1e5,
+        math.inf,
+        math.inf,
+        math.inf,
+        math.inf,
+        100.0,
+        math.inf,
+        50.0,
+        0.98,
+        1000.0,
+        2.0,
+        0.5,
+    ]
 )
 _DIVERGED = 1e100  # position beyond which a motion has diverged [m]; its square does not overflow
 # Finite-difference steps, relative to `_SIZES` or the value, whichever is larger.
-_STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3, 1e-3])
+_STEPS = np.array(
+    [1e-4, 1e-4, 1e-4, 1e-3, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3, 1e-5, 1e-3, 1e-3]
+)
 _SIZES = np.array([1.0, 1.0, 0.1, 100.0, 1.0, 1.0, 1.0, 1.0, 0.1, 10.0, 0.01, 1.0])
 
 
@@ -63,7 +80,9 @@ def windows(experiment: Experiment, length: int) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64)
 
 
-def first_states(experiment: Experiment, starts: NDArray[np.int64], length: int) -> Array:
+def first_states(
+    experiment: Experiment, starts: NDArray[np.int64], length: int
+) -> Array:
     """Estimate the initial states (W, 4) of windows from positions; a joint begins at rest."""
     reach = min(8, length - 1)
     x = experiment.position[starts]
@@ -85,7 +104,9 @@ def fit(
     check()
     theta = np.array(theta, dtype=np.float64)
     chosen = np.array(free, dtype=np.int64)
-    states = first_states(experiment, starts, length) if states is None else states.copy()
+    states = (
+        first_states(experiment, starts, length) if states is None else states.copy()
+    )
     own = own_states(theta)
 
     def equations(theta: Array, states: Array) -> tuple[Array, ...]:
@@ -103,8 +124,12 @@ def fit(
         matrix, side = matrices.sum(axis=0), sides.sum(axis=0)
         move = _step(matrix, side, damping, theta[chosen], LOWER_BOUNDS[chosen])
         there = theta.copy()
-        there[chosen] = np.clip(theta[chosen] + move, LOWER_BOUNDS[chosen], UPPER_BOUNDS[chosen])
-        moved_states = states + alone / (1.0 + damping) - along @ (there[chosen] - theta[chosen])
+        there[chosen] = np.clip(
+            theta[chosen] + move, LOWER_BOUNDS[chosen], UPPER_BOUNDS[chosen]
+        )
+        moved_states = (
+            states + alone / (1.0 + damping) - along @ (there[chosen] - theta[chosen])
+        )
         new = equations(there, moved_states)
         before, after = float(errors.sum()), float(new[0].sum())
         if math.isfinite(after) and after <= before:
@@ -129,7 +154,13 @@ def own_states(theta: Array) -> int:
 def left_over(experiment: Experiment, found: Fit, scale: float) -> tuple[Array, Array]:
     """Return the residuals of a fit (W, L) and their derivatives (W, p + s, L)."""
     return _slopes(
-        experiment, found.starts, found.length, found.theta, found.free, found.states, scale
+        experiment,
+        found.starts,
+        found.length,
+        found.theta,
+        found.free,
+        found.states,
+        scale,
     )
 
 
@@ -166,14 +197,19 @@ def _slopes(
     return residuals, moved
 
 
-def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Array, ...]:
+def _normal(
+    residuals: Array, moved: Array, own: int, period: float
+) -> tuple[Array, ...]:
     """Return errors, normal equations without initial states, and the states' own steps.
 
     Shapes: (W,), (W, p, p), (W, p), then (W, 4) and (W, 4, p).
     """
     windows, length = residuals.shape
     unknowns, initial, error = moved[:, :-own], moved[:, -own:], residuals[:, :, None]
-    alone, along = np.zeros((windows, STATES)), np.zeros((windows, STATES, unknowns.shape[1]))
+    alone, along = (
+        np.zeros((windows, STATES)),
+        np.zeros((windows, STATES, unknowns.shape[1])),
+    )
     # A diverged motion has no derivatives: a step to it is rejected, a term that starts there is
     # left out.
     if not (np.abs(residuals).max() < _DIVERGED and np.abs(moved).max() < _DIVERGED):
@@ -191,8 +227,12 @@ def _normal(residuals: Array, moved: Array, own: int, period: float) -> tuple[Ar
     cross = initial @ unknowns.swapaxes(1, 2)
     alone[:, :own] = np.linalg.solve(block, initial @ error)[:, :, 0]
     along[:, :own] = np.linalg.solve(block, cross)
-    sides = (unknowns @ error)[:, :, 0] - (cross.swapaxes(1, 2) @ alone[:, :own, None])[:, :, 0]
-    matrices = unknowns @ unknowns.swapaxes(1, 2) - cross.swapaxes(1, 2) @ along[:, :own]
+    sides = (unknowns @ error)[:, :, 0] - (cross.swapaxes(1, 2) @ alone[:, :own, None])[
+        :, :, 0
+    ]
+    matrices = (
+        unknowns @ unknowns.swapaxes(1, 2) - cross.swapaxes(1, 2) @ along[:, :own]
+    )
     return (residuals**2).sum(axis=1), matrices, sides, alone, along
 
 
@@ -205,7 +245,9 @@ def _step(matrix: Array, side: Array, damping: float, at: Array, least: Array) -
     for _ in range(len(at)):
         move[:] = 0.0
         block = scaled[np.ix_(inside, inside)]
-        move[inside] = size[inside] * np.linalg.lstsq(block, (size * side)[inside], rcond=None)[0]
+        move[inside] = (
+            size[inside] * np.linalg.lstsq(block, (size * side)[inside], rcond=None)[0]
+        )
         outward = inside & (at <= least) & (move < 0.0)
         if not outward.any():
             break

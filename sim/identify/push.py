@@ -67,14 +67,24 @@ def push(
         float(law.get("duration", 8.0)),
     )
     law = {**law, "load": carried(loop, float(law["amplitude"]), load)}
-    record = ("bag", "record", topics.DEVICE_STATE, "--run", loop.chosen, "--out", str(out))
+    record = (
+        "bag",
+        "record",
+        topics.DEVICE_STATE,
+        "--run",
+        loop.chosen,
+        "--out",
+        str(out),
+    )
     recorder: subprocess.Popen[bytes] | None = None
     try:
         with borrowed(loop) as held:
             loop.soften(law["load"])
             _centre(loop, here, centre)
             # This process ends it; the longer duration is a fallback.
-            longer = {f"laws.{LAW}": {**law, "duration": min(duration + LONGER, MAX_DURATION)}}
+            longer = {
+                f"laws.{LAW}": {**law, "duration": min(duration + LONGER, MAX_DURATION)}
+            }
             loop.change(loop.coupling, "param.set", values=longer)
             # In lockstep a push would end before a process has started.
             with loop.standing():
@@ -97,13 +107,21 @@ def push(
 
 def _centre(loop: PushedLaunch, here: Sequence[float], centre: Sequence[float]) -> None:
     """Move the anchor to `centre` in steps of 1 mm, so that the soft spring pulls slowly."""
-    steps = max(1, round(max(abs(c - h) for c, h in zip(centre, here, strict=True)) / 1e-3))
+    steps = max(
+        1, round(max(abs(c - h) for c, h in zip(centre, here, strict=True)) / 1e-3)
+    )
     for n in range(1, steps + 1):
-        loop.anchor([h + (c - h) * n / steps for c, h in zip(centre, here, strict=True)])
+        loop.anchor(
+            [h + (c - h) * n / steps for c, h in zip(centre, here, strict=True)]
+        )
 
 
 def _watch(
-    loop: PushedLaunch, duration: float, held: Borrowed, say: Callable[[str], None], result: Pushed
+    loop: PushedLaunch,
+    duration: float,
+    held: Borrowed,
+    say: Callable[[str], None],
+    result: Pushed,
 ) -> None:
     """Activate the excitation and watch every tick until the push ends.
 
@@ -114,7 +132,9 @@ def _watch(
     still_since = alarmed_since = 0
     for state in loop.states():
         if first < 0:
-            first = int(loop.change(loop.coupling, "law.switch", law=LAW, ramp=RAMP)["seq"])
+            first = int(
+                loop.change(loop.coupling, "law.switch", law=LAW, ramp=RAMP)["seq"]
+            )
             result.reason = "the launch ended"
             still_since, still_at, alarmed_since = first, state.position, first
             continue
@@ -132,7 +152,9 @@ def _watch(
         if state.safety not in ("fault", "zero", "stopped"):
             alarmed_since = state.seq
         elif (state.seq - alarmed_since) * loop.period >= ALARM:
-            result.reason = f"the driver removed the force ({state.safety}): {loop.why_stopped()}"
+            result.reason = (
+                f"the driver removed the force ({state.safety}): {loop.why_stopped()}"
+            )
             return
         if max(abs(state.position[i] - still_at[i]) for i in loop.axes) > MOVED:
             still_since, still_at = state.seq, state.position

@@ -30,10 +30,14 @@ class PushOptions(Options):
     """How a device is pushed, and in which launch."""
 
     scenario: str | None = argument(
-        default=None, help="start this launch file; left out: the running launch, or identify"
+        default=None,
+        help="start this launch file; left out: the running launch, or identify",
     )
     assignments: list[str] = argument(
-        default=[], nargs="*", metavar="name:=value", help="arguments of the launch file"
+        default=[],
+        nargs="*",
+        metavar="name:=value",
+        help="arguments of the launch file",
     )
     duration: float = option(
         type=SECONDS, default=8.0, help="of one push [s] (default: %(default)s)"
@@ -42,7 +46,9 @@ class PushOptions(Options):
         type=positive, default=0.7, help="largest push [N] (default: %(default)s)"
     )
     reach: float = option(
-        type=positive, default=0.03, help="how far it is pushed [m] (default: %(default)s)"
+        type=positive,
+        default=0.03,
+        help="how far it is pushed [m] (default: %(default)s)",
     )
     places: list[float] | None = option(
         type=number,
@@ -68,7 +74,9 @@ class PushOptions(Options):
         off_help="no hand does (default: finds out)",
     )
     out: Path = option(
-        type=Path, default=Path("recordings"), help="directory of files (default: %(default)s)"
+        type=Path,
+        default=Path("recordings"),
+        help="directory of files (default: %(default)s)",
     )
     run_name: str | None = option(
         "--run",
@@ -109,7 +117,11 @@ def identify_running(options: PushOptions) -> list[tuple[Pushed, Identified]]:
 
 
 def _pushed(
-    loop: PushedLaunch, law: dict[str, Any], out: Path, centre: list[float], options: PushOptions
+    loop: PushedLaunch,
+    law: dict[str, Any],
+    out: Path,
+    centre: list[float],
+    options: PushOptions,
 ) -> tuple[Pushed, list[Identified]]:
     """Push and identify; repeat with a longer push if too many ticks were lost.
 
@@ -139,7 +151,10 @@ def _axes(loop: PushedLaunch, pushed: Pushed, held: bool | None) -> list[Identif
     from sim.identify.identify import identify
 
     try:
-        return [identify(read(pushed.recording, "xyz"[i], pushed.ticks), held) for i in loop.axes]
+        return [
+            identify(read(pushed.recording, "xyz"[i], pushed.ticks), held)
+            for i in loop.axes
+        ]
     except ValueError as error:
         raise RefusedError(
             f"{pushed.recording}: {error} (the push ended: {pushed.reason})"
@@ -161,7 +176,9 @@ def identify_scenario(
     if scenario == "identify":
         named = {word.partition(":=")[0] for word in assignments}
         law = options.chosen("duration", "amplitude", "reach")
-        words += [f"{name}:={value}" for name, value in law.items() if name not in named]
+        words += [
+            f"{name}:={value}" for name, value in law.items() if name not in named
+        ]
     with StartedLaunch(scenario, *words) as started:
         try:
             started.wait()
@@ -174,6 +191,9 @@ def identify_scenario(
     recording = Path(figures["recording"])
     pushed = Pushed(recording, (0.0, 0.0, 0.0), figures["exit_reason"])
     try:
-        return [(pushed, identify(read(recording, axis), options.held)) for axis in launch.run.axes]
+        return [
+            (pushed, identify(read(recording, axis), options.held))
+            for axis in launch.run.axes
+        ]
     except ValueError as error:
         raise RefusedError(f"{recording}: {error}") from error

@@ -78,7 +78,9 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         )
     launch, left_out, dragged = _playable(launch, device)
     played = from_launch(launch)
-    receipts = [one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")]
+    receipts = [
+        one for one in recording.messages(RECEIPT) if one.action in ("switch", "set")
+    ]
     if receipts:
         swaps = tuple(
             PlannedSwap(one.seq, _law_of(one.after, played.scene.period), one.ramp)
@@ -101,7 +103,9 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         answers=handed.answers,
         given=handed.force,
         target=(
-            np.array([state.target[axis] for state in states]) if dragged and not lockstep else None
+            np.array([state.target[axis] for state in states])
+            if dragged and not lockstep
+            else None
         ),
         declared=device is None,
         recorded_ticks=len(seq),
@@ -121,11 +125,15 @@ def _launch(recording: Recording) -> Launch:
     with tempfile.TemporaryDirectory(prefix="haptic-replay-") as folder:
         file = Path(folder) / "recorded.yaml"
         file.write_bytes(
-            msgspec.json.encode(_without_files(parse_yaml(text, "the recorded launch file")))
+            msgspec.json.encode(
+                _without_files(parse_yaml(text, "the recorded launch file"))
+            )
         )
         launch = launch_file.read(str(file), msgspec.json.decode(arguments))
     scenario = recording.manifest.get("scenario", "")
-    launch = msgspec.structs.replace(launch, scenario=scenario or launch.scenario, text=text)
+    launch = msgspec.structs.replace(
+        launch, scenario=scenario or launch.scenario, text=text
+    )
     nodes = {}
     for name, spec in launch.nodes.items():
         recorded = recording.metadata.get("parameters", {}).get(name)
@@ -160,7 +168,9 @@ def _without_files(content: Any) -> Any:
     return content
 
 
-def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple[str, ...], bool]:
+def _playable(
+    launch: Launch, device: DeviceModel | None
+) -> tuple[Launch, tuple[str, ...], bool]:
     """Replace hardware by a virtual device.
 
     Return the launch, the limits that only lockstep can replay, and whether a user could move the
@@ -175,7 +185,9 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
             continue
         safety = spec.parameters.get("safety", {})
         left_out += [
-            f"{name}.safety.{limit}" for limit in ("ramp", "continuous_force") if safety.get(limit)
+            f"{name}.safety.{limit}"
+            for limit in ("ramp", "continuous_force")
+            if safety.get(limit)
         ]
         parameters: dict[str, Any] = {"safety": safety}
         for kept in ("passivity", *(() if device else ("preset",))):
@@ -192,7 +204,9 @@ def _playable(launch: Launch, device: DeviceModel | None) -> tuple[Launch, tuple
             raise ValueError(
                 f"{name} is a {spec.kind}: its device is not declared; name a model by --model"
             )
-        nodes[name] = msgspec.structs.replace(spec, kind="sim_driver", parameters=parameters)
+        nodes[name] = msgspec.structs.replace(
+            spec, kind="sim_driver", parameters=parameters
+        )
     return msgspec.structs.replace(launch, nodes=nodes), tuple(left_out), dragged
 
 
@@ -218,7 +232,8 @@ def refuse_law(path: Path, given: Mapping[str, Any]) -> None:
 
 def _wanted(launch: Launch, given: Mapping[str, Any]) -> Law:
     coupling = next(
-        (spec.parameters for spec in launch.nodes.values() if spec.kind == "coupling"), {}
+        (spec.parameters for spec in launch.nodes.values() if spec.kind == "coupling"),
+        {},
     )
     changes = dict(given)
     wanted = changes.pop("law", coupling.get("law"))

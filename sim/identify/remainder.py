@@ -31,9 +31,13 @@ REFUSED = 0.05  # relative change of K_max above which a remainder refutes the m
 DAMPER = 0.3
 # terms that explain this share of what the best one explains are possible causes too
 ALTERNATIVE = 0.3
-CLEAR = 0.5  # if the best term explains less, every significant term is a possible cause
+CLEAR = (
+    0.5  # if the best term explains less, every significant term is a possible cause
+)
 NAMED = 0.27  # a term must explain at least this share to be named as the cause
-FLEXIBLE = 0.6  # factor on the share of a term with several shapes when a cause is named
+FLEXIBLE = (
+    0.6  # factor on the share of a term with several shapes when a cause is named
+)
 PARTS = 4  # parts of the run, and of the range of the motion
 # Terms whose factor is positive in every device; with a negative factor a term only resembles the
 # residual.
@@ -47,7 +51,9 @@ POSITIVE = {
     "quadratic damping",
     "force steps",
 }
-WHOLE = 2.0  # largest factor of a term that is complete at 1, with a margin for its grid
+WHOLE = (
+    2.0  # largest factor of a term that is complete at 1, with a margin for its grid
+)
 # number of terms tried, best first; of each further kind only its best size
 SHOWN = 8
 
@@ -58,7 +64,9 @@ class Remainder:
 
     # the term that explains most, in words; empty if the residual is noise
     cause: str = ""
-    explained: float = 0.0  # share of the residual, beyond rounding, that the term explains
+    explained: float = (
+        0.0  # share of the residual, beyond rounding, that the term explains
+    )
     # largest relative change of K_max by any possible cause
     k_max_change: float = 0.0
     # largest change of each unknown of the fit, in the order of `Fit.free`
@@ -121,9 +129,15 @@ def stiffest(
     over the unit circle, as in `nodes.stability.k_max`.
     """
     whole, numerator, denominator = plant.rational(period)
-    mode = 2.0 * math.pi * plant.frequency * period if math.isfinite(plant.frequency) else math.pi
+    mode = (
+        2.0 * math.pi * plant.frequency * period
+        if math.isfinite(plant.frequency)
+        else math.pi
+    )
     near = mode * (1.0 + np.linspace(-0.2, 0.2, 801))
-    grid = np.union1d(np.linspace(0.0, math.pi, 4001)[1:-1], np.geomspace(1e-6, math.pi, 801)[:-1])
+    grid = np.union1d(
+        np.linspace(0.0, math.pi, 4001)[1:-1], np.geomspace(1e-6, math.pi, 801)[:-1]
+    )
     grid = np.union1d(grid, near[(near > 0.0) & (near < math.pi)])
     w = np.exp(-1j * grid)
     z = 1.0 / w
@@ -136,12 +150,18 @@ def stiffest(
     turns = np.flatnonzero(curve.imag[:-1] * curve.imag[1:] < 0.0)
     part = curve.imag[turns] / (curve.imag[turns] - curve.imag[turns + 1])
     cuts = np.append(
-        curve.real[turns] + part * (curve.real[turns + 1] - curve.real[turns]), curve.real[-1]
+        curve.real[turns] + part * (curve.real[turns + 1] - curve.real[turns]),
+        curve.real[-1],
     )
     # A spring that pushes away has to be held first.
     low = max(0.0, -plant.stiffness)
     for cut in np.sort(cuts[cuts > low]).tolist():
-        if flexible_radius(_pd(0.5 * (low + cut), gain, period, average), period, plant) < 1.0:
+        if (
+            flexible_radius(
+                _pd(0.5 * (low + cut), gain, period, average), period, plant
+            )
+            < 1.0
+        ):
             return float(cut)
         low = cut
     return None
@@ -149,12 +169,17 @@ def stiffest(
 
 def _pd(stiffness: float, gain: float, period: float, average: float) -> CompiledLaw:
     """Return a PD behind an averaging sensor: the convolution of their taps."""
-    taps = np.convolve([stiffness + gain / period, -gain / period], [1.0 - average, average])
+    taps = np.convolve(
+        [stiffness + gain / period, -gain / period], [1.0 - average, average]
+    )
     return CompiledLaw(tuple(float(tap) for tap in taps))
 
 
 def remainder(
-    experiment: Experiment, found: Fit, evidence: Sequence[Evidence], step: float | None = None
+    experiment: Experiment,
+    found: Fit,
+    evidence: Sequence[Evidence],
+    step: float | None = None,
 ) -> Remainder:
     """Return the largest effect of the terms that a residual shows.
 
@@ -181,7 +206,9 @@ def remainder(
     first = likeliest(seen)
     if first is not None and first.share >= NAMED:
         cause, explained = describe(first.suspect.term, first.suspect.size), first.share
-    return Remainder(cause, explained, max(changes), tuple(moved.tolist()), tuple(devices))
+    return Remainder(
+        cause, explained, max(changes), tuple(moved.tolist()), tuple(devices)
+    )
 
 
 def _possible(one: Evidence) -> bool:
@@ -199,7 +226,9 @@ def _told(found: Fit, one: Evidence) -> Array:
     """
     moves = one.moves.copy()
     if one.suspect.term in ("actuator lag", "sensor filter"):
-        moves[found.free == motion.DELAY] += float(one.factors[0]) * one.suspect.start[0]
+        moves[found.free == motion.DELAY] += (
+            float(one.factors[0]) * one.suspect.start[0]
+        )
     return moves
 
 
@@ -221,16 +250,27 @@ def _by_parts(
     windows = np.arange(len(found.starts))
     place = experiment.position[found.starts + found.length // 2]
     ordered = [
-        part for order in (windows, np.argsort(place)) for part in np.array_split(order, PARTS)
+        part
+        for order in (windows, np.argsort(place))
+        for part in np.array_split(order, PARTS)
     ]
-    dealt = [windows[(windows // times) % PARTS == n] for times in (1, 2) for n in range(PARTS)]
+    dealt = [
+        windows[(windows // times) % PARTS == n]
+        for times in (1, 2)
+        for n in range(PARTS)
+    ]
     steps = [_step_of(found, part) for part in ordered]
     devices = [_part_of_the_run(experiment, found, step) for step in steps]
     # The fit is the mean of the parts, so half of the difference counts.
     moved = 0.5 * np.abs(steps).max(axis=0)
     most = max(_change(experiment, device, here, gain) for device in devices)
     chance = max(
-        _change(experiment, _part_of_the_run(experiment, found, _step_of(found, part)), here, gain)
+        _change(
+            experiment,
+            _part_of_the_run(experiment, found, _step_of(found, part)),
+            here,
+            gain,
+        )
         for part in dealt
     )
     if not (math.isfinite(most) and math.isfinite(chance)):
@@ -258,7 +298,9 @@ def _averaging(plant: FlexiblePlant, average: float) -> FlexiblePlant:
     return replace(plant, delay=max(plant.delay - average, 0.0))
 
 
-def altered(experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0) -> AlteredDevice:
+def altered(
+    experiment: Experiment, found: Fit, one: Evidence, step: float = 0.0
+) -> AlteredDevice:
     """Return the device of a fit with one term at the largest size the windows allow.
 
     Parameters
@@ -325,7 +367,10 @@ def _with(
     if term == "flexible mode" and factor > 0.0 and plant.rigid:
         share = min(factor / (1.0 + factor), 0.95)
         plant = replace(
-            plant, share=share, frequency=one.suspect.start[1], loss=one.suspect.start[2]
+            plant,
+            share=share,
+            frequency=one.suspect.start[1],
+            loss=one.suspect.start[2],
         )
     elif term == "backlash" and factor > 0.0:
         # Within the gap only the motor side moves.
@@ -336,7 +381,9 @@ def _with(
         lag = one.suspect.start[0]
         short = lag * math.sqrt(factor)
         plant = replace(
-            plant, lag=short * period, delay=max(plant.delay + factor * lag - short, 0.0)
+            plant,
+            lag=short * period,
+            delay=max(plant.delay + factor * lag - short, 0.0),
         )
     elif term == "sensor filter" and factor > 0.0 and own == 0.0:
         part = one.suspect.start[0]
@@ -347,7 +394,9 @@ def _with(
         elif plant.lag == 0.0:
             # Two samples cannot blur more: a longer filter, equal to a lag of the same square.
             plant = replace(
-                plant, lag=math.sqrt(blur) * period, delay=max(late - math.sqrt(blur), 0.0)
+                plant,
+                lag=math.sqrt(blur) * period,
+                delay=max(late - math.sqrt(blur), 0.0),
             )
     elif term == "spring":
         reach = float(np.ptp(experiment.position)) / 2.0
@@ -355,7 +404,9 @@ def _with(
             factors @ np.array([1.0, 2.0 * reach, 3.0 * reach**2])[: len(factors)]
         )
     elif term == "cogging":
-        own_spring = mass * float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
+        own_spring = (
+            mass * float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
+        )
     elif term == "encoder ripple":
         gain = 1.0 + float(np.linalg.norm(factors)) * 2.0 * math.pi / one.suspect.size
     elif term == "presliding" and one.suspect.size > step:
@@ -367,8 +418,12 @@ def _with(
         # Steepest where the force is 0 or where it is largest.
         strongest = one.suspect.start[0]
         gain = 1.0 + size * max(
-            0.0, float(one.factors[0]) / (0.1 * strongest), 2.0 * float(one.factors[1]) * strongest
+            0.0,
+            float(one.factors[0]) / (0.1 * strongest),
+            2.0 * float(one.factors[1]) * strongest,
         )
     elif term == "drift":
-        plant = replace(plant, damping=max(plant.damping - 0.5 * mass * factors[0], 0.0))
+        plant = replace(
+            plant, damping=max(plant.damping - 0.5 * mass * factors[0], 0.0)
+        )
     return plant, average, float(spring), float(gain), own_spring

@@ -13,7 +13,14 @@ import numpy as np
 from nodes.stability.plant import Plant, held_plant
 from sim.arrays import Array
 from sim.identify.experiment import Experiment
-from sim.identify.identified_motion import DAMPING, DELAY, FRICTION, LOAD, MOBILITY, STIFFNESS
+from sim.identify.identified_motion import (
+    DAMPING,
+    DELAY,
+    FRICTION,
+    LOAD,
+    MOBILITY,
+    STIFFNESS,
+)
 from sim.identify.output_error import Fit
 
 LOWEST = 8.0  # lowest joint frequency [Hz]; anything slower is a hand
@@ -22,7 +29,15 @@ HIGHEST = 0.9
 LOSSES = (0.02, 0.08)  # damping ratios of a joint
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0)  # lags of the actuator [ticks]
 AVERAGES = (0.15, 0.5)  # weight of the previous sample in each reading
-FORCE_STEPS = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1)  # resolution of the motor's force [N]
+FORCE_STEPS = (
+    1e-3,
+    2e-3,
+    5e-3,
+    1e-2,
+    2e-2,
+    5e-2,
+    0.1,
+)  # resolution of the motor's force [N]
 
 
 @dataclass(frozen=True)
@@ -70,7 +85,9 @@ def describe(term: str, size: float) -> str:
     return words.format(size * factor)
 
 
-def _filtered(numerator: Sequence[float], denominator: Sequence[float], what: Array) -> Array:
+def _filtered(
+    numerator: Sequence[float], denominator: Sequence[float], what: Array
+) -> Array:
     """Filter along the last axis.
 
     scipy is imported here because its filters take 0.5 s to load and most reports need none.
@@ -97,7 +114,9 @@ class Shapes:
             float(theta[DELAY]),
         )
         self._force = self._mean(experiment.force)
-        direction = np.sign(np.gradient(np.convolve(experiment.position, np.ones(5) / 5.0, "same")))
+        direction = np.sign(
+            np.gradient(np.convolve(experiment.position, np.ones(5) / 5.0, "same"))
+        )
         self._net = self._force - theta[FRICTION] * direction + theta[LOAD]
 
     def _mean(self, given: Array) -> Array:
@@ -116,7 +135,11 @@ class Shapes:
         """Return the model's motion under an acceleration (W, L), from rest in each window."""
         plant = held_plant(
             Plant(
-                self._period, 1.0, float(self._theta[DAMPING]), 0.0, float(self._theta[STIFFNESS])
+                self._period,
+                1.0,
+                float(self._theta[DAMPING]),
+                0.0,
+                float(self._theta[STIFFNESS]),
             )
         )
         return _filtered([0.0, *plant.numerator[:2]], plant.denominator, force)
@@ -144,10 +167,17 @@ class Shapes:
         ).tolist():
             pulse = 2.0 * np.pi * frequency
             for loss in LOSSES:
-                plant = held_plant(Plant(self._period, 1.0, 2.0 * loss * pulse, 0.0, pulse * pulse))
-                swing = _filtered([0.0, *plant.numerator[:2]], plant.denominator, self._net)
+                plant = held_plant(
+                    Plant(self._period, 1.0, 2.0 * loss * pulse, 0.0, pulse * pulse)
+                )
+                swing = _filtered(
+                    [0.0, *plant.numerator[:2]], plant.denominator, self._net
+                )
                 yield Suspect(
-                    "flexible mode", frequency, swing[self._rows][None], (0.3, frequency, loss)
+                    "flexible mode",
+                    frequency,
+                    swing[self._rows][None],
+                    (0.3, frequency, loss),
                 )
 
     def _lags(self) -> Iterator[Suspect]:
@@ -161,14 +191,20 @@ class Shapes:
 
     def _frictions(self) -> Iterator[Suspect]:
         v, sign = self._v, np.sign(self._v)
-        yield Suspect("quadratic damping", 0.0, self._moved_by(-v * np.abs(v))[None], (1.0,))
+        yield Suspect(
+            "quadratic damping", 0.0, self._moved_by(-v * np.abs(v))[None], (1.0,)
+        )
         for speed in (0.01, 0.03):
             yield Suspect(
-                "stribeck", speed, self._moved_by(-sign * np.exp(-((v / speed) ** 2)))[None]
+                "stribeck",
+                speed,
+                self._moved_by(-sign * np.exp(-((v / speed) ** 2)))[None],
             )
         for reach in (2e-5, 5e-5, 1e-4, 2e-4, 5e-4):
             yield Suspect(
-                "presliding", reach, self._moved_by(sign - self._bristle(reach) / reach)[None]
+                "presliding",
+                reach,
+                self._moved_by(sign - self._bristle(reach) / reach)[None],
             )
 
     def _bristle(self, reach: float) -> Array:
@@ -184,7 +220,9 @@ class Shapes:
 
     def _springs(self) -> Iterator[Suspect]:
         x = self._x - np.median(self._x)
-        yield Suspect("spring", 0.0, np.stack([self._moved_by(-(x**n)) for n in (1, 2, 3)]))
+        yield Suspect(
+            "spring", 0.0, np.stack([self._moved_by(-(x**n)) for n in (1, 2, 3)])
+        )
 
     def _gaps(self) -> Iterator[Suspect]:
         for gap in (5e-5, 1e-4, 2e-4, 4e-4, 8e-4):
@@ -213,31 +251,47 @@ class Shapes:
             waves = np.stack([np.sin(around), np.cos(around)])
             yield Suspect("encoder ripple", pitch, waves)
             if pitch > 1e-3:
-                yield Suspect("cogging", pitch, np.stack([self._moved_by(wave) for wave in waves]))
+                yield Suspect(
+                    "cogging", pitch, np.stack([self._moved_by(wave) for wave in waves])
+                )
 
     def _others(self) -> Iterator[Suspect]:
-        along = np.broadcast_to((self._rows / self._rows.max() - 0.5)[:, :1], self._x.shape)
+        along = np.broadcast_to(
+            (self._rows / self._rows.max() - 0.5)[:, :1], self._x.shape
+        )
         yield Suspect(
             "drift",
             0.0,
-            np.stack([self._moved_by(-along * self._v), self._moved_by(-along * np.sign(self._v))]),
+            np.stack(
+                [
+                    self._moved_by(-along * self._v),
+                    self._moved_by(-along * np.sign(self._v)),
+                ]
+            ),
         )
         force = self._force[self._rows]
         strongest = np.abs(force).max() or 1.0
         shapes = (np.tanh(force / (0.1 * strongest)), force * np.abs(force))
         yield Suspect(
-            "deadband", 0.0, np.stack([self._moved_by(shape) for shape in shapes]), (strongest,)
+            "deadband",
+            0.0,
+            np.stack([self._moved_by(shape) for shape in shapes]),
+            (strongest,),
         )
         yield Suspect("gain by sign", 0.0, self._moved_by(np.abs(force))[None])
         largest = float(np.abs(self._given).max())
         for step in FORCE_STEPS:
             if step < largest:
                 lost = self._mean(np.round(self._given / step) * step - self._given)
-                yield Suspect("force steps", step, self._moved_by(lost[self._rows])[None])
+                yield Suspect(
+                    "force steps", step, self._moved_by(lost[self._rows])[None]
+                )
 
     def _read(self) -> Iterator[Suspect]:
         x = self._x
-        before = np.concatenate([3.0 * x[:, :1] - 3.0 * x[:, 1:2] + x[:, 2:3], x[:, :-1]], axis=1)
+        before = np.concatenate(
+            [3.0 * x[:, :1] - 3.0 * x[:, 1:2] + x[:, 2:3], x[:, :-1]], axis=1
+        )
         for part in AVERAGES:
             # `judge_fit` projects out the effect of a delay, which leaves the blur.
             yield Suspect("sensor filter", part, (part * (before - x))[None], (part,))

@@ -132,7 +132,9 @@ def _start(x: Array) -> tuple[float, float]:
     return min(decay, 1.0), math.acos(max(-1.0, min(1.0, a / (2.0 * decay))))
 
 
-def recorded_swing(path: Path, damping: float | None = None, hand: float | None = None) -> Swing:
+def recorded_swing(
+    path: Path, damping: float | None = None, hand: float | None = None
+) -> Swing:
     """Measure the swing of a recording's longest contact and estimate K_max.
 
     Damping [N s/m] and hand stiffness [N/m] of a virtual device default to the recorded values.
@@ -147,13 +149,19 @@ def recorded_swing(path: Path, damping: float | None = None, hand: float | None 
             (body.moving_damping if damping is None else damping),
             (body.grip if hand is None else hand),
         )
-    return swing_of(law, Plant(loop.period, 1.0, 0.0, loop.median, hand or 0.0), inside, damping)
+    return swing_of(
+        law, Plant(loop.period, 1.0, 0.0, loop.median, hand or 0.0), inside, damping
+    )
 
 
 def virtual_device(recording: Recording, axis: int) -> DeviceModel | None:
     """Return the recorded virtual device along an axis; None for a real one."""
     told = node_with(recording, "device")
-    return convert(told["device"], DeviceModel, "device").along("xyz"[axis]) if told else None
+    return (
+        convert(told["device"], DeviceModel, "device").along("xyz"[axis])
+        if told
+        else None
+    )
 
 
 def windows(inside: Array) -> tuple[list[Decay], int]:
@@ -172,7 +180,9 @@ def windows(inside: Array) -> tuple[list[Decay], int]:
             f"no single swing: {100.0 * whole.residual:.0f} % of the motion is something else"
         )
     if whole.decay - 2.0 * whole.decay_off > 1.0 - 1e-9:
-        raise CannotTellError("the swing does not decay: the loop is unstable, or in a limit cycle")
+        raise CannotTellError(
+            "the swing does not decay: the loop is unstable, or in a limit cycle"
+        )
     return fits, end
 
 
@@ -198,7 +208,9 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
                     for off in (-2.0 * fit.decay_off, 0.0)
                 ]
     known = [plant for plant in plants if plant is not None]
-    edges = [edge for plant in known if (edge := edge_of(derivative, plant)) is not None]
+    edges = [
+        edge for plant in known if (edge := edge_of(derivative, plant)) is not None
+    ]
     if len(edges) < len(plants) or not edges:
         raise CannotTellError(
             "no mass gives a loop that oscillates at its edge a pole at this swing"
@@ -206,7 +218,9 @@ def swing_of(law: Law, loop: Plant, inside: Array, damping: float | None) -> Swi
     edges.sort(key=lambda edge: edge.k_exact_n_per_m)
     low, high = edges[0].k_exact_n_per_m, edges[-1].k_exact_n_per_m
     wider = _MARGIN * 0.5 * (low + high) + 0.5 * (high - low)
-    masses, dampings = ([getattr(plant, name) for plant in known] for name in ("mass", "damping"))
+    masses, dampings = (
+        [getattr(plant, name) for plant in known] for name in ("mass", "damping")
+    )
     intervals = (
         (max(low - wider, 0.0), high + wider),
         (min(masses), max(masses)),
@@ -229,16 +243,23 @@ def _by_frequency(
     law: CompiledLaw, loop: Plant, theta: float, decay: float, damping: float
 ) -> Plant | None:
     """Find the mass with which the loop has a pole at an angle, with any decay."""
-    return _solved(law, loop, decay, lambda second: (damping, second * cmath.exp(1j * theta)))
+    return _solved(
+        law, loop, decay, lambda second: (damping, second * cmath.exp(1j * theta))
+    )
 
 
 def _by_pole(law: CompiledLaw, loop: Plant, theta: float, decay: float) -> Plant | None:
     """Find mass and damping with which the loop has a given pole."""
-    return _solved(law, loop, 1.0, lambda second: (max(second, 0.0), decay * cmath.exp(1j * theta)))
+    return _solved(
+        law, loop, 1.0, lambda second: (max(second, 0.0), decay * cmath.exp(1j * theta))
+    )
 
 
 def _solved(
-    law: CompiledLaw, loop: Plant, start: float, trial: Callable[[float], tuple[float, complex]]
+    law: CompiledLaw,
+    loop: Plant,
+    start: float,
+    trial: Callable[[float], tuple[float, complex]],
 ) -> Plant | None:
     from scipy.optimize import root
 
@@ -252,12 +273,16 @@ def _solved(
     )
 
     def plant(unknown: Array) -> Plant:
-        return replace(loop, mass=math.exp(min(unknown[0], 50.0)), damping=trial(unknown[1])[0])
+        return replace(
+            loop, mass=math.exp(min(unknown[0], 50.0)), damping=trial(unknown[1])[0]
+        )
 
     def balance(unknown: Array) -> tuple[float, float]:
         z = trial(unknown[1])[1]
         law_there = complex(law.response(z))
-        off = (1.0 / position_over_force(z, plant(unknown)) + law_there) / abs(law_there)
+        off = (1.0 / position_over_force(z, plant(unknown)) + law_there) / abs(
+            law_there
+        )
         return off.real, off.imag
 
     for second in (start, 0.3 * start, 0.97):
@@ -282,7 +307,9 @@ def _contact(recording: Recording) -> tuple[int, Array]:
     )
     inside = states[first:last]
     rendered = {message.seq: message for message in recording.messages(FORCE)}
-    answers = [rendered[state.force_seq] for state in inside if state.force_seq in rendered]
+    answers = [
+        rendered[state.force_seq] for state in inside if state.force_seq in rendered
+    ]
     if inside and not answers:
         raise CannotTellError(
             "the coupling's forces of the longest contact were not recorded, so the law is not"
@@ -291,18 +318,28 @@ def _contact(recording: Recording) -> tuple[int, Array]:
     # The known law is that of the launch; revisions count from its start, whenever recording began.
     if any(answer.revision != 0 for answer in answers):
         raise CannotTellError("the law changed before the end of the longest contact")
-    fresh = [state for state in inside if state.force_seq in rendered and state.age == 0]
-    pairs = [(state.force[axis], rendered[state.force_seq].force[axis]) for state in fresh]
-    limited = any(abs(given - asked) > 1e-9 * max(1.0, abs(asked)) for given, asked in pairs)
+    fresh = [
+        state for state in inside if state.force_seq in rendered and state.age == 0
+    ]
+    pairs = [
+        (state.force[axis], rendered[state.force_seq].force[axis]) for state in fresh
+    ]
+    limited = any(
+        abs(given - asked) > 1e-9 * max(1.0, abs(asked)) for given, asked in pairs
+    )
     if limited or any(state.safety != "active" for state in inside):
         raise CannotTellError("the driver limited the force during the longest contact")
     return axis, np.array([state.position[axis] for state in inside])
 
 
-def _contact_without_gaps(contact: NDArray[np.bool_], seq: NDArray[np.int64]) -> tuple[int, int]:
+def _contact_without_gaps(
+    contact: NDArray[np.bool_], seq: NDArray[np.int64]
+) -> tuple[int, int]:
     """Find the longest contact without missing ticks, as the fit requires."""
     ends = [0, *(np.flatnonzero(np.diff(seq) != 1) + 1).tolist(), len(seq)]
-    runs = [(begin, longest(contact[begin:end])) for begin, end in itertools.pairwise(ends)]
+    runs = [
+        (begin, longest(contact[begin:end])) for begin, end in itertools.pairwise(ends)
+    ]
     begin, (first, last) = max(runs, key=lambda run: run[1][1] - run[1][0])
     return begin + first, begin + last
 
@@ -351,7 +388,9 @@ class SwingCount:
     median_width: float | None  # of an interval, relative to K_max
 
 
-def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> DroppedSwing:
+def dropped(
+    number: int, name: str, law: Mapping[str, Any], period: float
+) -> DroppedSwing:
     """Drop a random device on a floor of 0.3 to 0.9 K_max and estimate K_max from its swing."""
     random = np.random.default_rng([7, number])
     plant = Plant(
@@ -374,7 +413,11 @@ def dropped(number: int, name: str, law: Mapping[str, Any], period: float) -> Dr
         friction=friction,
         resolution=RESOLUTION,
     )
-    trace = run(drop_scene(device, period, raw=False, clamp=True), rendered.compile(period), TICKS)
+    trace = run(
+        drop_scene(device, period, raw=False, clamp=True),
+        rendered.compile(period),
+        TICKS,
+    )
     first, last = longest(np.abs(trace.force) > 0.0)
     try:
         swing = swing_of(rendered, plant, trace.measured[first:last], plant.damping)

@@ -83,10 +83,18 @@ class Emitter(Expressions):
         if function.__name__.startswith("_"):
             name += "$"  # its name without the underscore may be that of a variable
         taken = {*self._names.values(), *self._host.values()}
-        return name if name not in taken else f"{name}_{function.__module__.rpartition('.')[2]}"
+        return (
+            name
+            if name not in taken
+            else f"{name}_{function.__module__.rpartition('.')[2]}"
+        )
 
     def _definition(
-        self, node: ast.FunctionDef, outer: Scope | None, outside: dict[str, Any], name: str
+        self,
+        node: ast.FunctionDef,
+        outer: Scope | None,
+        outside: dict[str, Any],
+        name: str,
     ) -> str:
         if node.args.vararg or node.args.kwarg or node.args.kwonlyargs:
             raise self.refusal(node, "star arguments")
@@ -99,7 +107,8 @@ class Emitter(Expressions):
         scope.names |= {*variables, *_inner_functions(node)}
         defaults = [None] * (len(given) - len(node.args.defaults)) + node.args.defaults
         arguments = ", ".join(
-            identifier(one) + ("" if default is None else f" = {self.expression(default, scope)}")
+            identifier(one)
+            + ("" if default is None else f" = {self.expression(default, scope)}")
             for one, default in zip(given, defaults, strict=True)
         )
         body = self._block(node.body, scope)
@@ -112,7 +121,9 @@ class Emitter(Expressions):
 
     def _statement(self, node: ast.stmt, scope: Scope) -> str:
         match node:
-            case ast.Expr(value=ast.Constant()) | ast.Pass() | ast.AnnAssign(value=None):
+            case (
+                ast.Expr(value=ast.Constant()) | ast.Pass() | ast.AnnAssign(value=None)
+            ):
                 return ""
             case ast.Expr(value=value):
                 return self.expression(value, scope) + ";\n"
@@ -149,11 +160,15 @@ class Emitter(Expressions):
     def _for(self, node: ast.For, scope: Scope) -> str:
         body = self._block(node.body, scope)
         match node.target, node.iter:
-            case ast.Name(id=name), ast.Call(func=ast.Name(id="range"), args=args, keywords=[]):
+            case ast.Name(id=name), ast.Call(
+                func=ast.Name(id="range"), args=args, keywords=[]
+            ):
                 ends = [self.expression(one, scope) for one in args]
                 start, stop = ("0", ends[0]) if len(ends) == 1 else (ends[0], ends[1])
                 step = ends[2] if len(ends) == 3 else "1"
-                if len(ends) == 3 and not isinstance(args[2], ast.Constant | ast.UnaryOp):
+                if len(ends) == 3 and not isinstance(
+                    args[2], ast.Constant | ast.UnaryOp
+                ):
                     raise self.refusal(node, "a step that is no constant")
                 sign = ">" if step.startswith(("-", "(-")) else "<"
                 i, end = scope.temporary(), scope.temporary()
@@ -168,10 +183,13 @@ class Emitter(Expressions):
         if not isinstance(target, ast.Tuple):
             return f"{self.expression(target, scope)} = {item};\n"
         return "".join(
-            self._spread(part, f"{item}[{n}]", scope) for n, part in enumerate(target.elts)
+            self._spread(part, f"{item}[{n}]", scope)
+            for n, part in enumerate(target.elts)
         )
 
-    def _assign(self, targets: Sequence[ast.expr], value: ast.expr, scope: Scope) -> str:
+    def _assign(
+        self, targets: Sequence[ast.expr], value: ast.expr, scope: Scope
+    ) -> str:
         if not any(isinstance(target, ast.Tuple) for target in targets):
             places = " = ".join(self.expression(target, scope) for target in targets)
             return f"{places} = {unwrapped(self.expression(value, scope))};\n"
@@ -183,7 +201,8 @@ class Emitter(Expressions):
             parts = [self.expression(part, scope) for part in value.elts]
             names = [scope.temporary() for _ in parts]
             stored = "".join(
-                f"{name} = {unwrapped(part)};\n" for name, part in zip(names, parts, strict=True)
+                f"{name} = {unwrapped(part)};\n"
+                for name, part in zip(names, parts, strict=True)
             )
             return stored + "".join(
                 self._spread(part, name, scope)
@@ -213,4 +232,6 @@ def _variables(function: ast.FunctionDef) -> set[str]:
 
 
 def _inner_functions(function: ast.FunctionDef) -> set[str]:
-    return {node.name for node in _own_nodes(function) if isinstance(node, ast.FunctionDef)}
+    return {
+        node.name for node in _own_nodes(function) if isinstance(node, ast.FunctionDef)
+    }

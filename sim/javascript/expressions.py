@@ -9,7 +9,13 @@ import types
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from sim.javascript.names import INEXACT, NotEmittedError, identifier, literal, unwrapped
+from sim.javascript.names import (
+    INEXACT,
+    NotEmittedError,
+    identifier,
+    literal,
+    unwrapped,
+)
 
 _COMPARED: Final[dict[type[ast.cmpop], str]] = {
     ast.Lt: "<",
@@ -21,7 +27,11 @@ _COMPARED: Final[dict[type[ast.cmpop], str]] = {
     ast.Is: "===",
     ast.IsNot: "!==",
 }
-_SIGNS: Final[dict[type[ast.unaryop], str]] = {ast.USub: "-", ast.UAdd: "+", ast.Not: "!"}
+_SIGNS: Final[dict[type[ast.unaryop], str]] = {
+    ast.USub: "-",
+    ast.UAdd: "+",
+    ast.Not: "!",
+}
 _OPERATORS: Final[dict[type[ast.operator], str]] = {
     ast.Add: "({} + {})",
     ast.Sub: "({} - {})",
@@ -75,7 +85,9 @@ class Expressions:
     module = ""  # module of the function being emitted
 
     def __init__(self) -> None:
-        self.inexact: dict[str, str] = {}  # places that call what engines round differently
+        self.inexact: dict[
+            str, str
+        ] = {}  # places that call what engines round differently
 
     def function(self, function: Callable[..., Any]) -> str:
         """Return the name of a function in the emitted code."""
@@ -111,14 +123,19 @@ class Expressions:
                 return f"({_SIGNS[type(op)]}{self.expression(operand, scope)})"
             case ast.BinOp(left=left, op=op, right=right):
                 return self.binary(
-                    node, op, self.expression(left, scope), self.expression(right, scope)
+                    node,
+                    op,
+                    self.expression(left, scope),
+                    self.expression(right, scope),
                 )
             case ast.BoolOp(op=op, values=values):
                 sign = " && " if isinstance(op, ast.And) else " || "
                 return f"({sign.join(self.expression(part, scope) for part in values)})"
             case ast.IfExp(test=test, body=body, orelse=other):
                 parts = [test, body, other]
-                return "({} ? {} : {})".format(*(self.expression(part, scope) for part in parts))
+                return "({} ? {} : {})".format(
+                    *(self.expression(part, scope) for part in parts)
+                )
             case ast.Compare():
                 return self._compare(node, scope)
             case ast.Lambda(args=args, body=body):
@@ -164,17 +181,24 @@ class Expressions:
         """Return the name of an emitted function where no variable hides it."""
         name = self.function(function)
         if scope.knows(name):
-            raise self.refusal(node, f"a variable that has the name of a function called, {name},")
+            raise self.refusal(
+                node, f"a variable that has the name of a function called, {name},"
+            )
         return name
 
     def _subscript(self, node: ast.Subscript, scope: Scope) -> str:
         base = self.expression(node.value, scope)
         match node.slice:
             case ast.Slice(lower=low, upper=high, step=None):
-                ends = [ast.Constant(0) if low is None else low, *([] if high is None else [high])]
+                ends = [
+                    ast.Constant(0) if low is None else low,
+                    *([] if high is None else [high]),
+                ]
                 return f"{base}.subarray({', '.join(self.expression(e, scope) for e in ends)})"
             case ast.Tuple(elts=parts):
-                return base + "".join(f"[{self.expression(part, scope)}]" for part in parts)
+                return base + "".join(
+                    f"[{self.expression(part, scope)}]" for part in parts
+                )
             case ast.UnaryOp():
                 raise self.refusal(node, "an index from the end")
         return f"{base}[{unwrapped(self.expression(node.slice, scope))}]"
@@ -196,7 +220,9 @@ class Expressions:
             left = right
         return f"({' && '.join(parts)})"
 
-    def _relation(self, left: ast.expr, op: ast.cmpop, right: ast.expr, scope: Scope) -> str:
+    def _relation(
+        self, left: ast.expr, op: ast.cmpop, right: ast.expr, scope: Scope
+    ) -> str:
         sign = _COMPARED[type(op)]
         return f"{self.expression(left, scope)} {sign} {self.expression(right, scope)}"
 

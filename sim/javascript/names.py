@@ -14,10 +14,50 @@ from messages.errors import HapticError
 
 RESERVED: Final = frozenset(
     (
-        *("arguments", "await", "case", "catch", "class", "const", "debugger", "default", "delete"),
-        *("do", "enum", "eval", "export", "extends", "false", "finally", "function", "implements"),
-        *("import", "in", "instanceof", "interface", "let", "new", "null", "package", "private"),
-        *("protected", "public", "static", "super", "switch", "this", "throw", "true", "try"),
+        *(
+            "arguments",
+            "await",
+            "case",
+            "catch",
+            "class",
+            "const",
+            "debugger",
+            "default",
+            "delete",
+        ),
+        *(
+            "do",
+            "enum",
+            "eval",
+            "export",
+            "extends",
+            "false",
+            "finally",
+            "function",
+            "implements",
+        ),
+        *(
+            "import",
+            "in",
+            "instanceof",
+            "interface",
+            "let",
+            "new",
+            "null",
+            "package",
+            "private",
+        ),
+        *(
+            "protected",
+            "public",
+            "static",
+            "super",
+            "switch",
+            "this",
+            "throw",
+            "true",
+            "try",
+        ),
         *("typeof", "var", "void", "with", "yield"),
     )
 )
@@ -61,7 +101,20 @@ const named_ = (names, values) => {
 """
 
 INEXACT: Final = frozenset(
-    ("acos", "asin", "atan", "atan2", "cos", "exp", "expm1", "hypot", "log", "log1p", "sin", "tan")
+    (
+        "acos",
+        "asin",
+        "atan",
+        "atan2",
+        "cos",
+        "exp",
+        "expm1",
+        "hypot",
+        "log",
+        "log1p",
+        "sin",
+        "tan",
+    )
 )
 """Functions of `math` that engines round differently from the C library."""
 

@@ -38,7 +38,9 @@ def value(given: Any) -> str:
     if isinstance(given, str):
         return _json(given)
     if isinstance(given, Mapping):
-        pairs = ", ".join(f"{json.dumps(str(key))}: {value(one)}" for key, one in given.items())
+        pairs = ", ".join(
+            f"{json.dumps(str(key))}: {value(one)}" for key, one in given.items()
+        )
         return f"{{{pairs}}}"
     if isinstance(given, np.generic):
         return literal(given.item())
@@ -51,7 +53,9 @@ def value(given: Any) -> str:
 
 def _json(given: Any) -> str:
     # "</" would end a script element.
-    return json.dumps(given, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+    return json.dumps(given, allow_nan=False, separators=(",", ":")).replace(
+        "</", "<\\/"
+    )
 
 
 def _sequence(given: Any) -> str:

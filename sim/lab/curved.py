@@ -35,7 +35,10 @@ from sim.play.player import play
 from sim.play.touch import touch
 
 FRAMES = ("world", "surface")
-SEARCHED = (0.5, 1.5)  # search range of K_max of a sliding contact, relative to that of one axis
+SEARCHED = (
+    0.5,
+    1.5,
+)  # search range of K_max of a sliding contact, relative to that of one axis
 
 _RADIUS, _THIN = 0.035, 0.006
 # Mass, damping and stiffness of device and hand together [kg], [N s/m], [N/m]; damper of the law
@@ -80,21 +83,31 @@ def ways(
 
     origin = (0.0, 0.0, 0.0)
     steep = math.radians(30.0)
-    groove = [plane(origin, (side * math.sin(steep), 0.0, math.cos(steep))) for side in (1.0, -1.0)]
+    groove = [
+        plane(origin, (side * math.sin(steep), 0.0, math.cos(steep)))
+        for side in (1.0, -1.0)
+    ]
     x = there - 0.5 * s[-1]
     across = np.stack(
-        [x, np.zeros_like(x), np.abs(x) * math.tan(steep) - down / math.cos(steep)], axis=1
+        [x, np.zeros_like(x), np.abs(x) * math.tan(steep) - down / math.cos(steep)],
+        axis=1,
     )
     flat = np.stack([x, np.zeros_like(x), -down], axis=1)
     found = [
         ("plane", [plane(origin, (0.0, 0.0, 1.0))], flat),
         ("sphere of 35 mm", [sphere(origin, _RADIUS)], round_way(_RADIUS)),
-        ("rod of 6 mm", [capsule((0.0, -0.1, 0.0), (0.0, 0.1, 0.0), _THIN)], round_way(_THIN)),
+        (
+            "rod of 6 mm",
+            [capsule((0.0, -0.1, 0.0), (0.0, 0.1, 0.0), _THIN)],
+            round_way(_THIN),
+        ),
         ("groove of 120°", groove, across),
     ]
     for halvings in (2, 4):
         solid = mesh(prepare_mesh(icosphere(halvings, _RADIUS), False, "sphere"))
-        found.append((f"sphere of {20 * 4**halvings} triangles", [solid], round_way(_RADIUS)))
+        found.append(
+            (f"sphere of {20 * 4**halvings} triangles", [solid], round_way(_RADIUS))
+        )
     return [(name, solids, back(path)) for name, solids, path in found]
 
 
@@ -112,7 +125,11 @@ def forces(
     renderer.law = ActiveLaw("law", "", law, renderer.histories)
     found = np.zeros_like(positions)
     rows = zip(
-        positions.tolist(), proxies.tolist(), normals.tolist(), contact.tolist(), strict=True
+        positions.tolist(),
+        proxies.tolist(),
+        normals.tolist(),
+        contact.tolist(),
+        strict=True,
     )
     for k, (position, proxy, normal, touched) in enumerate(rows):
         place, away = (proxy, -1.0) if touched else (position, 1.0)
@@ -151,12 +168,18 @@ def along_ways(
                 beyond = force - spring
                 mean, way = 0.5 * (force[1:] + force[:-1])[steady], moved[steady]
                 work = float(np.einsum("ij,ij->", mean, way))
-                scale = float(np.linalg.norm(mean, axis=1) @ np.linalg.norm(way, axis=1))
+                scale = float(
+                    np.linalg.norm(mean, axis=1) @ np.linalg.norm(way, axis=1)
+                )
                 kicks = float(
-                    np.sqrt(np.mean(np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1)))
+                    np.sqrt(
+                        np.mean(np.sum(np.diff(beyond[steady], axis=0) ** 2, axis=1))
+                    )
                 )
                 most = float(np.linalg.norm(beyond[steady], axis=1).max())
-                found.append(AlongTheWay(surface, name, frame, work / scale, kicks, most))
+                found.append(
+                    AlongTheWay(surface, name, frame, work / scale, kicks, most)
+                )
     return found
 
 
@@ -208,14 +231,20 @@ def growth(position: Array, proxy: Array, contact: NDArray[np.bool_]) -> float:
     The ripple is the second difference of the depth; the growth is its late over its early root
     mean square.
     """
-    ripple = np.diff(np.where(contact, np.linalg.norm(proxy - position, axis=1), 0.0), n=2)
+    ripple = np.diff(
+        np.where(contact, np.linalg.norm(proxy - position, axis=1), 0.0), n=2
+    )
     tenth = len(ripple) // 10
     early, late = ripple[tenth : 4 * tenth], ripple[6 * tenth : 9 * tenth]
     return float(np.sqrt(np.mean(late**2) / max(np.mean(early**2), 1e-300)))
 
 
 def sliding_k_max(
-    launch: Launch, speed: float, frame: str, radius: float = _RADIUS, precision: float = 2e-3
+    launch: Launch,
+    speed: float,
+    frame: str,
+    radius: float = _RADIUS,
+    precision: float = 2e-3,
 ) -> float:
     """Return the stiffness from which the ripple of a sliding contact grows [N/m].
 
@@ -239,7 +268,9 @@ def sliding_k_max(
     return math.sqrt(low * high)
 
 
-def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) -> float:
+def growth_launched(
+    launch: Launch, stiffness: float, speed: float, frame: str
+) -> float:
     """Return the growth of the ripple in a lockstep launch through all processes."""
     made = sliding(launch, stiffness, speed, frame)
     nodes = {
@@ -255,13 +286,16 @@ def growth_launched(launch: Launch, stiffness: float, speed: float, frame: str) 
     with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
         file = Path(folder) / "sliding.yaml"
         file.write_text(
-            yaml.safe_dump({"summary": "A contact that slides.", "run": run, "nodes": nodes}),
+            yaml.safe_dump(
+                {"summary": "A contact that slides.", "run": run, "nodes": nodes}
+            ),
             encoding="utf-8",
         )
         figures = run_launch(str(file), folder=Path(folder))
         found = Recording(Path(folder) / figures["recording"]).messages(PROXY)
     position, proxy = (
-        np.array([getattr(message, name) for message in found]) for name in ("position", "proxy")
+        np.array([getattr(message, name) for message in found])
+        for name in ("position", "proxy")
     )
     return growth(position, proxy, np.array([message.contact for message in found]))
 

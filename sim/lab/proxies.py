@@ -65,7 +65,9 @@ class ProxyError:
         return cls(
             rms_n=float(np.sqrt(np.mean(size**2))),
             max_n=float(size.max()),
-            noise_n=float(np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)),
+            noise_n=float(
+                np.sqrt(np.mean(np.sum(np.diff(error, axis=0) ** 2, axis=1)) / 2.0)
+            ),
             proxy_um=float(1e6 * size.max() / stiffness),
             **others,
         )
@@ -81,7 +83,10 @@ def icosphere(halvings: int, radius: float) -> Array:
     for _ in range(halvings):
         middle = triangles + np.roll(triangles, -1, axis=1)
         middle /= np.linalg.norm(middle, axis=2, keepdims=True)
-        (a, b, c), (ab, bc, ca) = np.moveaxis(triangles, 1, 0), np.moveaxis(middle, 1, 0)
+        (a, b, c), (ab, bc, ca) = (
+            np.moveaxis(triangles, 1, 0),
+            np.moveaxis(middle, 1, 0),
+        )
         parts = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
         triangles = np.concatenate([np.stack(part, axis=1) for part in parts])
     return np.ascontiguousarray(radius * triangles)
@@ -91,7 +96,8 @@ def ring(ticks: int, speed: float, period: float, radius: float) -> tuple[Array,
     """Return points on a great circle tilted to the axes [m], and their normals."""
     angle = 0.1 + np.arange(ticks) * speed * period / radius
     normal = np.stack(
-        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1
+        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)],
+        axis=1,
     )
     return radius * normal, normal
 
@@ -107,7 +113,13 @@ def case(number: int, ticks: int, speed: float, period: float) -> Case:
     if number >= CLOSED_FORMS:
         triangles = icosphere(number - CLOSED_FORMS + 2, RADIUS)
         solid = mesh(prepare_mesh(triangles, False, "sphere"))
-        return f"sphere of {len(triangles)} triangles", len(triangles), [solid], on_ball, outward
+        return (
+            f"sphere of {len(triangles)} triangles",
+            len(triangles),
+            [solid],
+            on_ball,
+            outward,
+        )
     flat = np.arange(ticks)[:, None] * speed * period * np.array([1.0, 0.0, 0.0])
     up = np.tile([0.0, 0.0, 1.0], (ticks, 1))
     along = np.array([0.6, 0.8, 0.0])
@@ -119,7 +131,13 @@ def case(number: int, ticks: int, speed: float, period: float) -> Case:
     found: list[Case] = [
         ("plane", 0, [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], flat, up),
         ("sphere", 0, [sphere((0.0, 0.0, 0.0), RADIUS)], on_ball, outward),
-        ("capsule", 0, [capsule((-0.06, -0.08, 0.0), (0.06, 0.08, 0.0), RADIUS)], rod, rod_normal),
+        (
+            "capsule",
+            0,
+            [capsule((-0.06, -0.08, 0.0), (0.06, 0.08, 0.0), RADIUS)],
+            rod,
+            rod_normal,
+        ),
     ]
     return found[number]
 
@@ -150,7 +168,10 @@ class Way(NamedTuple):
 
     def below(self) -> Array:
         """Return the depth of each point below the surface [m]."""
-        return self.depth * np.minimum(np.arange(self.ticks) / (0.05 * self.ticks), 1.0) - 1e-4
+        return (
+            self.depth * np.minimum(np.arange(self.ticks) / (0.05 * self.ticks), 1.0)
+            - 1e-4
+        )
 
     def led(self) -> tuple[Case, Array]:
         """Return the case, and the path of the tool's centre [m]."""
@@ -191,7 +212,9 @@ def compared(way: Way, stiffness: float) -> ProxyError:
         "drag": lost,
         "rounds": int(found.rounds.max()),
     }
-    return ProxyError.of(error, stiffness, **told, call_us=math.nan, call_p99_us=math.nan)
+    return ProxyError.of(
+        error, stiffness, **told, call_us=math.nan, call_p99_us=math.nan
+    )
 
 
 def timed(row: ProxyError, way: Way) -> ProxyError:
@@ -229,17 +252,23 @@ def drag(
 def lost(force: Array, way: Array) -> float:
     """Return the work lost on a closed path, over force times path length."""
     work = np.einsum("ij,ij->", 0.5 * (force[1:] + force[:-1]), way)
-    return float(abs(work) / (np.linalg.norm(force[1:], axis=1) @ np.linalg.norm(way, axis=1)))
+    return float(
+        abs(work) / (np.linalg.norm(force[1:], axis=1) @ np.linalg.norm(way, axis=1))
+    )
 
 
-def wrong_sides(steps: int, step: float, seed: int, tool_radius: float = 0.0) -> tuple[int, float]:
+def wrong_sides(
+    steps: int, step: float, seed: int, tool_radius: float = 0.0
+) -> tuple[int, float]:
     """Walk at random through a plate; count proxies below its top.
 
     Also return the largest sideways distance of a proxy from the device [m].
     """
     rng = np.random.default_rng(seed)
     way = rng.normal(size=(steps, 3))
-    way *= rng.uniform(0.0, step, (steps, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    way *= rng.uniform(0.0, step, (steps, 1)) / np.linalg.norm(
+        way, axis=1, keepdims=True
+    )
     limits = np.array([0.03, 0.03, 0.004])
     far = np.cumsum(way, axis=0) + limits + np.array([0.0, 0.0, 0.002])
     path = np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits
@@ -267,9 +296,15 @@ def nearest_on(corners: Array, point: Array) -> Array:
 
     for k in range(3):
         a, b = corners[:, k], corners[:, (k + 1) % 3]
-        along = np.einsum("ij,ij->i", point - a, b - a) / np.einsum("ij,ij->i", b - a, b - a)
+        along = np.einsum("ij,ij->i", point - a, b - a) / np.einsum(
+            "ij,ij->i", b - a, b - a
+        )
         take(a + np.clip(along, 0.0, 1.0)[:, None] * (b - a))
-    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], point - corners[:, 0]
+    u, v, w = (
+        corners[:, 1] - corners[:, 0],
+        corners[:, 2] - corners[:, 0],
+        point - corners[:, 0],
+    )
     normal = np.cross(u, v)
     area = np.einsum("ij,ij->i", normal, normal)
     beta = np.einsum("ij,ij->i", np.cross(w, v), normal) / area
@@ -296,13 +331,20 @@ def off_polyhedron(corners: Array, path: Array, proxy: Array, tool: float) -> fl
     """
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     places = np.unique(
-        np.linspace(0, len(path) - 1, max(2, min(200, _MOST // len(corners)))).astype(int)
+        np.linspace(0, len(path) - 1, max(2, min(200, _MOST // len(corners)))).astype(
+            int
+        )
     )
     worst = 0.0
     for k in places:
-        inside = bool((np.einsum("ij,ij->i", path[k] - corners[:, 0], normals) < 0.0).all())
+        inside = bool(
+            (np.einsum("ij,ij->i", path[k] - corners[:, 0], normals) < 0.0).all()
+        )
         worst = max(
-            worst, float(np.linalg.norm(proxy[k] - ideal_proxy(corners, path[k], tool, inside)))
+            worst,
+            float(
+                np.linalg.norm(proxy[k] - ideal_proxy(corners, path[k], tool, inside))
+            ),
         )
     return worst
 
@@ -345,7 +387,12 @@ def body_error(
         file.write_text(text, encoding="utf-8")
         world = MovingScene(file, "tool", period, "sphere")
     damping = 2.0 * np.sqrt(stiffness * _MASS)
-    tools, times, force, before = np.empty((ticks, 3)), np.empty(ticks), np.zeros(3), np.zeros(3)
+    tools, times, force, before = (
+        np.empty((ticks, 3)),
+        np.empty(ticks),
+        np.zeros(3),
+        np.zeros(3),
+    )
     turned, upright = np.eye(3).ravel().tolist(), [0.0, 0.0, 0.0]
     for k, (x, y, z) in enumerate(path.tolist()):
         handed = (float(force[0]), float(force[1]), float(force[2]))

@@ -150,7 +150,9 @@ SECTIONS: Final[dict[str, ResultSection]] = {
 }
 
 
-class MeasuredOutput(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MeasuredOutput(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """Output of one command, with date and machine.
 
     Attributes
@@ -190,10 +192,14 @@ def commit() -> str:
 
     try:
         # Measured records are added to the tree while others are measured.
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml")
+        changed = git(
+            "status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml"
+        )
         return git("rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
     except (OSError, subprocess.CalledProcessError) as error:
-        raise ResultsError(f"{ROOT}: results are measured in a git checkout: {error}") from None
+        raise ResultsError(
+            f"{ROOT}: results are measured in a git checkout: {error}"
+        ) from None
 
 
 def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
@@ -230,7 +236,9 @@ def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
             env={**os.environ, "NO_COLOR": "1", "PYTHONPATH": str(ROOT)},
         )
     if done.returncode != 0:
-        raise ResultsError(f"{name}: {line} ended with exit code {done.returncode}; not recorded")
+        raise ResultsError(
+            f"{name}: {line} ended with exit code {done.returncode}; not recorded"
+        )
     record = MeasuredOutput(
         command=line,
         date=time.strftime("%Y-%m-%dT%H:%MZ", time.gmtime()),
@@ -294,7 +302,9 @@ def section(name: str, folder: Path = MEASURED) -> str:
         typed = f"```console\n$ {found.command}\n"
         printed = "\n".join(_wrapped(found.printed))
         return f"{head}{textwrap.fill(where, COLUMNS)}\n\n{typed}{printed}\n```\n"
-    earlier = "*Not measured yet.*" if found is None else f"{EARLIER}\n\n{found.strip()}"
+    earlier = (
+        "*Not measured yet.*" if found is None else f"{EARLIER}\n\n{found.strip()}"
+    )
     return f"{head}{typed}```\n\n{earlier}\n"
 
 

@@ -16,7 +16,11 @@ from messages.errors import HapticError
 from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON
 
-HAPTIC = (*PYTHON, "-m", "nodes.cli.command")  # the command ``haptic`` with this interpreter
+HAPTIC = (
+    *PYTHON,
+    "-m",
+    "nodes.cli.command",
+)  # the command ``haptic`` with this interpreter
 # Time limit of every wait: detects hangs, measures nothing [s].
 DEADLINE = 180.0
 # Time limit of a command that first compiles its loop, on a busy machine [s].
@@ -35,7 +39,9 @@ def within(condition: Callable[[], Any], timeout: float) -> Any:
     return found
 
 
-def wait_for(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> Any:
+def wait_for(
+    condition: Callable[[], Any], what: str, deadline: float = DEADLINE
+) -> Any:
     """Poll a condition until it is true; return its first true result."""
     found = within(condition, deadline)
     if not found:
@@ -65,12 +71,18 @@ def haptic(
         check=False,
     )
     if code is not None and done.returncode != code:
-        output = f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
-        raise MeasurementError(f"{output}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}")
+        output = (
+            f"haptic {' '.join(words)}: exit code {done.returncode}, expected {code}"
+        )
+        raise MeasurementError(
+            f"{output}\n{done.stdout[-1000:]}\n{done.stderr[-2000:]}"
+        )
     return done
 
 
-_STARTER = ThreadPoolExecutor(1, "starter")  # starts processes for threads that may end before them
+_STARTER = ThreadPoolExecutor(
+    1, "starter"
+)  # starts processes for threads that may end before them
 
 
 def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:
@@ -79,7 +91,9 @@ def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:
     It is killed when this process dies, even by SIGKILL.
     """
     options.setdefault("stdin", subprocess.DEVNULL)
-    start = functools.partial(subprocess.Popen, [*HAPTIC, *words], process_group=0, **options)
+    start = functools.partial(
+        subprocess.Popen, [*HAPTIC, *words], process_group=0, **options
+    )
     start.keywords["preexec_fn"] = functools.partial(die_with_parent, os.getpid())
     # The kernel treats the end of the starting thread as the parent's death.
     return (
@@ -91,7 +105,9 @@ def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:
 
 def run_beside(*words: str) -> None:
     """Run a command to its end; an interrupt ends it as Ctrl-C does, output complete."""
-    process = start_command(*words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = start_command(
+        *words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
     try:
         printed = process.communicate()[1]
     except BaseException:

@@ -43,7 +43,9 @@ def deferred() -> Iterator[Sequence[object]]:
             # SIG_IGN and SIG_DFL run no Python.
             if callable(former):
                 before[number] = former
-                signal.signal(number, lambda number, frame: came.append((number, frame)))
+                signal.signal(
+                    number, lambda number, frame: came.append((number, frame))
+                )
     try:
         yield came
     finally:

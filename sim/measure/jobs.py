@@ -40,7 +40,9 @@ def program() -> str:
     found = hashlib.sha256()
     for package in ("messages", "nodes", "sim"):
         for path in sorted((_ROOT / package).rglob("*.py")):
-            found.update(path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes())
+            found.update(
+                path.relative_to(_ROOT).as_posix().encode() + b"\0" + path.read_bytes()
+            )
     return found.hexdigest()[:16]
 
 
@@ -140,9 +142,16 @@ def sweep(
     done = read_ledger(ledger)
     left = [parameters for parameters in jobs if key_of(parameters) not in done]
     if len(left) < len(jobs):
-        step(f"{len(jobs) - len(left)} of {len(jobs)} already done", len(jobs) - len(left))
+        step(
+            f"{len(jobs) - len(left)} of {len(jobs)} already done",
+            len(jobs) - len(left),
+        )
     ledger.parent.mkdir(parents=True, exist_ok=True)
-    whole = not ledger.exists() or ledger.read_bytes().endswith(b"\n") or not ledger.stat().st_size
+    whole = (
+        not ledger.exists()
+        or ledger.read_bytes().endswith(b"\n")
+        or not ledger.stat().st_size
+    )
     with (
         open(ledger, "a", encoding="utf-8") as file,
         contextlib.closing(done_by(pool, job, left, chunk)) as found,
@@ -152,7 +161,8 @@ def sweep(
         for part, rows in found:
             for i, row in zip(part, rows, strict=True):
                 file.write(
-                    json.dumps({"job": dict(left[i]), "row": row, "program": program()}) + "\n"
+                    json.dumps({"job": dict(left[i]), "row": row, "program": program()})
+                    + "\n"
                 )
                 done[key_of(left[i])] = row
             file.flush()

@@ -26,7 +26,13 @@ from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo, alive
 from nodes.recording.summary import quantile
 from sim.measure import stopwatch
-from sim.measure.haptic_commands import DEADLINE, MeasurementError, haptic, wait_for, within
+from sim.measure.haptic_commands import (
+    DEADLINE,
+    MeasurementError,
+    haptic,
+    wait_for,
+    within,
+)
 from sim.measure.started_launch import StartedLaunch
 
 
@@ -40,14 +46,22 @@ def processes_of(runtime_dir: Path) -> dict[int, str]:
         with contextlib.suppress(FileNotFoundError, ProcessLookupError, ValueError):
             line = Path(f"/proc/{int(entry)}/cmdline").read_bytes()
             if os.fsencode(runtime_dir) in line and alive(int(entry)):
-                found[int(entry)] = line.replace(b"\0", b" ").decode(errors="replace").strip()
+                found[int(entry)] = (
+                    line.replace(b"\0", b" ").decode(errors="replace").strip()
+                )
     return found
 
 
 def left_behind(runtime_dir: Path, timeout: float = 10.0) -> list[str]:
     """Return the processes and files of runs that still exist after `timeout` [s]."""
-    within(lambda: not processes_of(runtime_dir) and not list(runtime_dir.glob("runs/*")), timeout)
-    processes = [f"process {number}: {line}" for number, line in processes_of(runtime_dir).items()]
+    within(
+        lambda: not processes_of(runtime_dir) and not list(runtime_dir.glob("runs/*")),
+        timeout,
+    )
+    processes = [
+        f"process {number}: {line}"
+        for number, line in processes_of(runtime_dir).items()
+    ]
     return processes + [f"file {path}" for path in (runtime_dir / "runs").rglob("*")]
 
 
@@ -57,9 +71,18 @@ def launch(
     """Run a scenario to its end; return its figures."""
     with contextlib.ExitStack() as held:
         if folder is None:
-            folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-")))
+            folder = Path(
+                held.enter_context(tempfile.TemporaryDirectory(prefix="haptic-"))
+            )
         done = haptic(
-            folder, "launch", scenario, "--json", "--no-plot", *words, code=None, timeout=timeout
+            folder,
+            "launch",
+            scenario,
+            "--json",
+            "--no-plot",
+            *words,
+            code=None,
+            timeout=timeout,
         )
         if done.returncode not in (0, OVERLOADED):
             raise MeasurementError(
@@ -77,7 +100,9 @@ def launched(scenario: str, *assignments: str) -> Iterator[RunInfo]:
         launch.await_tick(11)
         found = launch.info()
         if found is None:
-            raise MeasurementError(f"haptic launch {scenario}: ended at once: {launch.errors}")
+            raise MeasurementError(
+                f"haptic launch {scenario}: ended at once: {launch.errors}"
+            )
         yield found
 
 
@@ -150,11 +175,15 @@ class Running(StartedLaunch):
     @property
     def run(self) -> RunInfo:
         """Return the content of the run's ``run.json``."""
-        return msgspec.json.decode((self.run_dir / "run.json").read_bytes(), type=RunInfo)
+        return msgspec.json.decode(
+            (self.run_dir / "run.json").read_bytes(), type=RunInfo
+        )
 
     def call(self, node: str, op: str, timeout: float = 20.0, **args: object) -> Any:
         """Send a request to a node; a refusal raises `ControlError`."""
-        return call(self.context, self.run.nodes[node].control, op, timeout=timeout, **args)
+        return call(
+            self.context, self.run.nodes[node].control, op, timeout=timeout, **args
+        )
 
     def pid(self, node: str) -> int:
         """Return a node's process number."""
@@ -170,7 +199,9 @@ class Running(StartedLaunch):
                 for name, sent in published.items()
                 if any(one.endswith(topics.DEVICE_STATE) for one in sent)
             ]
-            return min(int(self.call(name, "status", timeout=1.0)["ticks"]) for name in drivers)
+            return min(
+                int(self.call(name, "status", timeout=1.0)["ticks"]) for name in drivers
+            )
         return 0
 
     def wait_ticks(self, more: int) -> int:
@@ -186,7 +217,9 @@ class Running(StartedLaunch):
         ticks = self.ticks()
         return ticks if ticks >= goal else 0
 
-    def haptic(self, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+    def haptic(
+        self, *words: str, code: int | None = 0
+    ) -> subprocess.CompletedProcess[str]:
         """Run another ``haptic`` command beside the launch."""
         return haptic(self.folder, *words, code=code, environment=self.environment)
 
@@ -212,10 +245,14 @@ def responses_in(
     found: dict[str, Any] = {"p50_us": [], "p99_us": [], "missed": 0, "ticks": 0}
     for began, ended in spans:
         part = [state for state in states if began <= state.stamp <= ended]
-        responses = sorted(state.response * 1e6 for state in part if state.response > 0.0)
+        responses = sorted(
+            state.response * 1e6 for state in part if state.response > 0.0
+        )
         found["p50_us"].append(quantile(responses, 0.5))
         found["p99_us"].append(quantile(responses, 0.99))
-        found["missed"] += part[-1].missed - part[0].missed + part[-1].overruns - part[0].overruns
+        found["missed"] += (
+            part[-1].missed - part[0].missed + part[-1].overruns - part[0].overruns
+        )
         found["ticks"] += part[-1].seq - part[0].seq
     return found
 
@@ -230,4 +267,9 @@ def machine() -> str:
 def fifo_granted() -> bool:
     """Whether this user may use real-time priority."""
     code = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))"
-    return subprocess.run([*PYTHON, "-c", code], capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run(
+            [*PYTHON, "-c", code], capture_output=True, check=False
+        ).returncode
+        == 0
+    )

@@ -57,9 +57,13 @@ class Rig(Running):
         # A process that hangs prints its stack on SIGABRT.
         environment = {"PYTHONFAULTHANDLER": "1", **(environment or {})}
         super().__init__(
-            "drill.yaml", environment=environment, stderr=self._pipe[1] if self._pipe else None
+            "drill.yaml",
+            environment=environment,
+            stderr=self._pipe[1] if self._pipe else None,
         )
-        (self.folder / "drill.yaml").write_bytes(msgspec.json.encode(content))  # JSON is YAML
+        (self.folder / "drill.yaml").write_bytes(
+            msgspec.json.encode(content)
+        )  # JSON is YAML
         self.states: list[DeviceState] = []  # states published, in the order of receipt
         # Result of ``haptic launch --json``; empty before the end.
         self.summary: dict[str, Any] = {}
@@ -73,9 +77,14 @@ class Rig(Running):
         super().__enter__()
         try:
             inbox = Subscription(
-                self.context, [self.run.publishers()["driver"]], [DEVICE_STATE], queue=100_000
+                self.context,
+                [self.run.publishers()["driver"]],
+                [DEVICE_STATE],
+                queue=100_000,
             )
-            self._listener = threading.Thread(target=self._listen, args=(inbox,), daemon=True)
+            self._listener = threading.Thread(
+                target=self._listen, args=(inbox,), daemon=True
+            )
             self._listener.start()
             wait_for(lambda: len(self.states) > 50, "what the driver publishes", START)
         except BaseException:
@@ -125,7 +134,9 @@ class Rig(Running):
         self.said = self.errors
         self.left = left_behind(self.runtime_dir, 5.0)
         if self.process.poll() is None:
-            self.left.append(f"process {self.process.pid}: the launcher; {self._whereabouts()}")
+            self.left.append(
+                f"process {self.process.pid}: the launcher; {self._whereabouts()}"
+            )
         self.interrupt(0.0)
         self.summary = self.figures
         if self._listener is not None:
@@ -151,7 +162,8 @@ class Rig(Running):
             with contextlib.suppress(OSError):
                 threads.append(
                     " ".join(
-                        (path / name).read_text().strip() for name in ("comm", "wchan", "syscall")
+                        (path / name).read_text().strip()
+                        for name in ("comm", "wchan", "syscall")
                     )
                 )
         self.process.send_signal(signal.SIGABRT)

@@ -106,11 +106,15 @@ class StartedLaunch:
     @property
     def errors(self) -> str:
         """What launcher and nodes wrote to standard error so far."""
-        return (self.output / "stderr.txt").read_text(encoding="utf-8", errors="replace")
+        return (self.output / "stderr.txt").read_text(
+            encoding="utf-8", errors="replace"
+        )
 
     def info(self) -> RunInfo | None:
         """Find the run; None until its launcher has written it down."""
-        return next((run for run in runs().values() if run.launcher == self.process.pid), None)
+        return next(
+            (run for run in runs().values() if run.launcher == self.process.pid), None
+        )
 
     def ticks(self) -> int:
         """Count the ticks of its drivers, of several the slowest; 0 before the first one."""
@@ -119,12 +123,17 @@ class StartedLaunch:
             return 0
         with contextlib.suppress(HapticError):
             drivers = info.drivers()
-            counts = [int(ask(info, name, "status", timeout=1.0)["ticks"]) for name in drivers]
+            counts = [
+                int(ask(info, name, "status", timeout=1.0)["ticks"]) for name in drivers
+            ]
             return min(counts, default=0)
         return 0
 
     def await_tick(
-        self, number: int = 1, longest: float = DEADLINE, interrupts: Sequence[object] = ()
+        self,
+        number: int = 1,
+        longest: float = DEADLINE,
+        interrupts: Sequence[object] = (),
     ) -> bool:
         """Wait until its drivers have done some ticks; False where it ended before that was seen.
 
@@ -165,7 +174,9 @@ class StartedLaunch:
         said = self.errors.strip()[-2000:]
         if self.exit_code == 2:
             return said.removeprefix("haptic: ")
-        return f"haptic launch {' '.join(self.words)}: exit code {self.exit_code}: {said}"
+        return (
+            f"haptic launch {' '.join(self.words)}: exit code {self.exit_code}: {said}"
+        )
 
     def wait(self, timeout: float | None = None) -> int | None:
         """Wait for its end, at most so long [s]; its exit code, None while it runs."""

@@ -31,7 +31,9 @@ class Timing:
 class Progress:
     """Progress bar on standard error; without a terminal, a line per tenth."""
 
-    def __init__(self, total: int, stream: TextIO | None = None, after: float = 0.0) -> None:
+    def __init__(
+        self, total: int, stream: TextIO | None = None, after: float = 0.0
+    ) -> None:
         self._total = max(1, total)
         self._from = time.monotonic() + after
         self._stream = sys.stderr if stream is None else stream
@@ -48,7 +50,9 @@ class Progress:
         if self._terminal:
             bar = "#" * (3 * tenths) + "." * (30 - 3 * tenths)
             percent = 100 * self._done // self._total
-            rewrite(self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)])
+            rewrite(
+                self._stream, f"[{bar}] {percent:3d} %  {what}"[: columns(self._stream)]
+            )
             if self._done == self._total:
                 self._stream.write("\n")
                 self._stream.flush()
@@ -83,7 +87,10 @@ def _summary(values: list[float]) -> Timing:
     ordered = sorted(values)
     last = len(values) - 1
     return Timing(
-        statistics.median(ordered), ordered[last // 4], ordered[last - last // 4], len(ordered)
+        statistics.median(ordered),
+        ordered[last // 4],
+        ordered[last - last // 4],
+        len(ordered),
     )
 
 
@@ -93,7 +100,11 @@ def machine() -> dict[str, Any]:
 
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    named = (
+        line.partition(":")[2].strip()
+        for line in lines
+        if line.startswith("model name")
+    )
     return {
         "cpu": next(named, platform.processor() or platform.machine()),
         "cores": os.cpu_count() or 1,
@@ -101,7 +112,9 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "numpy": version("numpy"),
         "numba": version("numba"),
-        "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "load_1min": round(os.getloadavg()[0], 2)
+        if hasattr(os, "getloadavg")
+        else None,
     }
 
 

@@ -51,7 +51,9 @@ class Instead:
     @property
     def is_scenery(self) -> bool:
         """Whether the environment is replaced or changed."""
-        return self.solids is not None or self.world is not None or bool(self.environment)
+        return (
+            self.solids is not None or self.world is not None or bool(self.environment)
+        )
 
 
 def _made(launch: Launch, name: str) -> Any:
@@ -65,7 +67,9 @@ def _made(launch: Launch, name: str) -> Any:
 class ChainNodes:
     """The driver's port: passes messages from node to node in place of sockets."""
 
-    def __init__(self, launch: Launch, hops: Hops, ticks: int, instead: Instead, given: Given):
+    def __init__(
+        self, launch: Launch, hops: Hops, ticks: int, instead: Instead, given: Given
+    ):
         self.driver = _made(launch, hops.driver)
         self.environment = _made(launch, hops.environment)
         self.coupling = _made(launch, hops.coupling)
@@ -135,7 +139,11 @@ class ChainNodes:
         proxy = self._proxies.decode(answer(self.environment, state))
         force = self._forces.decode(answer(self.coupling, proxy))
         s.got_seq = force.seq
-        s.got[:], s.got_normal[:], s.got_credit = force.force, force.normal, force.credit
+        s.got[:], s.got_normal[:], s.got_credit = (
+            force.force,
+            force.normal,
+            force.credit,
+        )
         self.rows.note(state, proxy, force)
         return GOT
 
@@ -153,7 +161,9 @@ class ChainNodes:
             prefix = topics.event(node.setup.name).encode()
             decoder = Decoder(Event)
             found += [
-                decoder.decode(load_) for topic, load_ in node.events.outbox if topic == prefix
+                decoder.decode(load_)
+                for topic, load_ in node.events.outbox
+                if topic == prefix
             ]
         return tuple(sorted(found, key=lambda event: event.seq))
 
@@ -184,7 +194,9 @@ def _begin_environment(node: Any, instead: Instead) -> None:
     node.configure()
     if instead.solids is not None and isinstance(node, Environment):
         where = f"{node.setup.name}.surface"
-        radius = getattr(parse_surface(node.store.current.surface, where), "tool_radius", 0.0)
+        radius = getattr(
+            parse_surface(node.store.current.surface, where), "tool_radius", 0.0
+        )
         table = scene_table(instead.solids, radius, node.setup.period)
         numbers = Numbers(SHAPES, table, new_memory(len(instead.solids)))
         node.begin_with(TouchedSurface.of(numbers, node.counters.met))

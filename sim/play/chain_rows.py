@@ -51,7 +51,9 @@ class Rows:
         self.positions, self.velocities, self.measured, self.forces = (
             np.zeros((ticks, 3)) for _ in range(4)
         )
-        self.deflections, self.proxies, self.normals = (np.zeros((ticks, 3)) for _ in range(3))
+        self.deflections, self.proxies, self.normals = (
+            np.zeros((ticks, 3)) for _ in range(3)
+        )
         self.contacts, self.laws = np.zeros(ticks, dtype=np.bool_), list[str]()
         self.pair = {name: np.zeros((ticks, 3)) for name in wire.parts if name}
         self._world: MovingScene | None = None
@@ -59,7 +61,9 @@ class Rows:
         if isinstance(wire.environment, MujocoEnvironment):
             self._world = wire.environment.world
             self._moving = moving_bodies(self._world)
-        self.bodies = {name: (np.zeros((ticks, 3)), np.zeros((ticks, 4))) for name in self._moving}
+        self.bodies = {
+            name: (np.zeros((ticks, 3)), np.zeros((ticks, 4))) for name in self._moving
+        }
 
     def note(self, state: DeviceState, proxy: Proxy, force: Force) -> None:
         """Record a tick, from its messages."""

@@ -85,7 +85,9 @@ def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
     if isinstance(own, Push):
         pushed = min(ticks, own.ticks)
         signal = own.signal(0)
-        shares = [(k + 1) / own.growing if k + 1 < own.growing else 1.0 for k in range(pushed)]
+        shares = [
+            (k + 1) / own.growing if k + 1 < own.growing else 1.0 for k in range(pushed)
+        ]
         drawn = np.array([signal.next() for _ in range(pushed)])
         return Pushing(
             drawn,
@@ -98,7 +100,9 @@ def numbers_of(own: Callable[[Sequence[float], int], float], ticks: int) -> Any:
     return None
 
 
-def own_force(own: Callable[[Sequence[float], int], float], history: Any, head: int) -> float:
+def own_force(
+    own: Callable[[Sequence[float], int], float], history: Any, head: int
+) -> float:
     """Return the force [N] of a law's own code."""
     return own(history, head)
 
@@ -118,8 +122,12 @@ def pushed_force(own: Any, history: Any, head: int) -> float:
         own.state[0] = min(k + 1, ticks + own.fade)
         lowered: float = faded(load, own.state[0] - ticks, own.fade)
         return lowered
-    own.state[0], own.state[1] = went_on(k, own.state[1], history[head], own.reach, ticks)
-    force: float = load + own.shares[k] * held_back(own.signal[k], history[head], own.reach)
+    own.state[0], own.state[1] = went_on(
+        k, own.state[1], history[head], own.reach, ticks
+    )
+    force: float = load + own.shares[k] * held_back(
+        own.signal[k], history[head], own.reach
+    )
     return force
 
 
@@ -131,7 +139,9 @@ kernel(faded)
 # of an argument's name.
 overload(own_force, strict=False)(
     lambda own, history, head: (  # noqa: ARG005
-        pushed_force if getattr(own, "instance_class", None) is Pushing else windowed_force
+        pushed_force
+        if getattr(own, "instance_class", None) is Pushing
+        else windowed_force
     )
 )
 
@@ -158,9 +168,8 @@ class _Kept:
 
     def _name(self, types: Any, codegen: Any) -> str:
         which = f"{self._function.__qualname__}{types}{codegen.magic_tuple()}"
-        return (
-            f"{self._function.__module__}.{hashlib.sha256(which.encode()).hexdigest()[:24]}.numba"
-        )
+        digest = hashlib.sha256(which.encode()).hexdigest()[:24]
+        return f"{self._function.__module__}.{digest}.numba"
 
     def load_overload(self, types: Any, target: Any) -> Any:
         """Load machine code; None if it must be compiled."""
@@ -189,7 +198,11 @@ class _Kept:
     def save_overload(self, types: Any, result: Any) -> None:
         """Store machine code."""
         with self._making.held:
-            if self._sources is None or result.lifted or result.library.has_dynamic_globals:
+            if (
+                self._sources is None
+                or result.lifted
+                or result.library.has_dynamic_globals
+            ):
                 return
             try:
                 entry = cache.CacheEntry(kind="numba", content=_dumps(result._reduce()))

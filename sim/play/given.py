@@ -16,7 +16,9 @@ class Given:
     Arrays have shape (ticks,) or (ticks, 3) for one axis, (ticks, 3) for several.
     """
 
-    force: Array | None = None  # force on the device in addition to the law's, per tick [N]
+    force: Array | None = (
+        None  # force on the device in addition to the law's, per tick [N]
+    )
     # Target of the device's hand during each tick, in place of its path [m].
     target: Array | None = None
     # Arrivals in real time, shape (n,): time, rising [ticks]; the tick answered, −1 for the
@@ -33,7 +35,9 @@ class Given:
     @property
     def any(self) -> bool:
         """Whether the device has an input of its own."""
-        return any(values is not None for values in (self.force, self.target, self.nudged))
+        return any(
+            values is not None for values in (self.force, self.target, self.nudged)
+        )
 
     def along(self, axes: tuple[int, ...], ticks: int, where: str) -> "Given":
         """Return the inputs along three axes; one-axis inputs act along the only one of `axes`.
@@ -69,6 +73,7 @@ def _spread(
     shape = (3,) * (dimensions - 1)
     if values.ndim != dimensions or values.shape[1:] != shape or len(values) < ticks:
         raise ParameterError(
-            f"shape {values.shape}, expected at least {ticks} rows of {shape}", path=where
+            f"shape {values.shape}, expected at least {ticks} rows of {shape}",
+            path=where,
         )
     return values

@@ -49,7 +49,9 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
     for topic, what in zip(HOPS, _WHAT, strict=True):
         those = [name for name, kind in classes.items() if topic in kind.publishes]
         if len(those) != 1:
-            where = f"{launch.scenario}.nodes" + (f" of chain {namespace}" if namespace else "")
+            where = f"{launch.scenario}.nodes" + (
+                f" of chain {namespace}" if namespace else ""
+            )
             raise ParameterError(
                 f"{len(those)} nodes publish {topic}; one process plays a chain in which"
                 f" exactly one {what}",

@@ -65,7 +65,9 @@ class LaunchedScene:
         """All laws, in the order in which they are rendered."""
         return [self.law, *(swap.law for swap in self.swaps)]
 
-    def rendering(self, law: CompiledLaw, swaps: tuple[PlannedSwap, ...]) -> "LaunchedScene":
+    def rendering(
+        self, law: CompiledLaw, swaps: tuple[PlannedSwap, ...]
+    ) -> "LaunchedScene":
         """Return the scene with other laws."""
         names = ("given", *(f"given_{n}" for n in range(1, 1 + len(swaps))))
         return replace(self, law=law, swaps=swaps, names=names)
@@ -162,14 +164,18 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
         launch.nodes[hops.driver].parameters, SimDriverParameters, hops.driver
     )
     environment: EnvironmentParameters = convert(
-        launch.nodes[hops.environment].parameters, EnvironmentParameters, hops.environment
+        launch.nodes[hops.environment].parameters,
+        EnvironmentParameters,
+        hops.environment,
     )
     coupling: CouplingParameters = convert(
         launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
     )
     device = along(driver.device, axes)[0]
     if device.mass_by_position:
-        raise NotOneAxisError("not one mass", path=f"{hops.driver}.device.mass_by_position")
+        raise NotOneAxisError(
+            "not one mass", path=f"{hops.driver}.device.mass_by_position"
+        )
     surface = parse_surface(environment.surface, f"{hops.environment}.surface")
     reduced = surface.on_axis(axis)
     if reduced is None:
@@ -188,7 +194,8 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
             clamp=coupling.clamp,
             peak=limits.peak,
             slew=limits.slew,
-            workspace=driver.safety.workspace and driver.safety.workspace[AXIS_INDEX[axis]],
+            workspace=driver.safety.workspace
+            and driver.safety.workspace[AXIS_INDEX[axis]],
             next_tick=launch.run.apply == "next_tick",
             passivity=driver.passivity,
             ease=round(coupling.ease / period),
@@ -224,7 +231,9 @@ def laws_of(launch: Launch, hops: Hops) -> LawsOfRun:
 def _refuse_more(launch: Launch, hops: Hops, axes: list[str]) -> None:
     """Raise NotOneAxisError for a chain that the loop of one axis cannot play."""
     if len(axes) != 1:
-        raise NotOneAxisError(f"{axes}, not one axis", path=f"{launch.scenario}.run.axes")
+        raise NotOneAxisError(
+            f"{axes}, not one axis", path=f"{launch.scenario}.run.axes"
+        )
     for name, kind in ((hops.driver, "sim_driver"), (hops.environment, "environment")):
         if launch.nodes[name].kind != kind:
             raise NotOneAxisError(f"{launch.nodes[name].kind}, not {kind}", path=name)

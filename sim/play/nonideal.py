@@ -27,7 +27,9 @@ class NonidealDevice:
 
     rigid: DeviceModel  # mass of both sides of the joint, damping, Coulomb friction, delay, encoder
     kind: str = "rigid"  # name of the kind of device
-    quadratic: float = 0.0  # damping that grows with speed: force per speed squared [N s²/m²]
+    quadratic: float = (
+        0.0  # damping that grows with speed: force per speed squared [N s²/m²]
+    )
     lag: float = 0.0  # time constant of the actuator [s]
     # Share of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against
     # each other.
@@ -37,7 +39,9 @@ class NonidealDevice:
     gap: float = 0.0  # backlash of the joint [m]
     hardening: float = 0.0  # cubic centring spring [N/m³]
     presliding: float = 0.0  # deflection over which friction builds up (LuGre) [m]
-    stribeck: float = 0.0  # relative increase of friction at rest; it vanishes over 0.02 m/s
+    stribeck: float = (
+        0.0  # relative increase of friction at rest; it vanishes over 0.02 m/s
+    )
     # relative difference of friction between the two directions
     uneven: float = 0.0
     cogging: float = 0.0  # force of the motor's poles, 8 mm apart [N]
@@ -46,11 +50,15 @@ class NonidealDevice:
     jitter: float = 0.0  # largest delay of a sample [ticks]
     late: float = 0.0  # largest additional delay of a force [ticks]
     warming: float = 0.0  # relative decrease of damping during the run
-    deadband: float = 0.0  # forces below it have no effect, larger ones are reduced by it [N]
+    deadband: float = (
+        0.0  # forces below it have no effect, larger ones are reduced by it [N]
+    )
     # weight of the previous sample in each reading: 0.5 for a sensor that averages two samples
     average: float = 0.0
     sensor_lag: float = 0.0  # time constant of a filter at the sensor [s]
-    gain_by_sign: float = 0.0  # relative increase of positive forces and decrease of negative ones
+    gain_by_sign: float = (
+        0.0  # relative increase of positive forces and decrease of negative ones
+    )
     force_step: float = 0.0  # resolution of the motor's force [N]
     pitch: float = 0.0013  # period of the encoder's error [m]
 
@@ -67,7 +75,11 @@ class NonidealDevice:
             else {}
         )
         return FlexiblePlant(
-            rigid.mass, rigid.damping, rigid.delay, lag=self.lag + self.sensor_lag, **joint
+            rigid.mass,
+            rigid.damping,
+            rigid.delay,
+            lag=self.lag + self.sensor_lag,
+            **joint,
         )
 
 
@@ -205,7 +217,9 @@ def _push(  # noqa: C901, PLR0915
                 for m in range(len(taps)):
                     force += taps[m] * deflections[m]
                 positions[k] = measured
-                applied = min(max(min(max(force, -peak), peak), applied - slew), applied + slew)
+                applied = min(
+                    max(min(max(force, -peak), peak), applied - slew), applied + slew
+                )
                 forces[k] = applied
             elif what == 2:
                 acting = forces[arrived]
@@ -231,7 +245,9 @@ def pushed(
     """
     ticks = len(wanted)
     rng = np.random.default_rng([seed, 7])
-    sample = rng.uniform(0.0, device.jitter, ticks) if device.jitter else np.zeros(ticks)
+    sample = (
+        rng.uniform(0.0, device.jitter, ticks) if device.jitter else np.zeros(ticks)
+    )
     late = rng.uniform(0.0, device.late, ticks) if device.late else np.zeros(ticks)
     arrive = np.maximum.accumulate(np.arange(ticks) + device.rigid.delay + late)
     noise = rng.normal(0.0, device.noise, ticks) if device.noise else np.zeros(ticks)

@@ -21,9 +21,18 @@ from sim.device.model import DeviceModel, coefficients, ends_of, split_delay
 from sim.play.compiled import numbers_of
 from sim.play.given import Given
 from sim.play.one_axis_loop import play, play_compiled
-from sim.play.one_axis_tables import Arrivals, Contact, Guard, LawTables, Motion, Records
+from sim.play.one_axis_tables import (
+    Arrivals,
+    Contact,
+    Guard,
+    LawTables,
+    Motion,
+    Records,
+)
 
-MAX_TICKS: Final = 10_000_000  # longest run of one process, which stores some 100 bytes per tick
+MAX_TICKS: Final = (
+    10_000_000  # longest run of one process, which stores some 100 bytes per tick
+)
 
 
 @dataclass(frozen=True)
@@ -38,7 +47,9 @@ class SceneSurface:
 
     def __post_init__(self) -> None:
         if self.kind not in ("free", "plane", "anchor"):
-            raise ValueError(f"surface.kind is {self.kind!r}, expected free, plane or anchor")
+            raise ValueError(
+                f"surface.kind is {self.kind!r}, expected free, plane or anchor"
+            )
         if self.normal not in (1.0, -1.0):
             raise ValueError(
                 f"surface.normal is {self.normal}, expected +1 or -1: on one axis a plane faces up"
@@ -64,8 +75,12 @@ class Scene:
     slew: float | None = None  # driver's limit of the change of force per tick [N]
     # Smallest and largest position, the end stops of the device [m], shape (2,), or None.
     workspace: tuple[float, float] | None = None
-    next_tick: bool = False  # whether forces take effect one tick later (``apply: next_tick``)
-    passivity: PassivityParameters | None = None  # the driver's passivity guard; None for none
+    next_tick: bool = (
+        False  # whether forces take effect one tick later (``apply: next_tick``)
+    )
+    passivity: PassivityParameters | None = (
+        None  # the driver's passivity guard; None for none
+    )
     # Ticks over which the force of a scene that begins in contact rises (the coupling's `ease`); 0:
     # at once.
     ease: int = 0
@@ -84,7 +99,9 @@ class Scene:
         for name in ("peak", "slew"):
             value = getattr(self, name)
             if value is not None and not value >= 0.0:
-                raise ValueError(f"{name} is {value} N, expected 0 or more, or None for no limit")
+                raise ValueError(
+                    f"{name} is {value} N, expected 0 or more, or None for no limit"
+                )
 
 
 @dataclass(frozen=True)
@@ -110,7 +127,9 @@ class Trace:
     # Force passed to the device, after the driver's limits [N], shape (ticks,). Delay and
     # saturation of the device come after it.
     force: Array
-    final: tuple[float, float]  # position [m] and velocity [m/s] after the last tick, shape (2,)
+    final: tuple[
+        float, float
+    ]  # position [m] and velocity [m/s] after the last tick, shape (2,)
 
     @property
     def time(self) -> Array:
@@ -175,7 +194,9 @@ def _check(law: CompiledLaw, ticks: int, swaps: Sequence[PlannedSwap]) -> None:
                 f"swaps[{i}].tick is {swap.tick}, expected at least {earliest}: swaps come in order"
             )
         if swap.ramp < 0:
-            raise ValueError(f"swaps[{i}].ramp is {swap.ramp}, expected 0 or more ticks")
+            raise ValueError(
+                f"swaps[{i}].ramp is {swap.ramp}, expected 0 or more ticks"
+            )
     for i, candidate in enumerate([law, *(swap.law for swap in swaps)]):
         if not candidate.finite:
             raise ValueError(
@@ -211,9 +232,13 @@ def run_with_asked(
     laws = [law, *(swap.law for swap in swaps)]
     recursive = any(candidate.sections for candidate in laws)
     ring = max(2, memory, *(len(candidate.taps) for candidate in laws))
-    taps_from = list(itertools.accumulate((len(candidate.taps) for candidate in laws), initial=0))
+    taps_from = list(
+        itertools.accumulate((len(candidate.taps) for candidate in laws), initial=0)
+    )
     states_from = list(
-        itertools.accumulate((2 * len(candidate.sections) for candidate in laws), initial=0)
+        itertools.accumulate(
+            (2 * len(candidate.sections) for candidate in laws), initial=0
+        )
     )
 
     def numbers(values: Any, kind: Any = np.float64) -> Any:
@@ -234,7 +259,9 @@ def run_with_asked(
         )
     records = Records(*(numbers([0.0] * ticks) for _ in Records._fields))
     nudged = (
-        np.zeros((ticks, 3)) if given.nudged is None and given.read is not None else given.nudged
+        np.zeros((ticks, 3))
+        if given.nudged is None and given.read is not None
+        else given.nudged
     )
     contact = contact_of(scene)
     if not interpreted:
@@ -248,7 +275,9 @@ def run_with_asked(
             numbers([tap for candidate in laws for tap in candidate.taps]),
             numbers(taps_from, np.int64),
             (
-                numbers([c for candidate in laws for s in candidate.sections for c in s])
+                numbers(
+                    [c for candidate in laws for s in candidate.sections for c in s]
+                )
                 if recursive
                 else None
             ),
@@ -269,7 +298,9 @@ def run_with_asked(
     position, velocity, measured, deflections, force, asked = (
         np.asarray(row, dtype=np.float64) for row in records
     )
-    return Trace(scene.period, position, velocity, measured, deflections, force, final), asked
+    return Trace(
+        scene.period, position, velocity, measured, deflections, force, final
+    ), asked
 
 
 def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
@@ -288,12 +319,16 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
     loads = None
     if given.target is not None:
         loads = [
-            device.load(k, scene.period, target) for k, target in enumerate(given.target.tolist())
+            device.load(k, scene.period, target)
+            for k, target in enumerate(given.target.tolist())
         ]
     elif device.hand or given.force is not None:
         loads = [device.load(k, scene.period) for k in range(ticks)]
     if loads is not None and given.force is not None:
-        loads = [load + force for load, force in zip(loads, given.force.tolist(), strict=True)]
+        loads = [
+            load + force
+            for load, force in zip(loads, given.force.tolist(), strict=True)
+        ]
     body = {
         "position": device.position,
         "velocity": device.velocity,
@@ -310,7 +345,9 @@ def motion_of(scene: Scene, ticks: int, given: Given | None = None) -> Motion:
         resolution=device.resolution,
         friction=device.friction,
         motor=device.peak_force,
-        ends=None if scene.workspace is None else ends_of(scene.workspace, device.resolution),
+        ends=None
+        if scene.workspace is None
+        else ends_of(scene.workspace, device.resolution),
         load=device.load(0, scene.period),
         loads=loads,
         waiting=whole + 2,
@@ -326,7 +363,9 @@ def in_numbers(
     The numbers change no bit. None is a type of its own: each combination would be compiled, which
     takes one to three seconds of processor time.
     """
-    peak, slew = (math.inf if limit is None else limit for limit in (contact.peak, contact.slew))
+    peak, slew = (
+        math.inf if limit is None else limit for limit in (contact.peak, contact.slew)
+    )
     return motion._replace(
         early_map=motion.late_map if motion.early_map is None else motion.early_map,
         resolution=motion.resolution or 0.0,
@@ -367,4 +406,6 @@ def _guard_of(scene: Scene, numbers: Callable[[list[Any]], Any]) -> Guard | None
     late = 1.0 if scene.next_tick else 0.0
     damping = scene.passivity.damping / scene.period
     allowance = scene.passivity.allowance
-    return Guard(damping, scene.passivity.stiffness, late, numbers(list(line)), part, allowance)
+    return Guard(
+        damping, scene.passivity.stiffness, late, numbers(list(line)), part, allowance
+    )

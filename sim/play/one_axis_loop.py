@@ -28,7 +28,15 @@ from nodes.environment.state import ANCHOR, PLANE
 from sim.device.friction import move
 from sim.device.model import Coefficients, coefficients, end_stop, quantise, saturate
 from sim.play.compiled import compiled, own_force
-from sim.play.one_axis_tables import Arrivals, Contact, Guard, LawTables, Motion, Records, Values
+from sim.play.one_axis_tables import (
+    Arrivals,
+    Contact,
+    Guard,
+    LawTables,
+    Motion,
+    Records,
+    Values,
+)
 
 kernel(meet_plane)
 
@@ -83,7 +91,9 @@ def _note(row: Values | None, k: int, value: float) -> None:
 
 
 @kernel
-def _stopped(x: float, v: float, ends: tuple[float, float] | None) -> tuple[float, float]:
+def _stopped(
+    x: float, v: float, ends: tuple[float, float] | None
+) -> tuple[float, float]:
     if ends is None:
         return x, v
     return end_stop(x, v, ends[0], ends[1])
@@ -144,18 +154,34 @@ def _guarded(
     The pending force acts for `share` of the tick.
     """
     energy = forget(energy, force, guard.stiffness)
-    expected = energy - guard.allowance + (share * pending + backlog(guard.line, guard.part)) * step
+    expected = (
+        energy
+        - guard.allowance
+        + (share * pending + backlog(guard.line, guard.part)) * step
+    )
     return energy, control(expected, force, step, guard.damping)
 
 
 @kernel
-def _move_part(x: float, v: float, u: float, ticks: float, motion: Motion) -> tuple[float, float]:
+def _move_part(
+    x: float, v: float, u: float, ticks: float, motion: Motion
+) -> tuple[float, float]:
     """Move the device for part of a tick."""
     duration = ticks * motion.period
     if duration <= 0.0:
         return x, v
     step = coefficients(motion.mass, motion.damping, motion.grip, duration)
-    x, v = move(x, v, u, duration, step, motion.mass, motion.damping, motion.grip, motion.friction)
+    x, v = move(
+        x,
+        v,
+        u,
+        duration,
+        step,
+        motion.mass,
+        motion.damping,
+        motion.grip,
+        motion.friction,
+    )
     return _stopped(x, v, motion.ends)
 
 
@@ -204,7 +230,9 @@ def play(  # noqa: C901, PLR0915
     now_state = states[laws.states_from[0] : laws.states_from[1]]
     old_taps = now_taps
     old_state = now_state
-    now_recursive = _slice(laws.recursive, 2 * laws.states_from[0], 2 * laws.states_from[1])
+    now_recursive = _slice(
+        laws.recursive, 2 * laws.states_from[0], 2 * laws.states_from[1]
+    )
     old_recursive = now_recursive
     # One span per law: the law is constant within a span, which is 1.7 times faster.
     start = 0
@@ -264,11 +292,19 @@ def play(  # noqa: C901, PLR0915
                 force = force + own_force(own, history, head)
             if done < ramp:
                 force = cross_fade(
-                    evaluate(old_taps, old_recursive, old_state, history, head), force, done, ramp
+                    evaluate(old_taps, old_recursive, old_state, history, head),
+                    force,
+                    done,
+                    ramp,
                 )
                 done += 1
             force = one_sided(
-                force, contact.normal, force * contact.normal, touches, contact.raw, contact.clamp
+                force,
+                contact.normal,
+                force * contact.normal,
+                touches,
+                contact.raw,
+                contact.clamp,
             )
             if easing > 0:
                 force = limit(force, 0.0, contact.peak, math.inf)
@@ -291,12 +327,18 @@ def play(  # noqa: C901, PLR0915
             if arrivals is None:
                 pending = applied
                 if guard is not None:
-                    energy, force = _guarded(guard, energy, force, step, pending, guard.late)
+                    energy, force = _guarded(
+                        guard, energy, force, step, pending, guard.late
+                    )
                 _note(records.asked, k, force)
-                applied = limit_within_tick(force, applied, contact.peak, contact.slew, 0.0)
+                applied = limit_within_tick(
+                    force, applied, contact.peak, contact.slew, 0.0
+                )
                 if guard is not None:
                     acting = through(
-                        guard.line, applied if guard.late == 0.0 else pending, guard.part
+                        guard.line,
+                        applied if guard.late == 0.0 else pending,
+                        guard.part,
                     )
                 # A ring of the last i + 2 commands; of the pending ones, tick k−i−1's acts first,
                 # then tick k−i's.
@@ -317,7 +359,10 @@ def play(  # noqa: C901, PLR0915
                     motion.friction,
                 )
                 x, v = _stopped(x, v, motion.ends)
-                u = saturate(applied if waiting == 2 else commands[newer], motion.motor) + load
+                u = (
+                    saturate(applied if waiting == 2 else commands[newer], motion.motor)
+                    + load
+                )
                 x, v = move(
                     x,
                     v,
@@ -348,10 +393,17 @@ def play(  # noqa: C901, PLR0915
                         force = arrivals.asked[answers]
                         if guard is not None:
                             energy, force = _guarded(
-                                guard, energy, force, step, handed, late if late > 0.0 else offset
+                                guard,
+                                energy,
+                                force,
+                                step,
+                                handed,
+                                late if late > 0.0 else offset,
                             )
                         last = applied
-                        applied = limit_within_tick(force, last, contact.peak, contact.slew, slewed)
+                        applied = limit_within_tick(
+                            force, last, contact.peak, contact.slew, slewed
+                        )
                         slewed += abs(applied - last)
                     else:
                         applied = arrivals.given[came]
@@ -379,7 +431,9 @@ def play(  # noqa: C901, PLR0915
                     moving = arrivals.acts[gone]
                     now = until
                     gone += 1
-                x, v = _move_part(x, v, saturate(moving, motion.motor) + load, 1.0 - now, motion)
+                x, v = _move_part(
+                    x, v, saturate(moving, motion.motor) + load, 1.0 - now, motion
+                )
             _note(records.forces, k, applied)
         start = end
     return x, v

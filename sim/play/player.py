@@ -111,7 +111,11 @@ def prepare(
 def _only_chain(launch: Launch) -> str:
     chains = chains_of(launch)
     if len(chains) != 1:
-        remedy = f" ({', '.join(chains)}); name one of them" if chains else "; nothing to play"
+        remedy = (
+            f" ({', '.join(chains)}); name one of them"
+            if chains
+            else "; nothing to play"
+        )
         raise ParameterError(f"{len(chains)} chains{remedy}", path=launch.scenario)
     return chains[0]
 
@@ -141,7 +145,9 @@ def _on_one_axis(
 ) -> ChainTrace | None:
     """Play by the loop of one axis; None if the driver might have intervened."""
     swaps = [swap for swap in one.swaps if swap.tick < ticks]
-    trace, asked = run_with_asked(one.scene, one.law, ticks, swaps, one.memory, interpreted, given)
+    trace, asked = run_with_asked(
+        one.scene, one.law, ticks, swaps, one.memory, interpreted, given
+    )
     if given.arrivals is None and driver_intervenes(one, trace, asked):
         return None
     return one.in_space(trace)
@@ -153,7 +159,9 @@ def driver_intervenes(one: LaunchedScene, trace: Trace, asked: Array) -> bool:
     return bool(begins) or _stops(one.safety, one.scene.peak, trace, asked)
 
 
-def _stops(safety: SafetyParameters, peak: float | None, trace: Trace, asked: Array) -> bool:
+def _stops(
+    safety: SafetyParameters, peak: float | None, trace: Trace, asked: Array
+) -> bool:
     """Return whether the force saturated too often, or the device left its reach."""
     if not np.all(np.abs(trace.measured) <= REACH):
         return True

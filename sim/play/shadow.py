@@ -50,13 +50,21 @@ def shadow_launch(
         nodes[name] = NodeSpec(kind=setup.kind, parameters=parameters)
     spec = RunSpec(rate=1.0 / first.period, apply=first.apply, axes=list(first.axes))
     return Launch(
-        scenario=first.run, summary="", path="", text="", arguments={}, run=spec, nodes=nodes
+        scenario=first.run,
+        summary="",
+        path="",
+        text="",
+        arguments={},
+        run=spec,
+        nodes=nodes,
     )
 
 
 def _begun(setup: Setup, begin: tuple[float, float], late: float) -> dict[str, Any]:
     """Return a driver's parameters with another initial state, and without an initial ramp."""
-    wanted: SimDriverParameters = convert(setup.parameters, SimDriverParameters, setup.name)
+    wanted: SimDriverParameters = convert(
+        setup.parameters, SimDriverParameters, setup.name
+    )
     device = along(wanted.device, setup.axes)[0]
     device = msgspec.structs.replace(
         device, position=begin[0], velocity=begin[1], delay=device.delay + late

@@ -67,7 +67,12 @@ def touch(
         memory = np.array(kept)
     else:
         memory = np.array(new_memory(len(solids)))
-        _walk(np.array(table), memory, np.ascontiguousarray(path, dtype=np.float64), answers)
+        _walk(
+            np.array(table),
+            memory,
+            np.ascontiguousarray(path, dtype=np.float64),
+            answers,
+        )
     return Touched(
         path,
         answers[:, :3],

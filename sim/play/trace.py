@@ -50,10 +50,18 @@ class ChainTrace:
         """Return the record of one axis, by default the only computed one."""
         if axis is None:
             (axis,) = self.axes
-        rows = (self.position, self.velocity, self.measured, self.deflection, self.force)
+        rows = (
+            self.position,
+            self.velocity,
+            self.measured,
+            self.deflection,
+            self.force,
+        )
         position, velocity, measured, deflection, force = (row[:, axis] for row in rows)
         final = float(self.final[0, axis]), float(self.final[1, axis])
-        return Trace(self.period, position, velocity, measured, deflection, force, final)
+        return Trace(
+            self.period, position, velocity, measured, deflection, force, final
+        )
 
     @property
     def time(self) -> Array:

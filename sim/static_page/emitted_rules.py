@@ -47,7 +47,14 @@ _ROOTS: Final[tuple[Any, ...]] = (
 )
 _HOST: Final = {
     getattr(memory, name): name
-    for name in ("reals_at", "wholes_at", "pairs_at", "shared_whole", "shared_real", "monotonic")
+    for name in (
+        "reals_at",
+        "wholes_at",
+        "pairs_at",
+        "shared_whole",
+        "shared_real",
+        "monotonic",
+    )
 }
 
 

@@ -33,7 +33,10 @@ _ADDRESSES: Final = {
 """Fields that hold an address of floats: the field with their count, and floats per count."""
 
 
-_BODIES: Final = ("mujoco", "world")  # kinds of environment that move by code of their own
+_BODIES: Final = (
+    "mujoco",
+    "world",
+)  # kinds of environment that move by code of their own
 
 
 class NotInBrowserError(ParameterError):
@@ -107,7 +110,10 @@ def _fields(state: Any, name: str) -> dict[str, Any]:
         address: list(_flat(reals_at(fields[address], fields[count] * each)))
         for address, (count, each) in _ADDRESSES[name].items()
     }
-    return {"fields": {key: one for key, one in fields.items() if key not in placed}, **placed}
+    return {
+        "fields": {key: one for key, one in fields.items() if key not in placed},
+        **placed,
+    }
 
 
 def _flat(values: Any) -> list[float]:
@@ -146,7 +152,11 @@ def _laws(launch: Launch, hops: Hops, ticks: int, axes: int) -> dict[str, Any]:
         "laws": laws,
         "law": parameters.law,
         "schedule": [
-            {"tick": round(swap.at / launch.run.period), "law": swap.law, "ramp": swap.ramp}
+            {
+                "tick": round(swap.at / launch.run.period),
+                "law": swap.law,
+                "ramp": swap.ramp,
+            }
             for swap in sorted(parameters.schedule, key=lambda swap: swap.at)
         ],
         "ramp": parameters.ramp,
@@ -169,7 +179,9 @@ def law_of(law: CompiledLaw, ticks: int, axes: int, where: str) -> dict[str, Any
     }
 
 
-def _own(own: Callable[..., float], ticks: int, axes: int, where: str) -> dict[str, Any]:
+def _own(
+    own: Callable[..., float], ticks: int, axes: int, where: str
+) -> dict[str, Any]:
     numbers = numbers_of(own, ticks)
     if numbers is None or (isinstance(own, Push) and axes > 1):
         raise NotInBrowserError(

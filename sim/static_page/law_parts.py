@@ -19,7 +19,9 @@ from nodes.laws.pd_filtered import PDFiltered
 from sim.static_page.image import law_of
 
 
-def parts_of(law: Law, period: float, ticks: int, axes: int, where: str) -> dict[str, Any]:
+def parts_of(
+    law: Law, period: float, ticks: int, axes: int, where: str
+) -> dict[str, Any]:
     """Return the parts of a law by name; `free` names the parameters that a page may change.
 
     Raises

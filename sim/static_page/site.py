@@ -39,7 +39,9 @@ from sim.static_page.law_parts import parts_of
 
 _FIRST: Final = ("touch_wall",)  # scenarios if none are named
 _SCRIPTS: Final = ("laws", "edges", "words", "delay", "session", "sing")
-_TICKS: Final = 300_000  # ticks for which laws that push pseudo-randomly have their push
+_TICKS: Final = (
+    300_000  # ticks for which laws that push pseudo-randomly have their push
+)
 LONGEST_DELAY: Final = 20  # longest delay of the device that the page plays [ticks]
 LARGEST: Final = 500_000  # largest folder [bytes]
 
@@ -69,7 +71,9 @@ def write_site(directory: Path, scenarios: Sequence[str] = ()) -> dict[str, Any]
             f"{directory}: {size} bytes, limit {LARGEST}; name fewer scenarios, or a coarser mesh"
         )
     if directory.exists():
-        strange = [path.name for path in directory.iterdir() if path.name not in _tops(files)]
+        strange = [
+            path.name for path in directory.iterdir() if path.name not in _tops(files)
+        ]
         if strange:
             raise UsageError(
                 f"{directory}: contains {strange[0]!r}, which is no file of a page; name an empty"
@@ -102,7 +106,8 @@ def site_files(launches: Sequence[Launch]) -> dict[str, bytes]:
     old = '<script src="main.js" type="module"></script>'
     assert old in html  # noqa: S101  # the page's own file
     html = html.replace(
-        old, '<script src="static.js" defer></script>\n<script src="main.js" defer></script>'
+        old,
+        '<script src="static.js" defer></script>\n<script src="main.js" defer></script>',
     )
     texts = {
         "index.html": html,
@@ -123,7 +128,11 @@ def site_files(launches: Sequence[Launch]) -> dict[str, bytes]:
 def static_script(launches: Sequence[Launch]) -> str:
     """Return the script that stands for the server: the worker's text and all scenarios."""
     scenarios = {launch.scenario: data_script(launch) for launch in launches}
-    return constant("SCENARIOS", scenarios) + constant("WORKER", worker()) + script("static")
+    return (
+        constant("SCENARIOS", scenarios)
+        + constant("WORKER", worker())
+        + script("static")
+    )
 
 
 def worker() -> str:
@@ -148,7 +157,9 @@ def session_script() -> str:
 def smaller(text: str) -> str:
     """Return a script without indentation, empty lines and lines that are comments."""
     lines = (line.strip() for line in text.splitlines())
-    return "\n".join(line for line in lines if line and not line.startswith("// ")) + "\n"
+    return (
+        "\n".join(line for line in lines if line and not line.startswith("// ")) + "\n"
+    )
 
 
 def data_script(launch: Launch) -> str:
@@ -173,7 +184,9 @@ def data_of(launch: Launch) -> dict[str, Any]:
     feed = Feed(axes, period, 1.0, BINS_PER_SECOND)
     hand = bool(image["pointer"]) and model.hand is not None
     next_tick = int(launch.run.apply == "next_tick")
-    surface = parse_surface(launch.nodes[hops.environment].parameters["surface"], "surface")
+    surface = parse_surface(
+        launch.nodes[hops.environment].parameters["surface"], "surface"
+    )
     shape = shape_of(launch.nodes[hops.environment].parameters) if len(axes) > 1 else {}
     return {
         "scenario": launch.scenario,
@@ -201,7 +214,9 @@ def data_of(launch: Launch) -> dict[str, Any]:
         },
         "plant": Plain({} if plant is None else msgspec.to_builtins(plant)),
         "no_map": (
-            "No map: the device's mass depends on its position." if model.mass_by_position else ""
+            "No map: the device's mass depends on its position."
+            if model.mass_by_position
+            else ""
         ),
         "hello": Plain(
             {
@@ -256,7 +271,9 @@ def _fields(described: Mapping[str, Any]) -> dict[str, Any]:
     kinds = dict.fromkeys(law["kind"] for law in described.values())
     return {
         kind: [
-            field if field["name"] in ("stiffness", "damping") else {**field, "fixed": True}
+            field
+            if field["name"] in ("stiffness", "damping")
+            else {**field, "fixed": True}
             for field in every[kind]
         ]
         for kind in kinds

@@ -13,11 +13,24 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law
 from nodes.parameters.options import FileOptions, argument, option, quantity
 from nodes.parameters.quantities import interval, not_negative, positive
-from nodes.recording.figure_style import OMEGA, new_figure, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    OMEGA,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
 from nodes.stability.closed_loop import Rendered, rendered
 from nodes.stability.effective_damping import effective_damping
 from nodes.stability.every_delay import Certificate, EveryDelay, every_delay
-from nodes.stability.k_max import KMax, Tolerance, edge_of, k_max, tolerance, without_spring
+from nodes.stability.k_max import (
+    KMax,
+    Tolerance,
+    edge_of,
+    k_max,
+    tolerance,
+    without_spring,
+)
 from nodes.stability.occurring import Edge
 from nodes.stability.plant import Plant
 from nodes.stability.rest import rest, stiffest_at_rest
@@ -104,7 +117,11 @@ class Analysis(Findings):
         limit, _ = figures.pop("k_max"), figures.pop("worlds")
         del limit["stable"]
         worlds = self.worlds.k_max_n_per_m.items()
-        return {**figures, **limit, **{f"k_max_{name}_n_per_m": finite(k) for name, k in worlds}}
+        return {
+            **figures,
+            **limit,
+            **{f"k_max_{name}_n_per_m": finite(k) for name, k in worlds},
+        }
 
     @property
     def text(self) -> str:
@@ -129,7 +146,10 @@ class Analysis(Findings):
                 f"{_shown(limit.h1_max_n_per_m, 'N/m')} felt ({limit.method})"
             ),
         ]
-        named = {"any_world": "K_max any world", "any_hand_any_world": "any hand, world"}
+        named = {
+            "any_world": "K_max any world",
+            "any_hand_any_world": "any hand, world",
+        }
         lines += [
             f"{label} {_shown(finite(self.worlds.k_max_n_per_m[key]), 'N/m', 'none certified')}"
             " (THEORY.md §18)"
@@ -181,27 +201,39 @@ def analyse(options: AnalyseOptions) -> Analysis:
         tolerance=tolerance(compiled, device),
         edge=edge_of(derivative, device),
         every_delay=_every_delay(options, compiled, device),
-        rest=_rest(options, compiled, derivative, device, boundary.k_max_n_per_m or 0.0),
+        rest=_rest(
+            options, compiled, derivative, device, boundary.k_max_n_per_m or 0.0
+        ),
         picture=_draw(options, compiled, device),
     )
 
 
-def _every_delay(options: AnalyseOptions, law: CompiledLaw, device: Plant) -> DelaysJudged | None:
+def _every_delay(
+    options: AnalyseOptions, law: CompiledLaw, device: Plant
+) -> DelaysJudged | None:
     if options.every_delay is None:
         return None
     try:
-        return DelaysJudged(options.every_delay, every_delay(law, device, options.every_delay))
+        return DelaysJudged(
+            options.every_delay, every_delay(law, device, options.every_delay)
+        )
     except ValueError as error:
         raise UsageError(f"--every-delay: {error}") from error
 
 
 def _rest(
-    options: AnalyseOptions, law: CompiledLaw, derivative: CompiledLaw, device: Plant, limit: float
+    options: AnalyseOptions,
+    law: CompiledLaw,
+    derivative: CompiledLaw,
+    device: Plant,
+    limit: float,
 ) -> RestFound | None:
     step, friction = options.resolution, options.friction
     if step is None:
         if friction is not None:
-            raise UsageError("--friction: rest takes the encoder too; give --resolution")
+            raise UsageError(
+                "--friction: rest takes the encoder too; give --resolution"
+            )
         return None
     needed, nominal = rest(law, device, step), law.taps[0] - derivative.taps[0]
     free = stiffest = None
@@ -236,10 +268,16 @@ def _draw(options: AnalyseOptions, law: CompiledLaw, device: Plant) -> Path:
     period, theta = device.period, np.linspace(0.0, np.pi, 801)
     figure = new_figure(6.4, 4.0)
     axes = figure.add_subplot(
-        xlabel=OMEGA, ylabel=r"$f(\omega)$  [N s/m]", title=f"effective damping of {options.law}"
+        xlabel=OMEGA,
+        ylabel=r"$f(\omega)$  [N s/m]",
+        title=f"effective damping of {options.law}",
     )
     spring = 0.5 * period * law.h1
-    axes.plot(theta / np.pi, effective_damping(law, period, theta / period), label="without delay")
+    axes.plot(
+        theta / np.pi,
+        effective_damping(law, period, theta / period),
+        label="without delay",
+    )
     whole = int(device.delay)
     if whole:
         axes.plot(

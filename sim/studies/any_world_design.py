@@ -57,7 +57,9 @@ class WorldCase:
     def felt(self, family: str) -> float | None:
         """Return H(1) of a family [N/m]; None without a law."""
         found = next((one for one in self.members if one.family == family), None)
-        return None if found is None or found.design is None else found.design.h1_n_per_m
+        return (
+            None if found is None or found.design is None else found.design.h1_n_per_m
+        )
 
     def moved(self, member: Member) -> float:
         """Return the stiffness that a motion of `FELT_AT` meets [N/m]; 0 without a law."""
@@ -67,7 +69,9 @@ class WorldCase:
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name."""
-        figures = {name: one for name, one in vars(self).items() if name not in _NAMED_ABOVE}
+        figures = {
+            name: one for name, one in vars(self).items() if name not in _NAMED_ABOVE
+        }
         laws = [
             {"family": one.family, "law": one.law}
             | (
@@ -104,7 +108,11 @@ class WorldCase:
         if any(one.family == "two_poles" for one in self.members):
             lines.append(self._bought())
         if (gain := fractional_gain(list(self.members))) is not None:
-            bought = f"{100.0 * (gain - 1.0):+.1f} % over PD" if gain > 1.001 else "nothing over PD"
+            bought = (
+                f"{100.0 * (gain - 1.0):+.1f} % over PD"
+                if gain > 1.001
+                else "nothing over PD"
+            )
             lines.append(f"  a fractional term buys {bought}")
         return lines
 
@@ -119,7 +127,10 @@ class WorldCase:
                 f" {100.0 * (best / taps - 1.0):+.1f} % over free taps (Re H {best:.1f} and"
                 f" {taps:.1f} N/m; THEORY.md §20)"
             )
-        best, taps = max(self.felt(one) or 0.0 for one in _BEHIND), self.felt("taps") or math.nan
+        best, taps = (
+            max(self.felt(one) or 0.0 for one in _BEHIND),
+            self.felt("taps") or math.nan,
+        )
         return (
             f"  sections buy {100.0 * (best / taps - 1.0):+.1f} % over free taps, and no"
             f" law more than {100.0 * (self.closed_limit_n_per_m / taps - 1.0):+.1f} %"
@@ -134,10 +145,15 @@ def _member_line(one: Member) -> str:
     if one.design is None:
         return f"  {FAMILIES[one.family]:21} none"
     found = one.design
-    proof = "proven at every frequency" if found.proven else "NOT proven between the frequencies"
+    proof = (
+        "proven at every frequency"
+        if found.proven
+        else "NOT proven between the frequencies"
+    )
     taps = ", ".join(f"{tap:.6g}" for tap in found.law.taps)
     sections = "".join(
-        f"; section {', '.join(f'{c:.6g}' for c in section)}" for section in found.law.sections[:1]
+        f"; section {', '.join(f'{c:.6g}' for c in section)}"
+        for section in found.law.sections[:1]
     )
     return (
         f"  {FAMILIES[one.family]:21} H(1) {found.h1_n_per_m:8.1f} N/m  H(-1)"
@@ -189,9 +205,14 @@ def run(options: DesignOptions) -> StiffestForWorld:
 
 
 def _case(options: DesignOptions, delay: tuple[float, float]) -> WorldCase:
-    mass, rate = options.mass if options.world == "any_world" else None, options.rate or 500.0
+    mass, rate = (
+        options.mass if options.world == "any_world" else None,
+        options.rate or 500.0,
+    )
     try:
-        surroundings = Surroundings(1.0 / rate, options.damping[0], delay, options.nyquist, mass)
+        surroundings = Surroundings(
+            1.0 / rate, options.damping[0], delay, options.nyquist, mass
+        )
     except ValueError as error:
         raise UsageError(f"--{error}") from error
     members, step = [], options.progress(len(FAMILIES))
@@ -222,7 +243,9 @@ def draw_delays(path: Path, cases: Sequence[WorldCase], options: DesignOptions) 
             label="2b/(T(1 + d))",
         )
     axes.set(
-        title=(f"Stable for {options.world.replace('_', ' ')}, |H(−1)| ≤ {options.nyquist:g} N/m"),
+        title=(
+            f"Stable for {options.world.replace('_', ' ')}, |H(−1)| ≤ {options.nyquist:g} N/m"
+        ),
         ylim=(0.0, None),
     )
     axes.grid(alpha=0.3)

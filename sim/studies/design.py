@@ -69,27 +69,37 @@ def design(options: DesignOptions) -> StudyResult:
     """Design a law, or compare families of laws."""
     shared.refuse_taps(options.taps)
     if options.compare and options.taps < 2:
-        raise UsageError(f"--taps {options.taps} --compare: PD and PDα have at least 2 taps")
+        raise UsageError(
+            f"--taps {options.taps} --compare: PD and PDα have at least 2 taps"
+        )
     if options.every_delay and options.compare:
         raise UsageError("--every-delay: of one design, not of --compare")
     if options.radius > 1.0:
         raise UsageError(f"--radius {options.radius:g}: above 1 is unstable")
     if options.world != "wall":
         why = f"--for {options.world} is a condition on frequencies"
-        options.refuse_unused(why, "hand", "grasp", "radius", "from_run", "effort", "every_delay")
+        options.refuse_unused(
+            why, "hand", "grasp", "radius", "from_run", "effort", "every_delay"
+        )
         options.refuse_unused(why, "resolution", "friction", "margins", *SPREAD)
         if options.compare:
             options.refuse_unused("--compare takes --delays", "delay")
         return any_world.run(options)
     if not options.mass[0] > 0.0:
-        raise UsageError(f"--mass {options.mass[0]:g}..{options.mass[1]:g}: must be positive")
+        raise UsageError(
+            f"--mass {options.mass[0]:g}..{options.mass[1]:g}: must be positive"
+        )
     if options.compare:
         why = "--compare takes --delays and --margins, and --rate"
         options.refuse_unused(why, "delay", "from_run", "effort", "grasp")
     else:
         options.refuse_unused("it is of --compare", "delays", "margins", *SPREAD)
     demand, measured = _demand(options)
-    return _compare(options, demand) if options.compare else _design(options, demand, measured)
+    return (
+        _compare(options, demand)
+        if options.compare
+        else _design(options, demand, measured)
+    )
 
 
 def _demand(options: DesignOptions) -> tuple[Demand, Measured | None]:
@@ -110,7 +120,9 @@ def _demand(options: DesignOptions) -> tuple[Demand, Measured | None]:
     return Demand(*device, damping_max=widest, stiffness=options.hand, lands=lands), run
 
 
-def _design(options: DesignOptions, demand: Demand, measured: Measured | None) -> DesignFound:
+def _design(
+    options: DesignOptions, demand: Demand, measured: Measured | None
+) -> DesignFound:
     step = options.progress(3)
 
     def free(wanted: Demand) -> Tuned:
@@ -189,7 +201,11 @@ def _designed(options: DesignOptions, demand: Demand, law: Tuned) -> DesignedLaw
     lands = all(drops(found.law, demand).values())
     landing = prove_over(found.law, demand)
     comment = "\n".join(
-        [describe(demand), *([] if lands else ["it does NOT survive a landing"]), landing.text()]
+        [
+            describe(demand),
+            *([] if lands else ["it does NOT survive a landing"]),
+            landing.text(),
+        ]
     )
     path.write_text(to_yaml(law.law, comment=comment), encoding="utf-8")
     return DesignedLaw(
@@ -198,7 +214,9 @@ def _designed(options: DesignOptions, demand: Demand, law: Tuned) -> DesignedLaw
         lands,
         certificate(found.law, demand),
         landing,
-        None if options.grasp is None else judge_grasps(found.law, demand, options.grasp),
+        None
+        if options.grasp is None
+        else judge_grasps(found.law, demand, options.grasp),
         _at_rest(options, found, demand),
     )
 
@@ -223,10 +241,16 @@ def _at_rest(options: DesignOptions, found: Robust, demand: Demand) -> RestFound
     if step is None or friction is None:
         return None
     device = Plant(
-        demand.period, demand.mass[1], demand.damping, demand.delay[1], demand.stiffness[0]
+        demand.period,
+        demand.mass[1],
+        demand.damping,
+        demand.delay[1],
+        demand.stiffness[0],
     )
     # The proof requires a law that is passive at every delay of the range.
-    passive = certain_damping(found.taps, demand.period, *demand.delay) <= demand.damping
+    passive = (
+        certain_damping(found.taps, demand.period, *demand.delay) <= demand.damping
+    )
     needed = replace(rest(found.law, device, step), certain=passive)
     path = options.out / "design_rest.png"
     drawn = rest_map(found.law, found.h1_n_per_m, device, step, friction, path)
@@ -258,7 +282,8 @@ def _passive(passive: Passive, demand: Demand, out: Path) -> PassiveLaw:
     path = fresh(out / "passive.yaml")
     comment = f"passive for any mass and hand: {describe(demand)}"
     path.write_text(
-        to_yaml(fir(passive.taps, demand.period), "passive", comment=comment), encoding="utf-8"
+        to_yaml(fir(passive.taps, demand.period), "passive", comment=comment),
+        encoding="utf-8",
     )
     law = CompiledLaw(tuple(passive.taps.tolist()))
     loops = itertools.product(demand.mass, demand.delay, demand.stiffness)
@@ -275,7 +300,10 @@ def _compare(options: DesignOptions, demand: Demand) -> ComparedFound:
         for margin in options.margins
         for delay in options.delays
     ]
-    jobs = [partial(_tuned, case, options.taps, options.resolution or RESOLUTION) for case in cases]
+    jobs = [
+        partial(_tuned, case, options.taps, options.resolution or RESOLUTION)
+        for case in cases
+    ]
     done = spread(options, jobs)
     return ComparedFound(
         lines=[line for one in done for line in one.lines], demand=demand, cases=done
@@ -289,7 +317,9 @@ def _tuned(case: Demand, taps: int, resolution: float) -> Compared:
 
 
 @styled
-def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None) -> Path:
+def _draw(
+    path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | None
+) -> Path:
     named = [(one.family, one.found.taps) for one in (law, pd) if one.found is not None]
     if passive is not None:
         named.append(("passive", passive.taps))
@@ -306,7 +336,10 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
             set(demand.stiffness),
         )
         radii = [
-            max(pole_radius(compiled, replace(device, mass=m, stiffness=k)) for k in hands)
+            max(
+                pole_radius(compiled, replace(device, mass=m, stiffness=k))
+                for k in hands
+            )
             for m in masses.tolist()
         ]
         label = f"{name}, H(1) = {compiled.h1:.0f} N/m"
@@ -325,7 +358,9 @@ def _draw(path: Path, demand: Demand, law: Tuned, pd: Tuned, passive: Passive | 
     )
     threshold(right, demand.damping, f"b = {demand.damping:g} N s/m of the device")
     right.set(
-        xlabel=OMEGA, ylabel="damping needed  [N s/m]", title=f"passivity at a delay of {whole} T"
+        xlabel=OMEGA,
+        ylabel="damping needed  [N s/m]",
+        title=f"passivity at a delay of {whole} T",
     )
     left.legend()
     return save_figure(figure, path, fresh)

@@ -81,7 +81,9 @@ class Judged:
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name; without a law only its family."""
         named = vars(self)
-        return named if self.law is not None else {name: named[name] for name in _NO_LAW}
+        return (
+            named if self.law is not None else {name: named[name] for name in _NO_LAW}
+        )
 
     @property
     def line(self) -> str:
@@ -118,7 +120,9 @@ class DesignedLaw:
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name, those of the law at the top level."""
         found = vars(self) | self.judged.as_json()
-        left_out = {name for name in ("grasp", "rest") if found[name] is None} | {"judged"}
+        left_out = {name for name in ("grasp", "rest") if found[name] is None} | {
+            "judged"
+        }
         return {name: one for name, one in found.items() if name not in left_out}
 
 
@@ -132,12 +136,21 @@ class PassiveLaw:
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name."""
-        figures = vars(self.found) | {"pole_radius": self.pole_radius, "yaml": self.yaml}
-        return {{"taps": "taps_n_per_m"}.get(name, name): one for name, one in figures.items()}
+        figures = vars(self.found) | {
+            "pole_radius": self.pole_radius,
+            "yaml": self.yaml,
+        }
+        return {
+            {"taps": "taps_n_per_m"}.get(name, name): one
+            for name, one in figures.items()
+        }
 
     def line(self, demand: Demand) -> str:
         """Return the figures in one line."""
-        one, bound = self.found, self.found.bound_n_per_m * demand.period / demand.damping
+        one, bound = (
+            self.found,
+            self.found.bound_n_per_m * demand.period / demand.damping,
+        )
         return (
             f"passive        H(1) {one.h1_n_per_m:9.2f} N/m  H(-1) {one.h_nyquist_n_per_m:9.1f}"
             f" N/m  radius {self.pole_radius:.6f}  K T/b {one.ratio:.4f} (bound"
@@ -170,7 +183,9 @@ class DesignFound(Findings):
     def answer(self) -> dict[str, Any]:
         """Figures by name."""
         figures = super().answer
-        return figures | {"demand": _wanted(self.demand)} | (figures.pop("replayed") or {})
+        return (
+            figures | {"demand": _wanted(self.demand)} | (figures.pop("replayed") or {})
+        )
 
 
 @dataclass(frozen=True)
@@ -184,13 +199,17 @@ class Compared:
     @property
     def best_other(self) -> Judged | None:
         """The stiffest law beside the designed one."""
-        others = [law for law in self.laws if law.family != "designed" and law.h1_n_per_m]
+        others = [
+            law for law in self.laws if law.family != "designed" and law.h1_n_per_m
+        ]
         return max(others, key=lambda law: law.h1_n_per_m or 0.0, default=None)
 
     @property
     def gain(self) -> float | None:
         """H(1) of the designed law over the stiffest other; None if either is missing."""
-        mine = next((law.h1_n_per_m for law in self.laws if law.family == "designed"), None)
+        mine = next(
+            (law.h1_n_per_m for law in self.laws if law.family == "designed"), None
+        )
         rival = None if self.best_other is None else self.best_other.h1_n_per_m
         return None if mine is None or rival is None else mine / rival
 

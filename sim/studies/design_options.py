@@ -18,7 +18,9 @@ class DesignOptions(SpreadOptions, FileOptions):
     mass: tuple[float, float] = quantity("mass", Interval(0.05, 0.2))
     damping: tuple[float, float] = quantity("damping", Interval(1.0, 1.0))
     # A recording may define both.
-    delay: tuple[float, float] | None = quantity("delay", Interval(1.0, 1.0), unset=True)
+    delay: tuple[float, float] | None = quantity(
+        "delay", Interval(1.0, 1.0), unset=True
+    )
     rate: float | None = quantity("rate", 500.0, unset=True)
     taps: int = quantity("taps", 4)
     hand: tuple[float, float] = option(
@@ -47,10 +49,14 @@ class DesignOptions(SpreadOptions, FileOptions):
         default=10000.0, type=positive, help="|H(-1)| allowed [N/m] (default: 10000)"
     )
     from_run: Path | None = option(
-        type=Path, metavar="RECORDING", help="take rate, delay and jitter from a recording"
+        type=Path,
+        metavar="RECORDING",
+        help="take rate, delay and jitter from a recording",
     )
     effort: int = option(
-        default=1, type=whole(1, 1000), help="multiplies the search (default: %(default)s)"
+        default=1,
+        type=whole(1, 1000),
+        help="multiplies the search (default: %(default)s)",
     )
     land: bool = option(
         default=True,
@@ -79,8 +85,14 @@ class DesignOptions(SpreadOptions, FileOptions):
         help="against best PD (bare, filtered, windowed), every PDα and the paper's optimum",
     )
     delays: list[float] = option(
-        default=[0.0, 1.0, 2.0], type=not_negative, nargs="+", help="of --compare [ticks]"
+        default=[0.0, 1.0, 2.0],
+        type=not_negative,
+        nargs="+",
+        help="of --compare [ticks]",
     )
     margins: list[float] = option(
-        default=[0.0, 0.5], type=not_negative, nargs="+", help="delay margins of --compare [ticks]"
+        default=[0.0, 0.5],
+        type=not_negative,
+        nargs="+",
+        help="delay margins of --compare [ticks]",
     )

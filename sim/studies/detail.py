@@ -26,7 +26,10 @@ class DetailOptions(FileOptions):
         help="name of a launch file with a shape in three axes, or the path of one"
     )
     assignments: list[str] = argument(
-        default=[], nargs="*", metavar="name:=value", help="arguments of the launch file"
+        default=[],
+        nargs="*",
+        metavar="name:=value",
+        help="arguments of the launch file",
     )
     fraction: float = option(
         default=0.01,
@@ -34,7 +37,8 @@ class DetailOptions(FileOptions):
         help="part of the largest force that is no difference (default: 0.01)",
     )
     resolution: float | None = option(
-        type=positive, help="encoder step [m] (default: the scene's device, or a Touch X's)"
+        type=positive,
+        help="encoder step [m] (default: the scene's device, or a Touch X's)",
     )
 
 
@@ -64,7 +68,9 @@ def detail(options: DetailOptions) -> DetailFound:
         launch = launch_file.read(
             options.scenario, launch_file.parse_assignments(options.assignments)
         )
-        parts = {spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()}
+        parts = {
+            spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()
+        }
         if not {"environment", "mujoco"} & set(parts) or "coupling" not in parts:
             raise UsageError(
                 f"{launch.scenario}: has no node of kind environment with a shape or of kind"
@@ -80,14 +86,20 @@ def detail(options: DetailOptions) -> DetailFound:
             step = options.progress(5)
             found = body_detail(launch, stiffness, resolution, options.fraction, step)
         else:
-            found = _shapes(options, launch, *parts["environment"], stiffness, resolution)
+            found = _shapes(
+                options, launch, *parts["environment"], stiffness, resolution
+            )
     except ParameterError:
         raise
     except ValueError as error:
         raise UsageError(f"{launch.scenario}: {error}") from error
     lines = _text(launch.scenario, stiffness, resolution, found)
-    picture = draw(options.out / f"detail_{launch.scenario}.png", launch.scenario, found)
-    return DetailFound(lines=lines, scenario=launch.scenario, found=found, picture=picture)
+    picture = draw(
+        options.out / f"detail_{launch.scenario}.png", launch.scenario, found
+    )
+    return DetailFound(
+        lines=lines, scenario=launch.scenario, found=found, picture=picture
+    )
 
 
 def _shapes(
@@ -168,22 +180,35 @@ def draw(path: Path, scenario: str, found: Detail) -> Path:
             (low, high), names, style.COLOURS, style.MARKERS, strict=False
         ):
             values = np.maximum(
-                [scale * getattr(level, key) for level in levels], least if axes is differs else 0.0
+                [scale * getattr(level, key) for level in levels],
+                least if axes is differs else 0.0,
             )
-            axes.plot(values, range(len(levels)), mark, color=colour, label=name, clip_on=False)
+            axes.plot(
+                values,
+                range(len(levels)),
+                mark,
+                color=colour,
+                label=name,
+                clip_on=False,
+            )
         style.legend_above(axes)
     differs.set(
         xscale="log",
         xlabel="the force differs by, at the left end less than that  [mN]",
         # The limit is drawn even if no level differs at all.
-        xlim=(least, 1e3 * max(3.0 * found.limit_n, *(2.0 * level.force_n for level in levels))),
+        xlim=(
+            least,
+            1e3 * max(3.0 * found.limit_n, *(2.0 * level.force_n for level in levels)),
+        ),
     )
     # A single interrupted call would push all others to the left.
     apart = max(level.call_p99_us for level in levels) > 20.0 * min(
         level.call_us for level in levels
     )
     costs.set(xscale="log" if apart else "linear", xlabel="time of a call  [µs]")
-    figure.suptitle(f"{scenario} needs: {found.coarsest.name}", fontsize=9.5, x=0.01, ha="left")
+    figure.suptitle(
+        f"{scenario} needs: {found.coarsest.name}", fontsize=9.5, x=0.01, ha="left"
+    )
     style.threshold(
         differs,
         1e3 * found.limit_n,

@@ -23,7 +23,9 @@ class IdentifiedPlaces(StudyResult):
     @property
     def held(self) -> bool:
         """Whether every mass is known and no recording refutes the model."""
-        return all(one.mass.value is not None and not one.refuted for _, one in self.places)
+        return all(
+            one.mass.value is not None and not one.refuted for _, one in self.places
+        )
 
     @property
     def answer(self) -> dict[str, Any]:
@@ -86,7 +88,8 @@ def device_identify(options: PushOptions) -> StudyResult:
                 found = identify_scenario(options, scenario, options.assignments)
         except KeyboardInterrupt:
             why = (
-                "nothing was recorded: interrupted before the push began; law and surface are back"
+                "nothing was recorded: interrupted before the push began;"
+                " law and surface are back"
             )
             options.say(why)
             return Findings(lines=[why], held=False, interrupted=signalled() or 2)

@@ -29,7 +29,9 @@ def hand(text: str) -> tuple[float, float]:
     try:
         return interval(text)
     except ArgumentTypeError as error:
-        raise ArgumentTypeError(f"{error}; hands with a name are {', '.join(HANDS)}") from error
+        raise ArgumentTypeError(
+            f"{error}; hands with a name are {', '.join(HANDS)}"
+        ) from error
 
 
 def grasp(text: str) -> HandBox:
@@ -79,7 +81,9 @@ class LawOptions(Options):
     stiffness: float | None = quantity("stiffness")
     order: float | None = quantity("order")
     taps: int | None = quantity("taps")
-    gains: str | None = option(choices=("physical", "paper", "unlimited"), help="unit of the gain")
+    gains: str | None = option(
+        choices=("physical", "paper", "unlimited"), help="unit of the gain"
+    )
     derivative: str | None = option(help="realisation of the derivative, e.g. gl")
 
 
@@ -97,12 +101,16 @@ def recorded(path: Path) -> Measured:
 def refuse_taps(taps: int) -> None:
     """Refuse a length of a designed law that is not searched."""
     if not 1 <= taps <= 12:
-        raise UsageError(f"--taps {taps}: between 1 and 12; the search is over each of them")
+        raise UsageError(
+            f"--taps {taps}: between 1 and 12; the search is over each of them"
+        )
 
 
 def device(options: DeviceOptions) -> Plant:
     """Return the device of parsed options."""
-    return Plant(1.0 / options.rate, options.mass, options.damping, options.delay, options.hand)
+    return Plant(
+        1.0 / options.rate, options.mass, options.damping, options.delay, options.hand
+    )
 
 
 def head(law: Law, plant: Plant, gain: str = "") -> str:
@@ -112,25 +120,33 @@ def head(law: Law, plant: Plant, gain: str = "") -> str:
     keys = ("order",) if gain else forms
     parts = [gain] if gain else []
     parts += [forms[key].format(described[key]) for key in keys if key in described]
-    device = f"m {plant.mass:g} kg, b {plant.damping:g} N s/m, hand {plant.stiffness:g} N/m"
+    device = (
+        f"m {plant.mass:g} kg, b {plant.damping:g} N s/m, hand {plant.stiffness:g} N/m"
+    )
     return (
         f"{' '.join([law.kind, ', '.join(parts)])}; {device}, delay {plant.delay:g} ticks,"
         f" {1.0 / plant.period:g} Hz"
     )
 
 
-def law(options: LawOptions, name: str, gain: float | None = None, nominal: bool = False) -> Law:
+def law(
+    options: LawOptions, name: str, gain: float | None = None, nominal: bool = False
+) -> Law:
     """Build the law of the options; raises UsageError if a decisive parameter is missing."""
     written = name.lstrip().startswith("{")
     data: Any = parse_yaml(name, "law") if written else {"kind": name}
-    asked = options.chosen("stiffness", "order", "taps", "gains", "derivative") | {"damping": gain}
+    asked = options.chosen("stiffness", "order", "taps", "gains", "derivative") | {
+        "damping": gain
+    }
     if isinstance(data, dict):
         data |= {key: value for key, value in asked.items() if value is not None}
     try:
         kind = data.get("kind") if isinstance(data, dict) else None
         fields = load_law(kind).__struct_fields__ if kind in law_names() else ()
         if "damping" in fields and "damping" not in data and not written:
-            raise UsageError(f"{kind}: give its damping gain, --gain B; 0 is a bare spring")
+            raise UsageError(
+                f"{kind}: give its damping gain, --gain B; 0 is a bare spring"
+            )
         if "stiffness" in fields and nominal and "stiffness" not in data:
             raise UsageError(f"{kind}: give its nominal stiffness, --stiffness K [N/m]")
         if "stiffness" in fields:

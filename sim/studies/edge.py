@@ -15,7 +15,13 @@ from messages.errors import UsageError
 from nodes.laws.parse import parse_law
 from nodes.parameters.options import FileOptions, argument, option, quantity
 from nodes.parameters.quantities import COUNT, Interval, not_negative, whole
-from nodes.recording.figure_style import INK, PAGE_WIDTH, new_figure, save_figure, styled
+from nodes.recording.figure_style import (
+    INK,
+    PAGE_WIDTH,
+    new_figure,
+    save_figure,
+    styled,
+)
 from nodes.recording.writer import RecordError
 from nodes.stability.k_max import edge_of, k_max, without_spring
 from nodes.stability.plant import Plant
@@ -67,7 +73,9 @@ class EdgeOptions(DeviceOptions, SpreadOptions, FileOptions):
         help="of random devices instead: how often the interval of a swing holds the true K_max",
     )
     points: int = option(
-        default=24, type=whole(2, 100000), help="gains, in geometric steps (default: %(default)s)"
+        default=24,
+        type=whole(2, 100000),
+        help="gains, in geometric steps (default: %(default)s)",
     )
     device_damping: float | None = option(
         type=not_negative,
@@ -104,7 +112,10 @@ class EdgesFound(Findings):
     @property
     def exact_error(self) -> float:
         """Largest relative error of 2(b R − f(ω_c))/T."""
-        return max(abs(one.edge.k_exact_n_per_m / one.k_max_n_per_m - 1.0) for one in self.points)
+        return max(
+            abs(one.edge.k_exact_n_per_m / one.k_max_n_per_m - 1.0)
+            for one in self.points
+        )
 
     @property
     def answer(self) -> dict[str, Any]:
@@ -148,14 +159,18 @@ def edge(options: EdgeOptions) -> StudyResult:
 def _edges(options: EdgeOptions, low: float, high: float) -> EdgesFound:
     """Compare laws at their edges over a range of gains."""
     device, period = shared.device(options), 1.0 / options.rate
-    gains = [low * (high / low) ** (i / (options.points - 1)) for i in range(options.points)]
+    gains = [
+        low * (high / low) ** (i / (options.points - 1)) for i in range(options.points)
+    ]
     jobs = [partial(_ring, name, gain, device) for name in LAWS for gain in gains]
     rows = [row for row in spread(options, jobs, 4) if row is not None]
     if not rows:
         raise UsageError(
             f"--gain {low:g}..{high:g}: no law rings at a limit here; take lower gains"
         )
-    found = EdgesFound(lines=(), points=rows, picture=_draw(options, rows, device.damping, period))
+    found = EdgesFound(
+        lines=(), points=rows, picture=_draw(options, rows, device.damping, period)
+    )
     lines = [
         f"m {device.mass:g} kg, b {device.damping:g} N s/m, hand {device.stiffness:g} N/m, delay"
         f" {device.delay:g} ticks, {options.rate:g} Hz; B {low:g} .. {high:g}",
@@ -169,9 +184,13 @@ def _edges(options: EdgeOptions, low: float, high: float) -> EdgesFound:
 
 def _ring(name: str, gain: float, device: Plant) -> RingingLoop | None:
     """Find the ringing frequency of a law on a device; None if stable at any stiffness."""
-    derivative = without_spring(parse_law({**LAWS[name], "damping": gain}), device.period)
+    derivative = without_spring(
+        parse_law({**LAWS[name], "damping": gain}), device.period
+    )
     limit, edge = k_max(derivative, device).k_max_n_per_m, edge_of(derivative, device)
-    return None if limit is None or edge is None else RingingLoop(name, gain, limit, edge)
+    return (
+        None if limit is None or edge is None else RingingLoop(name, gain, limit, edge)
+    )
 
 
 def _drops(options: EdgeOptions, drops: int) -> SwingsCounted:
@@ -215,7 +234,11 @@ class SwingFound(StudyResult):
         """Text for the terminal."""
         swing = self.swing
         low, high = swing.k_max_n_per_m
-        mass, damping, k = swing.mass_kg, swing.damping_n_s_per_m, swing.stiffness_n_per_m
+        mass, damping, k = (
+            swing.mass_kg,
+            swing.damping_n_s_per_m,
+            swing.stiffness_n_per_m,
+        )
         known = (
             f"with the damping of {damping[0]:g} N s/m"
             if damping[0] == damping[1]
@@ -226,7 +249,9 @@ class SwingFound(StudyResult):
         )
         hand = swing.hand_n_per_m
         held = (
-            f"held by a hand of {hand:g} N/m" if hand else "with no hand on it (--hand tells one)"
+            f"held by a hand of {hand:g} N/m"
+            if hand
+            else "with no hand on it (--hand tells one)"
         )
         return (
             f"K_max {low:.5g} .. {high:.5g} N/m: the swing's mass is {mass[0]:.4g} .."
@@ -261,15 +286,22 @@ def _predict(options: EdgeOptions, recording: Path) -> StudyResult:
 
 
 @styled
-def _draw(options: EdgeOptions, rows: list[RingingLoop], damping: float, period: float) -> Path:
+def _draw(
+    options: EdgeOptions, rows: list[RingingLoop], damping: float, period: float
+) -> Path:
     figure = new_figure(PAGE_WIDTH, 3.4)
     left, right = figure.subplots(1, 2)
     for name, look in zip(LAWS, law_looks(LAWS), strict=True):
         mine = [row for row in rows if row.law == name]
         k = [row.k_max_n_per_m for row in mine]
-        left.plot([row.edge.f_n_s_per_m for row in mine], k, **look.points(), label=name)
+        left.plot(
+            [row.edge.f_n_s_per_m for row in mine], k, **look.points(), label=name
+        )
         hertz = [row.edge.omega_rad_per_s / (2.0 * math.pi) for row in mine]
-        off = [100.0 * abs(1.0 - row.edge.k_simple_n_per_m / row.k_max_n_per_m) for row in mine]
+        off = [
+            100.0 * abs(1.0 - row.edge.k_simple_n_per_m / row.k_max_n_per_m)
+            for row in mine
+        ]
         right.semilogy(hertz, off, **look.points())
     span = sorted(row.edge.f_n_s_per_m for row in rows)
     left.plot(

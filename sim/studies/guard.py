@@ -38,9 +38,13 @@ class GuardOptions(SpreadOptions, FileOptions):
     gain: float = quantity("gain", 3.0)
     rate: float = quantity("rate", 500.0)
     height: float = option(
-        default=0.01, type=positive, help="height of the drop [m] (default: %(default)s)"
+        default=0.01,
+        type=positive,
+        help="height of the drop [m] (default: %(default)s)",
     )
-    next_tick: bool = option(action="store_true", help="forces take effect one tick later")
+    next_tick: bool = option(
+        action="store_true", help="forces take effect one tick later"
+    )
     guard_damping: float = option(
         default=10.0,
         type=not_negative,
@@ -50,10 +54,14 @@ class GuardOptions(SpreadOptions, FileOptions):
         default=500.0, type=positive, help="softest wall [N/m] (default: %(default)s)"
     )
     high: float = option(
-        default=16000.0, type=positive, help="stiffest wall [N/m] (default: %(default)s)"
+        default=16000.0,
+        type=positive,
+        help="stiffest wall [N/m] (default: %(default)s)",
     )
     points: int = option(
-        default=21, type=whole(1, 100000), help="walls between them (default: %(default)s)"
+        default=21,
+        type=whole(1, 100000),
+        help="walls between them (default: %(default)s)",
     )
     duration: float = option(
         default=6.0, type=SECONDS, help="length of a drop [s] (default: %(default)s)"
@@ -77,7 +85,10 @@ def guard(options: GuardOptions) -> GuardFound:
     ratio = (options.high / options.low) ** (1.0 / (options.points - 1))
     walls = [options.low * ratio**i for i in range(options.points)]
     device = DeviceModel(
-        mass=options.mass, damping=options.damping, gravity=9.81, position=options.height
+        mass=options.mass,
+        damping=options.damping,
+        gravity=9.81,
+        position=options.height,
     )
     told = (
         1.0 / options.rate,
@@ -85,7 +96,9 @@ def guard(options: GuardOptions) -> GuardFound:
         options.next_tick,
         round(options.duration * options.rate),
     )
-    found = spread(options, [partial(compare, device, wall, options.gain, *told) for wall in walls])
+    found = spread(
+        options, [partial(compare, device, wall, options.gain, *told) for wall in walls]
+    )
     drops = [drop for pair in found for drop in pair]
     lines = [
         "            ----- without the guard -----   ------ with the guard -------",
@@ -105,19 +118,32 @@ def guard(options: GuardOptions) -> GuardFound:
 def _draw(options: GuardOptions, drops: list[Drop]) -> Path:
     figure = new_figure(PAGE_WIDTH, 6.4)
     panels = figure.subplots(3, 1, sharex=True)
-    for guarded, i, label in ((False, 1, "without the guard"), (True, 0, "with the guard")):
-        look: Any = {"color": COLOURS[i], "marker": MARKERS[i], "ls": LINES[i], "ms": 3.5}
+    for guarded, i, label in (
+        (False, 1, "without the guard"),
+        (True, 0, "with the guard"),
+    ):
+        look: Any = {
+            "color": COLOURS[i],
+            "marker": MARKERS[i],
+            "ls": LINES[i],
+            "ms": 3.5,
+        }
         chosen = [drop for drop in drops if drop.guarded is guarded]
         stiffness = [drop.stiffness for drop in chosen]
         given = [max(drop.energy_max_j * 1e3, 0.0) for drop in chosen]
         panels[0].plot(stiffness, given, label=label, **look)
         panels[1].plot(stiffness, [drop.unrest_m * 1e3 for drop in chosen], **look)
-        felt = [float("nan") if drop.felt_n_per_m is None else drop.felt_n_per_m for drop in chosen]
+        felt = [
+            float("nan") if drop.felt_n_per_m is None else drop.felt_n_per_m
+            for drop in chosen
+        ]
         panels[2].plot(stiffness, felt, **look)
     nominal = [drop.stiffness for drop in drops]
     panels[2].plot(nominal, nominal, ls=":", color=GREY, label="felt = nominal")
     for axes, label in zip(
-        panels, ("given out  [mJ]", "unrest  [mm]", "felt stiffness  [N/m]"), strict=True
+        panels,
+        ("given out  [mJ]", "unrest  [mm]", "felt stiffness  [N/m]"),
+        strict=True,
     ):
         axes.set(xscale="log", yscale="log", ylabel=label)
         if axes.get_legend_handles_labels()[0]:
@@ -126,7 +152,9 @@ def _draw(options: GuardOptions, drops: list[Drop]) -> Path:
         axes.set_yscale("symlog", linthresh=LEAST)
         axes.set_ylim(bottom=-LEAST)
         axes.set_yticks([0.0, *(10.0**power for power in (-6, -4, -2, 0, 2))])
-        axes.set_ylim(top=2.0 * max(line.get_ydata().max() for line in axes.get_lines()))
+        axes.set_ylim(
+            top=2.0 * max(line.get_ydata().max() for line in axes.get_lines())
+        )
         threshold(axes, 0.0, name)
     plain_log(panels[2].yaxis, *panels[2].get_ylim())
     plain_log(panels[2].xaxis, *panels[2].get_xlim())

@@ -6,7 +6,14 @@ from typing import Any
 
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import whole
-from nodes.recording.figure_style import COLOURS, LINES, MARKERS, new_figure, save_figure, styled
+from nodes.recording.figure_style import (
+    COLOURS,
+    LINES,
+    MARKERS,
+    new_figure,
+    save_figure,
+    styled,
+)
 from nodes.stability.plant import Plant
 from sim.experiments.hands_apart import HandsAtDelay, over_delay
 from sim.results import fresh
@@ -23,7 +30,9 @@ class HandsOptions(FileOptions):
     rate: float = quantity("rate", 500.0)
     stiffness: float = quantity("stiffness", 500.0)
     longest: int = option(
-        default=20, type=whole(1, 1000), help="longest one-way delay [ticks] (default: %(default)s)"
+        default=20,
+        type=whole(1, 1000),
+        help="longest one-way delay [ticks] (default: %(default)s)",
     )
 
 
@@ -38,7 +47,9 @@ def hands(options: HandsOptions) -> HandsFound:
     """Compare the couplings of two hands, and plot them."""
     plant = Plant(1.0 / options.rate, options.mass, options.damping)
     steps = (0, 1, 2, 3, 5, 8, 12, 20, 35, 50, 100, 200, 350, 500, 1000)
-    delays = sorted({*(step for step in steps if step <= options.longest), options.longest})
+    delays = sorted(
+        {*(step for step in steps if step <= options.longest), options.longest}
+    )
     rows = over_delay(plant, options.stiffness, options.gain, delays)
     head = [
         (
@@ -48,7 +59,9 @@ def hands(options: HandsOptions) -> HandsFound:
         " delay   one law  a law each  with damper        K    N/m  drag N s/m     N/m  drag N s/m",
     ]
     lines = [*head, *(_line(row, plant.period) for row in rows)]
-    return HandsFound(lines=lines, rows=rows, picture=_draw(options, rows, plant.period))
+    return HandsFound(
+        lines=lines, rows=rows, picture=_draw(options, rows, plant.period)
+    )
 
 
 def _line(row: HandsAtDelay, period: float) -> str:
@@ -93,7 +106,10 @@ def _draw(options: HandsOptions, rows: list[HandsAtDelay], period: float) -> Pat
             "ms": 3.5,
         }
         stiffness.plot(
-            delays, [float("nan") if y is None else y for y in stiff], label=label, **look
+            delays,
+            [float("nan") if y is None else y for y in stiff],
+            label=label,
+            **look,
         )
         if slow is not None:
             drag.plot(delays, [float("nan") if y is None else y for y in slow], **look)

@@ -20,9 +20,12 @@ if TYPE_CHECKING:
 class IdentifyOptions(Options):
     """Options of `identify`."""
 
-    recording: Path = argument(type=Path, help="of a launch, best of haptic launch identify")
+    recording: Path = argument(
+        type=Path, help="of a launch, best of haptic launch identify"
+    )
     axis: str | None = option(
-        choices=("x", "y", "z"), help="which axis (default: the one that was pushed hardest)"
+        choices=("x", "y", "z"),
+        help="which axis (default: the one that was pushed hardest)",
     )
     held: bool | None = option(
         off="--free",
@@ -31,7 +34,9 @@ class IdentifyOptions(Options):
         off_help="no hand did (default: finds out)",
     )
     window: int = option(
-        default=100, type=whole(20, 5000), help="length of a window [ticks] (default: %(default)s)"
+        default=100,
+        type=whole(20, 5000),
+        help="length of a window [ticks] (default: %(default)s)",
     )
 
 

@@ -44,10 +44,14 @@ class _Found(KMax):
 class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
     """Options of `kmax`."""
 
-    law: str = option(default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
+    law: str = option(
+        default="pd", help="kind, preset or YAML mapping (default: %(default)s)"
+    )
     gain: tuple[float, float] | None = quantity("gain", Interval())
     points: int = option(
-        default=41, type=whole(2, 100000), help="of a range of gains (default: %(default)s)"
+        default=41,
+        type=whole(2, 100000),
+        help="of a range of gains (default: %(default)s)",
     )
     method: str | None = option(
         choices=("closed_form", "pole_radius", "simulation", "lockstep"),
@@ -67,7 +71,9 @@ class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
         help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
     )
     horizon: int = option(
-        default=2500, type=whole(1, 10**8), help="ticks of a simulated run (default: %(default)s)"
+        default=2500,
+        type=whole(1, 10**8),
+        help="ticks of a simulated run (default: %(default)s)",
     )
     grid: int = option(
         default=257,
@@ -100,8 +106,13 @@ class KMaxFound(StudyResult):
     @property
     def answer(self) -> dict[str, Any]:
         """Figures by name."""
-        stable = [[low, high if math.isfinite(high) else None] for low, high in self.found.stable]
-        figures = {"loop": self.loop} | _figures(self.found) | {"stable_n_per_m": stable}
+        stable = [
+            [low, high if math.isfinite(high) else None]
+            for low, high in self.found.stable
+        ]
+        figures = (
+            {"loop": self.loop} | _figures(self.found) | {"stable_n_per_m": stable}
+        )
         if self.grasp is not None:
             figures["k_max_grasp_n_per_m"] = self.k_max_grasp_n_per_m
             figures["grasp"] = asdict(self.grasp)
@@ -112,7 +123,11 @@ class KMaxFound(StudyResult):
         """Text for the terminal."""
         lines, limit = [self.loop, _said(self.found)], self.k_max_grasp_n_per_m
         if self.grasp is not None:
-            text = "no stiffness is stable" if limit is None else f"{limit:.6g} N/m (nominal)"
+            text = (
+                "no stiffness is stable"
+                if limit is None
+                else f"{limit:.6g} N/m (nominal)"
+            )
             lines.append(f"K_max    {text} in the worst {self.grasp.text()}")
         return "\n".join(lines)
 
@@ -154,10 +169,16 @@ class KMaxLaunched(StudyResult):
     def text(self) -> str:
         """Text for the terminal."""
         # Beyond the ends of the grid nothing was tried.
-        ends = {0.0: f"below {self.grid[0]:.6g} N/m", math.inf: f"above {self.grid[2]:.6g} N/m"}
+        ends = {
+            0.0: f"below {self.grid[0]:.6g} N/m",
+            math.inf: f"above {self.grid[2]:.6g} N/m",
+        }
         both = self.found.launched_n_per_m, self.found.one_process_n_per_m
         launched, alone = (ends.get(k or 0.0, f"{k or 0.0:.6g} N/m") for k in both)
-        verdict, step = "the same" if self.same else "NOT the same", self.grid[1] / self.grid[0]
+        verdict, step = (
+            "the same" if self.same else "NOT the same",
+            self.grid[1] / self.grid[0],
+        )
         return (
             f"{self.loop}\nK_max    {launched} (nominal), by {self.found.launches} launches in"
             f" lockstep\n         {alone} in one process: {verdict}, on steps of {step - 1.0:.2%}"
@@ -216,7 +237,9 @@ class KMaxBoundary(Findings):
             return None
         stable = [one for one in self.points if one.k is not None]
         felt = all(one.h1 is not None for one in stable)
-        return max(stable, key=lambda one: (one.h1 if felt else one.k) or 0.0, default=None)
+        return max(
+            stable, key=lambda one: (one.h1 if felt else one.k) or 0.0, default=None
+        )
 
     @property
     def answer(self) -> dict[str, Any]:
@@ -266,7 +289,9 @@ def kmax(options: KMaxOptions) -> StudyResult:
         device = replace(device, stiffness=_PRESSING)
     several = options.gain is not None and options.gain[0] < options.gain[1]
     if several and options.method == "lockstep":
-        raise UsageError("--method lockstep: one --gain at a time, every stiffness takes a launch")
+        raise UsageError(
+            "--method lockstep: one --gain at a time, every stiffness takes a launch"
+        )
     _refuse_idle(options, several)
     if several and options.gain is not None:
         return _boundary(options, options.gain, device)
@@ -313,7 +338,9 @@ def _refuse_idle(options: KMaxOptions, several: bool) -> None:
         options.refuse_unused("it is of a range, --gain LOW..HIGH", "points", *SPREAD)
 
 
-def _loop(options: KMaxOptions, gain: float | None, device: Plant, gains: str = "") -> str:
+def _loop(
+    options: KMaxOptions, gain: float | None, device: Plant, gains: str = ""
+) -> str:
     """Return the description of law, device and loop, without K, the unknown."""
     law = shared.law(options, options.law, gain)
     return shared.head(law, device, gains or f"B {getattr(law, 'damping', 0.0):g}")
@@ -338,7 +365,9 @@ def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> KMaxLa
     try:
         guess = _simulated(options, law, device).k_max_n_per_m
         if guess is None or not math.isfinite(guess):
-            raise UsageError("--method lockstep: the simulation found no K_max to look around")
+            raise UsageError(
+                "--method lockstep: the simulation found no K_max to look around"
+            )
         steps = np.geomspace(0.5, 2.0, options.grid)
         # The guess itself is not on the grid, so that the runs decide the result.
         grid = (guess * steps * (steps[1] / steps[0]) ** (1 / 3)).tolist()
@@ -349,7 +378,9 @@ def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> KMaxLa
     except (ValueError, MeasurementError) as error:
         raise UsageError(str(error)) from error
     return KMaxLaunched(
-        loop=_loop(options, gain, device), found=found, grid=(grid[0], grid[1], grid[-1])
+        loop=_loop(options, gain, device),
+        found=found,
+        grid=(grid[0], grid[1], grid[-1]),
     )
 
 
@@ -359,7 +390,9 @@ def _scene(options: KMaxOptions, device: Plant) -> Scene:
 
     raw = options.history == "position"
     if options.scene == "press":
-        pressed = DeviceModel(mass=device.mass, damping=device.damping, delay=device.delay)
+        pressed = DeviceModel(
+            mass=device.mass, damping=device.damping, delay=device.delay
+        )
         grip = Hand(stiffness=device.stiffness, path=[(0.0, -0.01)])
         return press_scene(pressed, device.period, raw=raw, clamp=True, hand=grip)
     if options.scene == "free":
@@ -377,14 +410,20 @@ def _simulated(options: KMaxOptions, law: Law, device: Plant) -> _Found:
         at_stiffness(law, device.period), scene, Criterion(ticks=options.horizon)
     )
     return _Found(
-        found.k_max_n_per_m, found.h1_max_n_per_m, "simulation", (), found.searched_n_per_m
+        found.k_max_n_per_m,
+        found.h1_max_n_per_m,
+        "simulation",
+        (),
+        found.searched_n_per_m,
     )
 
 
 def _nothing(found: KMax) -> str:
     if not isinstance(found, _Found):
         return "no stiffness is stable"
-    return f"nothing from {found.searched[0]:.4g} to {found.searched[1]:.4g} N/m settles"
+    return (
+        f"nothing from {found.searched[0]:.4g} to {found.searched[1]:.4g} N/m settles"
+    )
 
 
 def _figures(found: KMax) -> dict[str, Any]:
@@ -396,13 +435,19 @@ def _figures(found: KMax) -> dict[str, Any]:
         "method": found.method,
     }
     if found.k_max_n_per_m == math.inf:
-        figures["at_least_n_per_m"] = found.searched[1] if isinstance(found, _Found) else None
+        figures["at_least_n_per_m"] = (
+            found.searched[1] if isinstance(found, _Found) else None
+        )
     return figures
 
 
-def _boundary(options: KMaxOptions, span: tuple[float, float], device: Plant) -> KMaxBoundary:
+def _boundary(
+    options: KMaxOptions, span: tuple[float, float], device: Plant
+) -> KMaxBoundary:
     low, high = span
-    gains = [low + (high - low) * i / (options.points - 1) for i in range(options.points)]
+    gains = [
+        low + (high - low) * i / (options.points - 1) for i in range(options.points)
+    ]
     laws = [shared.law(options, options.law, gain) for gain in gains]
     # A worker shows no progress of its own.
     asked = replace(options, progress=silent)
@@ -412,8 +457,14 @@ def _boundary(options: KMaxOptions, span: tuple[float, float], device: Plant) ->
     if not any(one.endless or one.k is not None for one in points):
         text = f"{_nothing(found[0])} anywhere in this range"
         return KMaxBoundary(lines=[text], held=False, loop=loop, points=points)
-    lines = [loop, "      gain     K_max N/m   H(1)_max N/m", *(one.line for one in points)]
-    result = KMaxBoundary(lines=lines, loop=loop, points=points, picture=_draw(options, points))
+    lines = [
+        loop,
+        "      gain     K_max N/m   H(1)_max N/m",
+        *(one.line for one in points),
+    ]
+    result = KMaxBoundary(
+        lines=lines, loop=loop, points=points, picture=_draw(options, points)
+    )
     if (best := result.best) is None:
         endless = sum(one.endless for one in points)
         last = f"no end was found at {endless} of {len(points)} gains: the stiffest is not known"

@@ -51,17 +51,23 @@ def law_looks(names: Iterable[str]) -> list[LawLook]:
     """
     listed = list(names)
     kinds = [name.replace(",", " ").split()[0].lower() for name in listed]
-    free = [place for place in range(len(COLOURS)) if place not in map(_PLACES.get, kinds)]
+    free = [
+        place for place in range(len(COLOURS)) if place not in map(_PLACES.get, kinds)
+    ]
     places: dict[str, int | None] = {}
     for kind in kinds:
         if kind not in places:
-            places[kind] = _PLACES[kind] if kind in _PLACES else free.pop(0) if free else None
+            places[kind] = (
+                _PLACES[kind] if kind in _PLACES else free.pop(0) if free else None
+            )
     looks: list[LawLook] = []
     for k, kind in enumerate(kinds):
         place, before = places[kind], kinds[:k].count(kind)
         if place is None:
             grey = sum(look.color == GREY for look in looks)
-            looks.append(LawLook(GREY, LINES[grey % len(LINES)], _MORE[grey % len(_MORE)]))
+            looks.append(
+                LawLook(GREY, LINES[grey % len(LINES)], _MORE[grey % len(_MORE)])
+            )
             continue
         line = LINES[(place + 3 * before) % len(LINES)]
         marker = MARKERS[place] if before == 0 else _MORE[(before - 1) % len(_MORE)]

@@ -29,7 +29,10 @@ class NeedsOptions(SpreadOptions, FileOptions):
 
     scenario: str = argument(help="name of a launch file, or the path of one")
     assignments: list[str] = argument(
-        default=[], nargs="*", metavar="name:=value", help="arguments of the launch file"
+        default=[],
+        nargs="*",
+        metavar="name:=value",
+        help="arguments of the launch file",
     )
     rounds: int = option(
         default=5,
@@ -78,7 +81,9 @@ class ChainNeeds:
     model: Model  # what its launch file declares
     felt: bool  # whether changes are judged by what a hand notices
     needs: Needs
-    rest: RestNeeds | None  # None without contact, of a device not rigid or a law not linear
+    rest: (
+        RestNeeds | None
+    )  # None without contact, of a device not rigid or a law not linear
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name."""
@@ -87,7 +92,9 @@ class ChainNeeds:
             "scenario": self.scenario,
             "outcome": found.outcome,
             "tolerance": self.model.tolerance,
-            "tolerances": {outcome: tolerance(outcome) for outcome in self.model.outcome},
+            "tolerances": {
+                outcome: tolerance(outcome) for outcome in self.model.outcome
+            },
             "thresholds": THRESHOLDS,
             "tick_us": found.tick_us,
             "terms": found.findings,
@@ -118,11 +125,15 @@ def needs(options: NeedsOptions) -> NeedsFound:
     from nodes.launcher import launch_file
     from nodes.launcher.wiring import chains_of
 
-    launch = launch_file.read(options.scenario, launch_file.parse_assignments(options.assignments))
+    launch = launch_file.read(
+        options.scenario, launch_file.parse_assignments(options.assignments)
+    )
     judged = {chain: _judge(options, launch, chain) for chain in chains_of(launch)}
     if not judged:
         raise ParameterError("no chain, so nothing to play", path=launch.scenario)
-    enough = not any(one.needs.superfluous or one.needs.missing for one in judged.values())
+    enough = not any(
+        one.needs.superfluous or one.needs.missing for one in judged.values()
+    )
     lines = ["\n\n".join(map(_text, judged.values()))]
     return NeedsFound(lines=lines, held=enough, scenario=launch.scenario, chains=judged)
 
@@ -141,7 +152,9 @@ def _judge(options: NeedsOptions, launch: Launch, chain: str) -> ChainNeeds:
         partial(spread, options),
         tolerances(model.tolerance, felt),
     )
-    rest = _rest(launch, chain, options.out / f"needs_rest{chain.replace('/', '_')}.png")
+    rest = _rest(
+        launch, chain, options.out / f"needs_rest{chain.replace('/', '_')}.png"
+    )
     name = "/".join(filter(None, (launch.scenario, chain)))
     return ChainNeeds(name, model, felt, found, rest)
 
@@ -181,8 +194,16 @@ def _micrometres(length: float) -> str:
 def _text(one: ChainNeeds) -> str:
     name, model, found, felt = one.scenario, one.model, one.needs, one.felt
     now = found.outcome
-    stiffest = "" if now.h1_max_n_per_m is None else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
-    timed = "" if found.tick_us is None else f"; {found.tick_us:.3g} µs per tick in plain Python"
+    stiffest = (
+        ""
+        if now.h1_max_n_per_m is None
+        else f", K_max (H(1)) {now.h1_max_n_per_m:.5g} N/m"
+    )
+    timed = (
+        ""
+        if found.tick_us is None
+        else f"; {found.tick_us:.3g} µs per tick in plain Python"
+    )
     lines = [
         f"{name}: for {', '.join(model.outcome)}; tolerance {100 * model.tolerance:g} %"
         + (", and what a hand notices of force and stiffness" if felt else ""),
@@ -197,13 +218,17 @@ def _text(one: ChainNeeds) -> str:
     for f in found.findings:
         moved = "∞" if f.moved == float("inf") else f"{100 * f.moved:.3g} %"
         cost = "" if f.cost_us is None else f"{f.cost_us:+.2f} ± {f.cost_spread_us:.2f}"
-        lines.append(f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}")
+        lines.append(
+            f"{f.term:24} {f.switched:34} {moved:>9}  {f.most:14} {cost:>14}  {f.verdict}"
+        )
     missing, superfluous = (
         ", ".join(names) or "nothing" for names in (found.missing, found.superfluous)
     )
     lines += ["", f"superfluous: {superfluous}", f"missing: {missing}"]
     if found.left_out:
-        told = ", ".join(f"{f.term} ({f.most} by {100 * f.moved:.3g} %)" for f in found.left_out)
+        told = ", ".join(
+            f"{f.term} ({f.most} by {100 * f.moved:.3g} %)" for f in found.left_out
+        )
         lines.append(f"left out on purpose although it matters: {told}")
     lines += [
         f"a hand notices {100 * limit.low:.0f} to {100 * limit.high:.0f} % of {limit.quantity}"

@@ -42,7 +42,9 @@ class Result:
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the arrays by name, with a value per tick or point; empty if all are scalar."""
         return {
-            name: value for name, value in self._fields().items() if isinstance(value, np.ndarray)
+            name: value
+            for name, value in self._fields().items()
+            if isinstance(value, np.ndarray)
         }
 
     def _fields(self) -> dict[str, Any]:
@@ -70,7 +72,9 @@ class Result:
         return pandas().DataFrame(flat or [self.figures()])
 
     def __str__(self) -> str:
-        lines = [f"  {name:28} {_short(value)}" for name, value in self.figures().items()]
+        lines = [
+            f"  {name:28} {_short(value)}" for name, value in self.figures().items()
+        ]
         count = next((len(values) for values in self.columns().values()), 0)
         lines += [f"  {count} rows of {', '.join(self.columns())}"] if count else []
         return "\n".join([type(self).__name__, *lines])
@@ -92,7 +96,9 @@ def pandas() -> Any:
     try:
         return importlib.import_module("pandas")
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("to_pandas() needs pandas: pip install pandas") from error
+        raise ModuleNotFoundError(
+            "to_pandas() needs pandas: pip install pandas"
+        ) from error
 
 
 def _short(value: Any) -> str:
@@ -101,7 +107,9 @@ def _short(value: Any) -> str:
     if isinstance(value, float | np.floating):
         return f"{value:.6g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_short(inner)}" for key, inner in list(value.items())[:_LONGEST])
+        return ", ".join(
+            f"{key} {_short(inner)}" for key, inner in list(value.items())[:_LONGEST]
+        )
     if isinstance(value, list | tuple):
         more = f", … {len(value) - _LONGEST} more" if len(value) > _LONGEST else ""
         return "[" + ", ".join(_short(inner) for inner in value[:_LONGEST]) + more + "]"
@@ -131,7 +139,9 @@ def bars(values: Mapping[str, Any], label: str, title: str) -> Figure:
 
 
 @styled
-def new_figure(rows: int = 1, width: float = 7.0, height: float = 3.2) -> tuple[Figure, list[Any]]:
+def new_figure(
+    rows: int = 1, width: float = 7.0, height: float = 3.2
+) -> tuple[Figure, list[Any]]:
     """Return a figure of stacked panels in the project's style; sizes in inches.
 
     A notebook shows it.
@@ -189,12 +199,16 @@ def overlay(
     TypeError
         If the results have no axes in common, or there are none.
     """
-    named: dict[Any, Result] = dict(results if isinstance(results, Mapping) else enumerate(results))
+    named: dict[Any, Result] = dict(
+        results if isinstance(results, Mapping) else enumerate(results)
+    )
     if not named:
         raise TypeError("nothing to plot: an empty list")
     for one in named.values():
         if "ax" not in inspect.signature(one.plot).parameters:
-            raise TypeError(f"{type(one).__name__} has no plot that others can be drawn over")
+            raise TypeError(
+                f"{type(one).__name__} has no plot that others can be drawn over"
+            )
     kinds = {type(one): one for one in named.values()}
     panels = {_panels(one.plot()) for one in kinds.values()}
     if len(panels) > 1:
@@ -203,7 +217,11 @@ def overlay(
             " kind together"
         )
     count = len(panels.pop())
-    axes = list(ax) if ax is not None else new_figure(count, height=2.4 if count > 1 else 3.2)[1]
+    axes = (
+        list(ax)
+        if ax is not None
+        else new_figure(count, height=2.4 if count > 1 else 3.2)[1]
+    )
     for name, one in named.items():
         before = [len(panel.lines) for panel in axes]
         drawn: Any = one

@@ -29,11 +29,15 @@ class ResponseOptions(LawOptions, DeviceOptions, FileOptions):
     """Options of `response`."""
 
     law: list[str] = option(
-        default=["pd"], nargs="+", help="kinds, presets or YAML mappings, compared (default: pd)"
+        default=["pd"],
+        nargs="+",
+        help="kinds, presets or YAML mappings, compared (default: pd)",
     )
     gain: tuple[float, float] | None = quantity("gain", Interval())
     points: int = option(
-        default=41, type=whole(2, 10000), help="gains of the plane (default: %(default)s)"
+        default=41,
+        type=whole(2, 10000),
+        help="gains of the plane (default: %(default)s)",
     )
 
 
@@ -74,11 +78,14 @@ def response(options: ResponseOptions) -> ResponseFound:
     one = low if options.gain is not None and not several else 0.3 * high
     chosen = [shared.law(options, name, one) for name in options.law]
     at = np.unique(
-        np.concatenate([frequencies(device.period), [f for f in SHOWN if f <= 0.5 * options.rate]])
+        np.concatenate(
+            [frequencies(device.period), [f for f in SHOWN if f <= 0.5 * options.rate]]
+        )
     )
     try:
         found = [
-            rendered(law.compile(device.period), device.period, device.delay, at) for law in chosen
+            rendered(law.compile(device.period), device.period, device.delay, at)
+            for law in chosen
         ]
         gains = np.linspace(low, high, options.points).tolist() if several else []
         planes = [z_width(law, device, gains) for law in chosen] if gains else []
@@ -101,7 +108,9 @@ def response(options: ResponseOptions) -> ResponseFound:
         lines=lines + _plane_lines(options.law, planes),
         rate_hz=options.rate,
         delay_ticks=device.delay,
-        laws=[LawFelt(*one) for one in itertools.zip_longest(options.law, found, planes)],
+        laws=[
+            LawFelt(*one) for one in itertools.zip_longest(options.law, found, planes)
+        ],
         picture=draw(options.out / "response.png", options.law, found, planes, device),
     )
 
@@ -112,7 +121,10 @@ def _plane_lines(names: list[str], planes: list[Any]) -> list[str]:
     lines = []
     for name, plane in zip(names, planes, strict=False):
         stable, passive = plane.h1_max_n_per_m, plane.passive_n_per_m
-        for words, values in (("stable in known hands", stable), ("passive in any", passive)):
+        for words, values in (
+            ("stable in known hands", stable),
+            ("passive in any", passive),
+        ):
             if np.all(np.isnan(values)):
                 lines.append(
                     f"{name}: {words}: at no gain from {plane.gain[0]:g} to {plane.gain[-1]:g}"
@@ -126,20 +138,27 @@ def _plane_lines(names: list[str], planes: list[Any]) -> list[str]:
 
 
 @styled
-def draw(path: Path, names: list[str], found: list[Any], planes: list[Any], device: Plant) -> Path:
+def draw(
+    path: Path, names: list[str], found: list[Any], planes: list[Any], device: Plant
+) -> Path:
     """Plot stiffness and damping over frequency, with the K–B plane beside them."""
     figure = new_figure(PAGE_WIDTH, 4.4)
     looks = law_looks(names)
     grid = figure.add_gridspec(2, 2 if planes else 1)
     top = figure.add_subplot(grid[0, 0], xscale="log", ylabel="stiffness felt  [N/m]")
     below = figure.add_subplot(
-        grid[1, 0], xscale="log", ylabel="damping felt  [N s/m]", xlabel="frequency  [Hz]"
+        grid[1, 0],
+        xscale="log",
+        ylabel="damping felt  [N s/m]",
+        xlabel="frequency  [Hz]",
     )
     for name, look, felt in zip(names, looks, found, strict=True):
         for axes, key in ((top, "stiffness_n_per_m"), (below, "damping_n_s_per_m")):
             axes.plot(felt.frequency_hz, getattr(felt, key), **look.curve(), label=name)
             alone = getattr(felt, f"law_{key}")
-            axes.plot(felt.frequency_hz, alone, ls=":", lw=0.8, color=look.color, label="_")
+            axes.plot(
+                felt.frequency_hz, alone, ls=":", lw=0.8, color=look.color, label="_"
+            )
     top.set_title(
         f"what is felt (dotted: of the law alone), {1.0 / device.period:g} Hz, {device.delay:g}"
         " ticks late",
@@ -151,9 +170,16 @@ def draw(path: Path, names: list[str], found: list[Any], planes: list[Any], devi
             grid[:, 1], xlabel="gain B of the damper", ylabel="stiffness  [N/m]"
         )
         for name, look, one in zip(names, looks, planes, strict=True):
-            plane.plot(one.gain, one.h1_max_n_per_m, **look.curve(), label=f"{name}, stable: H(1)")
+            plane.plot(
+                one.gain,
+                one.h1_max_n_per_m,
+                **look.curve(),
+                label=f"{name}, stable: H(1)",
+            )
             passive: dict[str, Any] = look.curve() | {"lw": 0.7}
-            plane.plot(one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive")
+            plane.plot(
+                one.gain, one.passive_n_per_m, **passive, label=f"{name}, passive"
+            )
         plane.set_title(
             f"Z-width, m = {device.mass:g} kg, b = {device.damping:g} N s/m", fontsize=8
         )

@@ -22,7 +22,9 @@ _TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "para
 class StudyResult(Result):
     """Base of the results of studies; ``result["name"]`` reads a figure of the answer."""
 
-    interrupted: int = 0  # signal that ended the study early, leaving a partial result; 0: none
+    interrupted: int = (
+        0  # signal that ended the study early, leaving a partial result; 0: none
+    )
 
     if TYPE_CHECKING:  # each result defines a field or a property
 
@@ -49,7 +51,9 @@ class StudyResult(Result):
     def to_pandas(self) -> Any:
         """Return a table: the rows of the study if it has any, else its figures in one row."""
         answer = self.answer
-        rows = next((value for name, value in answer.items() if name in _TABLES and value), None)
+        rows = next(
+            (value for name, value in answer.items() if name in _TABLES and value), None
+        )
         return pandas().DataFrame([answer] if rows is None else rows)
 
     def plot(self) -> Figure:
@@ -60,7 +64,9 @@ class StudyResult(Result):
         from matplotlib.image import imread
 
         drawn = imread(picture)
-        figure, (axes,) = new_figure(width=drawn.shape[1] / 150.0, height=drawn.shape[0] / 150.0)
+        figure, (axes,) = new_figure(
+            width=drawn.shape[1] / 150.0, height=drawn.shape[0] / 150.0
+        )
         axes.imshow(drawn)
         axes.set_axis_off()
         return figure
@@ -69,7 +75,9 @@ class StudyResult(Result):
         """Return one figure."""
         answer = self.answer
         if name not in answer:
-            raise KeyError(f"{name!r} is no figure of this study; there are {', '.join(answer)}")
+            raise KeyError(
+                f"{name!r} is no figure of this study; there are {', '.join(answer)}"
+            )
         return answer[name]
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -110,7 +118,9 @@ class Findings(StudyResult):
         for one in fields(self):
             if one.name not in _BESIDE:
                 value = plain(getattr(self, one.name))
-                found |= {one.name: value} if one.metadata.get("figure", one.name) else value
+                found |= (
+                    {one.name: value} if one.metadata.get("figure", one.name) else value
+                )
         return found | {name: str(path) for name, path in self._files().items()}
 
     @property

@@ -33,9 +33,12 @@ class SpreadOptions(Options):
         help="processes on this machine (default: none: one job after another, here)",
     )
     cluster: str | None = option(
-        metavar="ADDRESS", help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786"
+        metavar="ADDRESS",
+        help="Dask scheduler instead, tcp://127.0.0.1:8786 or tls://HOST:8786",
     )
-    tls_ca_file: Path | None = option(type=Path, help="of a scheduler on another machine")
+    tls_ca_file: Path | None = option(
+        type=Path, help="of a scheduler on another machine"
+    )
     tls_cert: Path | None = option(type=Path, help="of a scheduler on another machine")
     tls_key: Path | None = option(type=Path, help="of a scheduler on another machine")
 
@@ -49,7 +52,9 @@ class SweepOptions(SpreadOptions, FileOptions):
         help="start again instead of going on where it stopped; what there is is set aside",
     )
     workers: int = option(
-        default=0, type=whole(0, 10_000), help="processes on this machine (default: one per core)"
+        default=0,
+        type=whole(0, 10_000),
+        help="processes on this machine (default: one per core)",
     )
 
 
@@ -71,11 +76,15 @@ def executor(options: SpreadOptions) -> Iterator[Executor]:
     try:
         import distributed
     except ImportError as error:
-        raise UsageError("--cluster needs Dask: pip install 'haptic-nodes[cluster]'") from error
+        raise UsageError(
+            "--cluster needs Dask: pip install 'haptic-nodes[cluster]'"
+        ) from error
     dask: Any = distributed
     try:
         client = dask.Client(
-            options.cluster, security=dask.Security(**security) if security else None, timeout="5s"
+            options.cluster,
+            security=dask.Security(**security) if security else None,
+            timeout="5s",
         )
     except (OSError, TimeoutError) as error:
         raise RefusedError(
@@ -119,9 +128,13 @@ def check_cluster(options: SpreadOptions) -> dict[str, Any]:
                 f" {_flags(TLS)}"
             )
         return {}
-    missing = [name for name, path in given.items() if path is None or not path.is_file()]
+    missing = [
+        name for name, path in given.items() if path is None or not path.is_file()
+    ]
     if missing:
-        raise UsageError(f"--cluster {options.cluster}: needs the files {_flags(missing)}")
+        raise UsageError(
+            f"--cluster {options.cluster}: needs the files {_flags(missing)}"
+        )
     return {
         "require_encryption": True,
         "tls_ca_file": str(given["tls_ca_file"]),
@@ -131,7 +144,11 @@ def check_cluster(options: SpreadOptions) -> dict[str, Any]:
 
 
 def swept(
-    options: SweepOptions, job: Job, jobs: Sequence[Mapping[str, Any]], name: str, chunk: int = 1
+    options: SweepOptions,
+    job: Job,
+    jobs: Sequence[Mapping[str, Any]],
+    name: str,
+    chunk: int = 1,
 ) -> tuple[list[SweepRow], Path]:
     """Run the jobs of a study with a ledger; return its rows in order, and its path.
 
@@ -140,7 +157,9 @@ def swept(
     ledger = begun(options, name)
     try:
         with executor(options) as pool:
-            return sweep(job, jobs, pool, ledger, chunk, options.progress(len(jobs))), ledger
+            return sweep(
+                job, jobs, pool, ledger, chunk, options.progress(len(jobs))
+            ), ledger
     except (KeyboardInterrupt, StudyCancelledError) as error:
         done = f"what is done is in {ledger}, and the same command goes on there"
         raise type(error)(done) from None

@@ -19,13 +19,17 @@ from sim.studies.result import Findings
 class WorldOptions(LawOptions, DeviceOptions):
     """Options of `world`."""
 
-    law: str = option(default="pd", help="kind, preset or YAML mapping (default: %(default)s)")
+    law: str = option(
+        default="pd", help="kind, preset or YAML mapping (default: %(default)s)"
+    )
     gain: float | None = quantity("gain")
     tool_damping: float | None = option(
-        type=not_negative, help="of a stepped tool to the ground, anything hung on it [N s/m]"
+        type=not_negative,
+        help="of a stepped tool to the ground, anything hung on it [N s/m]",
     )
     tool_mass: float | None = option(
-        type=positive, help="of a tool moved by semi-implicit Euler, one step a tick [kg]"
+        type=positive,
+        help="of a tool moved by semi-implicit Euler, one step a tick [kg]",
     )
     device2_damping: float | None = option(
         type=positive, help="of a second device on the same law [N s/m]"
@@ -43,7 +47,9 @@ class WorldFound(Findings):
     """K_max for each kind of world, and what a stiffness needs."""
 
     limits: WorldLimits
-    needed: Mapping[str, float | None] | None  # by name with unit; of the asked stiffness
+    needed: (
+        Mapping[str, float | None] | None
+    )  # by name with unit; of the asked stiffness
 
     @property
     def answer(self) -> dict[str, Any]:
@@ -62,8 +68,12 @@ def world(options: WorldOptions) -> WorldFound:
     )
     try:
         other = None if second is None else OtherDevice(second, late)
-        moving = Moving(options.spring_range, options.tool_damping, options.tool_mass, other)
-        limits = world_limits(without_spring(law, device.period), device, moving, worst=True)
+        moving = Moving(
+            options.spring_range, options.tool_damping, options.tool_mass, other
+        )
+        limits = world_limits(
+            without_spring(law, device.period), device, moving, worst=True
+        )
         needs = (
             world_needs(law.compile(device.period), device)
             if options.stiffness is not None

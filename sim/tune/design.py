@@ -96,7 +96,9 @@ def design(found: Identified, wanted: Wanted) -> tuple[Tuned, Tuned, Demand]:
     asked = demand(found, wanted)
     law = designed(asked, wanted.taps)
     pd = best_pd(asked)
-    if pd.found is not None and (law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m):
+    if pd.found is not None and (
+        law.found is None or pd.found.h1_n_per_m > law.found.h1_n_per_m
+    ):
         law = pd
     return law, pd, asked
 
@@ -106,14 +108,21 @@ def model(found: Identified) -> DeviceModel | NonidealDevice:
 
     It is a `NonidealDevice` if identification found a lag, a joint or quadratic friction.
     """
-    mass, damping, delay = (one.known()[0] for one in (found.mass, found.damping, found.delay))
+    mass, damping, delay = (
+        one.known()[0] for one in (found.mass, found.damping, found.delay)
+    )
     hand = None
     if found.held and found.stiffness.value:
         hand = Hand(stiffness=found.stiffness.value, path=[(0.0, 0.0)])
     friction = found.friction.value or None
     resolution = found.encoder.value
     rigid = DeviceModel(
-        mass=mass, damping=damping, delay=delay, hand=hand, friction=friction, resolution=resolution
+        mass=mass,
+        damping=damping,
+        delay=delay,
+        hand=hand,
+        friction=friction,
+        resolution=resolution,
     )
     whole = found.plant()
     quadratic = found.quadratic.value or 0.0
@@ -124,7 +133,9 @@ def model(found: Identified) -> DeviceModel | NonidealDevice:
         if whole.rigid
         else {"share": whole.share, "frequency": whole.frequency, "loss": whole.loss}
     )
-    return NonidealDevice(rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint)
+    return NonidealDevice(
+        rigid, "identified", quadratic=quadratic, lag=whole.lag, **joint
+    )
 
 
 def plant_of(found: Identified) -> Plant:
@@ -165,7 +176,11 @@ def linear_edge(
 
 
 def predict(
-    law: CompiledLaw, asked: Demand, found: Identified, peak: float | None, slew: float | None
+    law: CompiledLaw,
+    asked: Demand,
+    found: Identified,
+    peak: float | None,
+    slew: float | None,
 ) -> tuple[PredictedStep, PlannedKnocks]:
     """Predict a law on the identified device; also return the plan of the steps on the device."""
     plant = plant_of(found)
@@ -173,13 +188,17 @@ def predict(
     rigid = whole.rigid and whole.lag == 0.0
     linear = linear_edge(law, plant) if rigid else linear_edge(law, whole, found.period)
     knock = knock_size(law.taps, linear, found, peak)
-    plan, edge = planned(knocked(law, model(found), found.period, knock, peak, slew), linear)
+    plan, edge = planned(
+        knocked(law, model(found), found.period, knock, peak, slew), linear
+    )
     dropped = drops(law, asked)
     radius, cause = worst_altered(law, found.period, found.altered) or (None, None)
     figures = PredictedStep(
         h1_n_per_m=law.h1,
         h_nyquist_n_per_m=law.h_nyquist,
-        pole_radius=pole_radius(law, plant) if rigid else flexible_radius(law, found.period, whole),
+        pole_radius=pole_radius(law, plant)
+        if rigid
+        else flexible_radius(law, found.period, whole),
         edge_linear_factor=linear,
         edge_factor=edge.factor,
         knock_m=knock,
@@ -192,7 +211,9 @@ def predict(
         every_delay=certificate(law, asked),
         limit_cycle_free=None,
     )
-    return _at_rest(figures, law, found, plant), PlannedKnocks(tuple(edge.steps), edge.ended, plan)
+    return _at_rest(figures, law, found, plant), PlannedKnocks(
+        tuple(edge.steps), edge.ended, plan
+    )
 
 
 def remainder_refusal(law: CompiledLaw, found: Identified) -> str | None:

@@ -47,7 +47,9 @@ class KnockVerdict:
 
     factor: float  # factor on all taps
     left: float  # motion in the last third of the window, peak to peak [share of the knock]
-    rests: bool  # whether that is small enough, or still decays after the longest window
+    rests: (
+        bool  # whether that is small enough, or still decays after the longest window
+    )
     why: str = ""  # reason if the trial ended early; else empty
     # ``stop`` or ``fault`` of the driver, ``energy`` exceeded; else empty
     ended_by: str = ""
@@ -71,7 +73,9 @@ class KnockedEdge:
     def rested(self) -> float | None:
         """Return the largest factor up to which every one came to rest; None if none did."""
         below = [
-            step.factor for step in self.steps if self.factor is None or step.factor < self.factor
+            step.factor
+            for step in self.steps
+            if self.factor is None or step.factor < self.factor
         ]
         return max(below, default=None)
 
@@ -111,7 +115,10 @@ def judge(position: Array, knock: float, factor: float) -> KnockVerdict | None:
             third = ticks // 3
             middle, last = (
                 float(np.ptp(part))
-                for part in (position[third : 2 * third], position[ticks - third : ticks])
+                for part in (
+                    position[third : 2 * third],
+                    position[ticks - third : ticks],
+                )
             )
             left = last / abs(knock)
             if left < LEFT or last > GROWING * middle:
@@ -130,16 +137,17 @@ def climb(
 
     def rests(step: int) -> bool:
         edge.add(knock(step))
-        return edge.steps[[one.factor for one in edge.steps].index(factor_of(step))].rests
+        return edge.steps[
+            [one.factor for one in edge.steps].index(factor_of(step))
+        ].rests
 
     here = plan.first
     while not rests(here):
         # Down in large steps until one rests, then up again in small ones.
         here -= STRIDE
         if here < DEEPEST:
-            edge.ended = (
-                f"nothing came to rest, down to {factor_of(here + STRIDE):.2g} times the law"
-            )
+            least = f"{factor_of(here + STRIDE):.2g}"
+            edge.ended = f"nothing came to rest, down to {least} times the law"
             edge.complete = True
             return edge
     known = edge.factor
@@ -216,7 +224,9 @@ def worst(verdicts: Iterable[KnockVerdict | None]) -> KnockVerdict:
     return last
 
 
-def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, KnockedEdge]:
+def planned(
+    knock: Callable[[int], KnockVerdict], linear: float
+) -> tuple[Plan, KnockedEdge]:
     """Knock on a model at every step around the edge of its poles, and plan the climb.
 
     Raise ValueError if the law does not come to rest on the model.
@@ -237,10 +247,14 @@ def planned(knock: Callable[[int], KnockVerdict], linear: float) -> tuple[Plan, 
     edge.ended = _ended("model", found)
     first = round(math.log(edge.steps[0].factor) / math.log(STEP))
     last = top if found is None else round(math.log(found) / math.log(STEP)) + BEYOND
-    return Plan(min(first, 0), (top if found is None else last - BEYOND) - NEAR, last), edge
+    return Plan(
+        min(first, 0), (top if found is None else last - BEYOND) - NEAR, last
+    ), edge
 
 
-def law_of(taps: list[float], factor: float, knock: float, load: float) -> dict[str, object]:
+def law_of(
+    taps: list[float], factor: float, knock: float, load: float
+) -> dict[str, object]:
     """Return the parameters of a law on trial for the coupling."""
     limits = {"step": knock, "ticks": LONGEST_WINDOW, "far": FAR, "load": load}
     return {"kind": Knock.kind, "taps": [factor * tap for tap in taps], **limits}

@@ -63,7 +63,9 @@ def verified(predicted: PredictedStep, edge: KnockedEdge) -> VerifiedStep:
         edge_by_poles_h1_n_per_m=(
             min(ends[0], rested or ends[0]) * h1 if ends and certain else None
         ),
-        edge_by_poles_between_n_per_m=None if ends is None else (ends[0] * h1, ends[1] * h1),
+        edge_by_poles_between_n_per_m=None
+        if ends is None
+        else (ends[0] * h1, ends[1] * h1),
         stiffest_at_rest_n_per_m=None if rested is None else rested * h1,
         edge_error=error,
         edge_compared=words,
@@ -83,7 +85,9 @@ def by_poles(measured: float, expected: float, linear: float) -> tuple[float, fl
     return min(linear, corrected) / STEP, max(linear, corrected) * STEP
 
 
-def compared(predicted: float | None, measured: float | None) -> tuple[float | None, str]:
+def compared(
+    predicted: float | None, measured: float | None
+) -> tuple[float | None, str]:
     """Compare the two edges: as a ratio, and in words that respect the steps of 2 %."""
     if predicted is None or measured is None:
         return None, "not both have an edge"

@@ -29,7 +29,9 @@ class IdentifiedStep:
     recording: str
     stopped: str  # why the push ended
     found: Identified
-    poses_kg: tuple[float, float] | None = None  # lighter and heavier in other poses; None: unknown
+    poses_kg: tuple[float, float] | None = (
+        None  # lighter and heavier in other poses; None: unknown
+    )
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures, those of the device at the top level."""
@@ -66,7 +68,9 @@ class DesignedStep:
     worst: tuple[float, float]  # mass [kg] and delay [ticks] of the largest pole radius
     landing_proof: ProvenLanding
     best_pd_h1_n_per_m: float | None  # None: one of the two fails the drop test
-    model_refuted: str | None  # why the recording refutes the model; None or empty: it does not
+    model_refuted: (
+        str | None
+    )  # why the recording refutes the model; None or empty: it does not
     poses_kg: tuple[float, float]
 
     @property
@@ -192,12 +196,16 @@ class TuneRecord:
         try:
             found = msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
             kinds = get_type_hints(cls)
-            known = {one.name: found[one.name] for one in fields(cls) if one.name in found}
+            known = {
+                one.name: found[one.name] for one in fields(cls) if one.name in found
+            }
             if "identified" in known:
                 known["identified"] = IdentifiedStep.of(known["identified"])
             return cls(
                 **{
-                    name: one if name == "identified" else msgspec.convert(one, kinds[name])
+                    name: one
+                    if name == "identified"
+                    else msgspec.convert(one, kinds[name])
                     for name, one in known.items()
                 }
             )

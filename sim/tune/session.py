@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 from messages.errors import RefusedError
 from nodes.client.launches import ask
-from sim.tune.record import AppliedStep, DesignedStep, ForceLimits, IdentifiedStep, TuneRecord
+from sim.tune.record import (
+    AppliedStep,
+    DesignedStep,
+    ForceLimits,
+    IdentifiedStep,
+    TuneRecord,
+)
 
 if TYPE_CHECKING:
     from sim.identify.borrowed import PushedLaunch
@@ -64,7 +70,9 @@ class Tuning:
                 not_put_back="",
             )
         # The files of an earlier tuning are kept until this one has a result.
-        self._untouched = self._file.exists() if fresh else self.record.designed is not None
+        self._untouched = (
+            self._file.exists() if fresh else self.record.designed is not None
+        )
         self._loop: PushedLaunch | None = None
 
     def _running(self) -> PushedLaunch:
@@ -75,7 +83,9 @@ class Tuning:
 
     def _need(self, found: S | None, key: str) -> S:
         if found is None:
-            raise RefusedError(f"{self._file}: contains no {key!r}; run that step first")
+            raise RefusedError(
+                f"{self._file}: contains no {key!r}; run that step first"
+            )
         return found
 
     @property
@@ -139,7 +149,9 @@ class Tuning:
             f"designing {chosen.taps} taps{' that land' if chosen.land else ''}, and PD to compare"
         )
         nyquist = self._nyquist(found)
-        wanted = Wanted(chosen.taps, chosen.spread, chosen.radius, nyquist, chosen.land, poses)
+        wanted = Wanted(
+            chosen.taps, chosen.spread, chosen.radius, nyquist, chosen.land, poses
+        )
         law, pd, asked = design(found, wanted)
         if law.found is None or law.law is None:
             raise RefusedError(
@@ -152,7 +164,9 @@ class Tuning:
             )
         lands = all(drops(law.found.law, asked).values())
         # A ratio between a law that settles and one that does not would be meaningless.
-        comparable = pd.found is not None and lands and all(drops(pd.found.law, asked).values())
+        comparable = (
+            pd.found is not None and lands and all(drops(pd.found.law, asked).values())
+        )
         self.record.designed = DesignedStep(
             law=law.law,
             taps_n_per_m=tuple(law.found.taps.tolist()),
@@ -167,7 +181,8 @@ class Tuning:
             poses_kg=poses,
         )
         self._write_law(
-            self._designed, "NOT tried on the device: haptic tune --steps predict verify"
+            self._designed,
+            "NOT tried on the device: haptic tune --steps predict verify",
         )
 
     def _nyquist(self, found: Identified) -> float:
@@ -192,7 +207,9 @@ class Tuning:
             "every drop settles" if self._law.lands else "it FAILS the drop test",
             f"m {low:.4g}..{high:.4g} kg",
         )
-        path.write_text(to_yaml(self._law.law, LAW, comment="\n".join(lines)), encoding="utf-8")
+        path.write_text(
+            to_yaml(self._law.law, LAW, comment="\n".join(lines)), encoding="utf-8"
+        )
 
     def _predict(self) -> None:
         from nodes.laws import CompiledLaw
@@ -203,7 +220,9 @@ class Tuning:
         found = self._device.anyway()
         limits = self._need(self.record.limits, "limits")
         law = CompiledLaw(designed.taps_n_per_m)
-        figures, steps = predict(law, designed.demand, found, limits.peak_n, limits.slew_n)
+        figures, steps = predict(
+            law, designed.demand, found, limits.peak_n, limits.slew_n
+        )
         self.record.predicted, self.record.predicted_steps = figures, steps
         if (after := self.record.verified) is not None:
             error, words = compared(figures.edge_factor, after.edge_factor)
@@ -242,7 +261,8 @@ class Tuning:
         if self.record.verified.holds:
             most = self.record.verified.stiffest_at_rest_n_per_m
             self._write_law(
-                self._tuned, f"tried on the device: knocks came to rest up to {most:.4g} N/m"
+                self._tuned,
+                f"tried on the device: knocks came to rest up to {most:.4g} N/m",
             )
             self._designed.unlink(missing_ok=True)
 
@@ -272,7 +292,9 @@ class Tuning:
         before = str(ask(loop.run, loop.coupling, "law.list")["active"])
         name = LAW if before != LAW else f"{LAW}_again"
         ask(loop.run, loop.coupling, "param.set", values={f"laws.{name}": law})
-        receipt = ask(loop.run, loop.coupling, "law.switch", law=name, ramp=RAMP, force=True)
+        receipt = ask(
+            loop.run, loop.coupling, "law.switch", law=name, ramp=RAMP, force=True
+        )
         self.record.applied = AppliedStep(
             receipt["seq"], RAMP, receipt["force_step_n"], name, before
         )
@@ -281,8 +303,12 @@ class Tuning:
         """Write the record, for later steps."""
         from sim.tune.outcome import headline
 
-        self.files = {name: file for name, file in self.files.items() if name in ("html", "json")}
-        if law := next((path for path in (self._tuned, self._designed) if path.exists()), None):
+        self.files = {
+            name: file for name, file in self.files.items() if name in ("html", "json")
+        }
+        if law := next(
+            (path for path in (self._tuned, self._designed) if path.exists()), None
+        ):
             self.files["params"] = str(law)
         now = self.record
         if self._untouched:
@@ -307,4 +333,6 @@ class Tuning:
         if self._untouched:
             return
         with contextlib.nullcontext() if self._loop is None else self._loop.standing():
-            (self._options.out / "tune.html").write_text(page(self.record), encoding="utf-8")
+            (self._options.out / "tune.html").write_text(
+                page(self.record), encoding="utf-8"
+            )

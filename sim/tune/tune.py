@@ -74,7 +74,10 @@ def tune(options: TuneOptions) -> TuneResult:
 
     steps = [name for name in STEPS if name in options.steps]
     tuning = Tuning(
-        options, lambda: PushedLaunch(launches.find(run_name)), identified, "identify" in steps
+        options,
+        lambda: PushedLaunch(launches.find(run_name)),
+        identified,
+        "identify" in steps,
     )
     number, now = 0, ""
     with interrupted_once() as signalled, contextlib.ExitStack() as held:

@@ -30,7 +30,9 @@ class TuneOptions(PushOptions):
         help="factor the mass may be off by (default: %(default)s)",
     )
     radius: float = option(
-        type=between(1e-3, 1.0), default=0.99, help="pole radius allowed (default: %(default)s)"
+        type=between(1e-3, 1.0),
+        default=0.99,
+        help="pole radius allowed (default: %(default)s)",
     )
     nyquist: float | None = option(
         type=positive,
@@ -45,7 +47,8 @@ class TuneOptions(PushOptions):
         ),
     )
     refuted: bool = option(
-        action="store_true", help="design even if the recording refutes the model of the device"
+        action="store_true",
+        help="design even if the recording refutes the model of the device",
     )
     rearm: bool = option(
         action="store_true",
@@ -55,7 +58,9 @@ class TuneOptions(PushOptions):
         ),
     )
     out: Path = option(
-        type=Path, default=Path("tuning"), help="directory of files (default: %(default)s)"
+        type=Path,
+        default=Path("tuning"),
+        help="directory of files (default: %(default)s)",
     )
     # the command line, for the report
     command: str = field(default="", repr=False, compare=False)

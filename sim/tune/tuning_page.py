@@ -78,12 +78,12 @@ def page(record: TuneRecord) -> str:
         for name, picture in pictures(record)
     ]
     seen = (
-        '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+        '<meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
     )
     head = f"{seen}<title>haptic tune</title><style>{STYLE}</style>"
-    return (
-        f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(parts)}</body></html>\n'
-    )
+    body = "".join(parts)
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'
 
 
 def _plain(value: object) -> str:
@@ -92,7 +92,8 @@ def _plain(value: object) -> str:
 
 def _table(rows: Sequence[TextRow]) -> str:
     lines = "".join(
-        f"<tr><td>{_plain(name)}</td><td>{_plain(value)}</td></tr>" for name, value in rows
+        f"<tr><td>{_plain(name)}</td><td>{_plain(value)}</td></tr>"
+        for name, value in rows
     )
     return f"<table>{lines}</table>"
 
@@ -102,7 +103,11 @@ def _interval(low: float, high: float) -> str:
         return "exact"
     # An interval narrower than three digits is shown as a half-width.
     ends = number(low), number(high)
-    return f"± {number((high - low) / 2.0)}" if ends[0] == ends[1] else f"{ends[0]} to {ends[1]}"
+    return (
+        f"± {number((high - low) / 2.0)}"
+        if ends[0] == ends[1]
+        else f"{ends[0]} to {ends[1]}"
+    )
 
 
 def _device(record: Mapping[str, Any]) -> str:
@@ -188,11 +193,22 @@ def _fit(record: TuneRecord) -> Figure | None:
             else {"recorded": "_", "model": "_"}
         )
         top.plot(
-            time, 1e3 * recorded, color=GREY, ls="-", lw=3.0, alpha=0.6, label=named["recorded"]
+            time,
+            1e3 * recorded,
+            color=GREY,
+            ls="-",
+            lw=3.0,
+            alpha=0.6,
+            label=named["recorded"],
         )
-        top.plot(time, 1e3 * modelled, color=COLOURS[0], ls="-", lw=1.0, label=named["model"])
+        top.plot(
+            time, 1e3 * modelled, color=COLOURS[0], ls="-", lw=1.0, label=named["model"]
+        )
         bottom.plot(time, 1e6 * (recorded - modelled), color=COLOURS[1], ls="-", lw=0.8)
-    top.set(ylabel="position  [mm]", title="the model against the recording, window by window")
+    top.set(
+        ylabel="position  [mm]",
+        title="the model against the recording, window by window",
+    )
     bottom.set(ylabel="residual  [µm]", xlabel="time  [s]")
     step = identified.found.encoder.value
     if step:
@@ -261,9 +277,16 @@ def _knocks(record: TuneRecord) -> Figure | None:
     for k, (name, steps) in enumerate(runs):
         if steps:
             stiffness = [h1 * step.factor for step in steps]
-            look: Any = {"color": COLOURS[k], "ls": LINES[k], "marker": MARKERS[k], "label": name}
+            look: Any = {
+                "color": COLOURS[k],
+                "ls": LINES[k],
+                "marker": MARKERS[k],
+                "label": name,
+            }
             axes.plot(stiffness, [max(step.left, 1e-3) for step in steps], **look)
-    axes.set(yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="motion left / knock  [1]")
+    axes.set(
+        yscale="log", xlabel="stiffness H(1)  [N/m]", ylabel="motion left / knock  [1]"
+    )
     axes.set_title("motion left after each knock's window")
     edge = record.predicted.edge_linear_h1_n_per_m
     low, high = axes.get_xlim()

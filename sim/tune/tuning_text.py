@@ -65,7 +65,9 @@ def law_rows(law: DesignedStep) -> list[TextRow]:
         else f"{gain:.3g} times the best PD"
     )
     proven = (
-        f"proven for {proof.cases} devices and delays" if proof.proven else f"no proof: {proof.why}"
+        f"proven for {proof.cases} devices and delays"
+        if proof.proven
+        else f"no proof: {proof.why}"
     )
     rows = [
         ("felt stiffness, H(1)", number(law.h1_n_per_m, "N/m")),
@@ -84,7 +86,9 @@ def law_rows(law: DesignedStep) -> list[TextRow]:
         ("pole radius at most", number(asked.radius)),
         ("the worst case", f"{number(mass)} kg, {number(delay)} ticks"),
     ]
-    return rows + ([("the model is refuted", law.model_refuted)] if law.model_refuted else [])
+    return rows + (
+        [("the model is refuted", law.model_refuted)] if law.model_refuted else []
+    )
 
 
 def predicted_rows(found: PredictedStep) -> list[TextRow]:
@@ -122,8 +126,14 @@ def verified_rows(found: VerifiedStep) -> list[TextRow]:
     """Return the rows on the measurement."""
     edge, rested = found.edge_h1_n_per_m, found.stiffest_at_rest_n_per_m
     ends, poles = found.edge_by_poles_between_n_per_m, found.edge_by_poles_h1_n_per_m
-    between = number(None) if ends is None else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
-    by_poles = between if poles is None else f"at least {number(poles, 'N/m')} ({between})"
+    between = (
+        number(None)
+        if ends is None
+        else f"{number(ends[0])} to {number(ends[1], 'N/m')}"
+    )
+    by_poles = (
+        between if poles is None else f"at least {number(poles, 'N/m')} ({between})"
+    )
     return [
         ("the law holds", number(found.holds)),
         ("came to rest up to", "nothing" if rested is None else number(rested, "N/m")),
@@ -162,7 +172,9 @@ def text(record: TuneRecord, files: Mapping[str, str]) -> str:
     if record.refused:
         lines.append(f"stopped: {record.refused}")
     if record.interrupted:
-        lines.append(f"interrupted during {record.interrupted}; law and surface were restored")
+        lines.append(
+            f"interrupted during {record.interrupted}; law and surface were restored"
+        )
     if record.not_put_back:
         lines.append(f"NOT restored: {record.not_put_back}")
     return "\n".join([*lines, *files.values()])

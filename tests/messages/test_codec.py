@@ -72,7 +72,9 @@ def test_wrong_types_limits_and_non_finite_are_refused(change: dict[str, Any]) -
 def test_missing_fields_are_refused(missing: str) -> None:
     with pytest.raises(MessageRefusedError, match=missing):
         Decoder(Force).decode(
-            msgpack.packb({name: value for name, value in GOOD.items() if name != missing})
+            msgpack.packb(
+                {name: value for name, value in GOOD.items() if name != missing}
+            )
         )
 
 
@@ -166,7 +168,9 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
         context = new_context()
         rogue = Publisher(context, inbox)
         answers = Subscription(context, [outbox], [topics.FORCE])
-        node = subprocess.Popen([sys.executable, "-m", "nodes", str(folder / "coupling.json")])
+        node = subprocess.Popen(
+            [sys.executable, "-m", "nodes", str(folder / "coupling.json")]
+        )
         request = context.socket(zmq.REQ)
         request.linger = 0
         request.connect(control)
@@ -182,9 +186,17 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
             wait_for(rogue.listeners, "the node's subscription")
             topic = topics.PROXY.encode()
             state = DeviceState(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0))
-            bad = [b"", b"\xc1", b"\x91" * 50_000, b"x" * (MAX_PAYLOAD + 1), encode(state)]
+            bad = [
+                b"",
+                b"\xc1",
+                b"\x91" * 50_000,
+                b"x" * (MAX_PAYLOAD + 1),
+                encode(state),
+            ]
             bad += [
-                msgpack.packb({"seq": 1, "stamp": math.nan, "position": [0] * 3, "proxy": [0] * 3})
+                msgpack.packb(
+                    {"seq": 1, "stamp": math.nan, "position": [0] * 3, "proxy": [0] * 3}
+                )
             ]
             for payload in bad:
                 rogue.send(topic, payload)

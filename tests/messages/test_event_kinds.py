@@ -70,10 +70,15 @@ def test_the_type_lists_the_kinds_of_the_registry() -> None:
 
 def test_the_page_has_the_kinds_numbers_and_causes_of_the_code() -> None:
     found = {
-        kind: (meaning, named(data)) for kind, (meaning, data) in rows("| kind | meaning |").items()
+        kind: (meaning, named(data))
+        for kind, (meaning, data) in rows("| kind | meaning |").items()
     }
-    assert found == {kind: (known.meaning, known.data) for kind, known in EVENTS.items()}
-    assert {name: meaning for name, (meaning,) in rows("| number | meaning |").items()} == DATA
+    assert found == {
+        kind: (known.meaning, known.data) for kind, known in EVENTS.items()
+    }
+    assert {
+        name: meaning for name, (meaning,) in rows("| number | meaning |").items()
+    } == DATA
     causes = {
         int(cause): (kind.strip("`"), named(data))
         for cause, (kind, _, data) in rows("| `cause` | kind").items()
@@ -82,13 +87,17 @@ def test_the_page_has_the_kinds_numbers_and_causes_of_the_code() -> None:
 
 
 @pytest.mark.parametrize("kind", EVENTS)
-def test_the_numbers_of_every_kind_are_known_and_end_with_their_unit(kind: EventKind) -> None:
+def test_the_numbers_of_every_kind_are_known_and_end_with_their_unit(
+    kind: EventKind,
+) -> None:
     assert EVENTS[kind].meaning
     assert len(set(EVENTS[kind].data)) == len(EVENTS[kind].data)
     for name in EVENTS[kind].data:
         unit = re.search(r"\[(.+)\]", DATA[name])
         ends = [end for end in UNITS if name.endswith(f"_{end}")]
-        assert (unit[1] if unit else None) == (UNITS[max(ends, key=len)] if ends else None), name
+        assert (unit[1] if unit else None) == (
+            UNITS[max(ends, key=len)] if ends else None
+        ), name
 
 
 def test_no_number_stands_for_nothing() -> None:
@@ -126,7 +135,11 @@ def calls() -> Iterator[tuple[str, ast.Call]]:
 def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -> None:
     """Rare ones too: an unregistered kind would end the node."""
     # chosen by an expression
-    used = {note.kind for note in NOTES.values()} | {"device_force", "device_force_back", MARK}
+    used = {note.kind for note in NOTES.values()} | {
+        "device_force",
+        "device_force_back",
+        MARK,
+    }
     for place, call in calls():
         assert isinstance(call.func, ast.Attribute)
         kind: Any = (
@@ -139,15 +152,24 @@ def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -
         if not kind:
             continue
         dicts = [one for one in ast.walk(call) if isinstance(one, ast.Dict)]
-        names = [ast.literal_eval(key) for one in dicts for key in one.keys if key is not None]
+        names = [
+            ast.literal_eval(key)
+            for one in dicts
+            for key in one.keys
+            if key is not None
+        ]
         assert kind in EVENTS or "." in kind, place
         assert set(names) <= {*EVENTS[kind].data}, place
         used.add(kind)
-    assert used | {"world"} == set(EVENTS)  # of an environment that is not in every tree yet
+    assert used | {"world"} == set(
+        EVENTS
+    )  # of an environment that is not in every tree yet
 
 
 def literal(call: ast.Call) -> ast.expr | None:
-    return call.args[0] if call.args and isinstance(call.args[0], ast.Constant) else None
+    return (
+        call.args[0] if call.args and isinstance(call.args[0], ast.Constant) else None
+    )
 
 
 def node_events() -> Events:
@@ -156,7 +178,9 @@ def node_events() -> Events:
 
 
 @given(data=st.data(), kind=st.sampled_from(sorted(EVENTS)))
-def test_every_kind_comes_through_wire_and_recording(data: st.DataObject, kind: EventKind) -> None:
+def test_every_kind_comes_through_wire_and_recording(
+    data: st.DataObject, kind: EventKind
+) -> None:
     names = (
         st.sampled_from(EVENTS[kind].data or ("",)).filter(bool)
         if EVENTS[kind].data
@@ -167,7 +191,9 @@ def test_every_kind_comes_through_wire_and_recording(data: st.DataObject, kind: 
     events.emit_each(kind, "a sentence", numbers)
     ((_, payload),) = events.outbox
     event = Decoder(Event).decode(payload)
-    finite = {name: float(value) for name, value in numbers.items() if math.isfinite(value)}
+    finite = {
+        name: float(value) for name, value in numbers.items() if math.isfinite(value)
+    }
     assert (event.kind, event.data) == (kind, finite)
     jsonschema.validate(json.loads(msgspec.json.encode(event)), schema(Event))
 
@@ -190,14 +216,20 @@ def test_what_is_not_registered_is_refused_at_once(
 
 
 def test_another_package_has_kinds_of_its_own() -> None:
-    assert checked_data(OtherKind("glove.overheat"), {"celsius": 61, "odd": math.nan}) == {
-        "celsius": 61.0
-    }
+    assert checked_data(
+        OtherKind("glove.overheat"), {"celsius": 61, "odd": math.nan}
+    ) == {"celsius": 61.0}
 
 
 def test_an_event_without_numbers_is_read() -> None:
     """From an older recording, or another language."""
-    old = {"seq": 1, "stamp": 0.0, "node": "driver", "kind": "safety", "reason": "waiting → active"}
+    old = {
+        "seq": 1,
+        "stamp": 0.0,
+        "node": "driver",
+        "kind": "safety",
+        "reason": "waiting → active",
+    }
     assert Decoder(Event).decode(msgspec.msgpack.encode(old)).data == {}
 
 
@@ -208,7 +240,12 @@ def foxglove(described: dict[str, Any], path: str = "") -> None:
         if field["type"] == "object":
             foxglove(field, f"{path}.{name}")
         elif field["type"] == "array":
-            assert field["items"]["type"] in ("boolean", "string", "number", "integer"), path
+            assert field["items"]["type"] in (
+                "boolean",
+                "string",
+                "number",
+                "integer",
+            ), path
         else:
             assert field["type"] in ("boolean", "string", "number", "integer"), path
 
@@ -218,7 +255,12 @@ def test_foxglove_reads_the_numbers_of_an_event(tmp_path: Path) -> None:
     assert set(schema(Event)["properties"]["data"]["properties"]) == set(DATA)
     path, topic = tmp_path / "a.mcap", topics.event("driver")
     event = Event(
-        seq=3, stamp=0.1, node="driver", kind="stopped", reason="r", data={"span_s": 0.25}
+        seq=3,
+        stamp=0.1,
+        node="driver",
+        kind="stopped",
+        reason="r",
+        data={"span_s": 0.25},
     )
     with RecordWriter(str(path), {}) as writer:
         writer.write(topic, event, 0.1)

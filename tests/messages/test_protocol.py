@@ -87,7 +87,11 @@ def check(topic: str, message: dict[str, Any]) -> None:
 
 def test_page_lists_every_field_and_topic() -> None:
     page = (Path(types.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
-    rows = {line.split("`")[1]: line for line in page.splitlines() if line.startswith("| `/")}
+    rows = {
+        line.split("`")[1]: line
+        for line in page.splitlines()
+        if line.startswith("| `/")
+    }
     kinds: dict[str, type[types.Message]] = {
         **topics.FIXED,
         "/NODE/status": types.NodeStatus,
@@ -95,7 +99,9 @@ def test_page_lists_every_field_and_topic() -> None:
     }
     for topic, message_type in kinds.items():
         for name in message_type.__struct_fields__:
-            row = rows[topic].replace("what `/device/state` has", rows[topics.DEVICE_STATE])
+            row = rows[topic].replace(
+                "what `/device/state` has", rows[topics.DEVICE_STATE]
+            )
             if name not in ("seq", "stamp"):
                 assert f"`{name}`" in row or f"`{name}?`" in row, f"{topic}: {name}"
 
@@ -133,13 +139,21 @@ def test_live_traffic_with_zmq_and_msgpack_only(tmp_path: Path) -> None:
                 seen.setdefault(name.decode(), []).append(message)
         for topic in ("/device/state", "/environment/proxy", "/coupling/force"):
             numbers = [message["seq"] for message in seen[topic]]
-            assert numbers == sorted(set(numbers)), f"{topic}: every tick once, in order"
+            assert numbers == sorted(set(numbers)), (
+                f"{topic}: every tick once, in order"
+            )
         states = seen["/device/state"]
         # Where a busy machine kept the driver from its ticks, the driver says so.
         skipped = states[-1]["seq"] - states[0]["seq"] + 1 - len(states)
         assert skipped == states[-1]["overruns"] - states[0]["overruns"]
-        positions = {message["seq"]: message["position"] for message in seen["/device/state"]}
-        common = [message for message in seen["/environment/proxy"] if message["seq"] in positions]
+        positions = {
+            message["seq"]: message["position"] for message in seen["/device/state"]
+        }
+        common = [
+            message
+            for message in seen["/environment/proxy"]
+            if message["seq"] in positions
+        ]
         assert common
         for message in common:
             assert message["position"] == positions[message["seq"]]
@@ -193,7 +207,11 @@ class ForeignCoupling(threading.Thread):
                     proxy = decode(sub.recv_multipart()[1])
                     if proxy["seq"] != last:
                         last = proxy["seq"]
-                        force = [0.0, 0.0, 1000.0 * (proxy["proxy"][2] - proxy["position"][2])]
+                        force = [
+                            0.0,
+                            0.0,
+                            1000.0 * (proxy["proxy"][2] - proxy["position"][2]),
+                        ]
                         payload = msgpack.packb(
                             {"seq": last, "stamp": proxy["stamp"], "force": force}
                         )
@@ -220,7 +238,9 @@ class ForeignCoupling(threading.Thread):
 
 
 @pytest.mark.process
-def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(tmp_path: Path) -> None:
+def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(
+    tmp_path: Path,
+) -> None:
     scene = tmp_path / "foreign.yaml"
     scene.write_text(BY_HAND.format(pace="lockstep", duration=0.4))
     with running(tmp_path, str(scene), ready=False) as launch:
@@ -229,7 +249,9 @@ def test_a_coupling_in_nothing_but_zmq_and_msgpack_runs_the_loop(tmp_path: Path)
             lambda: list(launch.runtime_dir.glob("**/coupling.json")),
             "the setup of the foreign node",
         )
-        node = ForeignCoupling(json.loads((launch.run_dir / "coupling.json").read_bytes()))
+        node = ForeignCoupling(
+            json.loads((launch.run_dir / "coupling.json").read_bytes())
+        )
         figures = launch.finish()
         node.join(timeout=20.0)
         assert not node.is_alive()

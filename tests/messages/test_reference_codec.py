@@ -47,7 +47,9 @@ def test_every_message_type_has_a_topic() -> None:
 @pytest.mark.parametrize("kind", TYPES, ids=lambda kind: kind.__name__)
 @given(data=st.data())
 @settings(max_examples=25)
-def test_what_one_writes_the_other_reads(kind: type[Message], data: st.DataObject) -> None:
+def test_what_one_writes_the_other_reads(
+    kind: type[Message], data: st.DataObject
+) -> None:
     message = data.draw(messages(kind))
     payload = encode(message)
     plain = reference_codec.read(TOPICS[kind], payload)
@@ -100,7 +102,9 @@ def test_a_damaged_payload_is_refused_by_both_or_read_alike(
     if ours is not None and theirs is None:
         # Damage in a field that neither knows: msgspec skips it unread.
         with pytest.raises((ValueError, msgpack.exceptions.UnpackException)):
-            msgpack.unpackb(payload, raw=True, strict_map_key=False, object_pairs_hook=list)
+            msgpack.unpackb(
+                payload, raw=True, strict_map_key=False, object_pairs_hook=list
+            )
 
 
 def test_refusals_name_topic_field_and_limit() -> None:
@@ -115,7 +119,9 @@ def test_refusals_name_topic_field_and_limit() -> None:
         with pytest.raises(MessageRefusedError, match=told):
             reference_codec.write("/coupling/force", {**good, **change})
     with pytest.raises(MessageRefusedError, match="seq is missing"):
-        reference_codec.write("/coupling/force", {"stamp": 0.0, "force": [0.0, 0.0, 0.0]})
+        reference_codec.write(
+            "/coupling/force", {"stamp": 0.0, "force": [0.0, 0.0, 0.0]}
+        )
     with pytest.raises(MessageRefusedError, match="/nowhere: carries no message"):
         reference_codec.read("/nowhere", b"\x80")
     with pytest.raises(MessageRefusedError, match=f"limit {MAX_PAYLOAD}"):

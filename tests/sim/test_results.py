@@ -32,9 +32,9 @@ def test_an_earlier_file_is_set_aside_and_said(
     kept = sorted((folder / EARLIER).glob("*/a.png"))
     assert sorted(path.read_text() for path in kept) == ["a 0", "a 1"]
     # What one run set aside stays together.
-    assert [path.with_name("b.json").read_text().replace("b", "a") for path in kept] == [
-        p.read_text() for p in kept
-    ]
+    assert [
+        path.with_name("b.json").read_text().replace("b", "a") for path in kept
+    ] == [p.read_text() for p in kept]
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 2
     assert said[0] == f"{folder}: files of an earlier run are kept in {kept[0].parent}"
@@ -49,7 +49,9 @@ def test_a_study_that_runs_again_keeps_what_was_there(
         assert main(["lab", "fig3", "--out-dir", str(out), "--taps", taps]) == 0
     assert "kept in" in capsys.readouterr().err
     (earlier,) = out.glob(f"{EARLIER}/*/fig3.json")
-    assert json.loads(earlier.read_text()) != json.loads((out / "fig3.json").read_text())
+    assert json.loads(earlier.read_text()) != json.loads(
+        (out / "fig3.json").read_text()
+    )
     assert earlier.with_suffix(".png").stat().st_size > 10_000
 
 
@@ -61,8 +63,13 @@ def test_the_front_of_a_chart_is_named_however_crowded(tmp_path: Path) -> None:
         Point(f"a_choice_with_a_long_name {i}", costs[i], errors[i], f"family {i % 9}")
         for i in range(60)
     ]
-    front = [Point(f"on_the_front {i}", 0.2 * 1.02**i, 0.2 / 1.05**i, "front") for i in range(8)]
-    group = with_front(Group("g", "a chart", "cost [µs]", "error [1]", (*crowd, *front)))
+    front = [
+        Point(f"on_the_front {i}", 0.2 * 1.02**i, 0.2 / 1.05**i, "front")
+        for i in range(8)
+    ]
+    group = with_front(
+        Group("g", "a chart", "cost [µs]", "error [1]", (*crowd, *front))
+    )
     figures: list[Figure] = []
     save = Figure.savefig
 
@@ -98,8 +105,12 @@ def test_names_without_room_are_left_out_unless_they_must_be_there() -> None:
     assert overlaps(figure) == []
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.025, 0.4), (0.9, 1.3), (1.0, 60.0), (1e-3, 1e4)])
-def test_logarithmic_axes_are_labelled_with_plain_numbers(low: float, high: float) -> None:
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.025, 0.4), (0.9, 1.3), (1.0, 60.0), (1e-3, 1e4)]
+)
+def test_logarithmic_axes_are_labelled_with_plain_numbers(
+    low: float, high: float
+) -> None:
     figure = Figure(figsize=(5.0, 4.0), layout="constrained")
     axes = figure.add_subplot(xscale="log", xlim=(low, high))
     axes.plot([low, high], [0.0, 1.0], label="a line")
@@ -125,21 +136,31 @@ def test_drill_prints_columns_and_markdown_where_asked() -> None:
             passed=True,
         ),
         DrillOutcome(
-            fault="flood", what="300 old forces", safe_ticks=40, reasons=["40 ticks, limit 27"]
+            fault="flood",
+            what="300 old forces",
+            safe_ticks=40,
+            reasons=["40 ticks, limit 27"],
         ),
-        DrillOutcome(fault="full disk", what="no room under the logger", skipped="not root"),
+        DrillOutcome(
+            fault="full disk", what="no room under the logger", skipped="not root"
+        ),
     ]
     lines = table(outcomes).splitlines()
     assert not any("|" in line for line in lines)
     assert lines[0].split("  ")[0] == "fault"
     # Columns begin where their heads do, or end there for numbers.
-    assert all(line.index("SIGKILL") == lines[0].index("what was done") for line in lines[1:2])
-    assert lines[1].index("3 of 180") + len("3 of 180") == lines[0].index("ticks lost") + len(
-        "ticks lost"
+    assert all(
+        line.index("SIGKILL") == lines[0].index("what was done") for line in lines[1:2]
     )
+    assert lines[1].index("3 of 180") + len("3 of 180") == lines[0].index(
+        "ticks lost"
+    ) + len("ticks lost")
     assert lines[2].endswith("FAILED")
     assert lines[3].endswith("skipped")
-    assert lines[-1] == "flood: 40 ticks, limit 27" or "full disk: skipped: not root" in lines
+    assert (
+        lines[-1] == "flood: 40 ticks, limit 27"
+        or "full disk: skipped: not root" in lines
+    )
     markdown = table(outcomes, markdown=True).splitlines()
     assert all(line.count("|") == 8 for line in markdown[:5])
     assert set(markdown[1]) <= set("|-: ")

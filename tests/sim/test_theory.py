@@ -9,10 +9,14 @@ from pathlib import Path
 import pytest
 
 ROOT = next(
-    folder for folder in Path(__file__).resolve().parents if (folder / "pyproject.toml").exists()
+    folder
+    for folder in Path(__file__).resolve().parents
+    if (folder / "pyproject.toml").exists()
 )
 PAGE = ROOT / "sim" / "THEORY.md"
-CITED = re.compile(r"\btheory\.md\s+(§\d+(?:(?:\s*,\s*|\s+and\s+|[-–])§?\d+)*)", re.IGNORECASE)
+CITED = re.compile(
+    r"\btheory\.md\s+(§\d+(?:(?:\s*,\s*|\s+and\s+|[-–])§?\d+)*)", re.IGNORECASE
+)
 HEADING = re.compile(r"^## (\d+)\. \S", re.MULTILINE)
 
 
@@ -41,12 +45,18 @@ def test_every_section_cited_stands_in_the_page() -> None:
     there = sections(PAGE.read_text(encoding="utf-8"))
     cited = {path: citations(path.read_text(encoding="utf-8")) for path in files()}
     assert sum(map(len, cited.values())) > 30
-    missing = {str(path): sorted(found - there) for path, found in cited.items() if found - there}
+    missing = {
+        str(path): sorted(found - there)
+        for path, found in cited.items()
+        if found - there
+    }
     assert missing == {}
 
 
 def test_sections_are_numbered_without_a_gap() -> None:
-    numbers = [int(number) for number in HEADING.findall(PAGE.read_text(encoding="utf-8"))]
+    numbers = [
+        int(number) for number in HEADING.findall(PAGE.read_text(encoding="utf-8"))
+    ]
     assert numbers == list(range(1, len(numbers) + 1))
 
 
@@ -56,11 +66,15 @@ def test_every_row_of_the_papers_table_has_code_and_a_test() -> None:
         .partition("statement by statement")[2]
         .partition("\n## ")[0]
     )
-    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")][2:]
+    rows = [
+        line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")
+    ][2:]
     defined = {
         name
         for path in (ROOT / "tests").rglob("test_*.py")
-        for name in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        for name in re.findall(
+            r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE
+        )
     }
     assert len(rows) > 20
     for row in rows:
@@ -83,10 +97,14 @@ def test_what_is_printed_cites_the_paper_or_this_page() -> None:
                 and call.args
             ):
                 told = [
-                    leaf.value for leaf in ast.walk(call.args[0]) if isinstance(leaf, ast.Constant)
+                    leaf.value
+                    for leaf in ast.walk(call.args[0])
+                    if isinstance(leaf, ast.Constant)
                 ]
                 texts = [text for text in told if isinstance(text, str) and " " in text]
-                assert all(allowed.match(text) for text in texts), f"{path}:{call.lineno}: {texts}"
+                assert all(allowed.match(text) for text in texts), (
+                    f"{path}:{call.lineno}: {texts}"
+                )
 
 
 @pytest.mark.parametrize(

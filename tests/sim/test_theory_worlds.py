@@ -91,17 +91,24 @@ def test_the_formulas_of_the_page_end_where_the_engine_does(
     conditions = [part for part in parts if re.search(r"[<>]", part)]
     definitions = dict(part.split("=", 1) for part in parts if "=" in part)
     if number == 8:
-        definitions = {f"s_{k}": definitions["s_i"].replace("d_i", f"d_{k}") for k in (1, 2)}
+        definitions = {
+            f"s_{k}": definitions["s_i"].replace("d_i", f"d_{k}") for k in (1, 2)
+        }
     for factor, expected in ((1.0 - 1e-3, True), (1.0 + 1e-3, False)):
         known = values(with_spring(PD, factor * edge), plant, **more)
-        assert all(holds(condition, known, **definitions) for condition in conditions) is expected
+        assert (
+            all(holds(condition, known, **definitions) for condition in conditions)
+            is expected
+        )
 
 
 def test_every_figure_of_the_table() -> None:
     rows = re.findall(r"^\| PD B ([\d.]+) \|(.*)\|$", section(), re.MULTILINE)
     assert len(rows) == 4
     for gain, cells in rows:
-        law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": float(gain)}), T)
+        law = without_spring(
+            parse_law({"kind": "pd", "stiffness": 1.0, "damping": float(gain)}), T
+        )
         for delay, cell in zip((0.0, 0.5, 1.0, 2.0), cells.split("|"), strict=True):
             for text, any_hand in zip(cell.split("/"), (False, True), strict=True):
                 found = world_k_max(
@@ -109,5 +116,7 @@ def test_every_figure_of_the_table() -> None:
                 ).k_max_n_per_m
                 # Half a unit of the last digit.
                 assert found == (
-                    None if text.strip() == "none" else pytest.approx(float(text), abs=5.1e-4)
+                    None
+                    if text.strip() == "none"
+                    else pytest.approx(float(text), abs=5.1e-4)
                 )

@@ -10,7 +10,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
 INSTALLED = {
-    "PYTHONPATH": os.pathsep.join([str(FIXTURES / "installed"), os.environ.get("PYTHONPATH", "")])
+    "PYTHONPATH": os.pathsep.join(
+        [str(FIXTURES / "installed"), os.environ.get("PYTHONPATH", "")]
+    )
 }
 """Environment in which the package of tests/fixtures/installed is installed."""
 
@@ -18,5 +20,6 @@ INSTALLED = {
 def slowly(values: Iterable[Any], but: Container[Any] = ()) -> list[Any]:
     """Parametrize a test with values of which all but some are marked slow."""
     return [
-        value if value in but else pytest.param(value, marks=pytest.mark.slow) for value in values
+        value if value in but else pytest.param(value, marks=pytest.mark.slow)
+        for value in values
     ]

@@ -11,7 +11,10 @@ def background(base: Path) -> dict[int, str]:
     found = {}
     for process in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
-            if process.name.isdigit() and str(base).encode() in (process / "environ").read_bytes():
+            if (
+                process.name.isdigit()
+                and str(base).encode() in (process / "environ").read_bytes()
+            ):
                 line = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
                 if "nodes.compiled.build --idle" in line:
                     found[int(process.name)] = line

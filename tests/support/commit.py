@@ -13,6 +13,10 @@ from tests.support import ROOT
 def commit() -> str:
     """Return the hash of the commit in hexadecimal; the date without a repository."""
     done = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+        ["git", "rev-parse", "HEAD"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return done.stdout.strip() or time.strftime("%Y%m%d0000")

@@ -48,7 +48,9 @@ class DaskCluster:
         self.workers: list[subprocess.Popen[bytes]] = []
         self.scheduler: subprocess.Popen[bytes]
 
-    def start(self, what: str, *words: str, root: Path = ROOT) -> subprocess.Popen[bytes]:
+    def start(
+        self, what: str, *words: str, root: Path = ROOT
+    ) -> subprocess.Popen[bytes]:
         """Start one of its processes; its output goes to a file."""
         environment = {
             **os.environ,

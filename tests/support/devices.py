@@ -25,7 +25,10 @@ from sim.emulators.world import World, library, world_beside
 from tests.support import ROOT
 from tests.support.launching import wait_for
 
-LIBRARIES = {"touch_driver": ("hd", "touch"), "force_dimension_driver": ("dhd", "force_dimension")}
+LIBRARIES = {
+    "touch_driver": ("hd", "touch"),
+    "force_dimension_driver": ("dhd", "force_dimension"),
+}
 """Emulator and parameter group of each device with a library."""
 
 GRIPPED: dict[str, dict[str, Any]] = {
@@ -62,14 +65,18 @@ class Bench(NamedTuple):
     parameters: dict[str, Any]
     made: list[MailboxDevice]
 
-    def written(self, mapping: dict[str, Any] | None = None, **given: Any) -> dict[str, Any]:
+    def written(
+        self, mapping: dict[str, Any] | None = None, **given: Any
+    ) -> dict[str, Any]:
         """Return its parameters as in a launch file."""
         return {
             self.section: {**self.parameters, **given},
             **({"mapping": mapping} if mapping else {}),
         }
 
-    def device(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
+    def device(
+        self, mapping: dict[str, Any] | None = None, **given: Any
+    ) -> MailboxDevice:
         """Create the device, unconnected."""
         made = self.driver.hardware(
             msgspec.convert(self.written(mapping, **given), self.driver.Parameters)
@@ -77,7 +84,9 @@ class Bench(NamedTuple):
         self.made.append(made)
         return made
 
-    def opened(self, mapping: dict[str, Any] | None = None, **given: Any) -> MailboxDevice:
+    def opened(
+        self, mapping: dict[str, Any] | None = None, **given: Any
+    ) -> MailboxDevice:
         """Create the device, connected and open."""
         device = self.device(mapping, **given)
         device.connect()
@@ -120,13 +129,22 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
         path = folder / f"lib{name}-{os.urandom(4).hex()}.so"
         shutil.copy(_compiled(name), path)
         stand = Bench(
-            kind, driver, world_beside(path), section, {"library": str(path), **GRIPPED[kind]}, made
+            kind,
+            driver,
+            world_beside(path),
+            section,
+            {"library": str(path), **GRIPPED[kind]},
+            made,
         )
         service = None
     else:
         assert kind == "inverse3_driver", f"{kind} has no stand-in yet"
         service = inverse_service.start(folder, *options)
-        parameters = {"port": service.port, "events_port": service.events_port, **GRIPPED[kind]}
+        parameters = {
+            "port": service.port,
+            "events_port": service.events_port,
+            **GRIPPED[kind],
+        }
         stand = Bench(kind, driver, service.world, "inverse3", parameters, made)
     try:
         yield stand
@@ -138,7 +156,9 @@ def bench(kind: str, folder: Path, *options: str) -> Iterator[Bench]:
 
 
 needs_cc = pytest.mark.skipif(
-    shutil.which("cc") is None and shutil.which("gcc") is None and shutil.which("clang") is None,
+    shutil.which("cc") is None
+    and shutil.which("gcc") is None
+    and shutil.which("clang") is None,
     reason="no C compiler: neither the stand-in for libHD nor the servo loop can be built",
 )
 
@@ -149,7 +169,9 @@ SOFT = ("stiffness:=150", "damping:=0.5")
 
 def through(stand: Bench, folder: Path, **parameters: Any) -> str:
     """Write `floor_drop` with the device in place of the virtual one."""
-    content = yaml.safe_load((ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        (ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8")
+    )
     del content["model"]
     for name in ("mass", "height"):
         del content["arguments"][name]

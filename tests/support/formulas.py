@@ -9,7 +9,9 @@ from functools import cache
 from tests.support import ROOT
 
 PAGE = (ROOT / "sim" / "THEORY.md").read_text(encoding="utf-8")
-DISPLAYED = re.compile(r"^\$\$\n(.*?)\\tag\{(\d+\.\d+)\}\n?\s*\$\$$", re.MULTILINE | re.DOTALL)
+DISPLAYED = re.compile(
+    r"^\$\$\n(.*?)\\tag\{(\d+\.\d+)\}\n?\s*\$\$$", re.MULTILINE | re.DOTALL
+)
 TOKEN = re.compile(r"\\[a-zA-Z]+|[A-Za-z]|\d+(?:\.\d+)?|<|>|[-+=/(){}\[\]|^_*]")
 IGNORED = {r"\left", r"\right"}
 RELATIONS = {r"\le": "<=", r"\ge": ">=", r"\to": "=", "<": "<", ">": ">", "=": "="}
@@ -85,7 +87,9 @@ class _Reader:
             name = {r"\Re": "real", r"\Im": "imag"}.get(mark) or FUNCTIONS[mark]
             opened = self._next()
             inner = (
-                "".join(self._terms(CLOSING[opened])) if opened in CLOSING else self._factor(opened)
+                "".join(self._terms(CLOSING[opened]))
+                if opened in CLOSING
+                else self._factor(opened)
             )
             read = f"{name}({inner})"
         elif mark in CLOSING:

@@ -11,4 +11,6 @@ from nodes.launcher.launch_spec import Launch
 @cache
 def every_launch() -> dict[str, Launch]:
     """Return every installed launch without arguments, by name."""
-    return {name: launch_file.read(name, {}) for name in sorted(launch_file.scenarios())}
+    return {
+        name: launch_file.read(name, {}) for name in sorted(launch_file.scenarios())
+    }

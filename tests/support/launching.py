@@ -49,7 +49,9 @@ def assert_nothing_left(runtime_dir: Path) -> None:
 @contextlib.contextmanager
 def private_runtime_dir() -> Iterator[Path]:
     """Create a private runtime directory (mode 0700) with a path short enough for sockets."""
-    with tempfile.TemporaryDirectory(prefix="hapt-", dir="/tmp") as path:  # short: socket paths are
+    with tempfile.TemporaryDirectory(
+        prefix="hapt-", dir="/tmp"
+    ) as path:  # short: socket paths are
         yield Path(path)
 
 
@@ -64,7 +66,12 @@ def running(
 ) -> Iterator[Running]:
     """Run a launch for a with block; see `Running`."""
     with Running(
-        scenario, *assignments, folder=folder, environment=environment, ready=ready, stderr=stderr
+        scenario,
+        *assignments,
+        folder=folder,
+        environment=environment,
+        ready=ready,
+        stderr=stderr,
     ) as launch:
         yield launch
         launch.interrupt()
@@ -82,7 +89,9 @@ def launch_json(
 
     Its ``recording`` is relative to `folder`.
     """
-    with running(folder, scenario, *assignments, environment=environment, ready=False) as launch:
+    with running(
+        folder, scenario, *assignments, environment=environment, ready=False
+    ) as launch:
         return launch.finish(code=code)
 
 
@@ -94,7 +103,9 @@ def exit_code(*words: str) -> int:
         return ended.code if isinstance(ended.code, int) else 1
 
 
-def typed(launch: Running, *words: str, code: int | None = 0) -> subprocess.CompletedProcess[str]:
+def typed(
+    launch: Running, *words: str, code: int | None = 0
+) -> subprocess.CompletedProcess[str]:
     """Run a verb beside a launch in this process; see `typed_in` and `Running.haptic`."""
     return typed_in(launch.folder, *words, code=code, environment=launch.environment)
 
@@ -107,7 +118,9 @@ def _stderr_into(file: IO[bytes]) -> Iterator[None]:
     os.dup2(file.fileno(), STDERR)
     try:
         with (
-            open(STDERR, "w", encoding="utf-8", errors="replace", closefd=False) as stream,
+            open(
+                STDERR, "w", encoding="utf-8", errors="replace", closefd=False
+            ) as stream,
             contextlib.redirect_stderr(stream),
         ):
             yield
@@ -118,7 +131,10 @@ def _stderr_into(file: IO[bytes]) -> Iterator[None]:
 
 
 def typed_in(
-    folder: Path, *words: str, code: int | None = 0, environment: Mapping[str, str] | None = None
+    folder: Path,
+    *words: str,
+    code: int | None = 0,
+    environment: Mapping[str, str] | None = None,
 ) -> subprocess.CompletedProcess[str]:
     """Run a verb in this process: starting a new one costs half a second.
 

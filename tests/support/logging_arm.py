@@ -13,7 +13,10 @@ LAW_DAMPING = 3.0
 
 
 def scene(
-    folder: Path, run: dict[str, Any] | None = None, chain: dict[str, Any] | None = None, **arm: Any
+    folder: Path,
+    run: dict[str, Any] | None = None,
+    chain: dict[str, Any] | None = None,
+    **arm: Any,
 ) -> str:
     """Write a launch file with the logging arm, by default 1 mm inside a floor of 1000 N/m."""
     more = chain or {}
@@ -35,7 +38,13 @@ def scene(
                 "kind": "coupling",
                 "parameters": {
                     "law": "pd",
-                    "laws": {"pd": {"kind": "pd", "stiffness": STIFFNESS, "damping": LAW_DAMPING}},
+                    "laws": {
+                        "pd": {
+                            "kind": "pd",
+                            "stiffness": STIFFNESS,
+                            "damping": LAW_DAMPING,
+                        }
+                    },
                 },
                 **more,
             },

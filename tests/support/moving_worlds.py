@@ -36,7 +36,9 @@ def body_in_z(body: Body, period: float) -> tuple[Array, Array]:
     return np.polymul(Z, Z), below
 
 
-def characteristic(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]) -> Array:
+def characteristic(
+    law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array, Array]]
+) -> Array:
     """Return the polynomial of 1 + H (P + Σ W), taps only; worlds as fractions in z."""
     held = held_plant(plant)
     above, below = (
@@ -49,10 +51,14 @@ def characteristic(law: CompiledLaw, plant: Plant, worlds: Sequence[tuple[Array,
             np.polymul(below, bottom),
         )
     shift = np.concatenate([[1.0], np.zeros(len(law.taps) - 1)])
-    return np.asarray(np.polyadd(np.polymul(below, shift), np.polymul(above, np.array(law.taps))))
+    return np.asarray(
+        np.polyadd(np.polymul(below, shift), np.polymul(above, np.array(law.taps)))
+    )
 
 
-def stable_in_many_digits(law: CompiledLaw, plant: Plant, bodies: Sequence[Body]) -> bool:
+def stable_in_many_digits(
+    law: CompiledLaw, plant: Plant, bodies: Sequence[Body]
+) -> bool:
     """Whether all poles are inside, by Schur and Cohn in 150 digits.
 
     For bodies of backward Euler and of the trapezoidal rule.
@@ -67,18 +73,34 @@ def stable_in_many_digits(law: CompiledLaw, plant: Plant, bodies: Sequence[Body]
             for b in bodies
         ]
         held = held_plant(plant)
-        above, below = exact(held.numerator), exact([*held.denominator, *[0.0] * (held.whole + 1)])
+        above, below = (
+            exact(held.numerator),
+            exact([*held.denominator, *[0.0] * (held.whole + 1)]),
+        )
         for body, (inertia, loss) in zip(bodies, m, strict=True):
             k = mpmath.mpf(body.stiffness)
             if body.integrator == "lossless":
                 top = [1, 1, 0]
-                bottom = [2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2]
+                bottom = [
+                    2 * inertia + loss + k / 2,
+                    k - 4 * inertia,
+                    2 * inertia - loss + k / 2,
+                ]
                 if not inertia:  # the factor z + 1 of both
                     top, bottom = [1, 0], [loss + k / 2, k / 2 - loss]
             else:
-                top, bottom = [1, 0, 0], [inertia + loss + k, -2 * inertia - loss, inertia]
-            above, below = _plus(_times(above, bottom), _times(top, below)), _times(below, bottom)
-        rest = _plus(_times(below, [1, *[0] * (len(law.taps) - 1)]), _times(above, exact(law.taps)))
+                top, bottom = (
+                    [1, 0, 0],
+                    [inertia + loss + k, -2 * inertia - loss, inertia],
+                )
+            above, below = (
+                _plus(_times(above, bottom), _times(top, below)),
+                _times(below, bottom),
+            )
+        rest = _plus(
+            _times(below, [1, *[0] * (len(law.taps) - 1)]),
+            _times(above, exact(law.taps)),
+        )
         while len(rest) > 1:
             if not rest[-1]:
                 rest = rest[:-1]
@@ -131,14 +153,21 @@ class Chain:
         """Return A and B of positions and velocities."""
         if not self.second:
             own = np.array(
-                [[0.0, 1.0], [-self.link / self.mass, -(self.damping + self.loss) / self.mass]]
+                [
+                    [0.0, 1.0],
+                    [-self.link / self.mass, -(self.damping + self.loss) / self.mass],
+                ]
             )
             return own, np.array([0.0, 1.0 / self.mass])
         own = np.zeros((4, 4))
         own[0, 1] = own[2, 3] = 1.0
-        own[1] = np.array([-self.link, -self.damping - self.loss, self.link, self.loss]) / self.mass
+        own[1] = (
+            np.array([-self.link, -self.damping - self.loss, self.link, self.loss])
+            / self.mass
+        )
         own[3] = (
-            np.array([self.link, self.loss, -self.link - self.ground, -self.loss]) / self.second
+            np.array([self.link, self.loss, -self.link - self.ground, -self.loss])
+            / self.second
         )
         return own, np.array([0.0, 1.0 / self.mass, 0.0, 0.0])
 
@@ -166,7 +195,10 @@ def chains_radius(
     size = first + second + history + longest
     rows = np.eye(size)
     states = [rows[:first], rows[first : first + second]]
-    past, forces = rows[first + second : first + second + history], rows[first + second + history :]
+    past, forces = (
+        rows[first + second : first + second + history],
+        rows[first + second + history :],
+    )
     x = states[0][0] - states[1][0]
     force = taps[0] * x + sum(
         (tap * row for tap, row in zip(taps[1:], past, strict=True)), np.zeros(size)
@@ -188,7 +220,8 @@ def chains_radius(
     step = np.vstack([*moved, deflections, np.array(acting)[:longest]])
     poles = np.linalg.eigvals(step)
     if not any(
-        (chain.link and not chain.second) or chain.ground for chain in (pushed_back, pushed_on)
+        (chain.link and not chain.second) or chain.ground
+        for chain in (pushed_back, pushed_on)
     ):
         poles = np.delete(poles, np.argmin(np.abs(poles - 1.0)))
     return float(np.abs(poles).max())
@@ -196,7 +229,10 @@ def chains_radius(
 
 def played(law: CompiledLaw, plant: Plant, body: Body, ticks: int) -> Array:
     """Simulate taps, a device without a hand and an implicit body tick by tick, from 1 mm."""
-    period, (own, push) = plant.period, Chain(plant.mass, plant.damping, 0.0).continuous()
+    period, (own, push) = (
+        plant.period,
+        Chain(plant.mass, plant.damping, 0.0).continuous(),
+    )
     whole = math.floor(plant.delay)
     late = plant.delay - whole
     early, old = exact(own, push, late * period)
@@ -211,13 +247,23 @@ def played(law: CompiledLaw, plant: Plant, body: Body, ticks: int) -> Array:
             # The two rules of a trapezoidal body added up, for its position; first order where a
             # part is absent.
             if body.mass:
-                a0, a1, a2 = 2 * inertia + loss + k / 2, k - 4 * inertia, 2 * inertia - loss + k / 2
+                a0, a1, a2 = (
+                    2 * inertia + loss + k / 2,
+                    k - 4 * inertia,
+                    2 * inertia - loss + k / 2,
+                )
                 rest, give = (force_before - a1 * before - a2 * older) / a0, 1.0 / a0
             else:
-                rest, give = -(k / 2 - loss) * before / (k / 2 + loss), 1.0 / (k / 2 + loss)
+                rest, give = (
+                    -(k / 2 - loss) * before / (k / 2 + loss),
+                    1.0 / (k / 2 + loss),
+                )
         else:
             a0 = inertia + loss + k
-            rest, give = ((2 * inertia + loss) * before - inertia * older) / a0, 1.0 / a0
+            rest, give = (
+                ((2 * inertia + loss) * before - inertia * older) / a0,
+                1.0 / a0,
+            )
         force = (free + law.taps[0] * (state[0] - rest)) / (1.0 + law.taps[0] * give)
         y = rest + give * force
         x = [state[0] - y, *x[:-1]]

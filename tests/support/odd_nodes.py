@@ -128,7 +128,12 @@ def scenario(
             "driver": {
                 "kind": "sim_driver",
                 "parameters": {
-                    "device": {"mass": 0.1, "damping": 1.0, "gravity": 9.81, "position": 0.001}
+                    "device": {
+                        "mass": 0.1,
+                        "damping": 1.0,
+                        "gravity": 9.81,
+                        "position": 0.001,
+                    }
                 },
                 **chain,
             },
@@ -145,7 +150,11 @@ def scenario(
                 },
                 **chain,
             },
-            "logger": {"kind": "logger", "required": False, "parameters": {"path": "run.mcap"}},
+            "logger": {
+                "kind": "logger",
+                "required": False,
+                "parameters": {"path": "run.mcap"},
+            },
             **more,
         },
     }

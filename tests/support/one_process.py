@@ -30,7 +30,11 @@ RESPONSE = 160e-6
 
 
 def recorded(
-    folder: Path, scenario: str, *assignments: str, params: Path | None = None, name: str = "run"
+    folder: Path,
+    scenario: str,
+    *assignments: str,
+    params: Path | None = None,
+    name: str = "run",
 ) -> Path:
     """Write the recording of ``haptic launch SCENARIO pace:=lockstep …`` without launching.
 
@@ -68,9 +72,15 @@ def recorded(
 def messages(launch: Launch) -> Iterator[tuple[str, Message]]:
     """Play a launch of one axis, and go through what its nodes publish, tick by tick."""
     played = from_launch(launch)
-    ticks, period, lag = played.ticks, launch.run.period, int(launch.run.apply == "next_tick")
+    ticks, period, lag = (
+        played.ticks,
+        launch.run.period,
+        int(launch.run.apply == "next_tick"),
+    )
     trace = play(launch, ticks=ticks + 1).along()
-    assert max(abs(trace.force)) < (played.scene.peak or 1e300), "a limit acts: launch it"
+    assert max(abs(trace.force)) < (played.scene.peak or 1e300), (
+        "a limit acts: launch it"
+    )
     _, environment = parameters_of(launch, "environment", EnvironmentParameters)
     meet = parse_surface(environment.surface, "surface").meeting()
     _, coupling = parameters_of(launch, "coupling", CouplingParameters)

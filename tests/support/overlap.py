@@ -64,7 +64,10 @@ def overlaps(figure: Figure) -> list[str]:
     boxes = [(text.get_text(), Text.get_window_extent(text)) for text in texts]
     found = []
     for (one, a), (other, b) in itertools.combinations(boxes, 2):
-        width, height = min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0)
+        width, height = (
+            min(a.x1, b.x1) - max(a.x0, b.x0),
+            min(a.y1, b.y1) - max(a.y0, b.y0),
+        )
         if width > SLACK and height > SLACK:
             found.append(f"{one!r} over {other!r}: {width:.0f} x {height:.0f}")
     return found

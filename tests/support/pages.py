@@ -28,8 +28,12 @@ from nodes.launcher.runs import RunInfo
 from sim.measure.haptic_commands import COMPILE_TIMEOUT
 from tests.support.launching import DEADLINE, assert_nothing_left, wait_for
 
-_BLOCK = re.compile(r"^```sh\n(.*?)^```$(?:\n+^```text\n(.*?)^```$)?", re.MULTILINE | re.DOTALL)
-_FILE = re.compile(r"^`([\w./-]+/[\w.-]+)`\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(
+    r"^```sh\n(.*?)^```$(?:\n+^```text\n(.*?)^```$)?", re.MULTILINE | re.DOTALL
+)
+_FILE = re.compile(
+    r"^`([\w./-]+/[\w.-]+)`\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL
+)
 _NUMBER = re.compile(r"[-+−]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?")
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
@@ -71,7 +75,11 @@ def blocks(text: str) -> list[Block]:
         lines = block.replace("\\\n", " ").splitlines()
         found.append(
             Block(
-                tuple(line for line in lines if line.strip() and not line.lstrip().startswith("#")),
+                tuple(
+                    line
+                    for line in lines
+                    if line.strip() and not line.lstrip().startswith("#")
+                ),
                 tuple(line.strip() for line in printed.splitlines() if line.strip()),
             )
         )
@@ -96,7 +104,9 @@ def promised(prints: Iterable[str], said: str) -> list[str]:
     broken = []
     for line in prints:
         parts = [_NUMBER.sub("0", part) for part in re.split("…", line)]
-        pattern = ".*".join(re.escape(part).replace("0", _NUMBER.pattern) for part in parts)
+        pattern = ".*".join(
+            re.escape(part).replace("0", _NUMBER.pattern) for part in parts
+        )
         if not re.search(pattern, said):
             broken.append(line)
     return broken
@@ -148,7 +158,10 @@ def anchors(text: str) -> set[str]:
         Lower case, blanks as hyphens, punctuation left out.
     """
     headings = _HEADING.findall(_FENCED.sub("", text))
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in headings
+    }
 
 
 @dataclass(frozen=True)
@@ -201,7 +214,10 @@ def command(line: str, shorter: Mapping[str, str]) -> Command:
     background = tokens[-1] == "&"
     if background:
         tokens.pop()
-    end = next((i for i, token in enumerate(tokens) if set(token) <= set(_OPERATORS)), len(tokens))
+    end = next(
+        (i for i, token in enumerate(tokens) if set(token) <= set(_OPERATORS)),
+        len(tokens),
+    )
     start = [key for key in shorter if tokens[: len(key.split())] == key.split()]
     if start and not background:
         tokens[end:end] = shorter[max(start, key=len)].split()
@@ -276,7 +292,9 @@ class Shell:
             return ""
         if wanted.words == ["wait"]:
             for process in self.background:
-                assert process.wait(timeout=DEADLINE) == 0, self._log.read_text(encoding="utf-8")
+                assert process.wait(timeout=DEADLINE) == 0, self._log.read_text(
+                    encoding="utf-8"
+                )
             self.background.clear()
             return ""
         done = subprocess.run(
@@ -304,7 +322,8 @@ class Shell:
                     if name.rpartition("/")[2] == "driver"
                 ]
                 if drivers and all(
-                    call(context, driver, "status", timeout=1.0)["ticks"] for driver in drivers
+                    call(context, driver, "status", timeout=1.0)["ticks"]
+                    for driver in drivers
                 ):
                     return True
         return False
@@ -315,7 +334,9 @@ class Shell:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
             code = process.wait(timeout=DEADLINE)
-            assert code in (0, 130), f"exit code {code}: {self._log.read_text(encoding='utf-8')}"
+            assert code in (0, 130), (
+                f"exit code {code}: {self._log.read_text(encoding='utf-8')}"
+            )
         self.background.clear()
         assert_nothing_left(self.runtime_dir)
 

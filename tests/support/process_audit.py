@@ -19,7 +19,9 @@ from typing import Any, Final
 
 import pytest
 
-STARTS: Final = frozenset({"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"})
+STARTS: Final = frozenset(
+    {"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"}
+)
 ASIDE: Final = frozenset({"git", "uname", "ldconfig", "cc", "gcc", "clang", "ar", "nm"})
 """Programs of some milliseconds whose results are cached: the first caller is random."""
 CACHED: Final = (
@@ -107,7 +109,9 @@ def pytest_configure() -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
     """Restrict ``smoke`` to the parameters it names, ``smoke("a-b", "c")``, or to all."""
     named: dict[str, set[str]] = {}
     for item in items:
@@ -117,17 +121,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if names:
             named.setdefault(test, set(names)).discard(parameters)
         if names and parameters not in names:
-            item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "smoke"]
+            item.own_markers[:] = [
+                mark for mark in item.own_markers if mark.name != "smoke"
+            ]
             item.keywords._markers.pop("smoke", None)  # type: ignore[attr-defined]
     gone = [f"{test}: {sorted(left)}" for test, left in named.items() if left]
     if gone and not any("::" in argument for argument in config.args):
-        raise pytest.UsageError(f"smoke names parameters that there are not: {'; '.join(gone)}")
+        raise pytest.UsageError(
+            f"smoke names parameters that there are not: {'; '.join(gone)}"
+        )
 
 
 def _cost() -> tuple[float, float]:
     """Return the processor time of this process and of its ended children [s]."""
     own, children = (
-        resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        resource.getrusage(who)
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
     return own.ru_utime + own.ru_stime, children.ru_utime + children.ru_stime
 
@@ -141,8 +150,12 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
         return (yield)
     finally:
         if COSTS:
-            own, children = (now - then for now, then in zip(_cost(), before, strict=True))
-            programs = ",".join(sorted({Path(program).name for program in watch.of(item)}))
+            own, children = (
+                now - then for now, then in zip(_cost(), before, strict=True)
+            )
+            programs = ",".join(
+                sorted({Path(program).name for program in watch.of(item)})
+            )
             with open(COSTS, "a", encoding="utf-8") as log:
                 log.write(f"{item.nodeid}\t{own:.3f}\t{children:.3f}\t{programs}\n")
         watch.started = None

@@ -52,15 +52,22 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
                 between()
 
     deadline = time.time() + 20.0
-    while time.time() < deadline and not (all(got.values()) and wrench.get_subscription_count()):
+    while time.time() < deadline and not (
+        all(got.values()) and wrench.get_subscription_count()
+    ):
         rclpy.spin_once(node, timeout_sec=0.05)
 
     def push(late: float = 0.0) -> None:
         message = WrenchStamped()
         at = time.time() - late
-        message.header.stamp.sec, message.header.stamp.nanosec = int(at), int(at % 1.0 * 1e9)
+        message.header.stamp.sec, message.header.stamp.nanosec = (
+            int(at),
+            int(at % 1.0 * 1e9),
+        )
         message.wrench.force.x = PUSH
-        message.wrench.force.y = 0.1 * PUSH  # as a sensor's has; the scene computes x alone
+        message.wrench.force.y = (
+            0.1 * PUSH
+        )  # as a sensor's has; the scene computes x alone
         wrench.publish(message)
 
     def pull() -> None:
@@ -86,7 +93,9 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
         client = AsyncParameterClient(node, "ros2")
         client.wait_for_services(5.0)
         for name, value in (("good", 700.0), ("bad", -1.0)):
-            future = client.set_parameters([Parameter("coupling.laws.pd.stiffness", value=value)])
+            future = client.set_parameters(
+                [Parameter("coupling.laws.pd.stiffness", value=value)]
+            )
             rclpy.spin_until_future_complete(node, future, timeout_sec=5.0)
             answer: Any = future.result()
             result = answer.results[0]
@@ -104,7 +113,9 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
         ]
         for m in got["device/pose"]
     ]
-    told["joints"] = [[m.name, list(m.position), list(m.effort)] for m in got["device/joints"]]
+    told["joints"] = [
+        [m.name, list(m.position), list(m.effort)] for m in got["device/joints"]
+    ]
     told["span"] = first(got["device/pose"][-1]) - first(got["device/pose"][0])
     told["frame"] = got["device/pose"][0].header.frame_id
     told["laws"] = sorted({m.data for m in got["law"]})

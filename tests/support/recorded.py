@@ -56,7 +56,9 @@ def drop(
                 mean_force=(0.0, 0.0, force),
                 force_seq=k - 1,
                 response=(
-                    0.0 if k == 0 or k - 1 in missed else 160e-6 + 40e-6 * ((k * 7919) % 13) / 13
+                    0.0
+                    if k == 0 or k - 1 in missed
+                    else 160e-6 + 40e-6 * ((k * 7919) % 13) / 13
                 ),
                 missed=late,
                 energy=energy,

@@ -33,7 +33,9 @@ RULES = {
     ),
     "watchdog, damping, zero": Rule(
         driver(answers_but(*SILENT), watchdog=5, damping_ticks=20),
-        lambda s: (s.entered[DAMPING], s.entered[NOTHING], s.missed) == (1, 1, len(SILENT)),
+        lambda s: (
+            (s.entered[DAMPING], s.entered[NOTHING], s.missed) == (1, 1, len(SILENT))
+        ),
     ),
     "the watchdog's last tick in time": Rule(
         driver(answers_but(*range(20, 24)), watchdog=5),
@@ -54,21 +56,28 @@ RULES = {
     ),
     "slew": Rule(
         driver(
-            [answer(seq, force=(0.0, 0.0, 5.0 * (seq // 10 % 2))) for seq in range(TICKS)],
+            [
+                answer(seq, force=(0.0, 0.0, 5.0 * (seq // 10 % 2)))
+                for seq in range(TICKS)
+            ],
             slew=500.0,
         ),
         lambda s: s.limited_by[1] > 10,
     ),
     "slew after lost ticks is that of one": Rule(
         driver(
-            [answer(seq, force=(0.0, 0.0, 0.0 if seq < 40 else 6.0)) for seq in range(TICKS)],
+            [
+                answer(seq, force=(0.0, 0.0, 0.0 if seq < 40 else 6.0))
+                for seq in range(TICKS)
+            ],
             {40: 9_000, 60: 4_000},
             slew=500.0,
         ),
         lambda s: s.overruns == 6 and s.force[2] == 6.0,
     ),
     "ticks lost": Rule(
-        driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}), lambda s: s.overruns == 1 + 10
+        driver(ANSWERED, {30: 2_000, 50: 1_998, 70: 21_000}),
+        lambda s: s.overruns == 1 + 10,
     ),
     "lost ticks and no answers": Rule(
         driver(answers_but(*SILENT), {22: 9_000, 40: 3_000}, watchdog=5),
@@ -83,7 +92,9 @@ RULES = {
         lambda s: s.entered[NOTHING] == 1 and s.overruns == 10,
     ),
     "hold that ends within a tick": Rule(
-        driver(answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30),
+        driver(
+            answers_but(*SILENT), {60: 9_000}, limits={"hold": 5.5 * T}, watchdog=30
+        ),
         lambda s: s.entered[NOTHING] == 1,
     ),
     "continuous force, two gaps in one window": Rule(
@@ -119,7 +130,8 @@ RULES = {
         lambda s: s.missed == 30 and s.overruns == 0,
     ),
     "every answer late": Rule(
-        driver([answer(seq, 2_100.0) for seq in range(TICKS)]), lambda s: s.entered[DAMPING] == 0
+        driver([answer(seq, 2_100.0) for seq in range(TICKS)]),
+        lambda s: s.entered[DAMPING] == 0,
     ),
     "every answer twice": Rule(
         driver(
@@ -153,7 +165,10 @@ RULES = {
     ),
     "a loop that swings": Rule(
         driver(
-            [answer(seq, force=(0.0, 0.0, 20.0 * (-1) ** (seq // 5))) for seq in range(TICKS)],
+            [
+                answer(seq, force=(0.0, 0.0, 20.0 * (-1) ** (seq // 5)))
+                for seq in range(TICKS)
+            ],
             position=lambda seq: (0.0, 0.0, -1e-3 * abs(seq % 10 - 5)),
             peak_force=7.9,
             stop_after=4,
@@ -162,7 +177,10 @@ RULES = {
     ),
     "a jump of the position": Rule(
         driver(
-            [answer(seq, force=(0.0, 0.0, 2.0 if seq < 30 else -5.0)) for seq in range(TICKS)]
+            [
+                answer(seq, force=(0.0, 0.0, 2.0 if seq < 30 else -5.0))
+                for seq in range(TICKS)
+            ]
         )._replace(hand=lambda: Hand(BEARS, moving, jumps_at=[30, 70])),
         lambda s: s.entered[RAMP] == 1 and s.rebased == 70,
     ),

@@ -110,4 +110,6 @@ class Port:
 
     def changes(self) -> list[str]:
         """Return the changes of state reported."""
-        return [text.split(" at tick")[0] for kind, text in self.events if kind == "safety"]
+        return [
+            text.split(" at tick")[0] for kind, text in self.events if kind == "safety"
+        ]

@@ -31,7 +31,8 @@ def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
     """Return a compiled reader of payloads."""
     scan: Any = make_scan(message)
     compiled_scan = kept(
-        lambda at, end, reals, wholes: scan(at, end, reals, wholes), f"scan_{message.__name__}"
+        lambda at, end, reals, wholes: scan(at, end, reals, wholes),
+        f"scan_{message.__name__}",
     )
 
     def read(payload: bytes) -> dict[str, Any] | None:
@@ -44,7 +45,9 @@ def scanner(message: type[Message]) -> Callable[[bytes], dict[str, Any] | None]:
         found: dict[str, Any] = {}
         for field in fields_of(message):
             if field.kind == VECTOR:
-                found[field.name] = tuple(float(v) for v in reals[field.slot : field.slot + 3])
+                found[field.name] = tuple(
+                    float(v) for v in reals[field.slot : field.slot + 3]
+                )
             elif field.kind in (WHOLE, FLAG):
                 found[field.name] = int(wholes[field.slot])
             elif field.kind != TEXT:

@@ -172,7 +172,15 @@ class Outcome(NamedTuple):
 
 
 _NOT_ALIKE = {
-    *("device_read", "device_write", "device_context", "device_room", "attention", "fd", "poll"),
+    *(
+        "device_read",
+        "device_write",
+        "device_context",
+        "device_room",
+        "attention",
+        "fd",
+        "poll",
+    ),
     *("places", "lines", "bins", "texts", "text_sizes", "table", "memory"),
     *(
         "history",
@@ -192,7 +200,8 @@ _NOT_ALIKE = {
 def _numbers(state: Any) -> dict[str, Any]:
     """Return the numbers of a node's state, without the compiled ticks' external data."""
     found: dict[str, Any] = {
-        name: getattr(state, name) for name in ("seq", "answered", "gaps", "skipped", "ticks")
+        name: getattr(state, name)
+        for name in ("seq", "answered", "gaps", "skipped", "ticks")
     }
     loop: Any = LoopState
     for name, _ in type(state)._fields_[len(loop._fields_) :]:
@@ -321,13 +330,17 @@ def _outcome(world: World, node: Any, script: Script) -> Outcome:
         topics.event(node.setup.name).encode(),
     )
     aside = [frames for _, frames in world.sent[ASIDE]]
-    events = [msgspec.msgpack.decode(frames[1]) for frames in aside if frames[0] == event]
+    events = [
+        msgspec.msgpack.decode(frames[1]) for frames in aside if frames[0] == event
+    ]
     status = node.status()
     return Outcome(
         sent=world.sent[HOP],
         aside=[frames[1] for frames in aside if frames[0] == topic],
         # Within a tick a refusal by the decoder is told at once, one by the safety at its end.
-        events=sorted((one["kind"], one["reason"], one["seq"], one["stamp"]) for one in events),
+        events=sorted(
+            (one["kind"], one["reason"], one["seq"], one["stamp"]) for one in events
+        ),
         counted=(
             status.seq,
             status.ticks,

@@ -126,7 +126,9 @@ class World:
         tick = round((until - EPOCH) / TICK)
         # Waits for a deadline end at whole steps, see `_end_of`.
         is_start = until % _GRID == 0 and abs(until - EPOCH - tick * TICK) <= 2 * _GRID
-        self.now = max(self.now, until) + (1000 * self._late.get(tick, 0) if is_start else 0)
+        self.now = max(self.now, until) + (
+            1000 * self._late.get(tick, 0) if is_start else 0
+        )
 
     def is_ready(self) -> bool:
         """Whether a frame can be received."""
@@ -223,7 +225,9 @@ class ScriptedPublisher(Publisher):
         ]
 
         def sender(socket: int) -> Any:
-            return lambda frame, flags=0: world.send(socket, frame, bool(flags & zmq.SNDMORE))
+            return lambda frame, flags=0: world.send(
+                socket, frame, bool(flags & zmq.SNDMORE)
+            )
 
         self._hop, self._aside = sender(HOP), sender(ASIDE)
 
@@ -251,7 +255,8 @@ class ScriptedFunctions:
             for name, kinds in takes.items()
         }
         self.addresses = {
-            name: ctypes.cast(call, ctypes.c_void_p).value or 0 for name, call in self._kept.items()
+            name: ctypes.cast(call, ctypes.c_void_p).value or 0
+            for name, call in self._kept.items()
         }
 
     def _guarded(self, call: Callable[..., int]) -> Callable[..., int]:
@@ -277,7 +282,9 @@ class ScriptedFunctions:
 
     def zmq_send(self, socket: int, place: int, size: int, flags: int) -> int:
         """Send a frame."""
-        self._world.send(socket, ctypes.string_at(place, size), bool(flags & zmq.SNDMORE))
+        self._world.send(
+            socket, ctypes.string_at(place, size), bool(flags & zmq.SNDMORE)
+        )
         return size
 
     def zmq_getsockopt(self, socket: int, option: int, value: int, _: int) -> int:

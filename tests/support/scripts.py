@@ -18,7 +18,12 @@ BOX = ((-0.1, 0.1),) * 3
 TICKS = 120
 LAWS = {
     "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
-    "pd_filtered": {"kind": "pd_filtered", "stiffness": 500.0, "damping": 3.0, "cutoff": 60.0},
+    "pd_filtered": {
+        "kind": "pd_filtered",
+        "stiffness": 500.0,
+        "damping": 3.0,
+        "cutoff": 60.0,
+    },
 }
 KINDS: dict[str, tuple[type[Any], dict[str, Any]]] = {
     "environment": (Environment, {"surface": {"kind": "plane"}}),
@@ -26,7 +31,13 @@ KINDS: dict[str, tuple[type[Any], dict[str, Any]]] = {
     **{
         law: (
             Coupling,
-            {"law": law, "laws": LAWS, "memory": 16, "stability": "off", "figures": False},
+            {
+                "law": law,
+                "laws": LAWS,
+                "memory": 16,
+                "stability": "off",
+                "figures": False,
+            },
         )
         for law in LAWS
     },
@@ -43,7 +54,8 @@ def answer(seq: int, after: float = 600.0, force: Vector | None = None) -> Arriv
     """Return the answer to a tick, some microseconds after its start."""
     given = (0.0, 0.1, 1.0 + 0.05 * (seq * 3 % 7)) if force is None else force
     return Arrival(
-        at(seq, after), (topics.FORCE.encode(), encode(Force(seq=seq, stamp=0.0, force=given)))
+        at(seq, after),
+        (topics.FORCE.encode(), encode(Force(seq=seq, stamp=0.0, force=given))),
     )
 
 
@@ -63,7 +75,13 @@ def driver(
 ) -> Script:
     """Return the script of a driver; its first force has a ramp only if requested."""
     bears = DeviceLimits(
-        **{"peak_force": 8.0, "hold": 10.0, "workspace": BOX, "latency": 0.0, **(limits or {})}
+        **{
+            "peak_force": 8.0,
+            "hold": 10.0,
+            "workspace": BOX,
+            "latency": 0.0,
+            **(limits or {}),
+        }
     )
     return Script(
         ScriptedDriver,
@@ -98,7 +116,9 @@ def question(kind: str, seq: int, stamp: float) -> Message:
     )
 
 
-def follower(kind: str, coming: Sequence[tuple[int, float]], pace: str = "realtime") -> Script:
+def follower(
+    kind: str, coming: Sequence[tuple[int, float]], pace: str = "realtime"
+) -> Script:
     """Return the script of a node that follows ticks, one a period.
 
     Each question comes `late` µs after its period's start.
@@ -107,7 +127,8 @@ def follower(kind: str, coming: Sequence[tuple[int, float]], pace: str = "realti
     topic = made.listens_to[0].encode()
     arrivals = [
         Arrival(
-            at(place, late), (topic, encode(question(kind, seq, 1e-9 * (EPOCH + TICK * place))))
+            at(place, late),
+            (topic, encode(question(kind, seq, 1e-9 * (EPOCH + TICK * place)))),
         )
         for place, (seq, late) in enumerate(coming)
     ]

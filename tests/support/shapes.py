@@ -18,22 +18,38 @@ Array = NDArray[np.float64]
 def box_triangles(size: Any) -> Array:
     """Return the twelve triangles of a box about the origin, shape (12, 3, 3)."""
     corners = (
-        np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
+        np.array(
+            [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+        )
+        * size
     )
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    quads = [
+        (0, 1, 3, 2),
+        (4, 6, 7, 5),
+        (0, 4, 5, 1),
+        (2, 3, 7, 6),
+        (0, 2, 6, 4),
+        (1, 5, 7, 3),
+    ]
     return np.asarray(
-        corners[[face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])]], dtype=np.float64
+        corners[[face for a, b, c, d in quads for face in ([a, b, c], [a, c, d])]],
+        dtype=np.float64,
     )
 
 
-def wander(rng: np.random.Generator, ticks: int, step: float, limits: Any, start: Any) -> Array:
+def wander(
+    rng: np.random.Generator, ticks: int, step: float, limits: Any, start: Any
+) -> Array:
     """Return random steps of limited length, folded back into a box, shape (ticks, 3)."""
     way = rng.normal(size=(ticks, 3))
-    way *= rng.uniform(0.0, step, (ticks, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    way *= rng.uniform(0.0, step, (ticks, 1)) / np.linalg.norm(
+        way, axis=1, keepdims=True
+    )
     limits = np.asarray(limits, dtype=np.float64)
     far = np.cumsum(way, axis=0) + start + limits
     return np.asarray(
-        np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits, dtype=np.float64
+        np.abs((far + 2.0 * limits) % (4.0 * limits) - 2.0 * limits) - limits,
+        dtype=np.float64,
     )
 
 
@@ -57,10 +73,14 @@ def distance_to(solid: Solid, point: Array) -> float:
         return float(np.linalg.norm(np.maximum(over, 0.0)) + min(over.max(), 0.0))
     assert solid.kind == MESH
     assert solid.mesh is not None
-    return float(np.linalg.norm(point - nearest_on(solid.mesh.corners, point), axis=1).min())
+    return float(
+        np.linalg.norm(point - nearest_on(solid.mesh.corners, point), axis=1).min()
+    )
 
 
-def out_of_balance(solids: list[Solid], radius: float, proxy: Array, device: Array) -> float:
+def out_of_balance(
+    solids: list[Solid], radius: float, proxy: Array, device: Array
+) -> float:
     """Return the distance of a proxy from frictionless equilibrium [m].
 
     That is its deflection minus the nearest sum of pushes along the gradients of the distances of

@@ -17,6 +17,10 @@ def as_somebody_else(folder: Path) -> Iterator[Identity]:
     before = os.environ["HAPTIC_KEYS"]
     os.environ["HAPTIC_KEYS"] = str(folder)
     try:
-        yield keys.identity() if (folder / "identity.key").exists() else keys.new_identity()
+        yield (
+            keys.identity()
+            if (folder / "identity.key").exists()
+            else keys.new_identity()
+        )
     finally:
         os.environ["HAPTIC_KEYS"] = before

@@ -7,9 +7,26 @@ from typing import Any
 import msgspec
 from hypothesis import strategies as st
 
-from messages.types import DeviceState, Event, Force, Handle, Message, NodeStatus, Proxy, Receipt
+from messages.types import (
+    DeviceState,
+    Event,
+    Force,
+    Handle,
+    Message,
+    NodeStatus,
+    Proxy,
+    Receipt,
+)
 
-TYPES: tuple[type[Message], ...] = (DeviceState, Handle, Proxy, Force, NodeStatus, Receipt, Event)
+TYPES: tuple[type[Message], ...] = (
+    DeviceState,
+    Handle,
+    Proxy,
+    Force,
+    NodeStatus,
+    Receipt,
+    Event,
+)
 
 _SPAN = 1e15
 """Finite floats far beyond anything physical; ten of them still have a finite sum."""
@@ -20,7 +37,8 @@ def _values(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
         return st.floats(-_SPAN, _SPAN)
     if isinstance(info, msgspec.inspect.IntType):
         return st.integers(
-            -(2**63) if info.ge is None else info.ge, 2**63 - 1 if info.le is None else info.le
+            -(2**63) if info.ge is None else info.ge,
+            2**63 - 1 if info.le is None else info.le,
         )
     if isinstance(info, msgspec.inspect.StrType):
         return st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
@@ -28,7 +46,9 @@ def _values(info: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
         return st.booleans()
     if isinstance(info, msgspec.inspect.DictType):
         return st.dictionaries(
-            _values(info.key_type), _values(info.value_type), max_size=info.max_length or 8
+            _values(info.key_type),
+            _values(info.value_type),
+            max_size=info.max_length or 8,
         )
     assert isinstance(info, msgspec.inspect.TupleType)
     return st.tuples(*map(_values, info.item_types))
@@ -49,4 +69,6 @@ def messages(message_type: type[Message]) -> st.SearchStrategy[Any]:
     """
     info = msgspec.inspect.type_info(message_type)
     assert isinstance(info, msgspec.inspect.StructType)
-    return st.builds(message_type, **{field.name: _values(field.type) for field in info.fields})
+    return st.builds(
+        message_type, **{field.name: _values(field.type) for field in info.fields}
+    )

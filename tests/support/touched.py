@@ -26,7 +26,9 @@ class Touched:
         self.numbers, self.met, self.seq = numbers, array("d", [0.0] * MET), -1
 
     def at(
-        self, place: tuple[float, float, float], force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self,
+        place: tuple[float, float, float],
+        force: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> tuple[np.ndarray, bool]:
         """Return the deflection of the next tick [m], and whether anything is felt."""
         self.seq += 1

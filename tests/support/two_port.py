@@ -23,7 +23,9 @@ def held(
     return found[:2, :2], found[:2, 2]
 
 
-def loop_radius(coupling: TwoHands, devices: tuple[tuple[float, float, float], ...]) -> float:
+def loop_radius(
+    coupling: TwoHands, devices: tuple[tuple[float, float, float], ...]
+) -> float:
     """Return the largest pole of both devices with hands, delays as shift registers."""
     depth = (
         math.floor(max(max(row) for row in coupling.delays))

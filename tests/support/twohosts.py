@@ -88,7 +88,9 @@ class Host:
             )
             self.tun = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
             fcntl.ioctl(
-                self.tun, _TUNSETIFF, struct.pack("16sH22x", b"cable", _IFF_TUN | _IFF_NO_PI)
+                self.tun,
+                _TUNSETIFF,
+                struct.pack("16sH22x", b"cable", _IFF_TUN | _IFF_NO_PI),
             )
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
 
@@ -108,7 +110,13 @@ class Host:
         """Whether processes of this host get the requested clock; not every kernel supports it."""
         with contextlib.suppress(OSError):
             self._set_clock_of_children(libc)
-        words = [sys.executable, "-S", "-E", "-c", "import time; print(time.monotonic())"]
+        words = [
+            sys.executable,
+            "-S",
+            "-E",
+            "-c",
+            "import time; print(time.monotonic())",
+        ]
         told = subprocess.run(words, capture_output=True, check=True, text=True).stdout
         return float(told) > time.monotonic() + self.ahead / 2.0
 
@@ -201,7 +209,11 @@ class Cable(threading.Thread):
     """
 
     def __init__(
-        self, hosts: tuple[Host, Host], delay: float = 0.0, jitter: float = 0.0, loss: float = 0.0
+        self,
+        hosts: tuple[Host, Host],
+        delay: float = 0.0,
+        jitter: float = 0.0,
+        loss: float = 0.0,
     ) -> None:
         super().__init__(daemon=True, name="cable")
         self._ends = (hosts[0].tun, hosts[1].tun)
@@ -216,7 +228,11 @@ class Cable(threading.Thread):
         under_way: list[tuple[float, int, int, bytes]] = []
         number = 0
         while not self._closing.is_set():
-            wait = min(0.1, max(0.0, under_way[0][0] - time.monotonic())) if under_way else 0.1
+            wait = (
+                min(0.1, max(0.0, under_way[0][0] - time.monotonic()))
+                if under_way
+                else 0.1
+            )
             ready, _, _ = select.select(self._ends, (), (), wait)
             for end in ready:
                 packet = os.read(end, 65536)
@@ -224,8 +240,12 @@ class Cable(threading.Thread):
                     self.lost += 1
                     continue
                 number += 1
-                due = time.monotonic() + self.delay + self.jitter * self._random.random()
-                heapq.heappush(under_way, (due, number, self._ends[end == self._ends[0]], packet))
+                due = (
+                    time.monotonic() + self.delay + self.jitter * self._random.random()
+                )
+                heapq.heappush(
+                    under_way, (due, number, self._ends[end == self._ends[0]], packet)
+                )
             while under_way and under_way[0][0] <= time.monotonic():
                 _, _, sink, packet = heapq.heappop(under_way)
                 # A full device drops packets, as a full switch does.

@@ -46,17 +46,26 @@ class Whole:
             summary = make_reader(stream, validate_crcs=True).get_summary()
             assert summary is not None
             self.ends = [(0, 0)]
-            self.starts = sorted(index.chunk_start_offset for index in summary.chunk_indexes)
-            for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+            self.starts = sorted(
+                index.chunk_start_offset for index in summary.chunk_indexes
+            )
+            for index in sorted(
+                summary.chunk_indexes, key=lambda index: index.chunk_start_offset
+            ):
                 stream.seek(index.chunk_start_offset)
-                chunk = next(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
+                chunk = next(
+                    StreamReader(stream, skip_magic=True, emit_chunks=True).records
+                )
                 assert isinstance(chunk, Chunk)
                 count = sum(
                     isinstance(record, RawMessage)
                     for record in breakup_chunk(chunk, validate_crc=True)
                 )
                 self.ends.append(
-                    (index.chunk_start_offset + index.chunk_length, self.ends[-1][1] + count)
+                    (
+                        index.chunk_start_offset + index.chunk_length,
+                        self.ends[-1][1] + count,
+                    )
                 )
         assert self.ends[-1][1] == len(self.sent)
         assert len(self.ends) > 4

@@ -65,16 +65,21 @@ def make_encode(
     count = len(fields)
     if offsets:
         fields = tuple(
-            field._replace(slot=offset) for field, offset in zip(fields, offsets, strict=True)
+            field._replace(slot=offset)
+            for field, offset in zip(fields, offsets, strict=True)
         )
     kinds, slots, sizes = (
         np.array(row)
-        for row in zip(*((f.kind, f.slot, 1 + len(f.name)) for f in fields), strict=True)
+        for row in zip(
+            *((f.kind, f.slot, 1 + len(f.name)) for f in fields), strict=True
+        )
     )
     real, vector, whole, flag = REAL, VECTOR, WHOLE, FLAG
 
     @compilable
-    def encode(at: int, keys: int, reals: Any, wholes: Any, text: int, text_size: int) -> int:
+    def encode(
+        at: int, keys: int, reals: Any, wholes: Any, text: int, text_size: int
+    ) -> int:
         if count < 16:
             put_byte(at, 0x80 | count)
             at += 1

@@ -30,7 +30,9 @@ def overtaken(s: LoopState, stamp: float) -> bool:
 
     The node then continues with the newest.
     """
-    if s.realtime == 0 or (s.skipping == 0 and monotonic(s) + s.clock_offset - stamp <= s.period):
+    if s.realtime == 0 or (
+        s.skipping == 0 and monotonic(s) + s.clock_offset - stamp <= s.period
+    ):
         return False
     s.skipping = 1 if has_message(s, s.inbox) else 0
     if s.skipping != 0:

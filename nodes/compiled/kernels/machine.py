@@ -42,7 +42,9 @@ def _made(result: Any, takes: Sequence[Any], generate: Callable[..., Any]) -> In
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         made = generate(context, builder, *arguments)
-        return context.get_dummy_value() if signature.return_type == types.void else made
+        return (
+            context.get_dummy_value() if signature.return_type == types.void else made
+        )
 
     def _of_one(typing: Any, value: Any) -> Any:  # noqa: ARG001
         return result(*takes), build
@@ -66,7 +68,9 @@ def _load(bits: int, result: Any) -> Intrinsic:
         if result == types.int64:
             return value if bits == 64 else builder.zext(value, ir.IntType(64))
         if bits == 32:
-            return builder.fpext(builder.bitcast(value, ir.FloatType()), ir.DoubleType())
+            return builder.fpext(
+                builder.bitcast(value, ir.FloatType()), ir.DoubleType()
+            )
         return builder.bitcast(value, ir.DoubleType())
 
     return _made(result, [types.int64], generate)
@@ -91,7 +95,9 @@ def _store(bits: int, takes: Any) -> Intrinsic:
 byte, be16, be32, be64 = (_load(bits, types.int64) for bits in (8, 16, 32, 64))
 real32 = _load(32, types.float64)
 real64 = _load(64, types.float64)
-put_byte, put_be16, put_be32, put_be64 = (_store(bits, types.int64) for bits in (8, 16, 32, 64))
+put_byte, put_be16, put_be32, put_be64 = (
+    _store(bits, types.int64) for bits in (8, 16, 32, 64)
+)
 put_real = _store(64, types.float64)
 
 
@@ -102,7 +108,9 @@ def _shared(result: Any) -> Intrinsic:
         value = builder.load_atomic(
             builder.inttoptr(address, ir.IntType(64).as_pointer()), "acquire", 8
         )
-        return value if result == types.int64 else builder.bitcast(value, ir.DoubleType())
+        return (
+            value if result == types.int64 else builder.bitcast(value, ir.DoubleType())
+        )
 
     return _made(result, [types.int64], generate)
 

@@ -15,9 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from messages.types import Message
-from nodes.compiled.kernels.machine import be16, be32, be64, byte, compilable, real32, real64
+from nodes.compiled.kernels.machine import (
+    be16,
+    be32,
+    be64,
+    byte,
+    compilable,
+    real32,
+    real64,
+)
 from nodes.compiled.layout import TEXTS
-from nodes.compiled.message_fields import FLAG, REAL, TEXT, VECTOR, WHOLE, Field, fields_of
+from nodes.compiled.message_fields import (
+    FLAG,
+    REAL,
+    TEXT,
+    VECTOR,
+    WHOLE,
+    Field,
+    fields_of,
+)
 
 # arrays and maps skipped under unknown keys; deeper ones may be refused
 MOST_SKIPPED = 32

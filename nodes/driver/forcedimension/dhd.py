@@ -95,14 +95,18 @@ _ID: Final = c_char
 _D: Final = POINTER(c_double)
 
 FUNCTIONS: Final[Functions] = {  # the functions used
-    **dict.fromkeys(("dhdErrorGetLast", "dhdGetDeviceCount", "dhdEnableExpertMode"), (c_int, [])),
+    **dict.fromkeys(
+        ("dhdErrorGetLast", "dhdGetDeviceCount", "dhdEnableExpertMode"), (c_int, [])
+    ),
     **dict.fromkeys(("dhdOpenID", "dhdClose", "dhdStop"), (c_int, [_ID])),
     **dict.fromkeys(("dhdEnableForce", "dhdSetWatchdog"), (c_int, [c_ubyte, _ID])),
     **dict.fromkeys(
         ("dhdSetEffectorMass", "dhdSetBaseAngleXDeg", "dhdSetBaseAngleZDeg"),
         (c_int, [c_double, _ID]),
     ),
-    **dict.fromkeys(("dhdGetPosition", "dhdGetLinearVelocity"), (c_int, [_D, _D, _D, _ID])),
+    **dict.fromkeys(
+        ("dhdGetPosition", "dhdGetLinearVelocity"), (c_int, [_D, _D, _D, _ID])
+    ),
     **dict.fromkeys(("dhdHasWrist", "dhdHasGripper"), (c_bool, [_ID])),
     **dict.fromkeys(("dhdGetGripperGap", "dhdGetJointAngles"), (c_int, [_D, _ID])),
     "dhdGetSDKVersionStr": (c_char_p, []),
@@ -172,18 +176,29 @@ def load_library(name: str) -> Any:
 def _linked(archive: Path) -> Any:
     """Return a static library linked into a shared one."""
     usb = find(
-        "libusb-1.0.so.0", ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu")
+        "libusb-1.0.so.0",
+        ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu"),
     )
     if usb.library is not None:
-        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)  # the archive needs its functions
+        ctypes.CDLL(
+            usb.library, mode=ctypes.RTLD_GLOBAL
+        )  # the archive needs its functions
     with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
         stubs = Path(folder) / "stubs.c"
         stubs.write_text(_stubs(archive), encoding="ascii")
-        whole: list[str | Path] = ["-Wl,--whole-archive", archive, "-Wl,--no-whole-archive", stubs]
+        whole: list[str | Path] = [
+            "-Wl,--whole-archive",
+            archive,
+            "-Wl,--no-whole-archive",
+            stubs,
+        ]
         options = [*whole, "-lstdc++", "-lpthread", "-lm"]
         try:
             return shared_library(
-                f"linked-{archive.stem}.so", [archive], options, f"a library of {archive}"
+                f"linked-{archive.stem}.so",
+                [archive],
+                options,
+                f"a library of {archive}",
             )
         except OSError as error:
             name = _missing_symbol(error)
@@ -222,9 +237,14 @@ def _stubs(archive: Path) -> str:
         *_, kind, name = line.split() if len(line.split()) >= 2 else ("", "", "")
         if kind in ("U", "T", "D", "B", "R", "W"):
             names["U" if kind == "U" else "T"].add(name)
-    missing = sorted(name for name in names["U"] - names["T"] if "forcedimension6logger" in name)
+    missing = sorted(
+        name for name in names["U"] - names["T"] if "forcedimension6logger" in name
+    )
     # weak, and sufficient for a number as for a function without a result
     return (
-        "".join(f"__attribute__((weak)) long {name}(void) {{ return 0; }}\n" for name in missing)
+        "".join(
+            f"__attribute__((weak)) long {name}(void) {{ return 0; }}\n"
+            for name in missing
+        )
         or "int unused;\n"
     )

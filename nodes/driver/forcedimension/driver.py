@@ -21,7 +21,11 @@ from nodes.driver.device import Workspace
 from nodes.driver.forcedimension import dhd as sdk
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.inertia import Inertia
-from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, ServoParameters
+from nodes.driver.hardware.mailbox import (
+    HardwareParameters,
+    MailboxDevice,
+    ServoParameters,
+)
 from nodes.parameters.paths import LocalPath
 
 
@@ -134,7 +138,9 @@ class ForceDimensionDevice(MailboxDevice):
         self.facts = {
             "model": name.decode(errors="replace") if name else "unknown",
             "serial": str(serial),
-            "firmware": version.value.decode(errors="replace") if has_version else "unknown",
+            "firmware": version.value.decode(errors="replace")
+            if has_version
+            else "unknown",
             "sdk": self._sdk(),
             # A limit set in the library, not a property of the device; −1: none, or no answer.
             "force_limit_n": float(dhd.dhdGetMaxForce(self._id)),
@@ -143,7 +149,8 @@ class ForceDimensionDevice(MailboxDevice):
         if wants.watchdog > 0.0:
             units = min(255, int(wants.watchdog / sdk.WATCHDOG_UNIT))
             has_watchdog = (
-                dhd.dhdEnableExpertMode() >= 0 and dhd.dhdSetWatchdog(units, self._id) >= 0
+                dhd.dhdEnableExpertMode() >= 0
+                and dhd.dhdSetWatchdog(units, self._id) >= 0
             )
         self.facts["watchdog"] = (
             f"{wants.watchdog:g} s" if has_watchdog else f"none ({self._last()})"
@@ -153,7 +160,13 @@ class ForceDimensionDevice(MailboxDevice):
         # The thread's deadline acts while the process lives; the firmware's, when it does not.
         hold = max(wants.deadline, wants.watchdog) if has_watchdog else math.inf
         continuous = min(peak, wants.continuous_force or peak)
-        self.prepare(peak, continuous, wants.workspace, hold=hold, opening=wants.ready_time + 10.0)
+        self.prepare(
+            peak,
+            continuous,
+            wants.workspace,
+            hold=hold,
+            opening=wants.ready_time + 10.0,
+        )
 
     def _serial(self) -> int:
         number = ctypes.c_ushort()
@@ -162,7 +175,11 @@ class ForceDimensionDevice(MailboxDevice):
 
     def _sdk(self) -> str:
         text = self._dhd.dhdGetSDKVersionStr()
-        return f"SDK {text.decode(errors='replace')}" if text else "an SDK without a version"
+        return (
+            f"SDK {text.decode(errors='replace')}"
+            if text
+            else "an SDK without a version"
+        )
 
     def _last(self) -> str:
         return sdk.error_text(self._dhd.dhdErrorGetLast())
@@ -191,7 +208,9 @@ class ForceDimensionDevice(MailboxDevice):
         there = {"get_orientation": has_wrist, "get_gripper": has_gripper}
         for field, name in sdk.SERVO_CALLS.items():
             if there.get(field, True):
-                setattr(servo, field, ctypes.cast(getattr(dhd, name), ctypes.c_void_p).value)
+                setattr(
+                    servo, field, ctypes.cast(getattr(dhd, name), ctypes.c_void_p).value
+                )
         servo.device = self._id[0]
         servo.period = 1.0 / wants.servo_rate
         if error := self._code.servo_start(ctypes.byref(servo)):
@@ -219,7 +238,9 @@ class ForceDimensionDevice(MailboxDevice):
         """End the servo loop, set forces off and close the device; also after a partial failure."""
         if self._id is None:
             return
-        if self._shared is not None and self._code.servo_end(ctypes.byref(self._shared)):
+        if self._shared is not None and self._code.servo_end(
+            ctypes.byref(self._shared)
+        ):
             raise OSError(
                 "Force Dimension: a call of the device does not return; its watchdog cuts the"
                 " forces"
@@ -237,7 +258,9 @@ class ForceDimensionDevice(MailboxDevice):
         """Return why the device gives no force."""
         cause = int(self._box.condition)
         return (
-            sdk.CONDITIONS.get(cause, f"the device says that forces are off (cause {cause})")
+            sdk.CONDITIONS.get(
+                cause, f"the device says that forces are off (cause {cause})"
+            )
             if cause
             else ""
         )
@@ -253,7 +276,10 @@ class ForceDimensionDevice(MailboxDevice):
             known = bool(self._code.servo_joints(ctypes.byref(self._shared), joints))
         else:
             known = self._dhd.dhdGetJointAngles(joints, self._id) >= 0
-        if not known or self._dhd.dhdJointAnglesToInertiaMatrix(joints, matrix, self._id) < 0:
+        if (
+            not known
+            or self._dhd.dhdJointAnglesToInertiaMatrix(joints, matrix, self._id) < 0
+        ):
             return None
         return inertia_in_scene(np.reshape(matrix, (6, 6))[:3, :3], self.turn)
 

@@ -36,7 +36,12 @@ from nodes.driver.haply.service import (
 )
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.libraries import Search
-from nodes.driver.hardware.mailbox import SAMPLE, HardwareParameters, MailboxDevice, ServoParameters
+from nodes.driver.hardware.mailbox import (
+    SAMPLE,
+    HardwareParameters,
+    MailboxDevice,
+    ServoParameters,
+)
 
 COLD_START: Final = 25.0  # start time of the service, by the vendor's guide [s]
 CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE, UNREADABLE, SURPLUS, BROKEN = range(1, 9)
@@ -60,12 +65,16 @@ ERRORS: Final = {
 }
 # force from which its effect is checked, and that other sessions may add [N]
 ASKED: Final = 0.1
-FORCELESS_AFTER: Final = 0.3  # time without an effect after which forces count as refused [s]
+FORCELESS_AFTER: Final = (
+    0.3  # time without an effect after which forces count as refused [s]
+)
 SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
 """Surplus answers tolerated at once, and per second [1/s]; each was one round trip old."""
 
 
-class Inverse3Parameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class Inverse3Parameters(
+    ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the device.
 
     serial: Its identifier in the service (``device_id``); empty for the first one.
@@ -128,13 +137,20 @@ class Inverse3Device(MailboxDevice):
         wants = parameters.inverse3
         address = f"ws://{wants.host}:{wants.port}"
         version = ask(wants.host, wants.port, "/version")
-        return Search(None if version is None else f"the Inverse Service {version}", (address,))
+        return Search(
+            None if version is None else f"the Inverse Service {version}", (address,)
+        )
 
     def connect(self) -> None:
         """Prepare the mailbox; the service is not needed yet."""
         wants = self._wants
         continuous = min(wants.peak_force, wants.continuous_force)
-        self.prepare(wants.peak_force, continuous, wants.workspace, opening=wants.start_time + 10.0)
+        self.prepare(
+            wants.peak_force,
+            continuous,
+            wants.workspace,
+            opening=wants.start_time + 10.0,
+        )
         code = self._code
         doubles = ctypes.POINTER(ctypes.c_double)
         code.mailbox_force.argtypes = [ctypes.c_void_p, doubles, ctypes.c_int]
@@ -153,7 +169,13 @@ class Inverse3Device(MailboxDevice):
         while self._socket is None:
             try:
                 self._socket = self._dial(address)
-            except (OSError, ConnectionClosed, InvalidHandshake, ValueError, TimeoutError) as error:
+            except (
+                OSError,
+                ConnectionClosed,
+                InvalidHandshake,
+                ValueError,
+                TimeoutError,
+            ) as error:
                 why = str(error)
                 if time.monotonic() > begun + wants.start_time:
                     raise OSError(
@@ -174,7 +196,9 @@ class Inverse3Device(MailboxDevice):
             socket = dialled.enter_context(_connection(address))
             found = read(socket.recv(timeout=2.0)).inverse3
             names = [device.device_id for device in found]
-            chosen = [device for device in found if wants.serial in ("", device.device_id)]
+            chosen = [
+                device for device in found if wants.serial in ("", device.device_id)
+            ]
             if not chosen:
                 asked = (
                     f"no Inverse3 {wants.serial}; available: {', '.join(names)}"
@@ -208,8 +232,13 @@ class Inverse3Device(MailboxDevice):
         """Wait for the service, start the exchange, and enable forces, at zero."""
         self.identify()
         self._ending.clear()
-        for work in (self._exchange, *([self._listen] if self._wants.events_port else [])):
-            thread = threading.Thread(target=work, name=f"inverse3 {work.__name__}", daemon=True)
+        for work in (
+            self._exchange,
+            *([self._listen] if self._wants.events_port else []),
+        ):
+            thread = threading.Thread(
+                target=work, name=f"inverse3 {work.__name__}", daemon=True
+            )
             thread.start()
             self._threads.append(thread)
         self.await_samples()
@@ -261,7 +290,12 @@ class Inverse3Device(MailboxDevice):
                 continue
             first = owed = self._unreadable = False
             state = next(
-                (device.state for device in answered.inverse3 if device.device_id == self._id), None
+                (
+                    device.state
+                    for device in answered.inverse3
+                    if device.device_id == self._id
+                ),
+                None,
             )
             blind = state is None
             if state is None:
@@ -272,7 +306,9 @@ class Inverse3Device(MailboxDevice):
                 self._publish_sample(state, answered)
                 given = state.current_cursor_force.numbers()
                 self._others = (
-                    tuple(a - b for a, b in zip(given, wanted, strict=True)) if acts else given  # type: ignore[assignment]
+                    tuple(a - b for a, b in zip(given, wanted, strict=True))
+                    if acts
+                    else given  # type: ignore[assignment]
                 )
                 acting = max(map(abs, given)) > 0.0
                 taken = max(map(abs, wanted)) < ASKED or acting
@@ -299,7 +335,9 @@ class Inverse3Device(MailboxDevice):
             turn.z,
             turn.w,
         )
-        self._code.mailbox_sampled(self._at, (ctypes.c_double * SAMPLE)(*seen, 0.0, float(pressed)))
+        self._code.mailbox_sampled(
+            self._at, (ctypes.c_double * SAMPLE)(*seen, 0.0, float(pressed))
+        )
         self._code.mailbox_ticked(self._at)
 
     def _newest(self, socket: ClientConnection, answer: str | bytes) -> str | bytes:
@@ -315,7 +353,10 @@ class Inverse3Device(MailboxDevice):
                 return answer
             now = time.monotonic()
             self._forgiven = (
-                min(SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE) - 1.0
+                min(
+                    SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE
+                )
+                - 1.0
             )
             self._surplus += 1
             self._counted = now
@@ -393,7 +434,9 @@ class Inverse3Device(MailboxDevice):
 
 def _connection(address: str) -> AbstractContextManager[ClientConnection]:
     """Return a connection without compression and without any proxy of the environment."""
-    return connect(address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None)
+    return connect(
+        address, open_timeout=2.0, close_timeout=0.5, compression=None, proxy=None
+    )
 
 
 class Inverse3Driver(HardwareDriver):

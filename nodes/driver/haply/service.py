@@ -18,7 +18,9 @@ from messages.types import Vector
 
 PROFILE: Final = "haptic-nodes"
 MAX_BUTTONS: Final = 32  # largest number of buttons of a grip
-REMEDY: Final = "install and start Haply's Inverse Service 3.5, and plug the Inverse3 in"
+REMEDY: Final = (
+    "install and start Haply's Inverse Service 3.5, and plug the Inverse3 in"
+)
 
 
 class _Vector(msgspec.Struct):
@@ -88,7 +90,9 @@ def buttons(service_state: ServiceMessage) -> tuple[int, bool]:
         return 0, False
     pressed = service_state.wireless_verse_grip[0].state.get("buttons", {})
     names = sorted(pressed) if isinstance(pressed, dict) else []
-    bits = sum(1 << n for n, name in enumerate(names[:MAX_BUTTONS]) if pressed[name] is True)
+    bits = sum(
+        1 << n for n, name in enumerate(names[:MAX_BUTTONS]) if pressed[name] is True
+    )
     return bits, len(names) > MAX_BUTTONS
 
 
@@ -99,7 +103,9 @@ def command(device: str, force: Vector | None, first: bool = False) -> str:
     else:
         # ``vector`` since 3.5; 3.1 had ``values`` and would apply no force, which the driver
         # checks.
-        commands = {"set_cursor_force": {"vector": dict(zip("xyz", force, strict=True))}}
+        commands = {
+            "set_cursor_force": {"vector": dict(zip("xyz", force, strict=True))}
+        }
     said: dict[str, Any] = {"inverse3": [{"device_id": device, "commands": commands}]}
     if first:
         said["session"] = {"configure": {"profile": {"name": PROFILE}}}
@@ -110,7 +116,9 @@ def ask(host: str, port: int, path: str) -> Any:
     """Return the answer of the service's HTTP side, or None; older versions lack some."""
     try:
         # http only
-        with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=1.0) as answer:
+        with urllib.request.urlopen(
+            f"http://{host}:{port}{path}", timeout=1.0
+        ) as answer:
             service_state = json.loads(answer.read(1 << 20))
     except (OSError, ValueError, RecursionError, urllib.error.URLError):
         return None

@@ -77,7 +77,8 @@ class HardwareDriver(Driver):
             # a device's code, in a separate thread: the loop continues
             except Exception as error:  # noqa: BLE001
                 self.events.emit(
-                    "device", f"the handle cannot be read and is not published any more: {error}"
+                    "device",
+                    f"the handle cannot be read and is not published any more: {error}",
                 )
                 return
             if handle is None:
@@ -87,7 +88,9 @@ class HardwareDriver(Driver):
             if seen != last or silent * HANDLE_PERIOD >= 1.0:
                 last = seen
                 silent = 0
-                message = Handle(seq=self.counted().seq, stamp=self.clock.now(), **handle._asdict())
+                message = Handle(
+                    seq=self.counted().seq, stamp=self.clock.now(), **handle._asdict()
+                )
                 self.events.publish(self.setup.topic(topics.HANDLE), message)
 
     def condition(self) -> str:
@@ -120,7 +123,8 @@ class HardwareDriver(Driver):
                 )
             moved = self.held.recentre()
             set_workspace(
-                self.driving, lower(self.store.current.safety, self.held.limits, self.setup.period)
+                self.driving,
+                lower(self.store.current.safety, self.held.limits, self.setup.period),
             )
             return {"moved_m": list(moved)}
 

@@ -18,7 +18,9 @@ from messages.types import Vector
 Inertia = tuple[Vector, Vector, Vector]
 
 
-def masses_along(inertia: Sequence[Sequence[float]]) -> tuple[Vector, tuple[float, float]]:
+def masses_along(
+    inertia: Sequence[Sequence[float]],
+) -> tuple[Vector, tuple[float, float]]:
     """Return the mass along x, y and z, and the extremes over all directions [kg].
 
     Raises ValueError if the inertia is invalid.

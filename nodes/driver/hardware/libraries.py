@@ -25,7 +25,9 @@ def find(name: str, folders: Sequence[str]) -> Search:
     if "/" in name:
         return Search(name if Path(name).exists() else None, (name,))
     loader = [
-        folder for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep) if folder
+        folder
+        for folder in os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+        if folder
     ]
     places = [str(Path(folder) / name) for folder in (*loader, *folders)]
     library = next((place for place in places if Path(place).exists()), None)
@@ -34,13 +36,17 @@ def find(name: str, folders: Sequence[str]) -> Search:
     return Search(library, ("the dynamic linker's cache", *places))
 
 
-def load(name: str, folders: Sequence[str], remedy: str, what: str, functions: Functions) -> Any:
+def load(
+    name: str, folders: Sequence[str], remedy: str, what: str, functions: Functions
+) -> Any:
     """Load a library and declare its functions; OSError if it is missing or another one."""
     found = find(name, folders)
     try:
         library: Any = ctypes.CDLL(found.library or name)
     except OSError as error:
-        searched = "; looked in " + ", ".join(found.searched) if found.library is None else ""
+        searched = (
+            "; looked in " + ", ".join(found.searched) if found.library is None else ""
+        )
         raise OSError(
             f"{name} cannot be loaded ({error}{searched}): {remedy}; without a device, use kind"
             " sim_driver"

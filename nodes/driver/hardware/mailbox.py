@@ -33,7 +33,9 @@ FAULT, STALLED, UNREAD = 1, 2, 3
 # time without a sample after which a device counts as lost [s]; until then there is no force
 LOST: Final = 0.8
 SAMPLE: Final = 12
-SILENCE: Final = 0.1  # longest watchdog that a launch file may set for these devices [s]
+SILENCE: Final = (
+    0.1  # longest watchdog that a launch file may set for these devices [s]
+)
 
 # mailboxes of servo loops that may hang, which must not write into freed memory
 _kept: Final[list[Any]] = []
@@ -50,7 +52,9 @@ class Mailbox(ctypes.Structure):
         ("turn", ctypes.c_double * 9),
         ("unit", ctypes.c_double),
         ("origin", ctypes.c_double * 3),
-        *_named(ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"),
+        *_named(
+            ctypes.c_double, "deadline", "patience", "peak", "reach", "back", "recovery"
+        ),
         *(("clutch", ctypes.c_int64), ("commands", ctypes.c_uint)),
         ("force", ctypes.c_double * 4),
         *_named(ctypes.c_uint, "stop", "jumps", "told"),
@@ -68,7 +72,9 @@ class Mailbox(ctypes.Structure):
     ]
 
 
-class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class HardwareParameters(
+    DriverParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of every driver of a real device.
 
     mapping: From the device into the scene; see nodes/driver/hardware/mapping.py.
@@ -77,7 +83,9 @@ class HardwareParameters(DriverParameters, frozen=True, forbid_unknown_fields=Tr
     mapping: Mapping = Mapping()
 
 
-class ServoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ServoParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of a servo loop.
 
     servo_rate: Its rate [Hz]; a device that refuses it uses its own.
@@ -122,7 +130,9 @@ class MailboxDevice(ABC):
         self._waits = ""
         # limits in the scene, known after `connect`
         self.limits = DeviceLimits()
-        self.turn = matrix(parameters.mapping, self.AXES)  # from the device's axes into the scene's
+        self.turn = matrix(
+            parameters.mapping, self.AXES
+        )  # from the device's axes into the scene's
         self._code: Any = None
         self._shared: Any = None
         self._box: Any = None
@@ -244,7 +254,9 @@ class MailboxDevice(ABC):
             if self._box.fault or time.monotonic() > until:
                 error = self._box.fault or self._box.error
                 why = f": {self.error_text(error)}" if error else "; restart it"
-                raise OSError(f"{self.TITLE}: no sample from the device within 2 s{why}")
+                raise OSError(
+                    f"{self.TITLE}: no sample from the device within 2 s{why}"
+                )
             time.sleep(0.001)
         if self.parameters.mapping.recentre:
             self.recentre()
@@ -260,7 +272,9 @@ class MailboxDevice(ABC):
         centre = mapping.centre
         x, y, z = (c - at for c, at in zip(centre, here, strict=True))
         if not math.isfinite(x + y + z):
-            raise OSError(f"{self.TITLE}: the device gives no position; it cannot be re-centred")
+            raise OSError(
+                f"{self.TITLE}: the device gives no position; it cannot be re-centred"
+            )
         for i, step in enumerate((x, y, z)):
             self._box.origin[i] += step
         self._box.jumps += 1
@@ -305,7 +319,9 @@ class MailboxDevice(ABC):
     def calls(self) -> Calls:
         """Return the calls of the mailbox in C."""
         both = self._code.device_read, self._code.device_write
-        read, write = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in both)
+        read, write = (
+            ctypes.cast(function, ctypes.c_void_p).value or 0 for function in both
+        )
         return Calls(read, write, self._at)
 
     def handle(self) -> HandleSample | None:
@@ -317,7 +333,9 @@ class MailboxDevice(ABC):
         x, y, z = (self.UNIT * rows @ sample[3:6]).tolist()
         # The axis of a rotation transforms like a position.
         a, b, c = (rows @ sample[6:9] / self.parameters.mapping.scale).tolist()
-        return HandleSample((a, b, c, sample[9]), sample[10], int(sample[11]), (x, y, z))
+        return HandleSample(
+            (a, b, c, sample[9]), sample[10], int(sample[11]), (x, y, z)
+        )
 
     def inertia(self) -> tuple[Vector, Vector, Vector] | None:
         """Return the inertia that forces of the scene move at this position [kg], or None."""

@@ -50,7 +50,9 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     def __post_init__(self) -> None:
         if self.axes is not None and len({name[1] for name in self.axes}) != 3:
-            raise ValueError(f"axes is {list(self.axes)}: each of x, y and z must stand in it once")
+            raise ValueError(
+                f"axes is {list(self.axes)}: each of x, y and z must stand in it once"
+            )
         if self.axes is not None and np.linalg.det(_rows(self.axes)) < 0.0:
             raise ValueError(
                 f"axes is {list(self.axes)}: a mirror of the scene; turn one sign round, or"
@@ -61,7 +63,10 @@ class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 def _rows(names: Sequence[str]) -> NDArray[np.float64]:
     return np.array(
         [
-            [(1.0 if name[0] == "+" else -1.0) * (letter == name[1]) for letter in "xyz"]
+            [
+                (1.0 if name[0] == "+" else -1.0) * (letter == name[1])
+                for letter in "xyz"
+            ]
             for name in names
         ]
     )
@@ -70,7 +75,9 @@ def _rows(names: Sequence[str]) -> NDArray[np.float64]:
 def _cosine_sine(degrees: float) -> tuple[float, float]:
     """Return cosine and sine of an angle, exact at right angles, so that axes stay exact."""
     if degrees % 90.0 == 0.0:
-        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[int(degrees // 90.0) % 4]
+        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[
+            int(degrees // 90.0) % 4
+        ]
     angle = math.radians(degrees)
     return math.cos(angle), math.sin(angle)
 
@@ -96,7 +103,10 @@ def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> Devic
     worst = float(np.abs(rows).sum(axis=0).max())
     # an unused axis adds nothing, even if it is unbounded
     ends = np.multiply(
-        rows[:, :, None], limits.workspace, out=np.zeros((3, 3, 2)), where=rows[:, :, None] != 0.0
+        rows[:, :, None],
+        limits.workspace,
+        out=np.zeros((3, 3, 2)),
+        where=rows[:, :, None] != 0.0,
     )
     low = ends.min(axis=2).sum(axis=1)
     high = ends.max(axis=2).sum(axis=1)
@@ -104,7 +114,10 @@ def limits_in_scene(limits: DeviceLimits, mapping: Mapping, turn: Turn) -> Devic
     beyond = (mapping.reach if mapping.clutch is not None else 0.0) + (
         high - low if mapping.recentre else 0.0
     )
-    workspace = np.stack([low - beyond, high + beyond], axis=1) + np.array(mapping.centre)[:, None]
+    workspace = (
+        np.stack([low - beyond, high + beyond], axis=1)
+        + np.array(mapping.centre)[:, None]
+    )
     return msgspec.structs.replace(
         limits,
         peak_force=limits.peak_force / worst,

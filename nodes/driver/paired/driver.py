@@ -27,7 +27,9 @@ from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 
 
-class PairedMember(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class PairedMember(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """One device of the pair.
 
     kind: Kind of driver.
@@ -105,7 +107,8 @@ class PairedDevice:
         """The lower of each limit; as workspace, all possible differences of positions."""
         a, b = self._device_limits
         x, y, z = (
-            (p[0] - q[1], p[1] - q[0]) for p, q in zip(a.workspace, b.workspace, strict=True)
+            (p[0] - q[1], p[1] - q[0])
+            for p, q in zip(a.workspace, b.workspace, strict=True)
         )
         workspace: Workspace = (x, y, z)
         known = None not in (a.latency, b.latency)
@@ -117,7 +120,9 @@ class PairedDevice:
             # No force remains once the later device has let go; after the earlier one, a single
             # device is left.
             hold=max(a.hold, b.hold),
-            lets_go=min(one.hold if one.lets_go is None else one.lets_go for one in (a, b)),
+            lets_go=min(
+                one.hold if one.lets_go is None else one.lets_go for one in (a, b)
+            ),
             latency=max(a.latency or 0.0, b.latency or 0.0) if known else None,
             opening=a.opening + b.opening,
             closing=a.closing + b.closing,
@@ -148,7 +153,9 @@ class PairedDevice:
             return apart
         return self._aligned(apart, seq, was_known, self._alignment)
 
-    def _aligned(self, apart: Vector, seq: int, was_known: bool, alignment: Alignment) -> Vector:
+    def _aligned(
+        self, apart: Vector, seq: int, was_known: bool, alignment: Alignment
+    ) -> Vector:
         """Return the position of the pair: the devices' distance less an offset that decreases."""
         if self._read_at < 0 and max(map(abs, apart)) > alignment.apart:
             raise OSError(
@@ -157,7 +164,9 @@ class PairedDevice:
             )
         x, y, z = self._offset
         if not was_known:
-            x, y, z = (now - before for now, before in zip(apart, self._place, strict=True))
+            x, y, z = (
+                now - before for now, before in zip(apart, self._place, strict=True)
+            )
             self.met_apart = math.hypot(x, y, z)
         else:
             size = math.hypot(x, y, z)
@@ -174,7 +183,9 @@ class PairedDevice:
         for name, place, limits in zip(
             ("first", "second"), self.places, self._device_limits, strict=True
         ):
-            for axis, at, (low, high) in zip("xyz", place, limits.workspace, strict=True):
+            for axis, at, (low, high) in zip(
+                "xyz", place, limits.workspace, strict=True
+            ):
                 if not low <= at <= high and math.isfinite(at):
                     return (
                         f"{name}: {axis} = {at:.4g} m, outside its workspace of {low:.4g} to"
@@ -233,7 +244,9 @@ class PairedDriver(Driver):
         known = []
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             where = f"{name}.{which}"
-            known.append(_kind_of(member, where)[1].plant(member.parameters, where, axes))
+            known.append(
+                _kind_of(member, where)[1].plant(member.parameters, where, axes)
+            )
         if not all("mass" in one for one in known):
             scales = {one.get("scale", 1.0) for one in known}
             return {"scale": scales.pop()} if len(scales) == 1 else {}
@@ -248,17 +261,25 @@ class PairedDriver(Driver):
     def is_virtual(cls, parameters: Mapping[str, Any], name: str) -> bool:
         """Return whether both devices live in simulated time."""
         return all(
-            _kind_of(member, f"{name}.{which}")[1].is_virtual(member.parameters, f"{name}.{which}")
-            for which, member in _both(convert(parameters, PairedDriverParameters, name))
+            _kind_of(member, f"{name}.{which}")[1].is_virtual(
+                member.parameters, f"{name}.{which}"
+            )
+            for which, member in _both(
+                convert(parameters, PairedDriverParameters, name)
+            )
         )
 
     @classmethod
-    def largest_force(cls, parameters: Mapping[str, Any], name: str, period: float) -> float | None:
+    def largest_force(
+        cls, parameters: Mapping[str, Any], name: str, period: float
+    ) -> float | None:
         """Return the lowest of the pair's and the devices' limits [N]."""
         known = [super().largest_force(parameters, name, period)]
         for which, member in _both(convert(parameters, PairedDriverParameters, name)):
             kind = _kind_of(member, f"{name}.{which}")[1]
-            known.append(kind.largest_force(member.parameters, f"{name}.{which}", period))
+            known.append(
+                kind.largest_force(member.parameters, f"{name}.{which}", period)
+            )
         return min((peak for peak in known if peak is not None), default=None)
 
     def make_device(self) -> Device:
@@ -315,7 +336,10 @@ class PairedDriver(Driver):
         """Return the operations, with the position of each device."""
         return {
             **super().operations(),
-            "places": lambda: {"first_m": self.pair.places[0], "second_m": self.pair.places[1]},
+            "places": lambda: {
+                "first_m": self.pair.places[0],
+                "second_m": self.pair.places[1],
+            },
         }
 
     def check_health(self) -> None:
@@ -325,9 +349,15 @@ class PairedDriver(Driver):
         self.pair.met_apart = 0.0
         if met > 0.0:
             speed = self.store.current.align
-            how = f"are brought together at {speed:g} m/s" if speed > 0.0 else "keep that offset"
+            how = (
+                f"are brought together at {speed:g} m/s"
+                if speed > 0.0
+                else "keep that offset"
+            )
             text = f"the devices stand {met:.4g} m apart without a motion, and {how}"
-            self.events.emit_each("device", text, {"apart_m": met, "align_m_per_s": speed})
+            self.events.emit_each(
+                "device", text, {"apart_m": met, "align_m_per_s": speed}
+            )
 
     def condition(self) -> str:
         """Return which device gives no forces, and why."""
@@ -339,7 +369,9 @@ class PairedDriver(Driver):
         from nodes.driver.hardware.mailbox import MailboxDevice
 
         pair = (("first", self.pair.first), ("second", self.pair.second))
-        return [(name, device) for name, device in pair if isinstance(device, MailboxDevice)]
+        return [
+            (name, device) for name, device in pair if isinstance(device, MailboxDevice)
+        ]
 
 
 def _pair(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
@@ -366,13 +398,17 @@ def _kind_of(member: PairedMember, where: str) -> tuple[str, type[Driver]]:
         )
     kind = load(factory)
     if not issubclass(kind, Driver) or issubclass(kind, PairedDriver):
-        raise ParameterError(f"{member.kind!r} drives no single device", path=f"{where}.kind")
+        raise ParameterError(
+            f"{member.kind!r} drives no single device", path=f"{where}.kind"
+        )
     return factory, kind
 
 
 def _members(setup: Setup) -> Iterator[tuple[type[Driver], Setup]]:
     """Yield each device's driver, and its setup as a node of its own."""
-    for which, member in _both(convert(setup.parameters, PairedDriverParameters, setup.name)):
+    for which, member in _both(
+        convert(setup.parameters, PairedDriverParameters, setup.name)
+    ):
         where = f"{setup.name}.{which}"
         factory, kind = _kind_of(member, where)
         changed: dict[str, Any] = {
@@ -381,4 +417,7 @@ def _members(setup: Setup) -> Iterator[tuple[type[Driver], Setup]]:
             "parameters": member.parameters,
         }
         # both are called through Python
-        yield kind, msgspec.structs.replace(setup, factory=factory, tick="plain", **changed)
+        yield (
+            kind,
+            msgspec.structs.replace(setup, factory=factory, tick="plain", **changed),
+        )

@@ -18,14 +18,20 @@ import msgspec
 
 from nodes.driver.device import Workspace
 from nodes.driver.hardware.driver import HardwareDriver
-from nodes.driver.hardware.mailbox import HardwareParameters, MailboxDevice, ServoParameters
+from nodes.driver.hardware.mailbox import (
+    HardwareParameters,
+    MailboxDevice,
+    ServoParameters,
+)
 from nodes.driver.touch import hdapi
 from nodes.parameters.paths import LocalPath
 
 PRIORITY = 65535
 
 
-class TouchParameters(ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class TouchParameters(
+    ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of the device.
 
     name: Name of the device in the vendor's setup; empty for the default one.
@@ -80,7 +86,9 @@ class TouchDevice(MailboxDevice):
         device = self._hd.hdInitDevice(self._wants.name.encode() or None)
         self._check(f"device {name} cannot be opened", "is it plugged in and set up?")
         if device == hdapi.INVALID_HANDLE:
-            raise OSError(f"device {name}: hdInitDevice gave no handle; is it plugged in?")
+            raise OSError(
+                f"device {name}: hdInitDevice gave no handle; is it plugged in?"
+            )
         self._device = device
         TouchDevice.held = True
         try:
@@ -112,7 +120,9 @@ class TouchDevice(MailboxDevice):
     def _check(self, what: str, remedy: str = "") -> None:
         errors = self._errors()
         if errors:
-            raise OSError(f"Touch: {what}: {', '.join(errors)}{f'; {remedy}' if remedy else ''}")
+            raise OSError(
+                f"Touch: {what}: {', '.join(errors)}{f'; {remedy}' if remedy else ''}"
+            )
 
     def _text(self, name: int) -> str:
         text = self._hd.hdGetString(name)
@@ -128,7 +138,11 @@ class TouchDevice(MailboxDevice):
     def _prepare(self) -> None:
         """Create the mailbox with the device's own limits."""
         ends = [end * self.UNIT for end in self._doubles(hdapi.MAX_WORKSPACE, 6)]
-        workspace: Workspace = ((ends[0], ends[3]), (ends[1], ends[4]), (ends[2], ends[5]))
+        workspace: Workspace = (
+            (ends[0], ends[3]),
+            (ends[1], ends[4]),
+            (ends[2], ends[5]),
+        )
         (peak,) = self._doubles(hdapi.MAX_FORCE, 1)
         (continuous,) = self._doubles(hdapi.MAX_CONTINUOUS_FORCE, 1)
         if not (peak > 0.0 and continuous > 0.0):
@@ -165,7 +179,9 @@ class TouchDevice(MailboxDevice):
         while (state := self._hd.hdCheckCalibration()) != hdapi.CALIBRATION_OK:
             self._check("the calibration cannot be checked")
             if state == hdapi.CALIBRATION_NEEDS_UPDATE:
-                styles = (ctypes.c_int * 1)()  # the position may jump: forces are still off
+                styles = (
+                    ctypes.c_int * 1
+                )()  # the position may jump: forces are still off
                 self._hd.hdGetIntegerv(hdapi.CALIBRATION_STYLE, styles)
                 self._check("the way of calibrating cannot be read")
                 ways = [
@@ -211,7 +227,9 @@ class TouchDevice(MailboxDevice):
         if self._scheduled is not None:
             self._box.stop = 1
             if self._code.servo_end(ctypes.byref(self._shared)):
-                raise OSError("Touch: a call of the device does not return; switch the device off")
+                raise OSError(
+                    "Touch: a call of the device does not return; switch the device off"
+                )
         hd.hdDisable(hdapi.FORCE_OUTPUT)
         if self._scheduled is not None:
             hd.hdStopScheduler()

@@ -13,7 +13,11 @@ from nodes.driver.hardware.libraries import Functions, load
 from nodes.driver.hardware.mailbox import Mailbox
 
 FORCE_OUTPUT = 0x4000
-CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = 0x5000, 0x5001, 0x5002
+CALIBRATION_OK, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_MANUAL = (
+    0x5000,
+    0x5001,
+    0x5002,
+)
 MODEL_TYPE, DRIVER_VERSION, SERIAL_NUMBER = 0x2501, 0x2502, 0x2504
 MAX_WORKSPACE, MAX_FORCE, MAX_CONTINUOUS_FORCE = 0x2550, 0x2603, 0x2604
 CALIBRATION_STYLE = 0x2555  # calibration methods of the device, one bit each
@@ -110,14 +114,19 @@ def load_library(name: str) -> Any:
     functions: Functions = {
         "hdInitDevice": (uint, [ctypes.c_char_p]),
         **dict.fromkeys(
-            ("hdDisableDevice", "hdEnable", "hdDisable", "hdMakeCurrentDevice"), (void, [uint])
+            ("hdDisableDevice", "hdEnable", "hdDisable", "hdMakeCurrentDevice"),
+            (void, [uint]),
         ),
-        **dict.fromkeys(("hdBeginFrame", "hdEndFrame", "hdUpdateCalibration"), (void, [uint])),
+        **dict.fromkeys(
+            ("hdBeginFrame", "hdEndFrame", "hdUpdateCalibration"), (void, [uint])
+        ),
         **dict.fromkeys(("hdGetDoublev", "hdSetDoublev"), (void, [uint, doubles])),
         "hdGetIntegerv": (void, [uint, whole]),
         "hdGetString": (ctypes.c_char_p, [uint]),
         "hdGetError": (ErrorInfo, []),
-        **dict.fromkeys(("hdSetSchedulerRate", "hdUnschedule"), (void, [ctypes.c_ulong])),
+        **dict.fromkeys(
+            ("hdSetSchedulerRate", "hdUnschedule"), (void, [ctypes.c_ulong])
+        ),
         "hdScheduleAsynchronous": (
             ctypes.c_ulong,
             [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ushort],

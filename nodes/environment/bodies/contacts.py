@@ -109,13 +109,17 @@ def _press(
 ) -> tuple[float | None, float | None]:
     """Return the stiffness between the first two loads, and between the last two [N/m]."""
     # The friction cone is part of a contact's stiffness.
-    model = _ball(mujoco, option, wall, tip, mass, min(float(option.timestep), _FINE), 0.0)
+    model = _ball(
+        mujoco, option, wall, tip, mass, min(float(option.timestep), _FINE), 0.0
+    )
     data = mujoco.MjData(model)
     depths = []
     for load in _LOADS:
         data.qfrc_applied[0] = -load
         mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
-        depths.append(-float(data.qpos[0]) if abs(float(data.qvel[0])) < _STILL else math.nan)
+        depths.append(
+            -float(data.qpos[0]) if abs(float(data.qvel[0])) < _STILL else math.nan
+        )
     ways = [
         (more - less, deeper - depth)
         for less, more, depth, deeper in zip(_LOADS, _LOADS[1:], depths, depths[1:])  # noqa: B905
@@ -151,7 +155,13 @@ def _bounces(mujoco: Any, model: Any, load: float, mass: float) -> bool:
 
 
 def _ball(
-    mujoco: Any, option: Any, wall: str, tip: str, mass: float, step: float, damping: float
+    mujoco: Any,
+    option: Any,
+    wall: str,
+    tip: str,
+    mass: float,
+    step: float,
+    damping: float,
 ) -> Any:
     """Return a ball of the tool's mass on a plane; the scene's integrator, cone and contacts."""
     return mujoco.MjModel.from_xml_string(
@@ -175,15 +185,23 @@ def contacts_text(found: Sequence[PairStiffness]) -> str:
         groups.setdefault(pair[1:], []).append(pair.geom)
     told = []
     for (stiffness, pressed, rests_at), names in groups.items():
-        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        more = (
+            f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        )
         who = ", ".join(names[:_MOST_NAMES]) + more
         if stiffness is None:
             told.append(f"{who} does not settle under {_LOADS[0]:g} to {_LOADS[1]:g} N")
             continue
-        curved = pressed is not None and not 1.0 / _CURVED < pressed / stiffness < _CURVED
+        curved = (
+            pressed is not None and not 1.0 / _CURVED < pressed / stiffness < _CURVED
+        )
         told.append(
             f"{who} {stiffness:.3g} N/m"
-            + (f", {pressed:.3g} N/m under {_LOADS[2]:g} N: it is nonlinear" if curved else "")
+            + (
+                f", {pressed:.3g} N/m under {_LOADS[2]:g} N: it is nonlinear"
+                if curved
+                else ""
+            )
             + _bounce_text(rests_at)
         )
     return "; ".join(told) or "none"
@@ -193,7 +211,9 @@ def _bounce_text(rests_at: float | None) -> str:
     """Return that a tool bounces by itself, and the step at which it would not."""
     if rests_at is None:
         return ""
-    remedy = f"a step of {rests_at:.3g} s" if rests_at else "a heavier or less damped tool"
+    remedy = (
+        f"a step of {rests_at:.3g} s" if rests_at else "a heavier or less damped tool"
+    )
     return (
         ", on which the pressed tool bounces by itself: that contact is not passive at this step,"
         f" and no certificate of a law is about it; {remedy} mends it"

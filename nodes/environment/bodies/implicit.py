@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 
 # fields of a model: solver references and the impedances that belong to them
 _SOLVED = (
-    *((f"{name}_solref", f"{name}_solimp") for name in ("geom", "pair", "jnt", "dof", "eq")),
+    *(
+        (f"{name}_solref", f"{name}_solimp")
+        for name in ("geom", "pair", "jnt", "dof", "eq")
+    ),
     ("tendon_solref_lim", "tendon_solimp_lim"),
     ("tendon_solref_fri", "tendon_solimp_fri"),
     ("pair_solreffriction", "pair_solimp"),

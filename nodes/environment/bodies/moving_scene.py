@@ -41,7 +41,15 @@ HEAVIEST = 1e6  # largest mass of a body [kg]
 LARGEST_NUMBER = 1e10  # largest number in a scene, MuJoCo's own limit
 
 _NUMBERS = (  # of a model: with one that is none the scene diverges at its first step
-    *("gravity", "body_inertia", "body_pos", "geom_size", "geom_pos", "qpos0", "qpos_spring"),
+    *(
+        "gravity",
+        "body_inertia",
+        "body_pos",
+        "geom_size",
+        "geom_pos",
+        "qpos0",
+        "qpos_spring",
+    ),
     *("jnt_stiffness", "dof_damping", "dof_armature", "dof_frictionloss"),
 )
 _MOST_STEPS = 1000
@@ -55,7 +63,9 @@ def load_mujoco(where: str) -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise ParameterError(f"{error}; install it with: {EXTRA}", path=where) from error
+        raise ParameterError(
+            f"{error}; install it with: {EXTRA}", path=where
+        ) from error
     return mujoco
 
 
@@ -75,7 +85,9 @@ class MovingScene:
         lost: float = math.inf,
         keyframe: Keyframe | None = None,
     ) -> None:
-        self.lost = lost  # distance from the device at which the tool is put back to it [m]
+        self.lost = (
+            lost  # distance from the device at which the tool is put back to it [m]
+        )
         wanted = tool if isinstance(tool, ToolParameters) else ToolParameters(body=tool)
         tool = wanted.body
         self._mujoco = mujoco = load_mujoco(f"{where}.scene")
@@ -112,7 +124,9 @@ class MovingScene:
         self.data = mujoco.MjData(self.model)
         # number of the keyframe at which it starts; -1 for the state of the file
         self._key = -1 if held else key_of(mujoco, self.model, keyframe, where)
-        self.tool, self._slides = self._find_tool(tool, file, where)  # the tool's body in the model
+        self.tool, self._slides = self._find_tool(
+            tool, file, where
+        )  # the tool's body in the model
         first = int(self.model.body_dofadr[self.tool])
         self._speeds = slice(first, first + 3)
         # mass of the tool and everything fixed to it [kg]
@@ -123,7 +137,11 @@ class MovingScene:
                 path=f"{where}.tool",
             )
         widest = max(
-            (float(self.model.geom_rbound[i]) for i in range(self.model.ngeom) if self._of_tool(i)),
+            (
+                float(self.model.geom_rbound[i])
+                for i in range(self.model.ngeom)
+                if self._of_tool(i)
+            ),
             default=0.0,
         )
         if widest > WIDEST:
@@ -178,8 +196,14 @@ class MovingScene:
                     path=f"{where}.scene",
                 )
         for name in _NUMBERS:
-            values = getattr(model.opt if name == "gravity" else model, name).ravel().tolist()
-            odd = next((value for value in values if not abs(value) <= LARGEST_NUMBER), None)
+            values = (
+                getattr(model.opt if name == "gravity" else model, name)
+                .ravel()
+                .tolist()
+            )
+            odd = next(
+                (value for value in values if not abs(value) <= LARGEST_NUMBER), None
+            )
             if odd is not None:
                 raise ParameterError(
                     f"{file}: a number of {name} is {odd:g}, expected at most {LARGEST_NUMBER:g}",
@@ -245,7 +269,9 @@ class MovingScene:
         bodies, because they would throw it.
         """
         self._meet_bodies(True)
-        for at, wanted, now in zip(self._slides, position, self.tool_position, strict=True):
+        for at, wanted, now in zip(
+            self._slides, position, self.tool_position, strict=True
+        ):
             self.data.qpos[at] += wanted - now
         self._mujoco.mj_forward(self.model, self.data)
         self.inside = self._deepest() > _OVERLAP
@@ -263,9 +289,15 @@ class MovingScene:
     def _deepest(self) -> float:
         """Return the depth of the tool in other bodies, from the latest contacts [m]."""
         contact = self.data.contact
-        of_tool = (int(i) in self._touches or int(j) in self._touches for i, j in contact.geom)
+        of_tool = (
+            int(i) in self._touches or int(j) in self._touches for i, j in contact.geom
+        )
         return max(
-            (-float(away) for away, own in zip(contact.dist, of_tool, strict=True) if own),
+            (
+                -float(away)
+                for away, own in zip(contact.dist, of_tool, strict=True)
+                if own
+            ),
             default=0.0,
         )
 
@@ -294,7 +326,9 @@ class MovingScene:
         """
         if first:
             self.begin(position)
-            self._done = tick * self.steps  # a restarted node continues with the present tick
+            self._done = (
+                tick * self.steps
+            )  # a restarted node continues with the present tick
             return "the scene begins"
         if 0 <= self._controls_until < tick:
             self._controls_until = -1
@@ -359,7 +393,9 @@ class MovingScene:
     def stiffness(self) -> list[PairStiffness]:
         """Return the stiffness of the tool's contacts (`nodes.environment.bodies.contacts`)."""
         damping = float(self.model.dof_damping[self._speeds].max())
-        return measure_contacts(self._mujoco, self.model, self._geoms(), self.mass, damping)
+        return measure_contacts(
+            self._mujoco, self.model, self._geoms(), self.mass, damping
+        )
 
     def response(self) -> ToolResponse:
         """Return the tool's response to a push (`nodes.environment.bodies.tool`)."""
@@ -387,7 +423,12 @@ def _heard(mujoco: Any) -> Iterator[list[str]]:
 
 
 def _model(
-    mujoco: Any, file: Path, tool: ToolParameters, held: bool, keyframe: Keyframe | None, where: str
+    mujoco: Any,
+    file: Path,
+    tool: ToolParameters,
+    held: bool,
+    keyframe: Keyframe | None,
+    where: str,
 ) -> Any:
     """Load a scene, add or damp its tool, and with `held` delete the joints of other bodies."""
     if tool.mass is None and tool.damping is None and not held:

@@ -28,7 +28,9 @@ from nodes.environment.spent_counters import SpentCounters
 from nodes.parameters.store import ParameterError, convert
 
 
-class MujocoParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class MujocoParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of an environment with moving bodies.
 
     scene: MJCF file; ``$(dirname)`` in a launch file is the folder of that file.
@@ -64,7 +66,9 @@ class MujocoEnvironment(Node):
     def check(cls, setup: Setup) -> None:
         """Load the scene before the launch."""
         load_world(
-            convert(setup.parameters, MujocoParameters, setup.name), setup.period, setup.name
+            convert(setup.parameters, MujocoParameters, setup.name),
+            setup.period,
+            setup.name,
         )
         if list(setup.axes) != ["x", "y", "z"]:
             raise ParameterError(
@@ -101,9 +105,13 @@ class MujocoEnvironment(Node):
 
     def configure(self) -> None:
         """Load the scene, measure its contacts, and report what the stability checks need."""
-        self.begin_with(load_world(self.store.current, self.setup.period, self.setup.name))
+        self.begin_with(
+            load_world(self.store.current, self.setup.period, self.setup.name)
+        )
         self._poses = Poses(
-            poses_file(self.setup.run_dir, self.setup.name), self._world.model.ngeom, make=True
+            poses_file(self.setup.run_dir, self.setup.name),
+            self._world.model.ngeom,
+            make=True,
         )
         self.events.emit_each(
             "bodies",
@@ -137,7 +145,13 @@ class MujocoEnvironment(Node):
         jumped = state.rebased != self._driver_rebased
         inside = world.inside
         if why := world.follow(
-            seq, state.position, state.force, seq - 1 - state.age, state.delay, first, jumped
+            seq,
+            state.position,
+            state.force,
+            seq - 1 - state.age,
+            state.delay,
+            first,
+            jumped,
         ):
             self._rebased, self._driver_rebased = seq, state.rebased
             if not first:
@@ -155,10 +169,17 @@ class MujocoEnvironment(Node):
             self._poses.write(world.data.geom_xpos, world.data.geom_xmat)
         stamp = state.stamp if simulated else self.clock.now()
         # The tool is coupled from all sides: no normal, and no clamping.
-        held: dict[str, Any] = {"proxy": at, "normal": ZERO, "distance": 0.0, "contact": True}
+        held: dict[str, Any] = {
+            "proxy": at,
+            "normal": ZERO,
+            "distance": 0.0,
+            "contact": True,
+        }
         held["rebased"] = max(self._rebased, state.rebased)
         return encode(
-            Proxy(seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held)
+            Proxy(
+                seq=seq, stamp=stamp, position=state.position, delay=state.delay, **held
+            )
         )
 
     def operations(self) -> dict[str, Callable[..., Any]]:
@@ -207,7 +228,9 @@ class MujocoEnvironment(Node):
 _SHORT = 1e-6
 
 
-@functools.lru_cache(maxsize=64)  # a launch asks when it is read, and again when it is wired
+@functools.lru_cache(
+    maxsize=64
+)  # a launch asks when it is read, and again when it is wired
 def _tool_facts(
     parameters: MujocoParameters, name: str, *_version: int
 ) -> tuple[float, float, float | None]:

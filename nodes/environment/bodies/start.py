@@ -16,10 +16,14 @@ from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError
 
 Keyframe: TypeAlias = str | Annotated[int, msgspec.Meta(ge=0)]
-LARGEST_CONTROL = 1e10  # largest control of an actuator without ctrlrange, MuJoCo's own limit
+LARGEST_CONTROL = (
+    1e10  # largest control of an actuator without ctrlrange, MuJoCo's own limit
+)
 
 
-class ControlParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ControlParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Controls of actuators that a scene accepts from outside.
 
     age: Time without new controls after which those of the start return [s].
@@ -56,7 +60,9 @@ def reset(mujoco: Any, model: Any, data: Any, key: int) -> None:
         mujoco.mj_resetDataKeyframe(model, data, key)
 
 
-def fix_bodies(mujoco: Any, spec: Any, keyframe: Keyframe | None, tool: str, where: str) -> None:
+def fix_bodies(
+    mujoco: Any, spec: Any, keyframe: Keyframe | None, tool: str, where: str
+) -> None:
     """Fix all bodies but the tool where a scene starts: delete their joints from `spec`."""
     model = spec.compile() if keyframe is not None else None
     if model is not None:
@@ -116,7 +122,8 @@ def controls_of(model: Any, given: Any, where: str) -> dict[int, float]:
         unknown = next((name for name in given if str(name) not in names), None)
         if unknown is not None:
             raise ParameterError(
-                f"no actuator {unknown!r}; {choices(str(unknown), names)}", path=f"{where}.controls"
+                f"no actuator {unknown!r}; {choices(str(unknown), names)}",
+                path=f"{where}.controls",
             )
         found = {names.index(str(name)): value for name, value in given.items()}
     elif isinstance(given, list | tuple) and len(given) == len(names):
@@ -129,7 +136,9 @@ def controls_of(model: Any, given: Any, where: str) -> dict[int, float]:
         )
     for at, value in found.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ParameterError(f"{value!r} is no number", path=f"{where}.controls.{names[at]}")
+            raise ParameterError(
+                f"{value!r} is no number", path=f"{where}.controls.{names[at]}"
+            )
         if not (math.isfinite(value) and abs(value) <= LARGEST_CONTROL):
             raise ParameterError(
                 f"{value!r}, expected at most {LARGEST_CONTROL:g}",

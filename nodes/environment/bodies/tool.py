@@ -22,7 +22,9 @@ _TICKS = 40  # ticks after the push over which mass and damping are fitted
 _SPEED = 1e-3  # speed that the push gives the tool [m/s]
 
 
-class ToolParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class ToolParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """The tool that the coupling connects to the device.
 
     body: Name of its body in the scene.
@@ -75,11 +77,15 @@ def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
                 f" it, or give another {where}.body",
                 path=f"{where}.mass",
             )
-        body = spec.worldbody.add_body(name=tool.body, pos=list(tool.position), gravcomp=1.0)
+        body = spec.worldbody.add_body(
+            name=tool.body, pos=list(tool.position), gravcomp=1.0
+        )
         for axis in AXES:
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis))
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[tool.radius, 0.0, 0.0], mass=tool.mass
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[tool.radius, 0.0, 0.0],
+            mass=tool.mass,
         )
     if tool.damping is not None and body is not None:
         for joint in body.joints:
@@ -119,7 +125,9 @@ def measure_response(
     try:
         # Contacts, dry joint friction and equalities are not properties of the tool itself.
         model.opt.disableflags = (
-            disabled | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_GRAVITY
+            disabled
+            | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+            | mujoco.mjtDisableBit.mjDSBL_GRAVITY
         )
         mass = float(model.body_subtreemass[body])
         push = mass * _SPEED / period
@@ -135,8 +143,15 @@ def measure_response(
             )
             # An exact step under a held force lags one tick: y = p T/(2 m) (1 − b T/(3 m)) to
             # second order.
-            exact = push * period**2 / (2.0 * inertia) * (1.0 - damping * period / (3.0 * inertia))
-            found.append((inertia, damping, 1.0 - (y[0] - exact) * inertia / (push * period**2)))
+            exact = (
+                push
+                * period**2
+                / (2.0 * inertia)
+                * (1.0 - damping * period / (3.0 * inertia))
+            )
+            found.append(
+                (inertia, damping, 1.0 - (y[0] - exact) * inertia / (push * period**2))
+            )
     finally:
         model.opt.disableflags = disabled
     masses, dampings, lags = zip(*found, strict=True)
@@ -160,7 +175,9 @@ def _moved(
         mujoco.mj_step(model, data, steps)
         mujoco.mj_kinematics(model, data)
         data.xfrc_applied[body][axis] = 0.0
-        found.append((float(data.qvel[dofs][axis]), float(data.xpos[body][axis]) - begin))
+        found.append(
+            (float(data.qvel[dofs][axis]), float(data.xpos[body][axis]) - begin)
+        )
     return np.array(found)
 
 

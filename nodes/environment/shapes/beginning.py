@@ -17,7 +17,9 @@ _MOST_ROUNDS = 200
 _STUCK = 0.95  # part of the depth left by the second half of the rounds above which none comes out
 
 
-def shape_gap(scene: Table, memory: Memory, n: int, x: float, y: float, z: float) -> Vector4:
+def shape_gap(
+    scene: Table, memory: Memory, n: int, x: float, y: float, z: float
+) -> Vector4:
     """Return the signed distance of the tool's centre from contact [m], and the normal."""
     row = t.ROWS + t.ROW * n
     if scene[row + t.KIND] == t.MESH:

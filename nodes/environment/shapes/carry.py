@@ -45,14 +45,26 @@ def advance(scene: MovingTable, memory: Memory) -> int:
             scene[on], scene[on + 1], scene[on + 2] = gx, gy, gz
             dx = dy = dz = 0.0
         else:
-            length, most = sqrt(dx * dx + dy * dy + dz * dz), scene[row + t.SPEED] * span
+            length, most = (
+                sqrt(dx * dx + dy * dy + dz * dz),
+                scene[row + t.SPEED] * span,
+            )
             if length > most:
-                dx, dy, dz = dx * (most / length), dy * (most / length), dz * (most / length)
+                dx, dy, dz = (
+                    dx * (most / length),
+                    dy * (most / length),
+                    dz * (most / length),
+                )
             work, work_given = _work(memory, n, dx, dy, dz)
             most = scene[row + t.POWER] * span
             if work > most:
                 part = most / work
-                dx, dy, dz, work_given = part * dx, part * dy, part * dz, part * work_given
+                dx, dy, dz, work_given = (
+                    part * dx,
+                    part * dy,
+                    part * dz,
+                    part * work_given,
+                )
             memory[t.ENERGY] += work_given
             memory[t.MOST_POWER] = max(memory[t.MOST_POWER], work_given / span)
         step = row + t.STEP
@@ -89,7 +101,9 @@ def _aim(scene: Table, row: int, time: float) -> Vector:
     )
 
 
-def _work(memory: Memory, n: int, dx: float, dy: float, dz: float) -> tuple[float, float]:
+def _work(
+    memory: Memory, n: int, dx: float, dy: float, dz: float
+) -> tuple[float, float]:
     """Return a bound of the work of a shape's step on what presses on it, and its work [J].
 
     The work is that of the force on the device. Between two shapes their forces cancel, so the
@@ -152,7 +166,9 @@ def begin_carry(scene: MovingTable, memory: Memory, n: int) -> bool:
     return carries
 
 
-def end_carry(scene: Table, memory: Memory, n: int, tx: float, ty: float, tz: float) -> None:
+def end_carry(
+    scene: Table, memory: Memory, n: int, tx: float, ty: float, tz: float
+) -> None:
     """Feel a shape again that has carried the proxy towards a place; note where it could not.
 
     A proxy inside of it is placed anew. One on its other side, of a sheet or a plate thinner than

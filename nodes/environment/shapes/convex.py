@@ -31,7 +31,9 @@ def gap(scene: Table, row: int, x: float, y: float, z: float) -> Vector4:
     elif kind == t.CAPSULE:
         ux, uy, uz = scene[at + 3], scene[at + 4], scene[at + 5]
         along = min(max(px * ux + py * uy + pz * uz, 0.0), scene[at + 6])
-        away, nx, ny, nz = _from_point(px - along * ux, py - along * uy, pz - along * uz)
+        away, nx, ny, nz = _from_point(
+            px - along * ux, py - along * uy, pz - along * uz
+        )
         away -= scene[at + 7]
     elif kind == t.CYLINDER:
         away, nx, ny, nz = _from_cylinder(scene, at, px, py, pz)
@@ -125,7 +127,11 @@ def core(
             return True, x - away * ux, y - away * uy, z - away * uz
     if kind == t.MESH and scene[t.RADIUS] > t.LIP:
         qx, qy, qz, inside = nearest_on_triangle(
-            scene, int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face), x - ox, y - oy, z - oz
+            scene,
+            int(scene[row + t.TRIANGLES]) + t.TRIANGLE * int(face),
+            x - ox,
+            y - oy,
+            z - oz,
         )
         if not inside:
             return True, qx + ox, qy + oy, qz + oz
@@ -133,7 +139,14 @@ def core(
 
 
 def convex_hit(
-    scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table,
+    row: int,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
 ) -> Vector4:
     """Return the part of a step before the tool hits a convex shape (2.0: none); the normal."""
     part, nx, ny, nz = 0.0, 0.0, 0.0, 1.0

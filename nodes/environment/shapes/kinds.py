@@ -41,7 +41,9 @@ Factor = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Sizes = tuple[Size, Size, Size]
 
 
-class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class FrictionParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Friction of a surface.
 
     Attributes
@@ -61,7 +63,9 @@ class FrictionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     def __post_init__(self) -> None:
         if self.dynamic is not None and self.dynamic > self.static:
-            raise ValueError(f"dynamic is {self.dynamic}, expected at most static, {self.static}")
+            raise ValueError(
+                f"dynamic is {self.dynamic}, expected at most static, {self.static}"
+            )
 
 
 class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -95,7 +99,9 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         ParameterError
             If a parameter is invalid.
         """
-        raise TypeError(f"{where}: surface kind {type(self).kind!r} does not define solids()")
+        raise TypeError(
+            f"{where}: surface kind {type(self).kind!r} does not define solids()"
+        )
 
     def regions(self, where: str) -> list[FeltRegion]:
         """Return the regions without a surface.
@@ -126,11 +132,16 @@ class Touchable(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Return the scene table and the memory of a proxy that has touched nothing yet."""
         solids = self.solids("surface")
         repairs = tuple(
-            repair for solid in solids if solid.mesh is not None for repair in solid.mesh.repairs
+            repair
+            for solid in solids
+            if solid.mesh is not None
+            for repair in solid.mesh.repairs
         )
         return Numbers(
             SHAPES,
-            scene.scene_table(solids, self.tool_radius, period, self.regions("surface")),
+            scene.scene_table(
+                solids, self.tool_radius, period, self.regions("surface")
+            ),
             scene.new_memory(len(solids)),
             repairs,
             tuple(solid.mesh.width for solid in solids if solid.mesh is not None),
@@ -177,18 +188,26 @@ class Shape(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def _factors(self) -> Factors:
-        return Factors(self.stiffness, self.stiffness if self.damping is None else self.damping)
+        return Factors(
+            self.stiffness, self.stiffness if self.damping is None else self.damping
+        )
 
     def effects(self, where: str) -> list[Effect]:
         """Return the factors, if they change the law."""
-        return [] if self._factors == WHOLE else [Effect(name=where, **self._factors._asdict())]
+        return (
+            []
+            if self._factors == WHOLE
+            else [Effect(name=where, **self._factors._asdict())]
+        )
 
     @property
     def coefficients(self) -> Friction:
         """Friction coefficients with defaults filled in."""
         given = self.friction
         return Friction(
-            given.static, given.static if given.dynamic is None else given.dynamic, given.viscous
+            given.static,
+            given.static if given.dynamic is None else given.dynamic,
+            given.viscous,
         )
 
 
@@ -210,7 +229,9 @@ class OrientedPlane(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True
     def solids(self, where: str) -> list[Solid]:
         """Return the half space."""
         if math.hypot(*self.normal) < 1e-6:
-            raise ParameterError(f"{list(self.normal)} has no direction", path=f"{where}.normal")
+            raise ParameterError(
+                f"{list(self.normal)} has no direction", path=f"{where}.normal"
+            )
         return self.felt(scene.plane(self.position, self.normal, self.coefficients))
 
 
@@ -256,7 +277,9 @@ class Box(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def solids(self, where: str) -> list[Solid]:
         """Return the box."""
         del where
-        return self.felt(scene.box(self.position, self.size, self.rotation, self.coefficients))
+        return self.felt(
+            scene.box(self.position, self.size, self.rotation, self.coefficients)
+        )
 
 
 class _Rod(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -356,14 +379,19 @@ class Mesh(Shape, frozen=True, forbid_unknown_fields=True, kw_only=True):
         with np.errstate(over="ignore", invalid="ignore"):
             width = float(np.ptp(read.corners.reshape(-1, 3), axis=0).max())
             per_unit, told = (
-                scale_of(width, self._sizes(read.unit), f"{where}.file: {file}", read.unit)
+                scale_of(
+                    width, self._sizes(read.unit), f"{where}.file: {file}", read.unit
+                )
                 if np.isfinite(width)
                 else (1.0, "")
             )
             corners = (
-                per_unit * read.corners @ np.array(scene.rotation(self.rotation)).T + self.position
+                per_unit * read.corners @ np.array(scene.rotation(self.rotation)).T
+                + self.position
             )
-        made = prepare_mesh(corners, self.sides == "both", f"{where}.file: {file}", read.notes)
+        made = prepare_mesh(
+            corners, self.sides == "both", f"{where}.file: {file}", read.notes
+        )
         made = made._replace(width=f"{where}.file: {file} is {told}")
         return self.felt(scene.mesh(made, self.coefficients))
 
@@ -386,7 +414,9 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def regions(self, where: str) -> list[FeltRegion]:
         """Return the regions of all shapes."""
-        return [region for at, part in self._parts(where) for region in part.regions(at)]
+        return [
+            region for at, part in self._parts(where) for region in part.regions(at)
+        ]
 
     def effects(self, where: str) -> list[Effect]:
         """Return what all shapes do to a law, and regions where several of them act."""
@@ -417,10 +447,12 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
             shape = parse_surface(data, at)
             if not isinstance(shape, Touchable) or isinstance(shape, Union):
                 raise ParameterError(
-                    f"{shape.kind!r} is no shape that can be part of a union", path=f"{at}.kind"
+                    f"{shape.kind!r} is no shape that can be part of a union",
+                    path=f"{at}.kind",
                 )
             if "tool_radius" in data:
                 raise ParameterError(
-                    "the tool has one radius; set it on the union", path=f"{at}.tool_radius"
+                    "the tool has one radius; set it on the union",
+                    path=f"{at}.tool_radius",
                 )
             yield at, shape

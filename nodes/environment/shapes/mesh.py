@@ -14,7 +14,9 @@ from nodes.environment.shapes.tables import NODE
 from nodes.parameters.store import ParameterError
 
 Corners = NDArray[np.float64]  # triangles, corners, coordinates [m], shape (n, 3, 3)
-LARGEST = 2.0  # largest extent of a mesh [m]; a larger one was probably drawn in millimetres
+LARGEST = (
+    2.0  # largest extent of a mesh [m]; a larger one was probably drawn in millimetres
+)
 SMALLEST = 1e-3
 
 _LEAF = 4  # largest number of triangles in a leaf of the tree
@@ -25,7 +27,9 @@ class PreparedMesh(NamedTuple):
 
     corners: Corners  # triangles in the order of the tree [m], shape (n, 3, 3)
     normals: NDArray[np.float64]  # outward normals, shape (n, 3)
-    neighbours: NDArray[np.int64]  # triangle across each edge, −1 for none, shape (n, 3)
+    neighbours: NDArray[
+        np.int64
+    ]  # triangle across each edge, −1 for none, shape (n, 3)
     # bounding boxes in heap order, root at 1: lower, upper corner [m], shape (2 * leaves, 6)
     boxes: NDArray[np.float64]
     leaves: int  # leaves of the tree
@@ -76,7 +80,9 @@ def repaired_triangles(corners: Corners, where: str) -> Repaired:
     """
     if not np.isfinite(corners).all():
         bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
-        raise ParameterError(f"triangle {bad} has a coordinate that is not finite", path=where)
+        raise ParameterError(
+            f"triangle {bad} has a coordinate that is not finite", path=where
+        )
     extent = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         small = "its scale is too small, or its unit is not m"
@@ -149,7 +155,10 @@ def _boxes(corners: Corners, leaves: int) -> NDArray[np.float64]:
     boxes[leaves:, 3:] = np.maximum.reduceat(corners.max(axis=1), bounds[:-1])
     first = leaves // 2
     while first:
-        left, right = boxes[2 * first : 4 * first : 2], boxes[2 * first + 1 : 4 * first : 2]
+        left, right = (
+            boxes[2 * first : 4 * first : 2],
+            boxes[2 * first + 1 : 4 * first : 2],
+        )
         boxes[first : 2 * first, :3] = np.minimum(left[:, :3], right[:, :3])
         boxes[first : 2 * first, 3:] = np.maximum(left[:, 3:], right[:, 3:])
         first //= 2

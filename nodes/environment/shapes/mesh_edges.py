@@ -105,7 +105,9 @@ def pair(points: Coordinates, ids: Ids) -> tuple[Ids, int]:
     partner[one], partner[two] = two, one
     many = np.flatnonzero(times > 2)
     for k in many[:MOST_SHARED]:
-        _pair_by_angle(points, ids, start, end, order[first[k] : first[k] + times[k]], partner)
+        _pair_by_angle(
+            points, ids, start, end, order[first[k] : first[k] + times[k]], partner
+        )
     return partner, len(many)
 
 

@@ -75,17 +75,25 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
             )
         data = path.read_bytes()
     except OSError as error:
-        raise ParameterError(f"{path} cannot be read: {error.strerror}", path=where) from error
+        raise ParameterError(
+            f"{path} cannot be read: {error.strerror}", path=where
+        ) from error
     try:
         if not data:
             raise ValueError("is empty (0 bytes); export the mesh again")
         if kind in readers:
             (points, groups, notes), unit = readers[kind](data), ""
         else:
-            (points, groups, notes), unit = read_by_library(data, kind, f"{where}: {path}", LARGEST)
+            (points, groups, notes), unit = read_by_library(
+                data, kind, f"{where}: {path}", LARGEST
+            )
         if not sum(map(len, groups.values())):
-            raise ValueError(f"has no triangles ({len(points)} points); export its surface")
-        with np.errstate(all="ignore"):  # coordinates that are not finite are refused later
+            raise ValueError(
+                f"has no triangles ({len(points)} points); export its surface"
+            )
+        with np.errstate(
+            all="ignore"
+        ):  # coordinates that are not finite are refused later
             ids, cut, crossed = cut_faces(points, groups)
     except (ValueError, IndexError, OverflowError) as error:
         raise ParameterError(f"{path}: {error}", path=where) from error
@@ -95,7 +103,10 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
     if crossed:
         more.append(f"{crossed} faces cross themselves")
     return ReadMesh(
-        points[ids], (*notes, *more), {k: len(faces) for k, faces in sorted(groups.items())}, unit
+        points[ids],
+        (*notes, *more),
+        {k: len(faces) for k, faces in sorted(groups.items())},
+        unit,
     )
 
 
@@ -118,7 +129,11 @@ def text_of(data: bytes) -> str:
     head = data[:200]
     for first, code in ((1, "utf-16-le"), (0, "utf-16-be")):
         half = head[first::2]
-        if len(head) > 8 and half.count(0) > 0.8 * len(half) and 0 not in head[1 - first :: 2]:
+        if (
+            len(head) > 8
+            and half.count(0) > 0.8 * len(half)
+            and 0 not in head[1 - first :: 2]
+        ):
             return data.decode(code, errors="replace")
     return data.decode("utf-8", errors="replace")
 
@@ -132,7 +147,9 @@ def _stl(data: bytes) -> Faces:
     whole = _HEADER + _RECORD * count
     # A binary file may also begin with "solid"; its length distinguishes it.
     if count == 0 or len(data) != whole:
-        text = text_of(data) if data.startswith(tuple(mark for mark, _ in _MARKS)) else ""
+        text = (
+            text_of(data) if data.startswith(tuple(mark for mark, _ in _MARKS)) else ""
+        )
         if text or _is_text_stl(data):
             return _text_stl(text or text_of(data))
         if len(data) < whole or len(data) < _HEADER:
@@ -141,7 +158,9 @@ def _stl(data: bytes) -> Faces:
                 f" {whole}"
             )
         if count == 0:
-            raise ValueError("has no triangles: its header says 0; export the mesh again")
+            raise ValueError(
+                "has no triangles: its header says 0; export the mesh again"
+            )
     records = np.frombuffer(
         data,
         dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")],
@@ -178,7 +197,9 @@ def _text_stl(text: str) -> Faces:
     if len(numbers) % 3 or not complete:
         raise ValueError(f"is cut off: {len(numbers)} corners in {line} lines")
     notes = (
-        () if "endsolid" in text.lower() else ("no endsolid at the end: the file may be cut off",)
+        ()
+        if "endsolid" in text.lower()
+        else ("no endsolid at the end: the file may be cut off",)
     )
     points = np.array(numbers, dtype=np.float64).reshape(-1, 3)
     return Faces(points, {3: np.arange(len(points)).reshape(-1, 3)}, notes)
@@ -208,14 +229,18 @@ def _obj(data: bytes) -> Faces:
             else:
                 faces.append(face)
     if largest >= max(len(points), 1):
-        raise ValueError(f"line {at[0]}: corner {at[1]}, but the file has {len(points)}")
+        raise ValueError(
+            f"line {at[0]}: corner {at[1]}, but the file has {len(points)}"
+        )
     notes = []
     if lines:
         notes.append(f"{lines} faces of fewer than three corners left out")
     if continued:
         notes.append(f"{continued} lines continued by a backslash")
     return Faces(
-        np.array(points, dtype=np.float64).reshape(-1, 3), group_by_corners(faces), tuple(notes)
+        np.array(points, dtype=np.float64).reshape(-1, 3),
+        group_by_corners(faces),
+        tuple(notes),
     )
 
 
@@ -226,7 +251,9 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
     for line, row in enumerate(text.splitlines(), 1):
         if not parts:
             first = line
-        if row.rstrip().endswith("\\") and not (parts or [row])[0].lstrip().startswith("#"):
+        if row.rstrip().endswith("\\") and not (parts or [row])[0].lstrip().startswith(
+            "#"
+        ):
             parts.append(row.rstrip()[:-1] + "\n")
         else:
             yield first, "".join([*parts, row])
@@ -239,7 +266,11 @@ def _numbers(words: list[str], line: int) -> list[float]:
     try:
         numbers = [float(word) for word in words]
     except ValueError as error:
-        comma = "; write decimals with a point" if re.search(r"\d,\d", " ".join(words)) else ""
+        comma = (
+            "; write decimals with a point"
+            if re.search(r"\d,\d", " ".join(words))
+            else ""
+        )
         raise ValueError(f"line {line}: {error}{comma}") from error
     if len(numbers) != 3:
         raise ValueError(f"line {line}: {len(numbers)} coordinates, expected 3")

@@ -11,7 +11,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nodes.environment.shapes.mesh_edges import components, first_of_equal, half_edges, open_edges
+from nodes.environment.shapes.mesh_edges import (
+    components,
+    first_of_equal,
+    half_edges,
+    open_edges,
+)
 from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import lowest_heights
 
@@ -36,7 +41,9 @@ _ROUNDS = 100
 
 def drop_copies(ids: Ids, counts: Counts) -> Ids:
     """Leave out triangles of fewer than three corners, copies, and pairs back to back."""
-    good = (ids[:, 0] != ids[:, 1]) & (ids[:, 1] != ids[:, 2]) & (ids[:, 2] != ids[:, 0])
+    good = (
+        (ids[:, 0] != ids[:, 1]) & (ids[:, 1] != ids[:, 2]) & (ids[:, 2] != ids[:, 0])
+    )
     if not good.all():
         counts["degenerate"] += int((~good).sum())
         ids = ids[good]
@@ -46,7 +53,9 @@ def drop_copies(ids: Ids, counts: Counts) -> Ids:
     copies = np.bincount(same)[same]
     if copies.max() == 1:
         return ids
-    rolled = ids[np.arange(len(ids))[:, None], (ids.argmin(axis=1)[:, None] + np.arange(3)) % 3]
+    rolled = ids[
+        np.arange(len(ids))[:, None], (ids.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    ]
     way = np.where(rolled[:, 1] < rolled[:, 2], 1, -1)
     total = np.rint(np.bincount(same, way)).astype(np.int64)[same]
     keep = (copies == 1) | (way * total > 0)
@@ -95,7 +104,9 @@ def join_open(points: Coordinates, ids: Ids, distance: float) -> tuple[Ids, int,
     return to[ids], len(rim) - parts, moved
 
 
-def split_t_joints(points: Coordinates, ids: Ids, distance: float, counts: Counts) -> Ids:
+def split_t_joints(
+    points: Coordinates, ids: Ids, distance: float, counts: Counts
+) -> Ids:
     """Split triangles at corners that lie on the middle of their open edges."""
     for _ in range(20):
         half = open_edges(ids)
@@ -120,7 +131,9 @@ def split_t_joints(points: Coordinates, ids: Ids, distance: float, counts: Count
             )
             along = (points[y] - points[x]) / length[i]
             at = (points[others] - points[x]) @ along
-            off = np.linalg.norm(points[others] - points[x] - at[:, None] * along, axis=1)
+            off = np.linalg.norm(
+                points[others] - points[x] - at[:, None] * along, axis=1
+            )
             on = (off <= distance) & (at > distance) & (at < length[i] - distance)
             if on.any():
                 way = [x, *others[on][np.argsort(at[on])].tolist(), y]
@@ -129,7 +142,9 @@ def split_t_joints(points: Coordinates, ids: Ids, distance: float, counts: Count
         if not new:
             return ids
         counts["t_joints"] += len(new) - len(gone)
-        ids = np.concatenate([np.delete(ids, sorted(gone), axis=0), np.array(new, dtype=np.int64)])
+        ids = np.concatenate(
+            [np.delete(ids, sorted(gone), axis=0), np.array(new, dtype=np.int64)]
+        )
         ids = drop_copies(ids, Counter())
     return ids
 
@@ -150,7 +165,9 @@ def remove_flat(points: Coordinates, ids: Ids, height: float, counts: Counts) ->
         short = flat[lengths[flat].min(axis=1) <= 2.0 * height]
         if len(short):
             k = lengths[short].argmin(axis=1)
-            parts, label = components(len(points), ids[short, k], ids[short, (k + 1) % 3])
+            parts, label = components(
+                len(points), ids[short, k], ids[short, (k + 1) % 3]
+            )
             first = np.full(parts, len(points))
             np.minimum.at(first, label, np.arange(len(points)))
             counts["flat"] += len(short)

@@ -36,7 +36,11 @@ class _Element(NamedTuple):
     @property
     def corners(self) -> int:
         """Place of the list that holds a face's corners; −1 if none."""
-        found = [i for i, one in enumerate(self.properties) if one.name.startswith("vertex_ind")]
+        found = [
+            i
+            for i, one in enumerate(self.properties)
+            if one.name.startswith("vertex_ind")
+        ]
         return found[0] if found else -1
 
 
@@ -44,7 +48,9 @@ def read_ply(data: bytes) -> Faces:
     """Return the faces of a PLY file; raises ValueError if it has none or is cut off."""
     end = re.search(rb"end_header[ \t]*\r?\n", data)
     if not data.startswith(b"ply") or end is None:
-        raise ValueError("is no PLY file: its header does not begin with ply or does not end")
+        raise ValueError(
+            "is no PLY file: its header does not begin with ply or does not end"
+        )
     form, elements = _ply_header(data[: end.start()].decode("latin-1"))
     rows = _ascii_rows if form == "ascii" else _binary_rows
     points, faces = np.zeros((0, 3)), []
@@ -55,7 +61,9 @@ def read_ply(data: bytes) -> Faces:
             place = {one.name: i for i, one in enumerate(element.properties)}
             if not {"x", "y", "z"} <= place.keys():
                 raise ValueError("has corners without x, y and z")
-            points = np.array([[row[place[k]] for k in "xyz"] for row in values], dtype=np.float64)
+            points = np.array(
+                [[row[place[k]] for k in "xyz"] for row in values], dtype=np.float64
+            )
         elif element.name == "face" and element.corners >= 0:
             faces = [[int(n) for n in row[element.corners]] for row in values]
     return _checked(points, faces)
@@ -87,20 +95,28 @@ def _ply_header(text: str) -> tuple[str, list[_Element]]:
                 one = _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
                 elements[-1].properties.append(one)
             elif words[:1] == ["property"]:
-                elements[-1].properties.append(_Property(words[2], _TYPES[words[1]], ""))
+                elements[-1].properties.append(
+                    _Property(words[2], _TYPES[words[1]], "")
+                )
         except (IndexError, KeyError, ValueError) as error:
-            raise ValueError(f"line {line}: {row.strip()[:60]!r} cannot be read") from error
+            raise ValueError(
+                f"line {line}: {row.strip()[:60]!r} cannot be read"
+            ) from error
     if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise ValueError(f"has the unknown PLY format {form!r}")
     return form, elements
 
 
-def _ascii_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[list[Any], int]:
+def _ascii_rows(
+    data: bytes, at: int, element: _Element, order: str
+) -> tuple[list[Any], int]:
     del order
     found: list[Any] = []
     while len(found) < element.size:
         if at >= len(data):
-            raise ValueError(f"is cut off: {len(found)} of {element.size} of {element.name}")
+            raise ValueError(
+                f"is cut off: {len(found)} of {element.size} of {element.name}"
+            )
         stop = data.find(b"\n", at)
         stop = len(data) if stop < 0 else stop
         words = data[at:stop].split()
@@ -118,7 +134,9 @@ def _ascii_row(words: list[bytes], element: _Element) -> list[Any]:
             count = int(words[k])
             values = [float(word) for word in words[k + 1 : k + 1 + count]]
             if len(values) < count:
-                raise ValueError(f"has a {element.name} of {count} values that lists {len(values)}")
+                raise ValueError(
+                    f"has a {element.name} of {count} values that lists {len(values)}"
+                )
             row.append(values)
             k += 1 + count
         else:
@@ -127,7 +145,9 @@ def _ascii_row(words: list[bytes], element: _Element) -> list[Any]:
     return row
 
 
-def _binary_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[Any, int]:
+def _binary_rows(
+    data: bytes, at: int, element: _Element, order: str
+) -> tuple[Any, int]:
     """Return the rows of an element; at once if all its lists are as long as the first."""
     if not element.size:
         return [], at
@@ -150,7 +170,9 @@ def _binary_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[A
                 if one.counted_by
             ):
                 columns = [rows[f"v{i}"] for i in range(len(element.properties))]
-                return list(zip(*columns, strict=True)), at + layout.itemsize * element.size
+                return list(
+                    zip(*columns, strict=True)
+                ), at + layout.itemsize * element.size
         found = []
         for _ in range(element.size):
             row, at = _binary_row(data, at, element, order)
@@ -160,14 +182,18 @@ def _binary_rows(data: bytes, at: int, element: _Element, order: str) -> tuple[A
     return found, at
 
 
-def _binary_row(data: bytes, at: int, element: _Element, order: str) -> tuple[list[Any], int]:
+def _binary_row(
+    data: bytes, at: int, element: _Element, order: str
+) -> tuple[list[Any], int]:
     row: list[Any] = []
     for one in element.properties:
         count = 1
         if one.counted_by:
             count = int(np.frombuffer(data, order + one.counted_by, 1, at)[0])
             at += np.dtype(one.counted_by).itemsize
-        values = np.frombuffer(data, order + one.type, count, at) if count else np.zeros(0)
+        values = (
+            np.frombuffer(data, order + one.type, count, at) if count else np.zeros(0)
+        )
         at += np.dtype(one.type).itemsize * count
         row.append(values if one.counted_by else values[0])
     return row, at
@@ -186,7 +212,9 @@ def read_off(text: str) -> Faces:
     try:
         sizes = int(words[0]), int(words[1])
     except (IndexError, ValueError) as error:
-        raise ValueError(f"line {line}: numbers of corners and faces expected") from error
+        raise ValueError(
+            f"line {line}: numbers of corners and faces expected"
+        ) from error
     points: list[list[float]] = []
     faces: list[list[int]] = []
     for line, words in rows:

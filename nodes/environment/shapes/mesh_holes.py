@@ -20,7 +20,10 @@ def holes(points: Coordinates, ids: Ids, found: list[list[int]]) -> list[Hole]:
     """Return the holes of rims of half-edges, the one of most edges first."""
     flat = ids.ravel()
     return sorted(
-        (Hole(len(rim), float(np.ptp(points[flat[rim]], axis=0).max())) for rim in found),
+        (
+            Hole(len(rim), float(np.ptp(points[flat[rim]], axis=0).max()))
+            for rim in found
+        ),
         reverse=True,
     )
 

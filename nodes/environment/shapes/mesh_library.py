@@ -28,7 +28,9 @@ _UNITS: Final = {  # of a 3MF file, as a scene names them
 }
 
 
-def read_by_library(data: bytes, kind: str, where: str, largest: int) -> tuple[Faces, str]:
+def read_by_library(
+    data: bytes, kind: str, where: str, largest: int
+) -> tuple[Faces, str]:
     """Return points, faces and notes of a file, and the unit that it names; empty for none.
 
     Parameters
@@ -66,7 +68,9 @@ def read_by_library(data: bytes, kind: str, where: str, largest: int) -> tuple[F
         corners = np.asarray(whole.triangles, dtype=np.float64)
         unit = str(found.units or "")
     except ImportError as error:
-        raise ParameterError(f"{kind} needs a library ({error}): {EXTRA}", path=where) from error
+        raise ParameterError(
+            f"{kind} needs a library ({error}): {EXTRA}", path=where
+        ) from error
     except Exception as error:  # a library may raise anything on a damaged file
         raise ValueError(
             f"cannot be read by trimesh {trimesh.__version__} ({type(error).__name__}:"
@@ -83,7 +87,9 @@ def _check_size(data: bytes, largest: int) -> None:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(one.file_size for one in archive.infolist())
     except zipfile.BadZipFile as error:
-        raise ValueError(f"is no 3MF archive ({error}); export the mesh again") from error
+        raise ValueError(
+            f"is no 3MF archive ({error}); export the mesh again"
+        ) from error
     if size > largest:
         raise ValueError(
             f"unpacks to {size / 1e6:.0f} MB, more than {largest / 1e6:.0f}; decimate the mesh"

@@ -35,7 +35,11 @@ from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import lowest_heights
 
 SLIVER = 1e-9  # height up to which a triangle is flat [m]
-JOINS = (1e-8, 1e-7, 1e-6)  # distances within which corners are joined, in turn [of the width]
+JOINS = (
+    1e-8,
+    1e-7,
+    1e-6,
+)  # distances within which corners are joined, in turn [of the width]
 
 TEXTS: dict[RepairKind, str] = {
     "degenerate": "{} triangles of fewer than three corners left out",
@@ -165,10 +169,17 @@ def _is_slit(ids: Ids, rim: list[int]) -> bool:
 
 
 def _with_shells(
-    points: Coordinates, ids: Ids, partner: Ids, disagreeing: int, moved: float, counts: Counts
+    points: Coordinates,
+    ids: Ids,
+    partner: Ids,
+    disagreeing: int,
+    moved: float,
+    counts: Counts,
 ) -> Repaired:
     count, shell = shells_of(len(ids), partner)
-    has_gap = np.bincount(shell, (partner.reshape(-1, 3) < 0).any(axis=1), minlength=count)
+    has_gap = np.bincount(
+        shell, (partner.reshape(-1, 3) < 0).any(axis=1), minlength=count
+    )
     closed = has_gap == 0
     turns = shell_turns(points[ids], shell, closed)
     if turns.turn.any():
@@ -182,4 +193,6 @@ def _with_shells(
         partner = partner[moved_half.ravel()]
         known = partner >= 0
         partner[known] = moved_half.ravel()[partner[known]]
-    return Repaired(points, ids, partner, shell, closed, turns.cavity, disagreeing, moved, counts)
+    return Repaired(
+        points, ids, partner, shell, closed, turns.cavity, disagreeing, moved, counts
+    )

@@ -34,7 +34,9 @@ class MeshReport(NamedTuple):
     scale: float  # at which it was examined [m per unit]
     repaired: Repaired
     holes: list[Hole]  # widths in the file's unit
-    crossings: int  # probed places of its faces where the mesh crosses or overlaps itself
+    crossings: (
+        int  # probed places of its faces where the mesh crosses or overlaps itself
+    )
     probes: int
     verdict: str  # empty if it is felt as a solid, else why it is not
     sheet: str  # the same with sides: both
@@ -71,15 +73,21 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
         )
     units = unit_candidates(width)
     if scale is None:
-        likely = [one.scale for one in units if one.is_likely] or [one.scale for one in units]
+        likely = [one.scale for one in units if one.is_likely] or [
+            one.scale for one in units
+        ]
         scale = likely[0] if likely else _WIDTH / max(width, 1e-300)
     try:
         repaired = repair(read.corners, height=SLIVER / scale)
     except ValueError as error:
         raise ParameterError(f"{path}: {error}", path=where) from error
     if not len(repaired.ids):
-        raise ParameterError(f"{path}: no triangle has an area; export its surface", path=where)
-    crossings, probes = count_crossings(repaired, width) if repaired.is_solid else (0, 0)
+        raise ParameterError(
+            f"{path}: no triangle has an area; export its surface", path=where
+        )
+    crossings, probes = (
+        count_crossings(repaired, width) if repaired.is_solid else (0, 0)
+    )
     x, y, z = size.tolist()
     return MeshReport(
         read,
@@ -134,7 +142,8 @@ def write_mesh(path: Path, points: Coordinates, ids: Ids) -> None:
         path.write_text("".join(lines), encoding="ascii")
         return
     records = np.zeros(
-        len(ids), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")]
+        len(ids),
+        dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")],
     )
     records["corners"] = points[ids]
     header = b"haptic mesh --close".ljust(80) + struct.pack("<I", len(ids))

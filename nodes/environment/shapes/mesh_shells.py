@@ -11,7 +11,9 @@ from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import signed_volumes
 
 MOST_SHELLS = 20_000  # of a mesh of which some look inwards
-_MOST_WORK = 50_000_000  # triangles of shells that are asked whether they contain another
+_MOST_WORK = (
+    50_000_000  # triangles of shells that are asked whether they contain another
+)
 _PROBES = 5  # places of a shell at which it is asked whether another contains it
 
 
@@ -72,12 +74,16 @@ def shell_turns(corners: Coordinates, shell: Ids, closed: Flags) -> ShellTurns:
     for place, s in enumerate(by_size.tolist()):
         if volume[s] > 0.0 and not turn.any():
             continue
-        contains = (lower[:place] <= low[s]).all(axis=1) & (upper[:place] >= high[s]).all(axis=1)
+        contains = (lower[:place] <= low[s]).all(axis=1) & (
+            upper[:place] >= high[s]
+        ).all(axis=1)
         around = by_size[:place][contains]
         holder = -1
         if volume[s] < 0.0 or turn[around].any():
             mine = order[bounds[s] : bounds[s + 1]]
-            probes = corners[mine[np.linspace(0, len(mine) - 1, _PROBES).astype(int)]].mean(axis=1)
+            probes = corners[
+                mine[np.linspace(0, len(mine) - 1, _PROBES).astype(int)]
+            ].mean(axis=1)
             for other in around[::-1].tolist():
                 faces = corners[order[bounds[other] : bounds[other + 1]]]
                 work += len(faces)

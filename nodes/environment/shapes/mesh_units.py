@@ -8,7 +8,14 @@ from typing import Any, Final, NamedTuple
 from nodes.environment.shapes.mesh import LARGEST, SMALLEST
 from nodes.parameters.store import ParameterError
 
-UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254, "m": 1.0, "foot": 0.3048, "µm": 1e-6}  # [m]
+UNITS: Final = {
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "inch": 0.0254,
+    "m": 1.0,
+    "foot": 0.3048,
+    "µm": 1e-6,
+}  # [m]
 LIKELY: Final = (0.02, 0.5)  # width of what a hand feels [m]
 
 
@@ -24,7 +31,9 @@ class UnitCandidate(NamedTuple):
 def unit_candidates(width: float) -> list[UnitCandidate]:
     """Return the units in which a width is one that a scene accepts, likely ones first."""
     found = [
-        UnitCandidate(unit, scale, width * scale, LIKELY[0] <= width * scale <= LIKELY[1])
+        UnitCandidate(
+            unit, scale, width * scale, LIKELY[0] <= width * scale <= LIKELY[1]
+        )
         for unit, scale in UNITS.items()
         if SMALLEST <= width * scale <= LARGEST
     ]
@@ -69,8 +78,12 @@ def scale_of(
         per_unit, how = 1.0, "taken in metres, because no unit, scale or width is given"
     extent = width * per_unit
     if not SMALLEST <= extent <= LARGEST and width > 0.0:
-        fitting = [f"unit: {one.unit} ({one.width:.3g} m)" for one in unit_candidates(width)]
-        remedy = f"set {', '.join(fitting)}" if fitting else "set width, e.g. width: 0.08"
+        fitting = [
+            f"unit: {one.unit} ({one.width:.3g} m)" for one in unit_candidates(width)
+        ]
+        remedy = (
+            f"set {', '.join(fitting)}" if fitting else "set width, e.g. width: 0.08"
+        )
         raise ParameterError(
             f"the mesh is {extent:.4g} m wide ({width:.4g} units, {how}), expected"
             f" {SMALLEST:g} to {LARGEST:g} m; {remedy}, or width: 0.08 for 80 mm",

@@ -12,7 +12,9 @@ from nodes.environment.shapes.scene import ShapeMotion
 WayPoint = tuple[float, float, float, float]
 
 
-class MotionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class MotionParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """ShapeMotion of a shape, relative to its place in the launch file.
 
     Attributes
@@ -43,7 +45,9 @@ class MotionParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
         for i, (a, b) in enumerate(zip(self.path, self.path[1:], strict=False)):
             way, span = math.dist(a[1:], b[1:]), b[0] - a[0]
             if not span > 0.0:
-                raise ValueError(f"path[{i + 1}] is at {b[0]:g} s, expected later than {a[0]:g} s")
+                raise ValueError(
+                    f"path[{i + 1}] is at {b[0]:g} s, expected later than {a[0]:g} s"
+                )
             if way > self.speed * span * (1.0 + 1e-9):
                 raise ValueError(
                     f"path[{i + 1}] asks for {way / span:.3g} m/s, limit speed, {self.speed:g} m/s;"

@@ -56,7 +56,9 @@ def nearer_in_patch(
                 continue
             memory[SEEN + seen] = other
             seen += 1
-            px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * int(other), x, y, z)
+            px, py, pz, _ = nearest_on_triangle(
+                scene, triangles + TRIANGLE * int(other), x, y, z
+            )
             away = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
             if away < least:
                 least, bx, by, bz, best = away, px, py, pz, int(other)
@@ -66,7 +68,12 @@ def nearer_in_patch(
         # The device is on that triangle: the direction between them is rounding error, or zero.
         at, out = triangles + TRIANGLE * best, scene[RADIUS]
         bx, by, bz = bx + ox, by + oy, bz + oz
-        return True, bx + out * scene[at + 9], by + out * scene[at + 10], bz + out * scene[at + 11]
+        return (
+            True,
+            bx + out * scene[at + 9],
+            by + out * scene[at + 10],
+            bz + out * scene[at + 11],
+        )
     out = scene[RADIUS] / least
     bx, by, bz = bx + out * (bx - x), by + out * (by - y), bz + out * (bz - z)
     return True, bx + ox, by + oy, bz + oz
@@ -75,7 +82,11 @@ def nearer_in_patch(
 def _edge(scene: Table, at: int, k: int, x: float, y: float, z: float) -> float:
     """Return the squared distance to an edge of a triangle [m²]."""
     i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
-    ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
+    ex, ey, ez = (
+        scene[j] - scene[i],
+        scene[j + 1] - scene[i + 1],
+        scene[j + 2] - scene[i + 2],
+    )
     px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
     along = (px * ex + py * ey + pz * ez) / (ex * ex + ey * ey + ez * ez)
     along = min(max(along, 0.0), 1.0)

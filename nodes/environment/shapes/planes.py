@@ -41,7 +41,9 @@ def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) ->
 def _needs(memory: Memory, i: int, vx: float, vy: float, vz: float) -> float:
     """Return the depth of a step behind a plane [m]."""
     at = CONTACTS + CONTACT * i
-    return -memory[at + GAP] - (memory[at] * vx + memory[at + 1] * vy + memory[at + 2] * vz)
+    return -memory[at + GAP] - (
+        memory[at] * vx + memory[at + 1] * vy + memory[at + 2] * vz
+    )
 
 
 def _all_push(memory: Memory, i: int, j: int, k: int) -> bool:
@@ -54,10 +56,16 @@ def _all_push(memory: Memory, i: int, j: int, k: int) -> bool:
 
 def _dot(memory: Memory, i: int, j: int) -> float:
     a, b = CONTACTS + CONTACT * i, CONTACTS + CONTACT * j
-    return memory[a] * memory[b] + memory[a + 1] * memory[b + 1] + memory[a + 2] * memory[b + 2]
+    return (
+        memory[a] * memory[b]
+        + memory[a + 1] * memory[b + 1]
+        + memory[a + 2] * memory[b + 2]
+    )
 
 
-def _against(memory: Memory, vx: float, vy: float, vz: float, i: int, j: int, k: int) -> Vector:
+def _against(
+    memory: Memory, vx: float, vy: float, vz: float, i: int, j: int, k: int
+) -> Vector:
     """Project a step on up to three planes (−1: none) and write their multipliers.
 
     The multipliers are 0 if the planes are almost parallel.
@@ -75,7 +83,11 @@ def _against(memory: Memory, vx: float, vy: float, vz: float, i: int, j: int, k:
             else:
                 a = b = 0.0
         else:
-            h, m, nk = _dot(memory, i, k), _dot(memory, j, k), _needs(memory, k, vx, vy, vz)
+            h, m, nk = (
+                _dot(memory, i, k),
+                _dot(memory, j, k),
+                _needs(memory, k, vx, vy, vz),
+            )
             whole = 1.0 + 2.0 * g * h * m - g * g - h * h - m * m
             if whole > _FLAT:
                 a, b, c = (
@@ -89,5 +101,9 @@ def _against(memory: Memory, vx: float, vy: float, vz: float, i: int, j: int, k:
         if n >= 0:
             p = CONTACTS + CONTACT * n
             memory[p + SHARE] = part
-            vx, vy, vz = vx + part * memory[p], vy + part * memory[p + 1], vz + part * memory[p + 2]
+            vx, vy, vz = (
+                vx + part * memory[p],
+                vy + part * memory[p + 1],
+                vz + part * memory[p + 2],
+            )
     return vx, vy, vz

@@ -27,7 +27,9 @@ def group_by_corners(faces: list[list[int]]) -> dict[int, Ids]:
     groups: dict[int, list[list[int]]] = {}
     for face in faces:
         groups.setdefault(len(face), []).append(face)
-    return {k: np.array(found, dtype=np.int64).reshape(-1, k) for k, found in groups.items()}
+    return {
+        k: np.array(found, dtype=np.int64).reshape(-1, k) for k, found in groups.items()
+    }
 
 
 def cut_faces(points: Coordinates, groups: dict[int, Ids]) -> tuple[Ids, int, int]:
@@ -43,10 +45,14 @@ def cut_faces(points: Coordinates, groups: dict[int, Ids]) -> tuple[Ids, int, in
         unit = normal / np.maximum(size, 1e-300)[:, None]
         turn = np.einsum(
             "ijk,ik->ij",
-            np.cross(corners - np.roll(corners, 1, 1), np.roll(corners, -1, 1) - corners),
+            np.cross(
+                corners - np.roll(corners, 1, 1), np.roll(corners, -1, 1) - corners
+            ),
             unit,
         )
-        spread = np.einsum("ijk,ik->ij", np.cross(corners[:, 1:-1], corners[:, 2:]), unit)
+        spread = np.einsum(
+            "ijk,ik->ij", np.cross(corners[:, 1:-1], corners[:, 2:]), unit
+        )
         limit = _ROUNDING * np.maximum(size, 1e-300)[:, None]
         convex = (turn > limit).all(axis=1) & (spread > limit).all(axis=1)
         fans = [faces[convex][:, [0, i, i + 1]] for i in range(1, k - 1)]
@@ -67,7 +73,9 @@ def cut_ears(corners: Coordinates, normal: Coordinates) -> tuple[Ids, bool]:
     """Cut one face, seen along its normal, best-shaped ears first; whether it crosses itself."""
     count, size = len(corners), float(np.linalg.norm(normal))
     if size < 1e-300:
-        return np.array([[0, i, i + 1] for i in range(1, count - 1)], dtype=np.int64), True
+        return np.array(
+            [[0, i, i + 1] for i in range(1, count - 1)], dtype=np.int64
+        ), True
     unit = normal / size
     across = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     across /= np.linalg.norm(across)
@@ -105,7 +113,9 @@ def _mark(flat: Coordinates, left: list[int], i: int, limit: float) -> float:
     others = flat[[k for k in left if k not in mine]]
     inside = np.ones(len(others), dtype=bool)
     for p, q in ((a, b), (b, c), (c, a)):
-        side = (q[0] - p[0]) * (others[:, 1] - p[1]) - (q[1] - p[1]) * (others[:, 0] - p[0])
+        side = (q[0] - p[0]) * (others[:, 1] - p[1]) - (q[1] - p[1]) * (
+            others[:, 0] - p[0]
+        )
         inside &= side >= -limit
         # A bridge to a hole passes one place twice: its other corner does not stand in the way.
         inside &= ~(others == p).all(axis=1)

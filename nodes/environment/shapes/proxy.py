@@ -46,7 +46,9 @@ _FACING = 0.2  # least cosine at which the centre of a round part gives the dire
 
 _PARALLEL = 1e-9
 _BIT = 1e-6  # distance along a crease over which its curvature is measured [m]
-_FLATTEST = 0.1  # least curvature term: a step along a crease is lengthened at most tenfold
+_FLATTEST = (
+    0.1  # least curvature term: a step along a crease is lengthened at most tenfold
+)
 _TURNS = 9  # descents in a call: the first, and two for each patch that is tried
 
 
@@ -127,10 +129,17 @@ def _go_back(memory: Memory) -> None:
     memory[t.TOUCHED] = 1.0
 
 
-def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool) -> bool:
+def _descend(
+    scene: Table, memory: Memory, dx: float, dy: float, dz: float, rough: bool
+) -> bool:
     """Descend with the proxy towards the device. Return whether a surface holds it."""
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
-    count, sliding, slid, idle = int(memory[t.TOUCHED]), memory[t.SLIDING] == 1.0, 0.0, 0
+    count, sliding, slid, idle = (
+        int(memory[t.TOUCHED]),
+        memory[t.SLIDING] == 1.0,
+        0.0,
+        0,
+    )
     covered, nx, ny, nz, shape, face = 1.0, 0.0, 0.0, 1.0, -1.0, -1.0
     # State before the last leap: position, squared distance to the device (−1: no leap under way),
     # and whether leaps are on.
@@ -162,7 +171,13 @@ def _descend(scene: Table, memory: Memory, dx: float, dy: float, dz: float, roug
         if length <= STILL or part == 0.0 or idle > 2 or turn == _MOST_ROUNDS - 1:
             break
         if held and leaping and carrying < 3:
-            bx, by, bz, had_slid, before_leap = x, y, z, slid, vx * vx + vy * vy + vz * vz
+            bx, by, bz, had_slid, before_leap = (
+                x,
+                y,
+                z,
+                slid,
+                vx * vx + vy * vy + vz * vz,
+            )
         if carrying == 1 and leaping:
             at = t.CONTACTS + t.CONTACT * carrier
             sx, sy, sz = _around(scene, memory, at, x, y, z, dx, dy, dz, sx, sy, sz)
@@ -234,7 +249,10 @@ def _along_crease(
             if first < 0:
                 first = at
             else:
-                tx = memory[first + 1] * memory[at + 2] - memory[first + 2] * memory[at + 1]
+                tx = (
+                    memory[first + 1] * memory[at + 2]
+                    - memory[first + 2] * memory[at + 1]
+                )
                 ty = memory[first + 2] * memory[at] - memory[first] * memory[at + 2]
                 tz = memory[first] * memory[at + 1] - memory[first + 1] * memory[at]
     length = sqrt(tx * tx + ty * ty + tz * tz)
@@ -252,10 +270,15 @@ def _along_crease(
             for n in range(2):
                 on = n * _BIT
                 px, py, pz = x + on * tx, y + on * ty, z + on * tz
-                is_round, cx, cy, cz = core(scene, row, memory[at + t.FACE], px, py, pz, nx, ny, nz)
+                is_round, cx, cy, cz = core(
+                    scene, row, memory[at + t.FACE], px, py, pz, nx, ny, nz
+                )
                 along = (cx - x) * tx + (cy - y) * ty + (cz - z) * tz
                 if n == 0:
-                    begins, radius = along, nx * (x - cx) + ny * (y - cy) + nz * (z - cz)
+                    begins, radius = (
+                        along,
+                        nx * (x - cx) + ny * (y - cy) + nz * (z - cz),
+                    )
                 else:
                     follows = (along - begins) / _BIT
             if is_round and radius > 0.0:
@@ -265,7 +288,14 @@ def _along_crease(
 
 
 def _first_hit(
-    scene: Table, memory: Memory, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table,
+    memory: Memory,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
 ) -> tuple[float, float, float, float, float, float]:
     """Return the part of a step before a hit (2.0: none), the normal, shape and triangle."""
     best, nx, ny, nz, shape, face = 2.0, 0.0, 0.0, 1.0, -1.0, -1.0
@@ -284,7 +314,9 @@ def _first_hit(
     return best, nx, ny, nz, shape, face
 
 
-def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: float) -> int:
+def _touching(
+    scene: Table, memory: Memory, count: int, x: float, y: float, z: float
+) -> int:
     """Discard triangles no longer touched and add other shapes touched. Return the count."""
     kept = 0
     for i in range(count):
@@ -297,7 +329,8 @@ def _touching(scene: Table, memory: Memory, count: int, x: float, y: float, z: f
     shapes = int(scene[t.SHAPES])
     for n in range(shapes):
         solid = (
-            scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH and memory[t.LAST + shapes + n] == t.FELT
+            scene[t.ROWS + t.ROW * n + t.KIND] != t.MESH
+            and memory[t.LAST + shapes + n] == t.FELT
         )
         if solid and kept < t.MAX_CONTACTS:
             away, nx, ny, nz = gap(scene, t.ROWS + t.ROW * n, x, y, z)
@@ -322,16 +355,23 @@ def _face_gap(
 
 
 def _write(
-    memory: Memory, i: int, nx: float, ny: float, nz: float, away: float, shape: float, face: float
+    memory: Memory,
+    i: int,
+    nx: float,
+    ny: float,
+    nz: float,
+    away: float,
+    shape: float,
+    face: float,
 ) -> int:
     at = t.CONTACTS + t.CONTACT * i
     memory[at], memory[at + 1], memory[at + 2] = nx, ny, nz
-    memory[at + t.GAP], memory[at + t.SHAPE], memory[at + t.FACE], memory[at + t.SHARE] = (
-        away,
-        shape,
-        face,
-        0.0,
-    )
+    (
+        memory[at + t.GAP],
+        memory[at + t.SHAPE],
+        memory[at + t.FACE],
+        memory[at + t.SHARE],
+    ) = (away, shape, face, 0.0)
     return i + 1
 
 
@@ -381,7 +421,9 @@ def _other_patch(
         memory[t.BACK + k] = memory[t.AT + k]
     for k in range(t.CONTACT):
         memory[t.BACK + 3 + k] = memory[carrier + k]
-    return nearer_in_patch(scene, row, memory, int(memory[carrier + t.FACE]), dx, dy, dz)
+    return nearer_in_patch(
+        scene, row, memory, int(memory[carrier + t.FACE]), dx, dy, dz
+    )
 
 
 def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:

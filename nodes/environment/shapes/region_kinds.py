@@ -56,10 +56,14 @@ class Viscosity(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True
             )
         (solid,) = shape.solids(at)
         odd = [
-            name for name in ("friction", "stiffness", "damping", "motion") if name in self.within
+            name
+            for name in ("friction", "stiffness", "damping", "motion")
+            if name in self.within
         ]
         if odd:
-            raise ParameterError("a region has no surface; leave it out", path=f"{at}.{odd[0]}")
+            raise ParameterError(
+                "a region has no surface; leave it out", path=f"{at}.{odd[0]}"
+            )
         return [FeltRegion(solid, VISCOSITY, self.band, self.time)]
 
     def effects(self, where: str) -> list[Effect]:

@@ -19,7 +19,9 @@ Extent: TypeAlias = tuple[float, float]
 _FEW = 6  # regions near one of which all common points are tried
 
 
-def overlap_effects(regions: Sequence[FeltRegion], effects: Sequence[Effect]) -> list[Effect]:
+def overlap_effects(
+    regions: Sequence[FeltRegion], effects: Sequence[Effect]
+) -> list[Effect]:
     """Return what regions do to a law where several of them act.
 
     Parameters
@@ -46,7 +48,10 @@ def overlap_effects(regions: Sequence[FeltRegion], effects: Sequence[Effect]) ->
                 frozenset(
                     m
                     for m in near
-                    if all(low <= x <= high for x, (low, high) in zip(point, boxes[m], strict=True))
+                    if all(
+                        low <= x <= high
+                        for x, (low, high) in zip(point, boxes[m], strict=True)
+                    )
                 )
             )
     largest = [one for one in together if not any(one < other for other in together)]
@@ -81,12 +86,18 @@ def _bounds(shape: Solid) -> tuple[Extent, ...]:
         reach = [numbers[3]] * 3
     elif shape.kind == t.BOX:
         half = numbers[12:15]
-        reach = [sum(abs(numbers[3 + 3 * i + k]) * half[i] for i in range(3)) for k in range(3)]
+        reach = [
+            sum(abs(numbers[3 + 3 * i + k]) * half[i] for i in range(3))
+            for k in range(3)
+        ]
     elif shape.kind == t.CAPSULE:
         length, radius = numbers[6:8]
         centre = [numbers[k] + 0.5 * length * numbers[3 + k] for k in range(3)]
         reach = [0.5 * length * abs(numbers[3 + k]) + radius for k in range(3)]
     elif shape.kind == t.CYLINDER:
         half_length, radius = numbers[6:8]
-        reach = [half_length * abs(a) + radius * sqrt(max(1.0 - a * a, 0.0)) for a in numbers[3:6]]
+        reach = [
+            half_length * abs(a) + radius * sqrt(max(1.0 - a * a, 0.0))
+            for a in numbers[3:6]
+        ]
     return tuple((c - r, c + r) for c, r in zip(centre, reach, strict=True))

@@ -77,29 +77,44 @@ def sphere(centre: Vector, radius: float, friction: Friction = SLIPPERY) -> Soli
 
 
 def box(
-    centre: Vector, size: Vector, turn: Vector = (0.0, 0.0, 0.0), friction: Friction = SLIPPERY
+    centre: Vector,
+    size: Vector,
+    turn: Vector = (0.0, 0.0, 0.0),
+    friction: Friction = SLIPPERY,
 ) -> Solid:
     """Return a box of edge lengths `size` [m], turned by roll, pitch and yaw [rad]."""
     axes = zip(*rotation(turn), strict=True)
     return Solid(
         t.BOX,
-        (*centre, *(number for axis in axes for number in axis), *(0.5 * side for side in size)),
+        (
+            *centre,
+            *(number for axis in axes for number in axis),
+            *(0.5 * side for side in size),
+        ),
         friction,
     )
 
 
-def capsule(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
+def capsule(
+    start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY
+) -> Solid:
     """Return all points within a radius of a straight line."""
     return Solid(
-        t.CAPSULE, (*start, *_direction(start, end), _length(start, end), radius), friction
+        t.CAPSULE,
+        (*start, *_direction(start, end), _length(start, end), radius),
+        friction,
     )
 
 
-def cylinder(start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY) -> Solid:
+def cylinder(
+    start: Vector, end: Vector, radius: float, friction: Friction = SLIPPERY
+) -> Solid:
     """Return a cylinder between the centres of its ends."""
     middle = tuple(0.5 * (a + b) for a, b in zip(start, end, strict=True))
     return Solid(
-        t.CYLINDER, (*middle, *_direction(start, end), 0.5 * _length(start, end), radius), friction
+        t.CYLINDER,
+        (*middle, *_direction(start, end), 0.5 * _length(start, end), radius),
+        friction,
     )
 
 
@@ -126,18 +141,27 @@ def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 def scene_table(
-    solids: Sequence[Solid], tool_radius: float, period: float, regions: Sequence[FeltRegion] = ()
+    solids: Sequence[Solid],
+    tool_radius: float,
+    period: float,
+    regions: Sequence[FeltRegion] = (),
 ) -> array[float]:
     """Return the scene table (nodes/environment/shapes/tables.py) of shapes for one tool."""
     rows = array("d", [0.0]) * (t.ROWS + t.ROW * (len(solids) + len(regions)))
-    rows[t.SHAPES], rows[t.RADIUS], rows[t.CALL_PERIOD] = len(solids), tool_radius + t.SKIN, period
+    rows[t.SHAPES], rows[t.RADIUS], rows[t.CALL_PERIOD] = (
+        len(solids),
+        tool_radius + t.SKIN,
+        period,
+    )
     rows[t.REGIONS] = len(regions)
     rows[t.MOVERS] = sum(solid.motion is not None for solid in solids)
     for n, region in enumerate(regions, len(solids)):
         at, shape = t.ROWS + t.ROW * n, region.shape
         rows[at + t.KIND], rows[at + t.EFFECT] = shape.kind, region.effect
         rows[at + t.BAND], rows[at + t.LAG], rows[at + t.STIFF] = region[2:]
-        rows[at + t.GIVEN : at + t.GIVEN + len(shape.numbers)] = array("d", shape.numbers)
+        rows[at + t.GIVEN : at + t.GIVEN + len(shape.numbers)] = array(
+            "d", shape.numbers
+        )
     behind = array("d")
     for n, solid in enumerate(solids):
         at = t.ROWS + t.ROW * n
@@ -146,8 +170,14 @@ def scene_table(
         rows[at + t.STIFF : at + t.STIFF + 2] = array("d", solid.factors)
         if solid.motion is not None:
             way = solid.motion.path
-            rows[at + t.SPEED], rows[at + t.POWER] = solid.motion.speed, solid.motion.power
-            rows[at + t.WAY], rows[at + t.WAY_POINTS] = len(rows) + len(behind), len(way)
+            rows[at + t.SPEED], rows[at + t.POWER] = (
+                solid.motion.speed,
+                solid.motion.power,
+            )
+            rows[at + t.WAY], rows[at + t.WAY_POINTS] = (
+                len(rows) + len(behind),
+                len(way),
+            )
             rows[at + t.REPEAT] = solid.motion.repeat
             behind.extend(number for point in way for number in point)
         numbers = solid.numbers
@@ -165,7 +195,9 @@ def scene_table(
                 tree + found.boxes.size,
                 float(found.closed),
             )
-            triangles = np.concatenate([found.corners.reshape(-1, 9), found.normals], axis=1)
+            triangles = np.concatenate(
+                [found.corners.reshape(-1, 9), found.normals], axis=1
+            )
             for part in (triangles, found.boxes, found.neighbours.astype(float)):
                 behind.frombytes(part.tobytes())
         rows[at + t.GIVEN : at + t.GIVEN + len(numbers)] = array("d", numbers)
@@ -188,7 +220,9 @@ def identity_of(table: array[float]) -> KnownShapes:
     return KnownShapes(
         (*table[: t.MOVERS], *table[regions : regions + t.ROW * int(table[t.REGIONS])]),
         tuple(_shape(table, n) for n in range(shapes)),
-        frozenset(n for n in range(shapes) if table[t.ROWS + t.ROW * n + t.SPEED] > 0.0),
+        frozenset(
+            n for n in range(shapes) if table[t.ROWS + t.ROW * n + t.SPEED] > 0.0
+        ),
     )
 
 
@@ -221,7 +255,11 @@ def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
             take(n, n if n in same else same[0])
     if len(before.shapes) == len(after.shapes):
         for n in new:
-            if n not in found and n in left and before.shapes[n][0] == after.shapes[n][0]:
+            if (
+                n not in found
+                and n in left
+                and before.shapes[n][0] == after.shapes[n][0]
+            ):
                 take(n, n)
     for n in new:
         kind = after.shapes[n][0]
@@ -256,7 +294,9 @@ def carry_over(
         return
     # A proxy whose device is lost keeps waiting until the device comes back elsewhere.
     is_lost = memory[t.PLACED] == t.LOST
-    to_memory[t.AT : t.AT + 3] = array("d", [inf] * 3 if is_lost else memory[t.AT : t.AT + 3])
+    to_memory[t.AT : t.AT + 3] = array(
+        "d", [inf] * 3 if is_lost else memory[t.AT : t.AT + 3]
+    )
     to_memory[t.PLACED] = t.LOST if is_lost else t.CARRIED
     to_memory[t.BEFORE] = memory[t.BEFORE]
     to_memory[t.FELT_AS : t.GOAL] = array("d", memory[t.FELT_AS : t.GOAL])
@@ -278,7 +318,9 @@ def keep_offsets(
     for n, m in matched(before, after).items() if after.moving else ():
         at, to = t.ROWS + t.ROW * m, t.ROWS + t.ROW * n
         if n in after.moving:
-            to_table[to + t.SHIFT : to + t.SHIFT + 3] = table[at + t.SHIFT : at + t.SHIFT + 3]
+            to_table[to + t.SHIFT : to + t.SHIFT + 3] = table[
+                at + t.SHIFT : at + t.SHIFT + 3
+            ]
             to_table[to + t.AIM : to + t.AIM + 3] = table[at + t.AIM : at + t.AIM + 3]
 
 

@@ -11,16 +11,35 @@ from math import sqrt
 
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.tables import Memory, Table, Vector4
-from nodes.environment.shapes.triangle import height_above, nearest_on_triangle, triangle_hit
+from nodes.environment.shapes.triangle import (
+    height_above,
+    nearest_on_triangle,
+    triangle_hit,
+)
 
 
 def mesh_hit(
-    scene: Table, row: int, x: float, y: float, z: float, sx: float, sy: float, sz: float
+    scene: Table,
+    row: int,
+    x: float,
+    y: float,
+    z: float,
+    sx: float,
+    sy: float,
+    sz: float,
 ) -> tuple[float, float, float, float, float]:
     """Return the part of a step before a mesh is hit (2.0: none), the normal and the triangle."""
-    radius, count, leaves = scene[t.RADIUS], int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
+    radius, count, leaves = (
+        scene[t.RADIUS],
+        int(scene[row + t.COUNT]),
+        int(scene[row + t.LEAVES]),
+    )
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
-    x, y, z = x - scene[row + t.SHIFT], y - scene[row + t.SHIFT + 1], z - scene[row + t.SHIFT + 2]
+    x, y, z = (
+        x - scene[row + t.SHIFT],
+        y - scene[row + t.SHIFT + 1],
+        z - scene[row + t.SHIFT + 2],
+    )
     margin = radius + t.LIP
     best, bx, by, bz, face = 2.0, 0.0, 0.0, 1.0, -1.0
     ex, ey, ez = x + sx, y + sy, z + sz
@@ -62,7 +81,11 @@ def mesh_gap(
     """
     count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
-    x, y, z = x - scene[row + t.SHIFT], y - scene[row + t.SHIFT + 1], z - scene[row + t.SHIFT + 2]
+    x, y, z = (
+        x - scene[row + t.SHIFT],
+        y - scene[row + t.SHIFT + 1],
+        z - scene[row + t.SHIFT + 2],
+    )
     face = int(memory[last])
     qx, qy, qz, _ = nearest_on_triangle(scene, triangles + t.TRIANGLE * face, x, y, z)
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
@@ -100,7 +123,12 @@ def mesh_gap(
     sign = -1.0 if scene[row + t.CLOSED] == 1.0 and side < 0.0 else 1.0
     at = triangles + t.TRIANGLE * face
     if away <= t.LIP:
-        return sign * away - scene[t.RADIUS], scene[at + 9], scene[at + 10], scene[at + 11]
+        return (
+            sign * away - scene[t.RADIUS],
+            scene[at + 9],
+            scene[at + 10],
+            scene[at + 11],
+        )
     away *= sign
     return away - scene[t.RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away
 
@@ -111,7 +139,11 @@ def mesh_winding(scene: Table, row: int, x: float, y: float, z: float) -> int:
     It counts faces that a ray along x leaves and enters through. A point belongs to the projection
     of one of two faces at an edge, because both compute the edge in the same way.
     """
-    x, y, z = x - scene[row + t.SHIFT], y - scene[row + t.SHIFT + 1], z - scene[row + t.SHIFT + 2]
+    x, y, z = (
+        x - scene[row + t.SHIFT],
+        y - scene[row + t.SHIFT + 1],
+        z - scene[row + t.SHIFT + 2],
+    )
     count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
     found, k = 0, 1

@@ -9,7 +9,15 @@ from __future__ import annotations
 
 from math import sqrt
 
-from nodes.environment.shapes.tables import EDGE, LIP, SKIN, TOLERANCE, TOUCH, Table, Vector4
+from nodes.environment.shapes.tables import (
+    EDGE,
+    LIP,
+    SKIN,
+    TOLERANCE,
+    TOUCH,
+    Table,
+    Vector4,
+)
 
 
 def nearest_on_triangle(
@@ -45,7 +53,12 @@ def nearest_on_triangle(
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return ax + bx + w * (cx - bx), ay + by + w * (cy - by), az + bz + w * (cz - bz), False
+        return (
+            ax + bx + w * (cx - bx),
+            ay + by + w * (cy - by),
+            az + bz + w * (cz - bz),
+            False,
+        )
     # By the normal, not by the corners, which would lose digits for a close point.
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     height = px * nx + py * ny + pz * nz
@@ -66,18 +79,32 @@ def _within(scene: Table, at: int, x: float, y: float, z: float, lip: float) -> 
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     for k in range(3):
         i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
-        ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
+        ex, ey, ez = (
+            scene[j] - scene[i],
+            scene[j + 1] - scene[i + 1],
+            scene[j + 2] - scene[i + 2],
+        )
         px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
-        inward = px * (ny * ez - nz * ey) + py * (nz * ex - nx * ez) + pz * (nx * ey - ny * ex)
+        inward = (
+            px * (ny * ez - nz * ey)
+            + py * (nz * ex - nx * ez)
+            + pz * (nx * ey - ny * ex)
+        )
         if inward < 0.0 and inward * inward > lip * lip * (ex * ex + ey * ey + ez * ez):
             return False
     return True
 
 
-def triangle_gap(scene: Table, at: int, radius: float, x: float, y: float, z: float) -> Vector4:
+def triangle_gap(
+    scene: Table, at: int, radius: float, x: float, y: float, z: float
+) -> Vector4:
     """Return a tool's distance from contact with a triangle [m] (1.0: beside), and the normal."""
     height = height_above(scene, at, x, y, z)
-    if abs(height) <= radius + TOUCH and height >= 0.0 and _within(scene, at, x, y, z, LIP):
+    if (
+        abs(height) <= radius + TOUCH
+        and height >= 0.0
+        and _within(scene, at, x, y, z, LIP)
+    ):
         return height - radius, scene[at + 9], scene[at + 10], scene[at + 11]
     if radius > LIP:
         qx, qy, qz, inside = nearest_on_triangle(scene, at, x, y, z)
@@ -117,7 +144,14 @@ def triangle_hit(
             # hit.
             if after < EDGE:
                 through = min(-before / closing, 1.0)
-                if _within(scene, at, x + through * sx, y + through * sy, z + through * sz, EDGE):
+                if _within(
+                    scene,
+                    at,
+                    x + through * sx,
+                    y + through * sy,
+                    z + through * sz,
+                    EDGE,
+                ):
                     return part, nx, ny, nz
             return 2.0, nx, ny, nz
     elif radius <= LIP:
@@ -146,7 +180,11 @@ def _rim_hit(
         part, nx, ny, nz = _ball_hit(radius, px, py, pz, sx, sy, sz)
         if part < best:
             best, bx, by, bz = part, nx, ny, nz
-        ex, ey, ez = scene[j] - scene[i], scene[j + 1] - scene[i + 1], scene[j + 2] - scene[i + 2]
+        ex, ey, ez = (
+            scene[j] - scene[i],
+            scene[j + 1] - scene[i + 1],
+            scene[j + 2] - scene[i + 2],
+        )
         length = sqrt(ex * ex + ey * ey + ez * ez)
         ex, ey, ez = ex / length, ey / length, ez / length
         along, going = px * ex + py * ey + pz * ez, sx * ex + sy * ey + sz * ez

@@ -18,5 +18,7 @@ def lowest_heights(corners: Coordinates) -> tuple[Coordinates, Coordinates]:
 def signed_volumes(corners: Coordinates, part: Ids, count: int) -> Coordinates:
     """Return the volume of each of `count` parts, negative if its faces look inwards."""
     about = corners - corners.reshape(-1, 3).mean(axis=0)
-    pieces = np.einsum("ij,ij->i", about[:, 0], np.cross(about[:, 1], about[:, 2])) / 6.0
+    pieces = (
+        np.einsum("ij,ij->i", about[:, 0], np.cross(about[:, 1], about[:, 2])) / 6.0
+    )
     return np.asarray(np.bincount(part, pieces, minlength=count), dtype=np.float64)

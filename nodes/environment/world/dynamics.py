@@ -38,7 +38,11 @@ class BodyMotion(Protocol):
     compliance: float
 
     def __init__(
-        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+        self,
+        body: tuple[float, float, float],
+        period: float,
+        steps: int,
+        at: tuple[float, float],
     ) -> None: ...
 
     def free(self) -> float:
@@ -58,7 +62,11 @@ class Implicit:
     """Backward Euler: y = y₋₁ + T v, m (v − v₋₁)/T + c v + k y = −F."""
 
     def __init__(
-        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+        self,
+        body: tuple[float, float, float],
+        period: float,
+        steps: int,
+        at: tuple[float, float],
     ) -> None:
         del steps
         mass, damping, stiffness = body
@@ -90,7 +98,11 @@ class Lossless:
     """
 
     def __init__(
-        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+        self,
+        body: tuple[float, float, float],
+        period: float,
+        steps: int,
+        at: tuple[float, float],
     ) -> None:
         del steps
         mass, damping, stiffness = body
@@ -108,9 +120,14 @@ class Lossless:
 
     def _speed(self, push: float) -> float:
         if self._massless:
-            return (push - self._stiffness * (self._xi + self._g * self._u)) / self._impedance
+            return (
+                push - self._stiffness * (self._xi + self._g * self._u)
+            ) / self._impedance
         return (
-            push + self._push + self._carried * self._u - 2.0 * self._stiffness * self._xi
+            push
+            + self._push
+            + self._carried * self._u
+            - 2.0 * self._stiffness * self._xi
         ) / self._impedance
 
     def free(self) -> float:
@@ -135,7 +152,11 @@ class Stepped:
     compliance = 0.0
 
     def __init__(
-        self, body: tuple[float, float, float], period: float, steps: int, at: tuple[float, float]
+        self,
+        body: tuple[float, float, float],
+        period: float,
+        steps: int,
+        at: tuple[float, float],
     ) -> None:
         self._mass, self._damping, self._stiffness = body
         self._period, self._steps = period, steps
@@ -186,7 +207,9 @@ class SemiImplicit(Stepped):
         h = self._period / self._steps
         for _ in range(round(part * self._steps)):
             pull = self._acting + self._stiffness * self._y
-            self._v = (self._mass * self._v - h * pull) / (self._mass + h * self._damping)
+            self._v = (self._mass * self._v - h * pull) / (
+                self._mass + h * self._damping
+            )
             self._y += h * self._v
 
 
@@ -196,7 +219,9 @@ class Exact(Stepped):
     def _move(self, part: float) -> None:
         if part <= 0.0:
             return
-        plant = Plant(part * self._period, self._mass, self._damping, 0.0, self._stiffness)
+        plant = Plant(
+            part * self._period, self._mass, self._damping, 0.0, self._stiffness
+        )
         _, (a11, a12, a21, a22), (g1, g2), _ = held_step(plant)
         y, v = self._y, self._v
         self._y = a11 * y + a12 * v - g1 * self._acting
@@ -213,6 +238,9 @@ INTEGRATORS: dict[str, type[BodyMotion]] = {
 
 def lag_of(integrator: str, steps: int) -> float:
     """Return the lag of an integrator behind the trapezoidal rule [ticks]."""
-    return {"implicit": -0.5, "lossless": 0.0, "semi_implicit": 1.0 - 0.5 / steps, "exact": 1.0}[
-        integrator
-    ]
+    return {
+        "implicit": -0.5,
+        "lossless": 0.0,
+        "semi_implicit": 1.0 - 0.5 / steps,
+        "exact": 1.0,
+    }[integrator]

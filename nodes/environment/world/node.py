@@ -23,11 +23,15 @@ from nodes.parameters.store import ParameterError, convert
 
 # longest time without a state that the world catches up with [s]; the rest is skipped
 GAP: Final = 0.1
-SOFTEST: Final = 1e-3  # least force that moves an implicit world by 1 m within one tick [N/m]
+SOFTEST: Final = (
+    1e-3  # least force that moves an implicit world by 1 m within one tick [N/m]
+)
 LIGHTEST: Final = 1e-6  # least mass of a stepped world [kg]
 
 
-class WorldParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class WorldParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Parameters of a world of one body.
 
     mass: Mass [kg]. stiffness: Spring to ground [N/m]. damping: Viscous damper to ground [N s/m].
@@ -106,7 +110,9 @@ def check_world(parameters: WorldParameters, period: float, name: str) -> None:
 def _steps_factor(mass: float, damping: float, stiffness: float) -> float:
     """Return the least sub-steps per second for which h² k < 4 m + 2 h c."""
     return (
-        stiffness / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness)) * (1.0 + 1e-9)
+        stiffness
+        / (damping + math.sqrt(damping * damping + 4.0 * mass * stiffness))
+        * (1.0 + 1e-9)
     )
 
 
@@ -121,7 +127,9 @@ class BodyPlace(NamedTuple):
 class FeltWorld:
     """A body along some axes that follows the ticks of a loop."""
 
-    def __init__(self, parameters: WorldParameters, period: float, axes: Sequence[str]) -> None:
+    def __init__(
+        self, parameters: WorldParameters, period: float, axes: Sequence[str]
+    ) -> None:
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
         self._rest: Vector = ZERO
@@ -168,7 +176,9 @@ class FeltWorld:
         """
         if self._tick < 0:
             self._rest = (
-                position if self._parameters.position is None else self._parameters.position
+                position
+                if self._parameters.position is None
+                else self._parameters.position
             )
             self._tick = tick
         begin = max(self._tick, tick - self._most)
@@ -197,7 +207,9 @@ class WorldEnvironment(Node):
     def check(cls, setup: Setup) -> None:
         """Check the body before the launch."""
         check_world(
-            convert(setup.parameters, WorldParameters, setup.name), setup.period, setup.name
+            convert(setup.parameters, WorldParameters, setup.name),
+            setup.period,
+            setup.name,
         )
 
     @classmethod
@@ -246,7 +258,11 @@ class WorldEnvironment(Node):
             return None
         begin = 0.0 if simulated else time.monotonic()
         at = self._world.follow(
-            state.seq, state.position, state.force, state.seq - 1 - state.age, state.delay
+            state.seq,
+            state.position,
+            state.force,
+            state.seq - 1 - state.age,
+            state.delay,
         )
         if not simulated:
             note_spent(self.counters.spent, time.monotonic() - begin)
@@ -261,7 +277,13 @@ class WorldEnvironment(Node):
         }
         met["rebased"] = state.rebased
         return encode(
-            Proxy(seq=state.seq, stamp=stamp, position=state.position, delay=state.delay, **met)
+            Proxy(
+                seq=state.seq,
+                stamp=stamp,
+                position=state.position,
+                delay=state.delay,
+                **met,
+            )
         )
 
     def report(self) -> dict[str, Any]:

@@ -39,7 +39,9 @@ def realise(kind: str, order: float, taps: int, period: float) -> CompiledLaw:
     [s]; the text names the parameter, its value, the limit and a remedy.
     """
     if not 0.0 < order < MAX_ORDER:
-        raise ValueError(f"order = {order!r}: must lie in (0, 4); for a plain damper use order 1")
+        raise ValueError(
+            f"order = {order!r}: must lie in (0, 4); for a plain damper use order 1"
+        )
     if not 2 <= taps <= MAX_TAPS:
         raise ValueError(
             f"taps = {taps!r}: must lie in [2, {MAX_TAPS}]; a derivative needs at least two samples"

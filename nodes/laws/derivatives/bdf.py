@@ -32,7 +32,9 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
     # differ. Power of a polynomial a_0 + a_1 w + ...: c_m = Σ_j ((α+1) j/m − 1) a_j c_{m−j} / a_0
     # (Euler; J. C. P. Miller).
     polynomial = [
-        math.fsum((-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1))
+        math.fsum(
+            (-1.0) ** i * math.comb(j, i) / j for j in range(max(i, 1), degree + 1)
+        )
         for i in range(degree + 1)
     ]
     lead = polynomial[0]
@@ -47,4 +49,6 @@ def lubich(order: float, taps: int, period: float, degree: int) -> CompiledLaw:
     return CompiledLaw(tuple(gain * c for c in series))
 
 
-bdf2, bdf3, bdf4, bdf5, bdf6 = (partial(lubich, degree=degree) for degree in range(2, 7))
+bdf2, bdf3, bdf4, bdf5, bdf6 = (
+    partial(lubich, degree=degree) for degree in range(2, 7)
+)

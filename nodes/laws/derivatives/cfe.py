@@ -44,11 +44,16 @@ def mapped_fraction(
     half = 0.5 * (1.0 + left)
     scale = float(gain) ** fraction
     poles = [1.0 - half * (1.0 - float(t)) for t in nodes]
-    residues = [-math.sin(math.pi * fraction) / math.pi * half * float(w) * scale for w in weights]
+    residues = [
+        -math.sin(math.pi * fraction) / math.pi * half * float(w) * scale
+        for w in weights
+    ]
     return parallel([scale], poles, residues, whole, period)
 
 
-def whole_order(order: float, degree: int, left: float) -> tuple[list[complex], list[complex]]:
+def whole_order(
+    order: float, degree: int, left: float
+) -> tuple[list[complex], list[complex]]:
     """Return zeros and poles of the whole ((z − 1)/(z + a))^α, unstable for α > 1 (see above)."""
     if degree > 12:
         raise ValueError(
@@ -64,10 +69,12 @@ def whole_order(order: float, degree: int, left: float) -> tuple[list[complex], 
     for j in range(1, degree):
         for series in (top, bottom):
             series.append(
-                np.poly1d([2.0 * j + 1.0, 0.0]) * series[-1] + (a * a - j * j) * series[-2]
+                np.poly1d([2.0 * j + 1.0, 0.0]) * series[-1]
+                + (a * a - j * j) * series[-2]
             )
     half = 0.5 * (1.0 + left)
     zeros, poles = (
-        [complex(1.0 - half * (1.0 - u)) for u in series[-1].roots] for series in (top, bottom)
+        [complex(1.0 - half * (1.0 - u)) for u in series[-1].roots]
+        for series in (top, bottom)
     )
     return zeros, poles

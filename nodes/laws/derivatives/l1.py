@@ -34,6 +34,8 @@ def l1(order: float, taps: int, period: float) -> CompiledLaw:
         m**power * math.expm1(power * math.log1p(1.0 / m)) for m in range(1, intervals)
     ]
     series = (
-        [weights[0]] + [weights[m] - weights[m - 1] for m in range(1, intervals)] + [-weights[-1]]
+        [weights[0]]
+        + [weights[m] - weights[m - 1] for m in range(1, intervals)]
+        + [-weights[-1]]
     )
     return differenced([gain * c for c in series], whole, period)

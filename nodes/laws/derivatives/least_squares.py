@@ -42,13 +42,17 @@ def least_squares(order: float, taps: int, period: float) -> CompiledLaw:
     angle = math.pi * np.geomspace(*_BAND, _POINTS)
     w = np.exp(-1j * angle)
     wanted = (1j * angle) ** fraction
-    columns = np.stack([np.ones_like(w), w, *(w / (1.0 - p * w) for p in poles)], axis=1)
+    columns = np.stack(
+        [np.ones_like(w), w, *(w / (1.0 - p * w) for p in poles)], axis=1
+    )
     relative = (1.0 - w)[:, None] * columns / wanted[:, None]
     system = np.concatenate([relative.real, relative.imag])
     target = np.concatenate([np.ones(_POINTS), np.zeros(_POINTS)])
     scale = np.linalg.norm(system, axis=0)
     solution = (
-        np.linalg.lstsq(system / scale, target, rcond=None)[0] / scale * period ** (1.0 - fraction)
+        np.linalg.lstsq(system / scale, target, rcond=None)[0]
+        / scale
+        * period ** (1.0 - fraction)
     )
     return parallel(
         [float(c) for c in solution[:2]],

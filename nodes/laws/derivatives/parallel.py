@@ -76,9 +76,13 @@ def parallel(
     shifted: list[tuple[float, float]] = []
     for pole, residue in single:
         # Amplitude of the tail after k differences, counted from tick 1.
-        amplitude = residue * ((1.0 - 1.0 / pole) / period) ** times if times else residue
+        amplitude = (
+            residue * ((1.0 - 1.0 / pole) / period) ** times if times else residue
+        )
         for m in range(1, times + 1):
-            early = math.fsum(binomial[j] * residue * pole ** (m - j - 1) for j in range(m))
+            early = math.fsum(
+                binomial[j] * residue * pole ** (m - j - 1) for j in range(m)
+            )
             _add(taps, m, early - amplitude * pole ** (m - 1))
         shifted.append((pole, amplitude))
     sections = _paired(shifted, taps)

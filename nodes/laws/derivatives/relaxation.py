@@ -42,10 +42,13 @@ def relaxation(order: float, time: float, period: float) -> CompiledLaw:
     poles, weights = exponentials(order, share)
     exact = step_answer(order, share, _HEAD)
     fitted = [
-        math.fsum(w * p**m for w, p in zip(weights, poles, strict=True)) for m in range(_HEAD)
+        math.fsum(w * p**m for w, p in zip(weights, poles, strict=True))
+        for m in range(_HEAD)
     ]
     direct = [exact[0], *(a - b for a, b in zip(exact[1:], fitted[1:], strict=True))]
-    return parallel(direct, poles, [w * p for w, p in zip(weights, poles, strict=True)], 1, 1.0)
+    return parallel(
+        direct, poles, [w * p for w, p in zip(weights, poles, strict=True)], 1, 1.0
+    )
 
 
 def step_answer(order: float, share: float, count: int) -> list[float]:
@@ -74,7 +77,9 @@ def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
     poles: list[float] = []
     weights: list[float] = []
     for cell in range(count):
-        ends = [math.exp(top - (cell + j / _POINTS) * _CELL) for j in range(_POINTS + 1)]
+        ends = [
+            math.exp(top - (cell + j / _POINTS) * _CELL) for j in range(_POINTS + 1)
+        ]
         below = [_below(s, order, share) for s in ends]
         rates = [math.sqrt(fast * slow) for fast, slow in itertools.pairwise(ends)]
         # Over ln r, d ln s is r t/s of it: (s/r) of that is t.
@@ -115,8 +120,14 @@ def _two_nodes(
     if total == 0.0:
         return
     mean = math.fsum(s * m for s, m in zip(rates, masses, strict=True)) / total
-    second = math.fsum((s - mean) ** 2 * m for s, m in zip(rates, masses, strict=True)) / total
-    third = math.fsum((s - mean) ** 3 * m for s, m in zip(rates, masses, strict=True)) / total
+    second = (
+        math.fsum((s - mean) ** 2 * m for s, m in zip(rates, masses, strict=True))
+        / total
+    )
+    third = (
+        math.fsum((s - mean) ** 3 * m for s, m in zip(rates, masses, strict=True))
+        / total
+    )
     # Rounding of the mean alone leaves this much of a second moment.
     if second <= (len(rates) * math.ulp(mean)) ** 2:
         poles.append(math.exp(-mean))

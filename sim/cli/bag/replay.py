@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from sim.identify.counterfactual import Felt
     from sim.identify.recorded_scene import RecordedScene
 
-EXPLAINED = 1e-5  # a smaller residual counts as explained even if the encoder is finer [m]
+EXPLAINED = (
+    1e-5  # a smaller residual counts as explained even if the encoder is finer [m]
+)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -72,7 +74,10 @@ def run(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise RefusedError(str(error)) from error
     other = replay(recorded, law, external, nudged) if given else same
-    device, nudge = recorded.scene.scene.device, np.zeros(1) if nudged is None else nudged[:, 0]
+    device, nudge = (
+        recorded.scene.scene.device,
+        np.zeros(1) if nudged is None else nudged[:, 0],
+    )
     figures: dict[str, Any] = {
         "recording": str(recorded.path),
         "model": model,
@@ -203,7 +208,8 @@ def _text(figures: dict[str, Any]) -> list[str]:
             f" (± {error('model')})"
         )
     lines.append(
-        "  predicted for " + ", ".join(f"{key} {value}" for key, value in figures["law"].items())
+        "  predicted for "
+        + ", ".join(f"{key} {value}" for key, value in figures["law"].items())
     )
     if figures["hand"] == "force":
         yielding = "one that yields needs hand: {stiffness: K} in --model's YAML"
@@ -220,7 +226,15 @@ def _draw(path: Path, recorded: RecordedScene, same: Felt, other: Felt) -> None:
     figure = new_figure(9.0, 5.0)
     top, bottom = figure.subplots(2, 1, sharex=True)
     time = np.arange(len(recorded.position)) * recorded.scene.scene.period
-    top.plot(time, 1e3 * recorded.position, color=INK, ls="-", lw=2.5, alpha=0.3, label="recorded")
+    top.plot(
+        time,
+        1e3 * recorded.position,
+        color=INK,
+        ls="-",
+        lw=2.5,
+        alpha=0.3,
+        label="recorded",
+    )
     for felt, label in ((same, "same law replayed"), (other, "predicted")):
         top.plot(time, 1e3 * felt.measured, lw=0.9, label=label)
         bottom.plot(time, felt.force, lw=0.9)

@@ -22,7 +22,9 @@ LIMIT = 0.01  # largest share of lost ticks of a launch that counts as carried
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--scenario", default="floor_drop", help="launch file of one chain (default: %(default)s)"
+        "--scenario",
+        default="floor_drop",
+        help="launch file of one chain (default: %(default)s)",
     )
     parser.add_argument(
         "--most",
@@ -54,16 +56,23 @@ def several(scenario: str, chains: int, folder: Path) -> str:
     loggers = [name for name, node in spec.nodes.items() if node.kind == "logger"]
     path = folder / f"chains_{chains}.yaml"
     included = [
-        {"launch": scenario, "namespace": f"c{i}", "without": loggers} for i in range(chains)
+        {"launch": scenario, "namespace": f"c{i}", "without": loggers}
+        for i in range(chains)
     ]
     path.write_text(
-        json.dumps({"summary": f"{chains} chains", "include": included}), encoding="utf-8"
+        json.dumps({"summary": f"{chains} chains", "include": included}),
+        encoding="utf-8",
     )
     return str(path)
 
 
 def measure(
-    scenario: str, most: int, seconds: float, rate: float, tick: Tick, progress: Progress
+    scenario: str,
+    most: int,
+    seconds: float,
+    rate: float,
+    tick: Tick,
+    progress: Progress,
 ) -> list[dict[str, Any]]:
     """Launch more and more chains; return a row per launch."""
     rows = []
@@ -81,7 +90,10 @@ def measure(
             rows.append(
                 {
                     "chains": chains,
-                    **{key: load.get(key) for key in ("lost", "busy", "tick_cost_us", "cause")},
+                    **{
+                        key: load.get(key)
+                        for key in ("lost", "busy", "tick_cost_us", "cause")
+                    },
                 }
             )
             progress.step(f"{chains} chains")
@@ -97,10 +109,19 @@ def run(arguments: argparse.Namespace) -> int:
         lambda text: print(text, file=sys.stderr),
     )
     rows = measure(
-        path, arguments.most, arguments.seconds, rate, tick, Progress(len(counts(arguments.most)))
+        path,
+        arguments.most,
+        arguments.seconds,
+        rate,
+        tick,
+        Progress(len(counts(arguments.most))),
     )
     carried = max(
-        (row["chains"] for row in rows if row["lost"] is not None and row["lost"] <= LIMIT),
+        (
+            row["chains"]
+            for row in rows
+            if row["lost"] is not None and row["lost"] <= LIMIT
+        ),
         default=0,
     )
     figures = {

@@ -42,10 +42,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, rate=500.0)
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=10, help="rounds of each kind (default: %(default)s)"
+        "--rounds",
+        type=ROUNDS,
+        default=10,
+        help="rounds of each kind (default: %(default)s)",
     )
     parser.add_argument(
-        "--ticks", type=whole(1, 10**8), default=250, help="ticks of a round (default: %(default)s)"
+        "--ticks",
+        type=whole(1, 10**8),
+        default=250,
+        help="ticks of a round (default: %(default)s)",
     )
     add_answer(parser, run, files=False)
 
@@ -54,14 +60,24 @@ class _Loop:
     """Environment and coupling over tcp or ipc, driven by this process."""
 
     def __init__(
-        self, context: Context, folder: Path, name: str, key: str, period: float, stack: ExitStack
+        self,
+        context: Context,
+        folder: Path,
+        name: str,
+        key: str,
+        period: float,
+        stack: ExitStack,
     ) -> None:
         state, proxy, force = (
-            f"tcp://127.0.0.1:{free_ports(1)}#{key}" if key else f"ipc://{folder}/{name}{hop}"
+            f"tcp://127.0.0.1:{free_ports(1)}#{key}"
+            if key
+            else f"ipc://{folder}/{name}{hop}"
             for hop in range(3)
         )
         quietest = realtime.quietest_processor()
-        scheduling = Scheduling(cpus=[quietest], aside=sorted(os.sched_getaffinity(0) - {quietest}))
+        scheduling = Scheduling(
+            cpus=[quietest], aside=sorted(os.sched_getaffinity(0) - {quietest})
+        )
         self._publisher = Publisher(context, state)
         stack.callback(self._publisher.close, 0)
         self._inbox = Subscription(context, [force], [topics.FORCE])
@@ -71,7 +87,9 @@ class _Loop:
             "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
             "stability": "off",
         }
-        surface = {"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}}
+        surface = {
+            "surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}
+        }
         for kind, factory, place, topic, source, parameters in (
             (
                 "environment",
@@ -81,7 +99,14 @@ class _Loop:
                 state,
                 surface,
             ),
-            ("coupling", "nodes.coupling.node:Coupling", force, topics.PROXY, proxy, law),
+            (
+                "coupling",
+                "nodes.coupling.node:Coupling",
+                force,
+                topics.PROXY,
+                proxy,
+                law,
+            ),
         ):
             setup = Setup(
                 run=name,
@@ -103,7 +128,9 @@ class _Loop:
             )
             path = folder / f"{kind}_{name}.json"
             path.write_bytes(msgspec.json.encode(setup))
-            node = subprocess.Popen([*PYTHON, "-m", "nodes", str(path)], stdin=subprocess.DEVNULL)
+            node = subprocess.Popen(
+                [*PYTHON, "-m", "nodes", str(path)], stdin=subprocess.DEVNULL
+            )
             stack.callback(node.wait)
             stack.callback(node.terminate)
         self._name, self._seq = name, 0
@@ -115,11 +142,15 @@ class _Loop:
         deadline = time.monotonic() + 30.0
         while self._publisher.listeners() < 1:
             if time.monotonic() > deadline:
-                raise RefusedError(f"{self._name}: the nodes did not come up within 30 s")
+                raise RefusedError(
+                    f"{self._name}: the nodes did not come up within 30 s"
+                )
             time.sleep(0.01)
         while self.tick(100) is None:
             if time.monotonic() > deadline:
-                raise RefusedError(f"{self._name}: the nodes did not answer within 30 s")
+                raise RefusedError(
+                    f"{self._name}: the nodes did not answer within 30 s"
+                )
         while self._inbox.receive(100) is not None:
             pass
 
@@ -128,7 +159,9 @@ class _Loop:
         self._seq += 1
         position = (0.0, 0.0, -1e-3 if self._seq % 2 else 1e-3)
         begun = time.monotonic()
-        payload = encode(DeviceState(seq=self._seq, stamp=self._seq * 1e-3, position=position))
+        payload = encode(
+            DeviceState(seq=self._seq, stamp=self._seq * 1e-3, position=position)
+        )
         self._publisher.send(self._topic, payload)
         while True:
             frames = self._inbox.receive(patience_ms)
@@ -141,11 +174,15 @@ class _Loop:
         """Run one tick that must be answered; return the response time [s]."""
         response = self.tick()
         if response is None:
-            raise RefusedError(f"{self._name}: no answer within {PATIENCE_MS / 1e3:g} s")
+            raise RefusedError(
+                f"{self._name}: no answer within {PATIENCE_MS / 1e3:g} s"
+            )
         return response
 
 
-def _round(loops: dict[str, _Loop], ticks: int, period: float) -> dict[str, list[float]]:
+def _round(
+    loops: dict[str, _Loop], ticks: int, period: float
+) -> dict[str, list[float]]:
     """Run a round at the loop's rate, tick by tick in turn; return the responses [s]."""
     found: dict[str, list[float]] = {name: [] for name in loops}
     start = time.monotonic()
@@ -162,10 +199,15 @@ def measure(rate: float, rounds: int, ticks: int) -> dict[str, Any]:
     """Measure both transports in turn."""
     period = 1.0 / rate
     responses: dict[str, list[list[float]]] = {"ipc": [], "curve": []}
-    with tempfile.TemporaryDirectory(prefix="haptic-bench-") as text, ExitStack() as stack:
+    with (
+        tempfile.TemporaryDirectory(prefix="haptic-bench-") as text,
+        ExitStack() as stack,
+    ):
         folder = Path(text)
         # The user's own keys are not changed.
-        stack.enter_context(mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder / "keys")))
+        stack.enter_context(
+            mock.patch.dict(os.environ, HAPTIC_KEYS=str(folder / "keys"))
+        )
         me = keys.new_identity()
         denied: list[str] = []
         context = new_context()

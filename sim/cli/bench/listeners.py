@@ -22,10 +22,16 @@ LISTENERS = 4
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=5, help="rounds of without and with (default 5)"
+        "--rounds",
+        type=ROUNDS,
+        default=5,
+        help="rounds of without and with (default 5)",
     )
     parser.add_argument(
-        "--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)"
+        "--seconds",
+        type=SECONDS,
+        default=4.0,
+        help="length of each half of a round (default 4 s)",
     )
     declare(parser, rate=500.0)
     add_answer(parser, run, files=False)
@@ -53,10 +59,14 @@ def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[by
     return listeners
 
 
-def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dict[str, Any]:
+def measure(
+    rounds: int, seconds: float, rate: float, progress: Progress
+) -> dict[str, Any]:
     """Run one launch and attach loggers in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
-    with Running("floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500") as launch:
+    with Running(
+        "floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500"
+    ) as launch:
         listeners: list[subprocess.Popen[bytes]] = []
         try:
             for i in range(rounds):
@@ -85,7 +95,9 @@ def measure(rounds: int, seconds: float, rate: float, progress: Progress) -> dic
     found = {label: responses_in(states, spans) for label, spans in halves.items()}
     quiet, busy = found["without"]["p99_us"], found["with"]["p99_us"]
     middle = {
-        f"{label}_us": {name: statistics.median(one[f"{name}_us"]) for name in ("p50", "p99")}
+        f"{label}_us": {
+            name: statistics.median(one[f"{name}_us"]) for name in ("p50", "p99")
+        }
         for label, one in found.items()
     }
     return middle | {

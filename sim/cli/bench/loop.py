@@ -51,7 +51,10 @@ Launches = Mapping[str, tuple[str, ...]]
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=3, help="interleaved rounds of each (default 3)"
+        "--rounds",
+        type=ROUNDS,
+        default=3,
+        help="interleaved rounds of each (default 3)",
     )
     parser.add_argument(
         "--ticks",
@@ -60,7 +63,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="ticks of a lockstep round (default 20000)",
     )
     parser.add_argument(
-        "--seconds", type=SECONDS, default=10.0, help="length of a real-time round (default 10 s)"
+        "--seconds",
+        type=SECONDS,
+        default=10.0,
+        help="length of a real-time round (default 10 s)",
     )
     parser.add_argument(
         "--rates",
@@ -97,7 +103,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_answer(parser, run, files=False)
 
 
-def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool], float]]:
+def _loops(
+    tick: Tick, launches: Launches
+) -> dict[str, Callable[[int, str, bool], float]]:
     """Return the loops compared in lockstep, each a function that returns ticks per second."""
 
     def ours(tick: str, case: str = "") -> Callable[[int, str, bool], float]:
@@ -120,7 +128,9 @@ def _loops(tick: Tick, launches: Launches) -> dict[str, Callable[[int, str, bool
     if in_c is not None:
         loops["c"] = bare(in_c)
     for case in launches.keys() - {"", "stand_in"}:
-        loops |= {f"{one} {case}": ours(one, case) for one in dict.fromkeys(("plain", tick))}
+        loops |= {
+            f"{one} {case}": ours(one, case) for one in dict.fromkeys(("plain", tick))
+        }
     return loops
 
 
@@ -135,14 +145,19 @@ def _programs() -> dict[str, Sequence[str]]:
     return {"bare": BARE} if in_c is None else {"bare": BARE, "c": in_c}
 
 
-def _rows(rates: Sequence[int], tick: Tick, launches: Launches) -> list[tuple[str, int]]:
+def _rows(
+    rates: Sequence[int], tick: Tick, launches: Launches
+) -> list[tuple[str, int]]:
     """Return the realtime rows with their rates [Hz]; a case has only one rate."""
     ours = tuple(dict.fromkeys(("plain", tick)))
     found = [(name, rate) for rate in rates for name in (*ours, *_programs())]
     for case in bare.CASES.keys() & launches.keys():
         rate = bare.SERVO_RATE if case == "stand_in" else rates[0]
         if rate in rates:
-            found += [(f"{one} {case}", rate) for one in (ours if case != "stand_in" else (tick,))]
+            found += [
+                (f"{one} {case}", rate)
+                for one in (ours if case != "stand_in" else (tick,))
+            ]
     return found
 
 
@@ -166,7 +181,9 @@ def lockstep(
     figures: dict[str, Any] = {
         f"{name}_ticks_per_s": statistics.median(rates) for name, rates in found.items()
     }
-    ratios = [bare / ours for bare, ours in zip(found["bare"], found[tick], strict=True)]
+    ratios = [
+        bare / ours for bare, ours in zip(found["bare"], found[tick], strict=True)
+    ]
     figures["lockstep_ticks_per_s"] = figures[f"{tick}_ticks_per_s"]
     figures["ratio"] = statistics.median(ratios)
     figures["ratio_range"] = [min(ratios), max(ratios)]
@@ -195,11 +212,22 @@ def realtime(
                 # The bare loop gets the same machine settings as the launch.
                 with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
                     run = bare_loop(
-                        round(seconds * rate), core, fifo, float(rate), True, programs[name]
+                        round(seconds * rate),
+                        core,
+                        fifo,
+                        float(rate),
+                        True,
+                        programs[name],
                     )
             else:
                 one, _, case = name.partition(" ")
-                words = (f"rate:={rate}", f"duration:={seconds}", "stiffness:=500", "--tick", one)
+                words = (
+                    f"rate:={rate}",
+                    f"duration:={seconds}",
+                    "stiffness:=500",
+                    "--tick",
+                    one,
+                )
                 run = launch(*launches[case], *words)
             found[name, rate].append(run)
             progress.step(f"{rate} Hz, {name}")
@@ -207,7 +235,9 @@ def realtime(
     figures: dict[str, Any] = {}
     for (name, rate), runs in found.items():
         key = f"{rate}_hz"
-        response = {n: statistics.median(r["response_us"][n] for r in runs) for n in names}
+        response = {
+            n: statistics.median(r["response_us"][n] for r in runs) for n in names
+        }
         lost = sum(r["missed"] + r.get("overruns", 0) for r in runs)
         share = lost / max(1, sum(r["ticks"] + r.get("overruns", 0) for r in runs))
         for prefix in (f"{name}_", *([""] if name == tick else [])):
@@ -219,7 +249,8 @@ def realtime(
         n: statistics.median(r["nodes"][n]["memory"] for r in slow) / 1e6 for n in nodes
     }
     figures["cpu_share"] = {
-        n: statistics.median(r["nodes"][n]["cpu"] for r in slow) / seconds for n in nodes
+        n: statistics.median(r["nodes"][n]["cpu"] for r in slow) / seconds
+        for n in nodes
     }
     figures["startup_s"] = statistics.median(r["startup_s"] for r in slow)
     figures["rate_error"] = max(abs(r["rate_hz"] / rates[0] - 1.0) for r in slow)
@@ -232,16 +263,25 @@ def text(figures: dict[str, Any]) -> str:
     """Format the figures as text."""
     low, high = figures["ratio_range"]
     lines = [
-        figures["machine"] + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")
+        figures["machine"]
+        + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")
     ]
     for key, label in (("", "without a logger"), ("_with_logger", "with one")):
-        rates = {name: figures.get(f"{name}{key}_ticks_per_s") for name in NAMES if " " not in name}
+        rates = {
+            name: figures.get(f"{name}{key}_ticks_per_s")
+            for name in NAMES
+            if " " not in name
+        }
         found = ", ".join(
-            f"{NAMES[name]} {rate:.0f}" for name, rate in rates.items() if rate is not None
+            f"{NAMES[name]} {rate:.0f}"
+            for name, rate in rates.items()
+            if rate is not None
         )
         lines.append(f"lockstep   {label}, ticks/s: {found}")
     cases = {
-        label: figures.get(f"{name}_ticks_per_s") for name, label in NAMES.items() if " " in name
+        label: figures.get(f"{name}_ticks_per_s")
+        for name, label in NAMES.items()
+        if " " in name
     }
     if found := ", ".join(
         f"{label} {rate:.0f}" for label, rate in cases.items() if rate is not None
@@ -267,8 +307,12 @@ def text(figures: dict[str, Any]) -> str:
                     f" {response['p99']:4.0f} µs, max {response['max']:5.0f} µs, missed"
                     f" {missed:.3%}"
                 )
-    memory = ", ".join(f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items())
-    cpu = ", ".join(f"{name} {value:.1%}" for name, value in figures["cpu_share"].items())
+    memory = ", ".join(
+        f"{name} {value:.0f} MB" for name, value in figures["memory_mb"].items()
+    )
+    cpu = ", ".join(
+        f"{name} {value:.1%}" for name, value in figures["cpu_share"].items()
+    )
     return "\n".join(
         [
             *lines,
@@ -303,7 +347,9 @@ def run(arguments: argparse.Namespace) -> int:
         )
         figures = lockstep(rounds, arguments.ticks, loops, tick, progress)
         figures.update(
-            realtime(rounds, arguments.seconds, arguments.rates, tick, launches, progress)
+            realtime(
+                rounds, arguments.seconds, arguments.rates, tick, launches, progress
+            )
         )
     figures["machine"] = machine()
     return report(arguments, figures, text(figures))
@@ -316,5 +362,9 @@ def _run_scenes(arguments: argparse.Namespace) -> int:
 
     kernels = (*KERNELS, "nodes.environment.shapes.kernel")
     tick = choose("compiled", kernels, lambda text: print(text, file=sys.stderr))
-    figures = compare_scenes(arguments.rounds, arguments.seconds, arguments.finest, tick)
-    return report(arguments, figures, [figures["machine"], *scenes_text(figures["rows"])])
+    figures = compare_scenes(
+        arguments.rounds, arguments.seconds, arguments.finest, tick
+    )
+    return report(
+        arguments, figures, [figures["machine"], *scenes_text(figures["rows"])]
+    )

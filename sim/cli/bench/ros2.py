@@ -15,10 +15,16 @@ WITH, WITHOUT = "with", "without"
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=5, help="rounds of with and without (default 5)"
+        "--rounds",
+        type=ROUNDS,
+        default=5,
+        help="rounds of with and without (default 5)",
     )
     parser.add_argument(
-        "--seconds", type=SECONDS, default=4.0, help="length of each launch (default 4 s)"
+        "--seconds",
+        type=SECONDS,
+        default=4.0,
+        help="length of each launch (default 4 s)",
     )
     add_answer(parser, run, files=False)
 
@@ -43,7 +49,10 @@ def measure(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
     }
     for name in ("p50", "p99"):
         pairs = zip(found[WITH], found[WITHOUT], strict=True)
-        ratios = [one["response_us"][name] / other["response_us"][name] for one, other in pairs]
+        ratios = [
+            one["response_us"][name] / other["response_us"][name]
+            for one, other in pairs
+        ]
         figures[f"{name}_ratio"] = statistics.median(ratios)
         figures[f"{name}_ratio_range"] = [min(ratios), max(ratios)]
     return figures
@@ -51,7 +60,9 @@ def measure(rounds: int, seconds: float, progress: Progress) -> dict[str, Any]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
-    figures = measure(arguments.rounds, arguments.seconds, Progress(2 * arguments.rounds))
+    figures = measure(
+        arguments.rounds, arguments.seconds, Progress(2 * arguments.rounds)
+    )
     figures["machine"] = machine()
     lines = [figures["machine"]]
     for half in (WITHOUT, WITH):

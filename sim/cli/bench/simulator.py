@@ -9,7 +9,10 @@ from sim.cli.answers import add_answer, report
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=101, help="interleaved rounds (default: %(default)s)"
+        "--rounds",
+        type=ROUNDS,
+        default=101,
+        help="interleaved rounds (default: %(default)s)",
     )
     parser.add_argument(
         "--ticks",
@@ -25,7 +28,9 @@ def run(arguments: argparse.Namespace) -> int:
     from sim.lab.bench.simulator_speed import FLAGS, measure
     from sim.measure.stopwatch import Progress, machine
 
-    speed = measure(arguments.ticks, arguments.rounds, Progress(2 * arguments.rounds).step)
+    speed = measure(
+        arguments.ticks, arguments.rounds, Progress(2 * arguments.rounds).step
+    )
     lines = ["taps   ticks/s and core         plain C   ours/C"]
     points = []
     for taps, timing in speed.simulator.items():
@@ -38,7 +43,9 @@ def run(arguments: argparse.Namespace) -> int:
             "ticks_per_s_quartiles": [low, high],
             "ratio": ratio,
         }
-        points.append(point | {"c_ticks_per_s": None if plain is None else 1.0 / plain.median})
+        points.append(
+            point | {"c_ticks_per_s": None if plain is None else 1.0 / plain.median}
+        )
         beside = (
             f"{1e-6 / plain.median:12.1f} M   {ratio:6.2f}"
             if plain is not None

@@ -43,10 +43,14 @@ class Block:
 class Asked:
     """Requests to the coupling and their results."""
 
-    answers: list[dict[str, Any]] = field(default_factory=list)  # one per answered request
+    answers: list[dict[str, Any]] = field(
+        default_factory=list
+    )  # one per answered request
     times: list[float] = field(default_factory=list)  # time until each answer [s]
     refused: list[str] = field(default_factory=list)  # texts of refusals
-    blocks: list[Block] = field(default_factory=list)  # busy and idle stretches, alternating
+    blocks: list[Block] = field(
+        default_factory=list
+    )  # busy and idle stretches, alternating
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +59,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--swaps", type=COUNT, default=1000, help="swaps of laws (default %(default)s)"
     )
     parser.add_argument(
-        "--sets", type=COUNT, default=1000, help="sets of parameters (default %(default)s)"
+        "--sets",
+        type=COUNT,
+        default=1000,
+        help="sets of parameters (default %(default)s)",
     )
     parser.add_argument(
         "--duration",
@@ -73,14 +80,17 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_answer(parser, run, files=False)
 
 
-def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, duration: float) -> Asked:
+def _ask_all(
+    ask: Callable[..., Any], swaps: int, sets: int, blocks: int, duration: float
+) -> Asked:
     """Send the requests, evenly spaced within a block as far as the answers arrive in time."""
     asked = Asked()
     total = swaps + sets
     # Evenly mixed for any ratio: request k is a swap when the cumulative share of swaps crosses an
     # integer.
     plan = [
-        "swap" if (k + 1) * swaps // total > k * swaps // total else "set" for k in range(total)
+        "swap" if (k + 1) * swaps // total > k * swaps // total else "set"
+        for k in range(total)
     ]
     spacing = duration / (2 * total)
     swapped = 0
@@ -96,10 +106,15 @@ def _ask_all(ask: Callable[..., Any], swaps: int, sets: int, blocks: int, durati
                     found = ask("law.switch", law=LAWS[swapped % len(LAWS)])
                 else:
                     # At rest damping has no effect, so setting it must not change the force either.
-                    law, damping = LAWS[k % len(LAWS)], 2.5 + 0.5 * (len(asked.answers) % 3)
+                    law, damping = (
+                        LAWS[k % len(LAWS)],
+                        2.5 + 0.5 * (len(asked.answers) % 3),
+                    )
                     found = ask(
                         "param.set",
-                        values={f"laws.{law}.damping": damping} if law == "pd" else {"ramp": k % 4},
+                        values={f"laws.{law}.damping": damping}
+                        if law == "pd"
+                        else {"ramp": k % 4},
                     )
                 asked.answers.append(found)
             except ControlError as error:
@@ -120,7 +135,9 @@ def _equal_at_rest(ask: Callable[..., Any]) -> None:
         for _ in range(2):
             h1 = ask("law.show", law=law)["h1_n_per_m"]
             stiffness = ask("param.get", name=f"laws.{law}.stiffness")
-            ask("param.set", values={f"laws.{law}.stiffness": stiffness + (wanted - h1)})
+            ask(
+                "param.set", values={f"laws.{law}.stiffness": stiffness + (wanted - h1)}
+            )
     # Swaps are faster without the figures of both laws.
     ask("param.set", values={"figures": False})
 
@@ -129,7 +146,9 @@ def measure(
     swaps: int, sets: int, blocks: int, duration: float, rate: float = 500.0
 ) -> dict[str, Any]:
     """Run one launch and change it throughout."""
-    with Running("floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001") as launch:
+    with Running(
+        "floor_drop", "duration:=0", f"rate:={rate}", "height:=0.001"
+    ) as launch:
 
         def ask(op: str, **args: Any) -> Any:
             return launch.call("coupling", op, **args)
@@ -139,7 +158,9 @@ def measure(
         launch.wait_ticks(SETTLED)
         asked = _ask_all(ask, swaps, sets, blocks, duration)
         figures = launch.finish(signal.SIGINT)
-        return _figures(Recording(launch.folder / figures["recording"]), figures, asked, before)
+        return _figures(
+            Recording(launch.folder / figures["recording"]), figures, asked, before
+        )
 
 
 def _quantiles(values: list[float], unit: float) -> dict[str, float]:
@@ -159,7 +180,8 @@ def _steps_at_rest(states: list[DeviceState], receipts: list[Receipt]) -> list[f
     # A tick that was not recorded is not known to be at rest (infinity minus itself is not small
     # either).
     recent = [
-        [position.get(one.seq - age, math.inf) for age in range(1, MEMORY + 1)] for one in receipts
+        [position.get(one.seq - age, math.inf) for age in range(1, MEMORY + 1)]
+        for one in receipts
     ]
     return [
         one.force_step
@@ -172,7 +194,9 @@ def _figures(
     recording: Recording, summary: dict[str, Any], asked: Asked, before: int
 ) -> dict[str, Any]:
     states = recording.messages(DEVICE_STATE)
-    receipts = [receipt for receipt in recording.messages(RECEIPT) if receipt.revision > before]
+    receipts = [
+        receipt for receipt in recording.messages(RECEIPT) if receipt.revision > before
+    ]
     known = {receipt.revision for receipt in receipts}
     lost = [found for found in asked.answers if found["revision"] not in known]
     steps = _steps_at_rest(states, receipts)
@@ -213,8 +237,12 @@ def _figures(
     pairs = list(zip(blocks[True], blocks[False], strict=True))
     figures["missed"] = figures["busy"]["missed"] + figures["idle"]["missed"]
     figures["blocks"] = len(pairs)
-    figures["only_busy_missed"] = sum(busy["missed"] > 0 == idle["missed"] for busy, idle in pairs)
-    figures["only_idle_missed"] = sum(idle["missed"] > 0 == busy["missed"] for busy, idle in pairs)
+    figures["only_busy_missed"] = sum(
+        busy["missed"] > 0 == idle["missed"] for busy, idle in pairs
+    )
+    figures["only_idle_missed"] = sum(
+        idle["missed"] > 0 == busy["missed"] for busy, idle in pairs
+    )
     return figures
 
 
@@ -247,8 +275,15 @@ def text(figures: dict[str, Any]) -> str:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     figures = measure(
-        arguments.swaps, arguments.sets, arguments.blocks, arguments.duration, arguments.rate
+        arguments.swaps,
+        arguments.sets,
+        arguments.blocks,
+        arguments.duration,
+        arguments.rate,
     )
     return report(
-        arguments, figures, text(figures), held=figures["requests"] == figures["receipts"]
+        arguments,
+        figures,
+        text(figures),
+        held=figures["requests"] == figures["receipts"],
     )

@@ -14,14 +14,21 @@ from sim.results import fresh
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=25, help="interleaved rounds (default: %(default)s)"
+        "--rounds",
+        type=ROUNDS,
+        default=25,
+        help="interleaved rounds (default: %(default)s)",
     )
     parser.add_argument(
-        "--taps", type=_lengths, help="numbers of taps, separated by commas (default: 4 to 2000)"
+        "--taps",
+        type=_lengths,
+        help="numbers of taps, separated by commas (default: 4 to 2000)",
     )
     add_json(parser)
     parser.add_argument(
-        "--out", type=Path, help="also write bench_taps.json, .png, .pdf and .svg to this directory"
+        "--out",
+        type=Path,
+        help="also write bench_taps.json, .png, .pdf and .svg to this directory",
     )
     parser.set_defaults(run=run)
 
@@ -34,21 +41,34 @@ def _lengths(text: str) -> tuple[int, ...]:
             f"{text!r}: expected whole numbers separated by commas"
         ) from None
     if values[0] < 2:
-        raise argparse.ArgumentTypeError(f"{values[0]}: a derivative needs at least 2 taps")
+        raise argparse.ArgumentTypeError(
+            f"{values[0]}: a derivative needs at least 2 taps"
+        )
     return values
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, and report the fastest way for each range of taps."""
-    from sim.lab.bench.tap_timing import LENGTHS, WAYS, as_json, time_laws, time_taps, time_turning
+    from sim.lab.bench.tap_timing import (
+        LENGTHS,
+        WAYS,
+        as_json,
+        time_laws,
+        time_taps,
+        time_turning,
+    )
     from sim.measure.stopwatch import Progress, machine
 
-    found = time_taps(arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step)
+    found = time_taps(
+        arguments.taps or LENGTHS, arguments.rounds, Progress(arguments.rounds).step
+    )
     laws = time_laws(arguments.rounds, lambda _: None)
     figures = as_json(found, machine())
     figures["laws_us"] = {name: 1e6 * timing.median for name, timing in laws.items()}
     turning = time_turning(arguments.rounds, lambda _: None)
-    figures["turning_ns"] = {frame: 1e9 * timing.median for frame, timing in turning.items()}
+    figures["turning_ns"] = {
+        frame: 1e9 * timing.median for frame, timing in turning.items()
+    }
     figures["turning_ns_per_axis"] = (
         figures["turning_ns"]["surface"] - figures["turning_ns"]["world"]
     ) / 3.0
@@ -61,13 +81,16 @@ def run(arguments: argparse.Namespace) -> int:
     ]
     for point in figures["points"]:
         cells = "".join(f"{point[f'{way}_us']:12.3g}" for way in WAYS)
-        lines.append(f"{point['taps']:7d}{cells}   {figures['fastest'][str(point['taps'])]}")
+        lines.append(
+            f"{point['taps']:7d}{cells}   {figures['fastest'][str(point['taps'])]}"
+        )
     for pair, taps in figures["crossover_taps"].items():
         lines.append(
             f"{pair.replace('_', ' ')}: {'never' if taps is None else f'from {taps:.0f} taps on'}"
         )
     lines.append(
-        "a tick of " + ", ".join(f"{name} {us:.3g} µs" for name, us in figures["laws_us"].items())
+        "a tick of "
+        + ", ".join(f"{name} {us:.3g} µs" for name, us in figures["laws_us"].items())
     )
     lines.append(
         "a compiled tick of pd on three axes, in ns: "
@@ -108,10 +131,14 @@ def _write(figures: dict[str, Any], folder: Path) -> list[Path]:
     ):
         label = "numpy dot (other bits)" if way == "numpy_dot" else way
         axes.plot(
-            taps, [point[f"{way}_us"] for point in figures["points"]], marker=mark, label=label
+            taps,
+            [point[f"{way}_us"] for point in figures["points"]],
+            marker=mark,
+            label=label,
         )
         low, high = (
-            [point[f"{way}_us_{end}"] for point in figures["points"]] for end in ("low", "high")
+            [point[f"{way}_us_{end}"] for point in figures["points"]]
+            for end in ("low", "high")
         )
         axes.fill_between(taps, low, high, alpha=0.15)
     threshold(

@@ -64,10 +64,16 @@ SWITCH = """name => new Promise((done) => {
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--rounds", type=ROUNDS, default=4, help="rounds of without and with (default 4)"
+        "--rounds",
+        type=ROUNDS,
+        default=4,
+        help="rounds of without and with (default 4)",
     )
     parser.add_argument(
-        "--seconds", type=SECONDS, default=4.0, help="length of each half of a round (default 4 s)"
+        "--seconds",
+        type=SECONDS,
+        default=4.0,
+        help="length of each half of a round (default 4 s)",
     )
     declare(parser, rate=500.0)
     parser.add_argument(
@@ -83,7 +89,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="take those of the project's pages instead of measuring (PNG)",
     )
     parser.add_argument(
-        "--minutes", type=positive, default=30.0, help="of ticks for the memory (default 30)"
+        "--minutes",
+        type=positive,
+        default=30.0,
+        help="of ticks for the memory (default 30)",
     )
     add_answer(parser, run, files=False)
 
@@ -126,21 +135,33 @@ def _with_page(
     try:
         assert view.stdout is not None  # noqa: S101  # it is a pipe
         url = json.loads(view.stdout.readline())["url"]
-        page = browser.new_page(viewport={"width": 1280, "height": 960}, bypass_csp=True)
+        page = browser.new_page(
+            viewport={"width": 1280, "height": 960}, bypass_csp=True
+        )
         page.add_init_script(FIRST)
         page.goto(url)
-        delays["first_picture_s"].append(page.wait_for_function("window.shown").json_value() / 1e3)
+        delays["first_picture_s"].append(
+            page.wait_for_function("window.shown").json_value() / 1e3
+        )
         # The full load of a page: dragging, sound, and another law played beside the launch.
         page.locator("#sound").click()
         page.evaluate("haptic.beside.choose('multi_term')")
         # The first run on a machine compiles the one-process loop.
-        page.wait_for_function("haptic.beside.times.length > 100", timeout=1e3 * COMPILED)
+        page.wait_for_function(
+            "haptic.beside.times.length > 100", timeout=1e3 * COMPILED
+        )
         began = time.monotonic()
         _drag(page, seconds)
         ended = time.monotonic()
-        delays["hand_to_picture_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.all")]
-        delays["hand_to_force_s"] += [ms / 1e3 for ms in page.evaluate("haptic.lag.forces")]
-        delays["switch_s"] += [page.evaluate(SWITCH, name) / 1e3 for name in ("multi_term", "pd")]
+        delays["hand_to_picture_s"] += [
+            ms / 1e3 for ms in page.evaluate("haptic.lag.all")
+        ]
+        delays["hand_to_force_s"] += [
+            ms / 1e3 for ms in page.evaluate("haptic.lag.forces")
+        ]
+        delays["switch_s"] += [
+            page.evaluate(SWITCH, name) / 1e3 for name in ("multi_term", "pd")
+        ]
         if picture is not None:
             _drag(page, 1.0, picture)
         page.close()
@@ -151,7 +172,11 @@ def _with_page(
 
 
 def loop_cost(
-    rounds: int, seconds: float, rate: float, progress: Progress, picture: Path | None = None
+    rounds: int,
+    seconds: float,
+    rate: float,
+    progress: Progress,
+    picture: Path | None = None,
 ) -> dict[str, Any]:
     """Run one launch, with a page open in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
@@ -186,14 +211,18 @@ def loop_cost(
     for name in ("p50", "p99"):
         pairs = zip(with_[f"{name}_us"], without[f"{name}_us"], strict=True)
         found[f"{name}_ratio"] = statistics.median(a / b for a, b in pairs)
-        found[f"{name}_spread"] = max(without[f"{name}_us"]) / min(without[f"{name}_us"])
+        found[f"{name}_spread"] = max(without[f"{name}_us"]) / min(
+            without[f"{name}_us"]
+        )
     return found | {name: statistics.median(values) for name, values in delays.items()}
 
 
 def memory(minutes: float, rate: float) -> dict[str, float]:
     """Feed a view with minutes of ticks as fast as possible; return its memory [MB]."""
     live = LiveRun(
-        Facts("run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver")
+        Facts(
+            "run", "scenario", "", 1.0 / rate, "realtime", "on_arrival", ["x"], "driver"
+        )
     )
     live.tick(0.0)
     after = 0.0
@@ -203,9 +232,16 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
         messages: tuple[tuple[str, Message], ...] = (
             (
                 DEVICE_STATE,
-                DeviceState(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), response=1.5e-4),
+                DeviceState(
+                    seq=seq, stamp=stamp, position=(x, 0.0, 0.0), response=1.5e-4
+                ),
             ),
-            (PROXY, Proxy(seq=seq, stamp=stamp, position=(x, 0.0, 0.0), proxy=(x, 0.0, 0.0))),
+            (
+                PROXY,
+                Proxy(
+                    seq=seq, stamp=stamp, position=(x, 0.0, 0.0), proxy=(x, 0.0, 0.0)
+                ),
+            ),
             (FORCE, Force(seq=seq, stamp=stamp, force=(-x, 0.0, 0.0))),
         )
         for topic, message in messages:
@@ -227,7 +263,9 @@ def browsing() -> Iterator[Any]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
-        raise UsageError("bench view: needs playwright; pip install playwright") from error
+        raise UsageError(
+            "bench view: needs playwright; pip install playwright"
+        ) from error
     if path is None:
         raise UsageError("bench view: needs a browser; apt install chromium")
     with sync_playwright() as playwright:
@@ -245,7 +283,9 @@ def run(arguments: argparse.Namespace) -> int:
         idle(arguments, "--pictures measures nothing", *unused)
         with browsing() as browser:
             taken = take(
-                browser, arguments.pictures, lambda name: print(name, file=sys.stderr, flush=True)
+                browser,
+                arguments.pictures,
+                lambda name: print(name, file=sys.stderr, flush=True),
             )
         paths = [str(path) for path in taken]
         return report(arguments, {"pictures": paths}, paths)
@@ -285,7 +325,8 @@ def _text(figures: dict[str, Any], minutes: float) -> list[str]:
     )
     kept = figures["memory"]
     switch, hand, force = (
-        1e3 * figures[name] for name in ("switch_s", "hand_to_picture_s", "hand_to_force_s")
+        1e3 * figures[name]
+        for name in ("switch_s", "hand_to_picture_s", "hand_to_force_s")
     )
     lines.append(
         f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the"

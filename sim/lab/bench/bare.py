@@ -24,7 +24,11 @@ from nodes.parameters.yaml_io import read_yaml
 from sim.emulators.world import library
 from sim.measure.haptic_commands import MeasurementError
 
-BARE = (*PYTHON, "-m", "sim.lab.bench.bare_loop")  # reference loop: bare pyzmq and msgpack
+BARE = (
+    *PYTHON,
+    "-m",
+    "sim.lab.bench.bare_loop",
+)  # reference loop: bare pyzmq and msgpack
 
 
 @cache
@@ -41,7 +45,9 @@ def c_loop() -> tuple[str, ...] | None:
     atexit.register(shutil.rmtree, program.parent, ignore_errors=True)
     source = Path(__file__).with_name("bare_loop.c")
     done = subprocess.run(
-        [compiler, "-O2", "-o", program, source, "-ldl"], capture_output=True, check=False
+        [compiler, "-O2", "-o", program, source, "-ldl"],
+        capture_output=True,
+        check=False,
     )
     return (str(program), libzmq) if done.returncode == 0 else None
 
@@ -59,8 +65,13 @@ def bare_loop(
 
     with tempfile.TemporaryDirectory(prefix="haptic-bare-") as folder:
         tail = [str(rate), str(int(logger))]
-        others = sorted(os.sched_getaffinity(0) - ({int(core)} if core.isdecimal() else set()))
-        commands = [[*program, role, folder, str(ticks), core, str(fifo), *tail] for role in ROLES]
+        others = sorted(
+            os.sched_getaffinity(0) - ({int(core)} if core.isdecimal() else set())
+        )
+        commands = [
+            [*program, role, folder, str(ticks), core, str(fifo), *tail]
+            for role in ROLES
+        ]
         if logger:
             commands.insert(
                 0,
@@ -75,10 +86,13 @@ def bare_loop(
                 ],
             )
         started = [
-            subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for command in commands
+            subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            for command in commands
         ]
         try:
-            out, _ = started[-1].communicate(timeout=60.0 + 4.0 * ticks / (rate or 1000.0))
+            out, _ = started[-1].communicate(
+                timeout=60.0 + 4.0 * ticks / (rate or 1000.0)
+            )
             codes = [process.wait(timeout=10.0) for process in started]
         finally:
             for process in started:
@@ -99,7 +113,11 @@ LONGEST_FADE: Final = 100_000
 # synchronised with the loop.
 SERVO_RATE: Final = 4000
 # Driver parameters of the emulated Force Dimension device.
-ARM: Final[Mapping[str, Any]] = {"serial": 1234, "ready_time": 5.0, "servo_rate": SERVO_RATE}
+ARM: Final[Mapping[str, Any]] = {
+    "serial": 1234,
+    "ready_time": 5.0,
+    "servo_rate": SERVO_RATE,
+}
 # Cases and their labels.
 CASES: Final = {
     "guard": "guard on",
@@ -114,7 +132,11 @@ def given(case: str) -> dict[str, Any]:
         # An unlimited allowance: no force is reduced, but the work is done.
         return {"driver": {"passivity": {"guard": "on", "allowance": 1e3}}}
     if case == "fade":
-        return {"coupling": {"schedule": [{"at": 0.0, "law": "pd_alpha", "ramp": LONGEST_FADE}]}}
+        return {
+            "coupling": {
+                "schedule": [{"at": 0.0, "law": "pd_alpha", "ramp": LONGEST_FADE}]
+            }
+        }
     return {}
 
 
@@ -133,7 +155,10 @@ def _with_arm(folder: Path) -> str:
     del content["model"]
     for name in ("mass", "height"):
         del content["arguments"][name]
-    content["nodes"]["coupling"]["parameters"]["plant"] = {"mass": world.state.mass, "damping": 1.0}
+    content["nodes"]["coupling"]["parameters"]["plant"] = {
+        "mass": world.state.mass,
+        "damping": 1.0,
+    }
     written = folder / "stand_in.yaml"
     written.write_text(json.dumps(content), encoding="utf-8")
     return str(written)

@@ -185,7 +185,12 @@ def _drive(folder: str, ticks: int, rate: float, listeners: int) -> dict[str, An
         "missed": missed,
         "response_us": {
             name: responses[min(int(share * ticks), ticks - 1)] * 1e6
-            for name, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999), ("max", 1.0))
+            for name, share in (
+                ("p50", 0.5),
+                ("p99", 0.99),
+                ("p999", 0.999),
+                ("max", 1.0),
+            )
         },
     }
 
@@ -206,7 +211,10 @@ def main(arguments: list[str]) -> int:
     elif role == "logger":
         _log(folder)
     else:
-        print(json.dumps(_drive(folder, int(ticks), float(rate), int(listeners))), flush=True)
+        print(
+            json.dumps(_drive(folder, int(ticks), float(rate), int(listeners))),
+            flush=True,
+        )
     return 0
 
 

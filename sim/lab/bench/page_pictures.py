@@ -50,7 +50,9 @@ def _hold(page: Any, far: float) -> None:
     box = page.locator("#scene").bounding_box()
     page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.5 * box["height"])
     page.mouse.down()
-    page.mouse.move(box["x"] + far * box["width"], box["y"] + 0.5 * box["height"], steps=8)
+    page.mouse.move(
+        box["x"] + far * box["width"], box["y"] + 0.5 * box["height"], steps=8
+    )
 
 
 def _touch(page: Any) -> None:
@@ -70,7 +72,9 @@ def _past_the_edge(page: Any) -> None:
         page.mouse.up()
         page.wait_for_timeout(100.0)
     wait_for(
-        lambda: page.evaluate("haptic.slow.window()?.at > haptic.slow.window()?.sight[0] + 0.15"),
+        lambda: page.evaluate(
+            "haptic.slow.window()?.at > haptic.slow.window()?.sight[0] + 0.15"
+        ),
         "slow motion",
     )
 
@@ -116,7 +120,9 @@ def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:
             with _page(browser, url, **window) as page:
                 act(page)
                 shot(page, name)
-    with Running("sphere_feel", "--view", "--without", "logger", "duration:=0") as launch:
+    with Running(
+        "sphere_feel", "--view", "--without", "logger", "duration:=0"
+    ) as launch:
         opened = browser.new_page(viewport={"width": 1366, "height": 768})
         opened.goto(_url(launch))
         # The page is frozen first: on a busy machine the hand would leave before the

@@ -20,7 +20,10 @@ from sim.measure.stopwatch import Progress
 FLOOR = "floor_drop"  # reference for all others
 # scenes with moving bodies; their environment is MuJoCo, called from Python
 BODIES = ("puck_push", "stack_boxes")
-_BALL = {"radius": 0.035, "position": [0.05, 0.01, -0.03]}  # the sphere of ``sphere_feel`` [m]
+_BALL = {
+    "radius": 0.035,
+    "position": [0.05, 0.01, -0.03],
+}  # the sphere of ``sphere_feel`` [m]
 _SURFACE = """environment: {{surface: {{kind: mesh, file: {file}, position: {position}, \
 tool_radius: 0.001}}}}
 """
@@ -34,7 +37,9 @@ def ball_file(folder: Path, halvings: int) -> Path:
         struct.pack("<12fH", 0.0, 0.0, 0.0, *triangle, 0)
         for triangle in triangles.reshape(-1, 9).tolist()
     )
-    path.write_bytes(b"ball".ljust(80) + struct.pack("<I", len(triangles)) + b"".join(records))
+    path.write_bytes(
+        b"ball".ljust(80) + struct.pack("<I", len(triangles)) + b"".join(records)
+    )
     return path
 
 
@@ -46,11 +51,17 @@ def scenes(folder: Path, halvings: int) -> dict[str, list[str]]:
         encoding="utf-8",
     )
     found = {name: [name] for name in (FLOOR, "sphere_feel", "mesh_pebble")}
-    found[f"ball of {20 * 4**halvings} triangles"] = ["sphere_feel", "--params", str(given)]
+    found[f"ball of {20 * 4**halvings} triangles"] = [
+        "sphere_feel",
+        "--params",
+        str(given),
+    ]
     return found | ({name: [name] for name in BODIES} if find_spec("mujoco") else {})
 
 
-def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> dict[str, Any]:
+def compare_scenes(
+    rounds: int, seconds: float, halvings: int, tick: Tick
+) -> dict[str, Any]:
     """Launch floor and scenes alternately, in rotating order.
 
     Return rows of medians over the launches, and the machine.
@@ -61,9 +72,14 @@ def compare_scenes(rounds: int, seconds: float, halvings: int, tick: Tick) -> di
         names, progress = list(found), Progress(rounds * len(found))
         for k in range(rounds):
             for name in names[k % len(names) :] + names[: k % len(names)]:
-                runs[name].append(launch(*found[name], f"duration:={seconds}", "--tick", tick))
+                runs[name].append(
+                    launch(*found[name], f"duration:={seconds}", "--tick", tick)
+                )
                 progress.step(name)
-    return {"rows": [_row(name, taken) for name, taken in runs.items()], "machine": machine()}
+    return {
+        "rows": [_row(name, taken) for name, taken in runs.items()],
+        "machine": machine(),
+    }
 
 
 def _row(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
@@ -73,7 +89,8 @@ def _row(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
         "tick": runs[0]["tick_by_node"]["environment"],
         "ticks": sum(run["ticks"] for run in runs),
         "missed": lost,
-        "missed_share": lost / max(1, sum(run["ticks"] + run["overruns"] for run in runs)),
+        "missed_share": lost
+        / max(1, sum(run["ticks"] + run["overruns"] for run in runs)),
     }
     found = {
         "response_us": [run["response_us"] for run in runs],
@@ -81,7 +98,8 @@ def _row(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
     }
     for key, quantiles in found.items():
         row[key] = {
-            part: statistics.median(each[part] for each in quantiles) for part in ("p50", "p99")
+            part: statistics.median(each[part] for each in quantiles)
+            for part in ("p50", "p99")
         }
     return row
 

@@ -88,7 +88,9 @@ def scene() -> Scene:
 def laws() -> dict[int, CompiledLaw]:
     """Return the laws that are timed."""
     paper = parse_law({"kind": "paper_optimum", "stiffness": 1000.0}).compile(PERIOD)
-    long = PDAlpha(stiffness=1000.0, damping=2.0, order=0.9, taps=64, gains="paper").compile(PERIOD)
+    long = PDAlpha(
+        stiffness=1000.0, damping=2.0, order=0.9, taps=64, gains="paper"
+    ).compile(PERIOD)
     return {2: PD(stiffness=1000.0, damping=2.0).compile(PERIOD), 4: paper, 64: long}
 
 
@@ -105,7 +107,9 @@ def ours(law: CompiledLaw, ticks: int) -> Callable[[], Array]:
 
     def play() -> Array:
         history, commands = np.zeros(2 * len(taps)), np.zeros(motion.waiting)
-        play_compiled(ticks, motion, contact, rendered, np.zeros(0), history, commands, records)
+        play_compiled(
+            ticks, motion, contact, rendered, np.zeros(0), history, commands, records
+        )
         return positions
 
     return play
@@ -115,18 +119,27 @@ def compile_c(folder: Path) -> Any:
     """Compile the C loop."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
-        raise NoCompilerError("neither cc nor gcc is in the PATH: install one to compare with C")
+        raise NoCompilerError(
+            "neither cc nor gcc is in the PATH: install one to compare with C"
+        )
     source, library = folder / "play.c", folder / "play.so"
     source.write_text(SOURCE)
     done = subprocess.run(
-        [compiler, *FLAGS, "-o", library, source], capture_output=True, text=True, check=False
+        [compiler, *FLAGS, "-o", library, source],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode != 0:
         raise NoCompilerError(
             f"{compiler} {' '.join(FLAGS)} failed: {done.stderr.strip().splitlines()[-1:]}"
         )
     play = ctypes.CDLL(str(library)).play
-    number, whole, array = ctypes.c_double, ctypes.c_long, ctypes.POINTER(ctypes.c_double)
+    number, whole, array = (
+        ctypes.c_double,
+        ctypes.c_long,
+        ctypes.POINTER(ctypes.c_double),
+    )
     play.argtypes = [
         whole,
         number,
@@ -163,7 +176,9 @@ def in_c(play: Any, law: CompiledLaw, ticks: int) -> Callable[[], Array]:
     return run
 
 
-def measure(ticks: int, rounds: int, step: Callable[[str], None] = lambda _: None) -> Speed:
+def measure(
+    ticks: int, rounds: int, step: Callable[[str], None] = lambda _: None
+) -> Speed:
     """Time the simulator against C, and one core against all, interleaved."""
     jobs: dict[str, tuple[Callable[[], object], int]] = {}
     reason = ""

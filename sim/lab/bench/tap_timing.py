@@ -90,12 +90,16 @@ def evaluators(
     }
 
 
-def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) -> TapTimings:
+def time_taps(
+    lengths: Sequence[int], rounds: int, step: Callable[[str], None]
+) -> TapTimings:
     """Time all methods at all lengths, interleaved."""
     jobs: dict[str, tuple[Callable[[], object], int]] = {}
     same = True
     for n in lengths:
-        history = array("d", np.random.default_rng(n).normal(scale=1e-3, size=2 * n).tolist())
+        history = array(
+            "d", np.random.default_rng(n).normal(scale=1e-3, size=2 * n).tolist()
+        )
         ways = evaluators(realise("gl", 0.5, n, 0.002), history, np.frombuffer(history))
         results = {way: evaluate(0) for way, evaluate in ways.items()}
         same = same and len({results[way] for way in WAYS[:-1]}) == 1
@@ -103,7 +107,9 @@ def time_taps(lengths: Sequence[int], rounds: int, step: Callable[[str], None]) 
             calls = max(4, _CALLS * 32 // max(n, 32))
             jobs[f"{way}|{n}"] = (_repeat(evaluate, n, calls), calls)
     timed = interleaved(jobs, rounds, step)
-    return TapTimings({n: {way: timed[f"{way}|{n}"] for way in WAYS} for n in lengths}, same)
+    return TapTimings(
+        {n: {way: timed[f"{way}|{n}"] for way in WAYS} for n in lengths}, same
+    )
 
 
 def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
@@ -115,10 +121,15 @@ def time_laws(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
         "pd_windowed": PDWindowed(stiffness=1000.0, damping=3.0, resolution=step_m),
     }
     # A slow swing through an encoder, so that windows open and close.
-    samples = (np.rint(1e-3 * np.sin(0.02 * np.arange(ticks)) / step_m) * step_m).tolist()
+    samples = (
+        np.rint(1e-3 * np.sin(0.02 * np.arange(ticks)) / step_m) * step_m
+    ).tolist()
 
     return interleaved(
-        {name: (in_node(law.compile(period), samples), ticks) for name, law in laws.items()},
+        {
+            name: (in_node(law.compile(period), samples), ticks)
+            for name, law in laws.items()
+        },
         rounds,
         step,
     )
@@ -137,7 +148,9 @@ def in_node(law: CompiledLaw, samples: Sequence[float]) -> Callable[[], object]:
     return run
 
 
-def _repeat(evaluate: Callable[[int], float], length: int, calls: int) -> Callable[[], object]:
+def _repeat(
+    evaluate: Callable[[int], float], length: int, calls: int
+) -> Callable[[], object]:
     heads = [k % length for k in range(calls)]
 
     def run() -> None:
@@ -152,7 +165,9 @@ def import_seconds(module: str) -> float:
     code = f"import time; t = time.perf_counter(); import {module}; print(time.perf_counter() - t)"
     return min(
         float(
-            subprocess.run([*PYTHON, "-c", code], capture_output=True, text=True, check=True).stdout
+            subprocess.run(
+                [*PYTHON, "-c", code], capture_output=True, text=True, check=True
+            ).stdout
         )
         for _ in range(3)
     )
@@ -213,7 +228,9 @@ _played: Any = compiled()(_play)
 def time_turning(rounds: int, step: Callable[[str], None]) -> dict[str, Timing]:
     """Time a tick of the compiled rendering on three axes, with the history in each frame."""
     angle = _STEP / _RADIUS * np.arange(_TICKS)
-    normals = np.stack([np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle)], axis=1)
+    normals = np.stack(
+        [np.cos(angle), 0.6 * np.sin(angle), 0.8 * np.sin(angle)], axis=1
+    )
     law = PD(stiffness=800.0, damping=2.0).compile(0.002)
     kept = []
 

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.transforms import BboxBase
 
-FEWEST = 8  # minimum number of laws for a rank correlation: with fewer, chance dominates
+FEWEST = (
+    8  # minimum number of laws for a rank correlation: with fewer, chance dominates
+)
 CHANCE = 0.05  # p above which a rank correlation is not significant
 _FLOOR = 1e-16
 _FRONT, _REST, _SEED = COLOURS[0], "#B9BEC5", COLOURS[1]
@@ -42,8 +44,14 @@ def draw(group: Group, folder: Path) -> Path:
     """Draw one group: all points, the labelled front, and the paper's Grünwald–Letnikov."""
     figure = new_figure(7.2, 4.6)
     axes = figure.add_subplot()
-    shown = [p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)]
-    words = {"title": group.title, "xlabel": group.cost_label, "ylabel": group.error_label}
+    shown = [
+        p for p in group.points if math.isfinite(p.error) and math.isfinite(p.cost)
+    ]
+    words = {
+        "title": group.title,
+        "xlabel": group.cost_label,
+        "ylabel": group.error_label,
+    }
     axes.set(xscale="log", **{place: typeset(told) for place, told in words.items()})
     lowest = min((p.error for p in shown if p.error > 0.0), default=1e-3)
     floor = max(_FLOOR, 0.3 * lowest) if any(p.error <= 0.0 for p in shown) else _FLOOR
@@ -73,7 +81,12 @@ def draw(group: Group, folder: Path) -> Path:
             "label": "GL (paper)",
             "zorder": 4,
         }
-        axes.plot([p.cost for p in classic], [max(p.error, floor) for p in classic], "s--", **look)
+        axes.plot(
+            [p.cost for p in classic],
+            [max(p.error, floor) for p in classic],
+            "s--",
+            **look,
+        )
     best = [p for p in shown if p.on_front]
     if not group.families:
         axes.step(
@@ -114,7 +127,12 @@ def _by_family(axes: Axes, points: Sequence[Point], floor: float) -> None:
             "lw": 1,
             "zorder": 3,
         }
-        axes.plot([p.cost for p in mine], [max(p.error, floor) for p in mine], label=family, **look)
+        axes.plot(
+            [p.cost for p in mine],
+            [max(p.error, floor) for p in mine],
+            label=family,
+            **look,
+        )
 
 
 def _ticks(axes: Axes, span: float) -> None:
@@ -144,7 +162,9 @@ def _dots(axes: Axes, points: Sequence[Point], floor: float) -> list[BboxBase]:
 def _beaten(points: Sequence[Point]) -> list[Point]:
     """Return the best member of every family that has none on the front."""
     ahead = {p.family for p in points if p.on_front}
-    return [point for family, point in _best_members(points).items() if family not in ahead]
+    return [
+        point for family, point in _best_members(points).items() if family not in ahead
+    ]
 
 
 def _best_members(points: Sequence[Point]) -> dict[str, Point]:
@@ -159,15 +179,21 @@ def conclusions(groups: Sequence[Group]) -> list[str]:
     """Return a few lines that summarise the points."""
     named = {group.name: group for group in groups}
     lines = [
-        _derivatives(group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2])
+        _derivatives(
+            group, named.get(name.replace("time", "stiffness")), name.rpartition("_")[2]
+        )
         for name, group in named.items()
         if name.startswith("derivative_time_")
     ]
-    demands = [group for name, group in named.items() if name.startswith("equal_demand_")]
+    demands = [
+        group for name, group in named.items() if name.startswith("equal_demand_")
+    ]
     if demands:
         lines.append(_equal_demand(demands))
     if "integrator_trajectory" in named:
-        lines.append(_integrators(named["integrator_trajectory"], named["integrator_k_max"]))
+        lines.append(
+            _integrators(named["integrator_trajectory"], named["integrator_k_max"])
+        )
     ways = [group for name, group in named.items() if name.startswith("k_max_delay_")]
     if ways:
         lines.append(_kmax(ways))
@@ -175,14 +201,20 @@ def conclusions(groups: Sequence[Group]) -> list[str]:
         lines.append(_rates(named["rate_force"], named["rate_stiffness"]))
     if "proxy_error" in named:
         lines.append(_proxies(named["proxy_error"]))
-    lines += [_loop(group) for name, group in named.items() if name.startswith("loop_impedance_")]
+    lines += [
+        _loop(group)
+        for name, group in named.items()
+        if name.startswith("loop_impedance_")
+    ]
     return lines
 
 
 def _loop(group: Group) -> str:
     """Return a sentence on the loop: best point, cheapest within 10 % of it, first point."""
     best, first = _best(group.points), group.points[0]
-    near = min((p for p in group.points if p.error <= 1.1 * best.error), key=lambda p: p.cost)
+    near = min(
+        (p for p in group.points if p.error <= 1.1 * best.error), key=lambda p: p.cost
+    )
     return (
         f"{group.title}: {best.name} errs least ({_figure(100 * best.error)} % over the band,"
         f" {_figure(best.cost)} µs); {near.name} comes within a tenth of that in"
@@ -212,7 +244,9 @@ def _derivatives(time: Group, stiffness: Group | None, order: str) -> str:
     classic = [p for p in time.points if p.family == "gl"]
     long = max(classic, key=lambda p: p.cost)
     best = _best(time.points)
-    matching = [p for p in time.points if p.error <= 1.05 * min(s.error for s in classic)]
+    matching = [
+        p for p in time.points if p.error <= 1.05 * min(s.error for s in classic)
+    ]
     cheapest = min(matching, key=lambda p: p.cost)
     text = (
         f"D^{order}: {best.name} is the most accurate ({100 * best.error:.2g} %, {best.cost:.2g}"
@@ -238,12 +272,16 @@ def _correlation(errors: Sequence[float], stiffnesses: Sequence[float]) -> str:
     from scipy.stats import spearmanr
 
     if len(errors) < FEWEST:
-        return f"{len(errors)} laws, too few for a rank correlation of error and stiffness"
+        return (
+            f"{len(errors)} laws, too few for a rank correlation of error and stiffness"
+        )
     found = spearmanr(errors, stiffnesses)
     ranks, p = float(found.statistic), float(found.pvalue)
     word = "accuracy is not seen to matter"
     if p < CHANCE:
-        word = "accuracy costs stiffness" if ranks > 0.0 else "accuracy brings stiffness"
+        word = (
+            "accuracy costs stiffness" if ranks > 0.0 else "accuracy brings stiffness"
+        )
     return (
         f"{word}: rank correlation of error and stiffness {ranks:+.2f}, n = {len(errors)}, p ="
         f" {p:.2g}"
@@ -257,8 +295,13 @@ def _equal_demand(groups: Sequence[Group]) -> str:
         kept = [p for p in group.points if _number(p, "h1_tuned_n_per_m") > 0.0]
         if len(kept) < 3:
             continue
-        stiff, exact = min(kept, key=lambda p: p.error), min(kept, key=lambda p: (p.cost, p.error))
-        told = _correlation([p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept])
+        stiff, exact = (
+            min(kept, key=lambda p: p.error),
+            min(kept, key=lambda p: (p.cost, p.error)),
+        )
+        told = _correlation(
+            [p.cost for p in kept], [_number(p, "h1_tuned_n_per_m") for p in kept]
+        )
         parts.append(
             f"{group.title.partition(':')[0]}{group.title.rpartition(',')[2]}: {told} ({len(kept)}"
             f" of {len(group.points)} keep the demand); the stiffest, {stiff.name}, has"
@@ -290,7 +333,8 @@ def _kmax(groups: Sequence[Group]) -> str:
         played = [p for p in group.points if p.family in ("drop", "release")]
         longest = max((p for p in played if p.family == "drop"), key=lambda p: p.cost)
         formula = min(
-            (p for p in group.points if p.name.startswith("closed form")), key=lambda p: p.error
+            (p for p in group.points if p.name.startswith("closed form")),
+            key=lambda p: p.error,
         )
         parts.append(
             f"{group.title.rpartition(', ')[2]}: pole radius {_figure(pole.cost)} ms and"
@@ -302,11 +346,15 @@ def _kmax(groups: Sequence[Group]) -> str:
 
 
 def _rates(force: Group, stiffness: Group) -> str:
-    kept = [p for p in force.points if _number(p, "missed") <= 0.02 * _number(p, "ticks")]
+    kept = [
+        p for p in force.points if _number(p, "missed") <= 0.02 * _number(p, "ticks")
+    ]
     best = _best(kept or force.points)
     slow = min(kept or force.points, key=lambda p: (p.cost, p.error))
     held = {p.name for p in kept}
-    stiffest = _best([p for p in stiffness.points if p.name in held] or stiffness.points)
+    stiffest = _best(
+        [p for p in stiffness.points if p.name in held] or stiffness.points
+    )
     lost = sorted({p.cost for p in force.points} - {p.cost for p in kept})
     text = (
         f"Loop rate, through the processes: from {slow.name} to {best.name} the force error falls"
@@ -325,7 +373,9 @@ def _proxies(group: Group) -> str:
     ball = _find(group, "sphere")
     meshes = [p for p in group.points if p.family == "mesh"]
     bodies = [p for p in group.points if p.family == "body"]
-    coarse, fine = (way(meshes, key=lambda p: _number(p, "triangles")) for way in (min, max))
+    coarse, fine = (
+        way(meshes, key=lambda p: _number(p, "triangles")) for way in (min, max)
+    )
     text = (
         f"Proxy on a sphere: the closed form is {_figure(1e3 * ball.error)} nm off in"
         f" {ball.cost:.2g} µs a call; {_number(coarse, 'triangles'):.0f} triangles"
@@ -420,5 +470,9 @@ def page(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> st
             f"| on the front | {group.cost_label} | {group.error_label} |",
             "| --- | --- | --- |",
         ]
-        text += [f"| {p.name} | {p.cost:.3g} | {p.error:.3g} |" for p in group.points if p.on_front]
+        text += [
+            f"| {p.name} | {p.cost:.3g} | {p.error:.3g} |"
+            for p in group.points
+            if p.on_front
+        ]
     return "\n".join(text) + "\n"

@@ -27,14 +27,19 @@ _PER_BAND = 60
 
 def response(law: CompiledLaw, angles: Array) -> ComplexArray:
     """Return the frequency response of taps and sections."""
-    found: ComplexArray = law.response(np.exp(1j * np.asarray(angles, dtype=np.float64)))
+    found: ComplexArray = law.response(
+        np.exp(1j * np.asarray(angles, dtype=np.float64))
+    )
     return found
 
 
 def largest_pole(law: CompiledLaw) -> float:
     """Return the largest pole magnitude of the sections."""
     return max(
-        (float(np.max(np.abs(np.roots([1.0, a1, a2])))) for _, _, a1, a2 in law.sections),
+        (
+            float(np.max(np.abs(np.roots([1.0, a1, a2]))))
+            for _, _, a1, a2 in law.sections
+        ),
         default=0.0,
     )
 
@@ -44,12 +49,16 @@ def best_delay(relative: ComplexArray, angles: Array) -> float:
 
     Gauss-Newton on |G e^{jθτ} − g| with a free gain g.
     """
-    delay = -float(np.sum(np.unwrap(np.angle(relative)) * angles) / np.sum(angles * angles))
+    delay = -float(
+        np.sum(np.unwrap(np.angle(relative)) * angles) / np.sum(angles * angles)
+    )
     for _ in range(20):
         turned = relative * np.exp(1j * angles * delay)
         gain = float(np.mean(turned.real))
         slope = 1j * angles * turned
-        step = float(np.sum((np.conj(slope) * (gain - turned)).real) / np.sum(np.abs(slope) ** 2))
+        step = float(
+            np.sum((np.conj(slope) * (gain - turned)).real) / np.sum(np.abs(slope) ** 2)
+        )
         delay += step
         if abs(step) < 1e-12:
             break
@@ -94,19 +103,30 @@ def analyse(
         name: math.pi * np.geomspace(low, high, _PER_BAND, dtype=np.float64)
         for name, (low, high) in BANDS.items()
     }
-    relative = {name: response(law, a) / (1j * a / period) ** order for name, a in angles.items()}
+    relative = {
+        name: response(law, a) / (1j * a / period) ** order
+        for name, a in angles.items()
+    }
     fitted = ("slow", "hand", "contact")
     delay = best_delay(
-        np.concatenate([relative[n] for n in fitted]), np.concatenate([angles[n] for n in fitted])
+        np.concatenate([relative[n] for n in fitted]),
+        np.concatenate([angles[n] for n in fitted]),
     )
 
     def rms(band: str, delay: float) -> float:
         return float(
-            np.sqrt(np.mean(np.abs(relative[band] * np.exp(1j * angles[band] * delay) - 1.0) ** 2))
+            np.sqrt(
+                np.mean(
+                    np.abs(relative[band] * np.exp(1j * angles[band] * delay) - 1.0)
+                    ** 2
+                )
+            )
         )
 
     def whole(delay: float) -> float:
-        return math.sqrt(math.fsum(rms(band, delay) ** 2 for band in fitted) / len(fitted))
+        return math.sqrt(
+            math.fsum(rms(band, delay) ** 2 for band in fitted) / len(fitted)
+        )
 
     return {
         "order": order,

@@ -36,7 +36,13 @@ _FINITE = (4, 16, 64, 256, 1000)
 _RECURSIVE = (4, 6, 9, 13)
 _LENGTHS: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(
-        ("al_alaoui_cfe", "tustin_cfe", "least_squares", "oustaloup_matched", "oustaloup_tustin"),
+        (
+            "al_alaoui_cfe",
+            "tustin_cfe",
+            "least_squares",
+            "oustaloup_matched",
+            "oustaloup_tustin",
+        ),
         _RECURSIVE,
     ),
     "exponentials": (32, 256, 2000, 20000),
@@ -63,7 +69,9 @@ def _render(
 _render_compiled = compiled()(_render)
 
 
-def candidates(order: float, quick: bool = False) -> Iterator[tuple[str, int, CompiledLaw]]:
+def candidates(
+    order: float, quick: bool = False
+) -> Iterator[tuple[str, int, CompiledLaw]]:
     """Yield all installed realisations at the lengths they accept."""
     for kind in derivative_kinds():
         lengths = _LENGTHS.get(kind, _FINITE)
@@ -104,7 +112,9 @@ def largest_stable(
     return before
 
 
-def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> list[Group]:
+def derivative_groups(
+    step: Callable[[str], None], quick: bool, spread: Runner
+) -> list[Group]:
     """Measure all realisations: times on this machine, the rest wherever the study runs."""
     groups = []
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
@@ -119,7 +129,9 @@ def derivative_groups(step: Callable[[str], None], quick: bool, spread: Runner) 
         jobs_beside: list[Callable[[], Any]] = [
             partial(_figures, kind, taps, order) for kind, taps, _ in found
         ]
-        figures = spread(jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}"))  # type: ignore[misc]
+        figures = spread(
+            jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}")
+        )  # type: ignore[misc]
         for (kind, taps, _), measured in zip(found, figures, strict=True):
             name = f"{kind} {taps}"
             node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]
@@ -148,7 +160,9 @@ def _groups(
 ) -> list[Group]:
     """Compare the realisations of one order: time, multiplies, stiffness."""
 
-    def points(cost: str, error: Callable[[dict[str, Any]], float]) -> tuple[Point, ...]:
+    def points(
+        cost: str, error: Callable[[dict[str, Any]], float]
+    ) -> tuple[Point, ...]:
         return tuple(
             Point(name, float(measured[cost] or 0.0), error(measured), kind, measured)
             for name, (kind, measured) in details.items()
@@ -160,7 +174,9 @@ def _groups(
     def lost(measured: dict[str, Any]) -> float:
         return 1.0 - float(measured["h1_max_n_per_m"]) / best
 
-    best = max(float(measured["h1_max_n_per_m"] or 0.0) for _, measured in details.values())
+    best = max(
+        float(measured["h1_max_n_per_m"] or 0.0) for _, measured in details.values()
+    )
     error, time, each = (
         "relative error, best delay removed (rms) [1]",
         "time per tick in the node [µs]",
@@ -225,7 +241,9 @@ def _samples(count: int) -> list[float]:
 
 def _when_compiled(law: CompiledLaw) -> Callable[[], object]:
     taps: Any = np.array(law.taps)
-    recursive: Any = np.array([c for s in law.sections for c in s]) if law.sections else None
+    recursive: Any = (
+        np.array([c for s in law.sections for c in s]) if law.sections else None
+    )
     state: Any = np.zeros(2 * len(law.sections))
     history: Any = np.zeros(2 * max(2, len(taps)))
     samples: Any = np.array(_samples(20 * _TICKS))

@@ -19,7 +19,13 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
 from sim.lab.charts.derivative_errors import analyse
-from sim.lab.charts.derivatives import DAMPING, DELAY, PERIOD, candidates, with_stiffness
+from sim.lab.charts.derivatives import (
+    DAMPING,
+    DELAY,
+    PERIOD,
+    candidates,
+    with_stiffness,
+)
 from sim.lab.charts.points import Extra, Group, Point
 from sim.measure.jobs import Runner
 
@@ -40,7 +46,8 @@ MakeLaw = Callable[[float, float], CompiledLaw]
 def keeps(law: CompiledLaw, radius: float) -> bool:
     """Return whether a law meets the demand, checking the lightest device first."""
     return abs(law.h_nyquist) <= NYQUIST and all(
-        pole_radius(law, Plant(PERIOD, mass, DAMPING, DELAY)) <= radius for mass in MASSES
+        pole_radius(law, Plant(PERIOD, mass, DAMPING, DELAY)) <= radius
+        for mass in MASSES
     )
 
 
@@ -52,16 +59,28 @@ def tuned(way: MakeLaw, radius: float) -> tuple[float, float]:
     for spread in (*_NEARER, 1.0):
         for gain in gains.tolist():
             kept = next(
-                (k for k in _STIFFNESSES.tolist() if k > best and keeps(way(k, gain), radius)), None
+                (
+                    k
+                    for k in _STIFFNESSES.tolist()
+                    if k > best and keeps(way(k, gain), radius)
+                ),
+                None,
             )
             if kept is None and not (
                 best > 0.0 and keeps(way(best * (1.0 + _PRECISION), gain), radius)
             ):
                 continue
-            low, high = kept or best, (kept or best) * float(_STIFFNESSES[0] / _STIFFNESSES[1])
+            low, high = (
+                kept or best,
+                (kept or best) * float(_STIFFNESSES[0] / _STIFFNESSES[1]),
+            )
             while high > (1.0 + _PRECISION) * low:
                 middle = math.sqrt(low * high)
-                low, high = (middle, high) if keeps(way(middle, gain), radius) else (low, middle)
+                low, high = (
+                    (middle, high)
+                    if keeps(way(middle, gain), radius)
+                    else (low, middle)
+                )
             best, at = low, gain
         gains = np.geomspace(at / spread, at * spread, 9) if at else gains[:0]
     return best, at
@@ -85,7 +104,9 @@ def laws(order: float, quick: bool) -> Iterator[tuple[str, str, MakeLaw, float]]
             )
     if order == 1.0:
         for cutoff in CUTOFFS[1:2] if quick else CUTOFFS:
-            unit = without_spring(PDFiltered(stiffness=1.0, damping=1.0, cutoff=cutoff), PERIOD)
+            unit = without_spring(
+                PDFiltered(stiffness=1.0, damping=1.0, cutoff=cutoff), PERIOD
+            )
             yield (
                 f"pd_filtered {cutoff:g} Hz",
                 "pd_filtered",
@@ -107,7 +128,9 @@ def _row(
     return name, family, error, *tuned(way, radius)
 
 
-def demand_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> list[Group]:
+def demand_groups(
+    step: Callable[[str], None], quick: bool, spread: Runner
+) -> list[Group]:
     """Tune every realisation to the same demand."""
     groups = [(order, demand) for order in ORDERS for demand in RADII]
     jobs: list[Callable[[], Any]] = [
@@ -117,13 +140,18 @@ def demand_groups(step: Callable[[str], None], quick: bool, spread: Runner) -> l
     ]
     rows = iter(spread(jobs, lambda done, _: step(f"equal demand: {done}")))
     return [
-        _group(order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)])
+        _group(
+            order, demand, RADII[demand], [next(rows) for _ in _listed(order, quick)]
+        )
         for order, demand in groups
     ]
 
 
 def _group(
-    order: float, demand: str, radius: float, rows: list[tuple[str, str, float, float, float]]
+    order: float,
+    demand: str,
+    radius: float,
+    rows: list[tuple[str, str, float, float, float]],
 ) -> Group:
     best = max(stiffness for *_, stiffness, _ in rows)
     points = []

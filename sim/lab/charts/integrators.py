@@ -37,13 +37,19 @@ def integrators() -> dict[str, Step]:
         f"semi-implicit Euler {count}": euler(count, implicit=True)
         for count in (1, 2, 4, 10, 40, 100)
     }
-    found |= {f"explicit Euler {count}": euler(count, implicit=False) for count in (1, 10)}
+    found |= {
+        f"explicit Euler {count}": euler(count, implicit=False) for count in (1, 10)
+    }
     found |= {f"RK4 {count}": _rk4(count) for count in (1, 2, 4)}
-    found |= {f"solve_ivp {tolerance:g}": _solve_ivp(tolerance) for tolerance in (1e-3, 1e-6, 1e-9)}
+    found |= {
+        f"solve_ivp {tolerance:g}": _solve_ivp(tolerance)
+        for tolerance in (1e-3, 1e-6, 1e-9)
+    }
     if find_spec("mujoco") is not None:
         ways = itertools.product((1, 2, 10), ("Euler", "implicitfast", "RK4"))
         found |= {
-            f"MuJoCo {integrator} {count}": _mujoco(integrator, count) for count, integrator in ways
+            f"MuJoCo {integrator} {count}": _mujoco(integrator, count)
+            for count, integrator in ways
         }
     return found
 
@@ -52,7 +58,9 @@ def reference() -> Step:
     """Return the exact map from scipy's matrix exponential."""
     from scipy.linalg import expm
 
-    generator = np.array([[0.0, 1.0, 0.0], [0.0, -DAMPING / MASS, 1.0 / MASS], [0.0, 0.0, 0.0]])
+    generator = np.array(
+        [[0.0, 1.0, 0.0], [0.0, -DAMPING / MASS, 1.0 / MASS], [0.0, 0.0, 0.0]]
+    )
     a = np.asarray(expm(generator * PERIOD), dtype=np.float64)
 
     def step(x: float, v: float, u: float) -> tuple[float, float]:
@@ -78,7 +86,8 @@ def drop(step: Step, ticks: int = _TICKS) -> NDArray[np.float64]:
 def spring_limit(step: Step) -> float:
     """Return the largest spring stiffness that is stable with a linear integrator."""
     columns = [
-        np.array(step(*unit)) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        np.array(step(*unit))
+        for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     ]
     state, force = np.stack(columns[:2], axis=1), columns[2]
 
@@ -150,7 +159,9 @@ def integrator_steps(quick: bool = False) -> int:
     return (_QUICK_ROUNDS if quick else _ROUNDS) + len(integrators())
 
 
-def euler(count: int, implicit: bool, mass: float = MASS, damping: float = DAMPING) -> Step:
+def euler(
+    count: int, implicit: bool, mass: float = MASS, damping: float = DAMPING
+) -> Step:
     """Return a tick of Euler steps, semi-implicit or explicit."""
     h = PERIOD / count
 

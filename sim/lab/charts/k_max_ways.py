@@ -34,7 +34,8 @@ def poles(delay: float, precision: float) -> float:
     """Return K_max from the pole radius."""
     return largest_stable(
         lambda k: pole_radius(
-            PD(stiffness=k, damping=GAIN).compile(PERIOD), Plant(PERIOD, MASS, DAMPING, delay)
+            PD(stiffness=k, damping=GAIN).compile(PERIOD),
+            Plant(PERIOD, MASS, DAMPING, delay),
         ),
         10.0,
         1e5,
@@ -48,7 +49,10 @@ def solved(delay: float, method: str) -> float:
     By Jury's conditions, linear in K, or the crossings of the boundary curve.
     """
     derivative = without_spring(PD(stiffness=1.0, damping=GAIN), PERIOD)
-    return k_max(derivative, Plant(PERIOD, MASS, DAMPING, delay), method).k_max_n_per_m or 0.0
+    return (
+        k_max(derivative, Plant(PERIOD, MASS, DAMPING, delay), method).k_max_n_per_m
+        or 0.0
+    )
 
 
 def light(_delay: float) -> float:
@@ -97,13 +101,15 @@ def simulated(delay: float, horizon: float, dropped: bool) -> float:
         gravity=_GRAVITY if dropped else None,
     )
     surface = SceneSurface("plane") if dropped else SceneSurface("anchor")
-    scene = Scene(device=device, surface=surface, period=PERIOD, raw=False, clamp=dropped)
+    scene = Scene(
+        device=device, surface=surface, period=PERIOD, raw=False, clamp=dropped
+    )
     tail = max(2, ticks // 5)
 
     def radius(stiffness: float) -> float:
-        end = run(scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks).position[
-            -tail:
-        ]
+        end = run(
+            scene, PD(stiffness=stiffness, damping=GAIN).compile(PERIOD), ticks
+        ).position[-tail:]
         swing = float(np.max(end) - np.min(end))
         return 0.0 if math.isfinite(swing) and swing < 0.1 * _HEIGHT else 2.0
 
@@ -121,7 +127,9 @@ def ways(delay: float) -> dict[str, FindKMax]:
         found["Jury conditions"] = lambda: solved(0.0, "closed_form")
     found["boundary curve"] = lambda: solved(delay, "pole_radius")
     for precision in (1e-1, 1e-3, 1e-6, 1e-9):
-        found[f"pole radius {precision:g}"] = lambda precision=precision: poles(delay, precision)  # type: ignore[misc]
+        found[f"pole radius {precision:g}"] = lambda precision=precision: poles(
+            delay, precision
+        )  # type: ignore[misc]
     for horizon in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0):
         for dropped in (False, True):
             name = f"{'drop' if dropped else 'release'} {horizon:g} s"
@@ -137,20 +145,29 @@ def kmax_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
     rounds = _QUICK_ROUNDS if quick else _ROUNDS
     for delay in (0.0, 1.0):
         found = ways(delay)
-        timings = interleaved({name: (way, 1) for name, way in found.items()}, rounds, step)
+        timings = interleaved(
+            {name: (way, 1) for name, way in found.items()}, rounds, step
+        )
         exact = poles(delay, 1e-12)
         points = []
         for name, way in found.items():
             value, timing = way(), timings[name]
-            detail: dict[str, Extra] = {"k_max_n_per_m": value, "k_max_exact_n_per_m": exact}
+            detail: dict[str, Extra] = {
+                "k_max_n_per_m": value,
+                "k_max_exact_n_per_m": exact,
+            }
             detail |= {
                 "time_s": timing.median,
                 "time_s_low": timing.low,
                 "time_s_high": timing.high,
             }
-            family = name.split(" ")[0] if name[-1] == "s" else name.rstrip("0123456789.e- ")
+            family = (
+                name.split(" ")[0] if name[-1] == "s" else name.rstrip("0123456789.e- ")
+            )
             points.append(
-                Point(name, 1e3 * timing.median, abs(value / exact - 1.0), family, detail)
+                Point(
+                    name, 1e3 * timing.median, abs(value / exact - 1.0), family, detail
+                )
             )
             step(f"K_max by {name}")
         groups.append(

@@ -77,7 +77,9 @@ def loop_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
     return [_group(order, band, step, quick) for order in (1.0, 0.5)]
 
 
-def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) -> Group:
+def _group(
+    order: float, band: Array, step: Callable[[str], None], quick: bool
+) -> Group:
     laws = realisations(order)
     rates = RATES[::2] if quick else RATES
     scenes = {
@@ -90,7 +92,8 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
 
     # The time of a tick depends on the law, not on the rate.
     jobs: dict[str, tuple[Callable[[], object], int]] = {
-        name: (tick(law(1.0 / rates[0]), rates[0]), _TICKS) for name, law in laws.items()
+        name: (tick(law(1.0 / rates[0]), rates[0]), _TICKS)
+        for name, law in laws.items()
     }
     timings = interleaved(jobs, _QUICK_ROUNDS if quick else _ROUNDS, step)
     points = []
@@ -106,7 +109,9 @@ def _group(order: float, band: Array, step: Callable[[str], None], quick: bool) 
             }
             # Twice the rate needs twice as many ticks per second.
             detail["load"] = 1e-6 * cost * rate
-            points.append(Point(f"{name}, {rate:g} Hz", cost * rate / rates[0], off, name, detail))
+            points.append(
+                Point(f"{name}, {rate:g} Hz", cost * rate / rates[0], off, name, detail)
+            )
     what = "K + B s" if order == 1.0 else f"K + B s^{order:g}"
     return Group(
         f"loop_impedance_{order:g}".replace(".", "_"),

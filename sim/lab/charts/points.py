@@ -28,7 +28,9 @@ class Point:
     error: float  # in the unit of its group
     # Its family, e.g. ``gl``; members are drawn as one line.
     family: str = ""
-    detail: dict[str, Extra] = field(default_factory=dict)  # other values, with units in the keys
+    detail: dict[str, Extra] = field(
+        default_factory=dict
+    )  # other values, with units in the keys
     # whether no other point of the group is both cheaper and more accurate; set by
     # `with_front`
     on_front: bool = False
@@ -56,7 +58,9 @@ def on_front(costs: Sequence[float], errors: Sequence[float]) -> list[bool]:
 
     def beaten(cost: float, error: float) -> bool:
         # A point does not dominate an equal one.
-        return any((c, e) != (cost, error) and c <= cost and e <= error for c, e in points)
+        return any(
+            (c, e) != (cost, error) and c <= cost and e <= error for c, e in points
+        )
 
     return [error < math.inf and not beaten(cost, error) for cost, error in points]
 
@@ -65,7 +69,8 @@ def with_front(group: Group) -> Group:
     """Return the group with its front marked, sorted by cost."""
     marks = on_front([p.cost for p in group.points], [p.error for p in group.points])
     marked = [
-        replace(point, on_front=mark) for point, mark in zip(group.points, marks, strict=True)
+        replace(point, on_front=mark)
+        for point, mark in zip(group.points, marks, strict=True)
     ]
     return replace(group, points=tuple(sorted(marked, key=lambda p: (p.cost, p.error))))
 
@@ -83,7 +88,10 @@ def kept(path: Path, part: str) -> list[Group] | None:
 
 def keep(path: Path, part: str, groups: Sequence[Group]) -> None:
     """Add a part to the file of an interrupted run."""
-    stored = _stored(path) | {"program": program(), part: [asdict(group) for group in groups]}
+    stored = _stored(path) | {
+        "program": program(),
+        part: [asdict(group) for group in groups],
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
     beside.write_text(json.dumps(stored), encoding="utf-8")
@@ -95,18 +103,24 @@ def _stored(path: Path) -> dict[str, Any]:
 
     A chart must not mix results of two versions.
     """
-    stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    stored: dict[str, Any] = (
+        json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    )
     if stored and stored.get("program") != program():
         fresh(path)
         return {}
     return stored
 
 
-def as_json(groups: Sequence[Group], machine: dict[str, Any], seconds: float) -> dict[str, Any]:
+def as_json(
+    groups: Sequence[Group], machine: dict[str, Any], seconds: float
+) -> dict[str, Any]:
     """Return all groups as one JSON object."""
     return {
         "points": [
-            {"group": group.name, **asdict(point)} for group in groups for point in group.points
+            {"group": group.name, **asdict(point)}
+            for group in groups
+            for point in group.points
         ],
         "groups": {
             group.name: {
@@ -129,11 +143,16 @@ def save(
     data = as_json(groups, machine, seconds)
     whole, table = fresh(folder / "chart.json"), fresh(folder / "chart.csv")
     whole.write_text(json.dumps(data, indent=1, allow_nan=True) + "\n")
-    keys = sorted({key for group in groups for point in group.points for key in point.detail})
+    keys = sorted(
+        {key for group in groups for point in group.points for key in point.detail}
+    )
     with table.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["group", "name", "family", "cost", "error", "on_front", *keys])
         for row in data["points"]:
-            fixed = [row[key] for key in ("group", "name", "family", "cost", "error", "on_front")]
+            fixed = [
+                row[key]
+                for key in ("group", "name", "family", "cost", "error", "on_front")
+            ]
             writer.writerow(fixed + [row["detail"].get(key, "") for key in keys])
     return [whole, table]

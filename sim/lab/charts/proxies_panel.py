@@ -17,19 +17,31 @@ def proxy_steps(quick: bool = False) -> int:
 
 def _ways(quick: bool) -> list[tuple[float, bool]]:
     """Return scene steps [s], each with MuJoCo's default and the stiffest contacts."""
-    return [(step, stiff) for step in (STEPS[1:2] if quick else STEPS) for stiff in (False, True)]
+    return [
+        (step, stiff)
+        for step in (STEPS[1:2] if quick else STEPS)
+        for stiff in (False, True)
+    ]
 
 
 def proxy_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]:
     """Move a tool along surfaces whose proxy is a closed form; return the groups."""
-    found = compare_proxies(_QUICK_FINEST if quick else _FINEST, _QUICK_TICKS if quick else _TICKS)
+    found = compare_proxies(
+        _QUICK_FINEST if quick else _FINEST, _QUICK_TICKS if quick else _TICKS
+    )
     step("proxies on closed forms and meshes")
     points = [_point(row) for row in found]
     note = ""
     for size, stiff in _ways(quick):
         try:
             row = body_error(
-                size, _QUICK_TICKS if quick else _TICKS, _STIFFNESS, _DEPTH, _SPEED, _PERIOD, stiff
+                size,
+                _QUICK_TICKS if quick else _TICKS,
+                _STIFFNESS,
+                _DEPTH,
+                _SPEED,
+                _PERIOD,
+                stiff,
             )
         except ParameterError as error:
             note = f" Bodies are left out: {error}."

@@ -32,7 +32,11 @@ from sim.play.one_axis import Scene, SceneSurface, run
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 _QUICK_RATES = (500.0, 1000.0)
 # Tick modes and force timing; the quick run omits the plain tick.
-CHOICES = (("compiled", "on_arrival"), ("plain", "on_arrival"), ("compiled", "next_tick"))
+CHOICES = (
+    ("compiled", "on_arrival"),
+    ("plain", "on_arrival"),
+    ("compiled", "next_tick"),
+)
 MASS, DAMPING, HEIGHT, GRAVITY = 0.1, 1.0, 0.01, 9.81
 STIFFNESS, GAIN = 400.0, 3.0
 _SECONDS = 1.0
@@ -48,7 +52,9 @@ class Launched:
     """Rendered force of a launch."""
 
     figures: dict[str, Any]  # output of ``haptic launch --json``
-    onset: NDArray[np.float64]  # when each force took effect, from tick 0 [s], shape (n,)
+    onset: NDArray[
+        np.float64
+    ]  # when each force took effect, from tick 0 [s], shape (n,)
     force: NDArray[np.float64]  # the forces [N], shape (n,)
     height: NDArray[np.float64]  # measured height at the ticks [m], shape (n,)
     # Median delay from a sample to the effect of its force [ticks]; infinite if no force was
@@ -57,10 +63,20 @@ class Launched:
 
 
 def launch(
-    rate: float, apply: str, stiffness: float, pace: str = "realtime", tick: str = "auto"
+    rate: float,
+    apply: str,
+    stiffness: float,
+    pace: str = "realtime",
+    tick: str = "auto",
 ) -> Launched:
     """Drop the device in a launch."""
-    values = {"rate": rate, "apply": apply, "pace": pace, "duration": _SECONDS, "tick": tick}
+    values = {
+        "rate": rate,
+        "apply": apply,
+        "pace": pace,
+        "duration": _SECONDS,
+        "tick": tick,
+    }
     values |= {"stiffness": stiffness, "damping": GAIN, "mass": MASS, "height": HEIGHT}
     with tempfile.TemporaryDirectory(prefix="haptic-chart-") as folder:
         scenario = Path(folder) / "floor_drop.yaml"
@@ -102,10 +118,16 @@ def continuous(stiffness: float) -> tuple[NDArray[np.float64], NDArray[np.float6
     """Drop the device on a nearly continuous floor (200 kHz)."""
     device = DeviceModel(mass=MASS, damping=DAMPING, gravity=GRAVITY, position=HEIGHT)
     scene = Scene(
-        device=device, surface=SceneSurface("plane"), period=1.0 / _FINE, raw=False, clamp=True
+        device=device,
+        surface=SceneSurface("plane"),
+        period=1.0 / _FINE,
+        raw=False,
+        clamp=True,
     )
     trace = run(
-        scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), round(_SECONDS * _FINE)
+        scene,
+        PD(stiffness=stiffness, damping=GAIN).compile(scene.period),
+        round(_SECONDS * _FINE),
     )
     return trace.time, trace.force
 
@@ -139,14 +161,18 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
     time, wanted = continuous(STIFFNESS)
     choices = _choices(quick)
     rounds = 1 if quick else _ROUNDS
-    launched: dict[tuple[str, str, float], list[Launched]] = {choice: [] for choice in choices}
+    launched: dict[tuple[str, str, float], list[Launched]] = {
+        choice: [] for choice in choices
+    }
     start = clock.monotonic()
     done = 0
     for k in range(rounds):
         enough = k > 0 and (clock.monotonic() - start) * (k + 1) / k > _PATIENCE
         for tick, apply, rate in choices:
             if not enough:
-                launched[tick, apply, rate].append(launch(rate, apply, STIFFNESS, tick=tick))
+                launched[tick, apply, rate].append(
+                    launch(rate, apply, STIFFNESS, tick=tick)
+                )
                 done = k + 1
             step(f"launch at {rate:g} Hz {tick} {apply}, round {k + 1} of {rounds}")
     points: list[tuple[str, float, float, str, dict[str, Extra]]] = []
@@ -154,7 +180,11 @@ def rate_groups(step: Callable[[str], None], quick: bool = False) -> list[Group]
         family = f"{tick} {apply}"
         name = f"{rate:g} Hz {family}"
         stable, detail = _at_rate(
-            tick, apply, rate, runs, [force_error(r.onset, r.force, time, wanted) for r in runs]
+            tick,
+            apply,
+            rate,
+            runs,
+            [force_error(r.onset, r.force, time, wanted) for r in runs],
         )
         points.append((name, rate, stable, family, detail))
         step(f"stiffness at {name}")
@@ -203,7 +233,9 @@ def _at_rate(
         law = without_spring(PD(stiffness=1.0, damping=GAIN), period)
         limit = k_max(law, Plant(period, MASS, DAMPING, delay)).k_max_n_per_m or 0.0
     tries = (factor * limit for factor in _TRIES if limit > 0.0)
-    stable = next((k for k in tries if calms_down(launch(rate, apply, k, tick=tick).height)), 0.0)
+    stable = next(
+        (k for k in tries if calms_down(launch(rate, apply, k, tick=tick).height)), 0.0
+    )
     return stable, {
         "rate_hz": rate,
         "delay_ticks": delay if math.isfinite(delay) else None,
@@ -211,7 +243,9 @@ def _at_rate(
         "missed": statistics.median(
             one.figures["missed"] + one.figures["overruns"] for one in runs
         ),
-        "ticks": statistics.median(one.figures["ticks"] + one.figures["overruns"] for one in runs),
+        "ticks": statistics.median(
+            one.figures["ticks"] + one.figures["overruns"] for one in runs
+        ),
         "response_us_p99": statistics.median(
             float(one.figures["response_us"]["p99"]) for one in runs
         ),
@@ -233,7 +267,9 @@ def _at_rate(
 def _choices(quick: bool) -> list[tuple[str, str, float]]:
     ways = [way for way in CHOICES if not quick or way[0] == "compiled"]
     return [
-        (tick, apply, rate) for tick, apply in ways for rate in (_QUICK_RATES if quick else RATES)
+        (tick, apply, rate)
+        for tick, apply in ways
+        for rate in (_QUICK_RATES if quick else RATES)
     ]
 
 

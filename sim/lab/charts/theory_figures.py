@@ -46,7 +46,9 @@ def draw(path: str | Path) -> None:
 
 def _curve(axes: Any) -> None:
     """Plot K(θ) of (3.4) for PD with B = 3 N s/m, without delay and at one tick."""
-    law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 3.0}), PERIOD)
+    law = without_spring(
+        parse_law({"kind": "pd", "stiffness": 1.0, "damping": 3.0}), PERIOD
+    )
     theta = np.linspace(0.02, np.pi - 1e-3, 4000)
     z = np.exp(1j * theta)
     for delay, dashes, offset in ((0.0, "-", (2, -14)), (1.0, "--", (14, 2))):
@@ -64,7 +66,11 @@ def _curve(axes: Any) -> None:
         edge = k_max(law, plant).k_max_n_per_m
         axes.plot(edge, 0.0, "o", color="black", ms=4)
         axes.annotate(
-            f"K_max {edge:.0f}", (edge, 0.0), offset, textcoords="offset points", fontsize=8
+            f"K_max {edge:.0f}",
+            (edge, 0.0),
+            offset,
+            textcoords="offset points",
+            fontsize=8,
         )
     axes.axhline(0.0, color="0.6", lw=0.7)
     axes.set(xlabel="Re K [N/m]", ylabel="Im K [N/m]", ylim=(-800.0, 3000.0))
@@ -74,8 +80,12 @@ def _curve(axes: Any) -> None:
 
 def _regions(axes: Any) -> None:
     """Plot the disc of hands and the half plane of worlds where (18.4) is tightest."""
-    law = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 0.2}), PERIOD)
-    edge = world_k_max(law, Plant(PERIOD, MASS, DAMPING, 1.0), AnyWorld(), True).k_max_n_per_m
+    law = without_spring(
+        parse_law({"kind": "pd", "stiffness": 1.0, "damping": 0.2}), PERIOD
+    )
+    edge = world_k_max(
+        law, Plant(PERIOD, MASS, DAMPING, 1.0), AnyWorld(), True
+    ).k_max_n_per_m
     if edge is None:
         raise ValueError(
             "no stiffness of this law is certified for any hand and any world (THEORY.md §18)"
@@ -100,7 +110,11 @@ def _regions(axes: Any) -> None:
         textcoords="offset points",
         fontsize=8,
     )
-    axes.annotate("−V/H − Y of\nany world", (-1.75, -1.1), fontsize=8, backgroundcolor="white")
-    axes.set(xlabel="Re [m/(N s)]", ylabel="Im [m/(N s)]", xlim=(-2.0, 1.0), ylim=(-1.5, 1.5))
+    axes.annotate(
+        "−V/H − Y of\nany world", (-1.75, -1.1), fontsize=8, backgroundcolor="white"
+    )
+    axes.set(
+        xlabel="Re [m/(N s)]", ylabel="Im [m/(N s)]", xlim=(-2.0, 1.0), ylim=(-1.5, 1.5)
+    )
     axes.set_aspect("equal")
     axes.set_title(f"Any hand, any world: d = 1, K = {edge:.0f}", fontsize=10)

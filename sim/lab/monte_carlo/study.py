@@ -18,7 +18,13 @@ from sim.identify.identified import Identified
 from sim.identify.identified_text import ROWS
 from sim.identify.identify import identify
 from sim.identify.remainder import reference_gain, stiffest
-from sim.lab.monte_carlo.virtual import KINDS, draw, draw_outside, excite, excite_outside
+from sim.lab.monte_carlo.virtual import (
+    KINDS,
+    draw,
+    draw_outside,
+    excite,
+    excite_outside,
+)
 from sim.play.nonideal import NonidealDevice
 from sim.tune.design import Wanted, demand
 
@@ -65,7 +71,9 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
         return {"why": str(error)}
     # In lockstep the delay is a single number, known to a thousandth of a tick: use the
     # interval's upper end.
-    latest = (found.delay_range[1] if found.delay.high is None else found.delay.high,) * 2
+    latest = (
+        found.delay_range[1] if found.delay.high is None else found.delay.high,
+    ) * 2
     grip = (found.stiffness.value or 0.0,) * 2
     asked = Demand(asked.mass, asked.damping, latest, period, RADIUS, NYQUIST, grip)
     masses, delays = (
@@ -73,7 +81,13 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
         (model.delay, model.delay),
     )
     known = Demand(
-        masses, model.moving_damping, delays, period, RADIUS, NYQUIST, (model.grip, model.grip)
+        masses,
+        model.moving_damping,
+        delays,
+        period,
+        RADIUS,
+        NYQUIST,
+        (model.grip, model.grip),
     )
     result: dict[str, Any] = {}
     for name, law in (
@@ -88,7 +102,13 @@ def _tuned(model: DeviceModel, found: Identified, period: float) -> dict[str, An
                 "h1_n_per_m": taps.h1,
                 "radius": pole_radius(
                     taps,
-                    Plant(period, model.moving_mass, model.moving_damping, model.delay, model.grip),
+                    Plant(
+                        period,
+                        model.moving_mass,
+                        model.moving_damping,
+                        model.delay,
+                        model.grip,
+                    ),
                 ),
             }
     return result
@@ -132,7 +152,9 @@ class Population:
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> Population:
     """Count the results of a population."""
-    laws = [row["tuned"] for row in rows if row.get("tuned") and row["tuned"].get("tuned")]
+    laws = [
+        row["tuned"] for row in rows if row.get("tuned") and row["tuned"].get("tuned")
+    ]
     return Population(
         devices=len(rows),
         refused=sum(row["refuted"] for row in rows),
@@ -149,7 +171,9 @@ def _covered(rows: Sequence[Mapping[str, Any]], name: str) -> ParameterCoverage:
     holds = [one["low"] <= one["truth"] <= one["high"] for one in known]
     errors = [abs(one["value"] - one["truth"]) for one in known]
     relative = [
-        e / one["truth"] for e, one in zip(errors, known, strict=True) if one["truth"] > 0.0
+        e / one["truth"]
+        for e, one in zip(errors, known, strict=True)
+        if one["truth"] > 0.0
     ]
     return ParameterCoverage(
         told=len(known),
@@ -166,7 +190,11 @@ def _compared(laws: Sequence[Mapping[str, Any]]) -> TunedCoverage:
         return [law["tuned"]["h1_n_per_m"] / law[other]["h1_n_per_m"] for law in both]
 
     def least(values: list[float], limit: float) -> float:
-        return sum(value >= limit for value in values) / len(values) if values else math.nan
+        return (
+            sum(value >= limit for value in values) / len(values)
+            if values
+            else math.nan
+        )
 
     known, pd = over("known"), over("pd")
     return TunedCoverage(
@@ -215,7 +243,9 @@ NAMED = {
 }
 
 
-def truths(device: NonidealDevice, found: Identified, period: float) -> dict[str, float]:
+def truths(
+    device: NonidealDevice, found: Identified, period: float
+) -> dict[str, float]:
     """Return the true value of each parameter that a run can identify."""
     rigid = device.rigid
     # An unidentified lag is part of the delay, and so is the mean lateness of forces.
@@ -248,7 +278,9 @@ def study_outside(job: Mapping[str, Any]) -> dict[str, Any]:
         "why": found.why,
         "terms": list(found.terms),
         "remainder": found.remainder,
-        "remainder_k_max": found.remainder_k_max if math.isfinite(found.remainder_k_max) else None,
+        "remainder_k_max": found.remainder_k_max
+        if math.isfinite(found.remainder_k_max)
+        else None,
         "k_max_off": k_max_off(device, found, period),
         "residual_steps": found.steps(found.residual),
         "whiteness": found.whiteness,
@@ -298,7 +330,10 @@ def outcome(row: Mapping[str, Any]) -> str:
     """Return the outcome of a device in one word."""
     if row["refuted"]:
         return "refused"
-    if any(off > FAR for off in row["off"].values()) or (row["k_max_off"] or 0.0) > WRONG:
+    if (
+        any(off > FAR for off in row["off"].values())
+        or (row["k_max_off"] or 0.0) > WRONG
+    ):
         return "false"
     if row["remainder"]:
         return "reported"

@@ -28,7 +28,12 @@ INSIDE = "inside the model"
 def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     """Draw, excite, identify and tune one device; return the law and its true performance."""
     period, kind = 1.0 / job["rate"], job["kind"]
-    row: dict[str, Any] = {"kind": kind, "number": job["number"], "delivered": False, "holds": None}
+    row: dict[str, Any] = {
+        "kind": kind,
+        "number": job["number"],
+        "delivered": False,
+        "holds": None,
+    }
     if kind == INSIDE:
         model = draw(job["number"], job["seed"], held=False)
         device = NonidealDevice(model, "rigid")
@@ -41,7 +46,9 @@ def tune_device(job: Mapping[str, Any]) -> dict[str, Any]:
     if row["refuted"] and not job["refuted"]:
         return row | {"stopped": f"refused: {row['refuted']}"}
     try:
-        law, _, asked = design(found, Wanted(job["taps"], land=job["land"], nyquist=job["nyquist"]))
+        law, _, asked = design(
+            found, Wanted(job["taps"], land=job["land"], nyquist=job["nyquist"])
+        )
         if law.found is None:
             return row | {"stopped": "no law keeps the demand"}
         compiled = law.found.law
@@ -82,8 +89,13 @@ def true_radius(law: CompiledLaw, device: NonidealDevice, period: float) -> floa
 
     It is taken at the shortest and longest delay, without dry friction.
     """
-    plants = (replace(device.plant, delay=device.plant.delay + late) for late in {0.0, device.late})
-    return max(flexible_radius(_as_read(law, device), period, plant) for plant in plants)
+    plants = (
+        replace(device.plant, delay=device.plant.delay + late)
+        for late in {0.0, device.late}
+    )
+    return max(
+        flexible_radius(_as_read(law, device), period, plant) for plant in plants
+    )
 
 
 def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
@@ -91,7 +103,9 @@ def _as_read(law: CompiledLaw, device: NonidealDevice) -> CompiledLaw:
     if device.average == 0.0:
         return law
     if law.sections:
-        raise ValueError("law: has sections; behind a sensor that averages only taps are judged")
+        raise ValueError(
+            "law: has sections; behind a sensor that averages only taps are judged"
+        )
     return CompiledLaw(
         tuple(np.convolve(law.taps, [1.0 - device.average, device.average]).tolist())
     )
@@ -147,7 +161,9 @@ class TunedPopulation:
 def summary(rows: Sequence[Mapping[str, Any]]) -> TunedPopulation:
     """Count the delivered laws and the wrong ones."""
     tried = [row for row in rows if row["holds"] is not None]
-    judged = [row for row in tried if row["edge_between_n_per_m"] and row["true_edge_n_per_m"]]
+    judged = [
+        row for row in tried if row["edge_between_n_per_m"] and row["true_edge_n_per_m"]
+    ]
     edges = [
         row["edge_n_per_m"] / row["true_edge_n_per_m"] - 1.0
         for row in judged
@@ -164,7 +180,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> TunedPopulation:
         tried=len(tried),
         unstable_laws_designed=sum(row["true_radius"] >= 1.0 for row in tried),
         delivered=sum(row["delivered"] for row in rows),
-        delivered_unstable=sum(row["delivered"] and row["true_radius"] >= 1.0 for row in tried),
+        delivered_unstable=sum(
+            row["delivered"] and row["true_radius"] >= 1.0 for row in tried
+        ),
         edges=len(edges),
         edge_error_largest=max(map(abs, edges), default=None),
         edges_within_5_percent=sum(abs(error) <= 0.05 for error in edges),

@@ -26,8 +26,12 @@ def excite(
 ) -> Experiment:
     """Excite a virtual device and return its encoder readings."""
     anchor = SceneSurface("anchor", quantise(model.position, model.resolution))
-    scene = Scene(device=model, surface=anchor, period=period, raw=False, clamp=False, peak=peak)
-    law = msgspec.structs.replace(PUSH, seed=seed, duration=min(seconds, 600.0)).compile(period)
+    scene = Scene(
+        device=model, surface=anchor, period=period, raw=False, clamp=False, peak=peak
+    )
+    law = msgspec.structs.replace(
+        PUSH, seed=seed, duration=min(seconds, 600.0)
+    ).compile(period)
     trace = run(scene, law, round(seconds / period))
     return lockstep(period, trace.measured, trace.force)
 
@@ -68,7 +72,9 @@ def draw(number: int, seed: int, held: bool) -> DeviceModel:
     """Draw one device."""
     rng = np.random.default_rng([seed, number, int(held)])
     model = drawn(RIGID, rng)
-    return DeviceModel(**model, hand=Hand(**drawn(HAND, rng), path=[(0.0, 0.0)]) if held else None)
+    return DeviceModel(
+        **model, hand=Hand(**drawn(HAND, rng), path=[(0.0, 0.0)]) if held else None
+    )
 
 
 def excite_outside(
@@ -84,7 +90,8 @@ def excite_outside(
     damper = PUSH.damping / period
     taps = np.array([PUSH.stiffness + damper, -damper])
     return lockstep(
-        period, *pushed(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed)
+        period,
+        *pushed(device, period, wanted, taps, (0.0, PUSH.reach, peak, 0.0), seed),
     )
 
 

@@ -70,4 +70,6 @@ def save(
     save_figure(picture, plot, fresh)
     whole = plain({**figures, "claims": claims})
     data.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")
-    return PaperFigure(lines=lines, curves=figures, claims=claims, data=data, picture=plot)
+    return PaperFigure(
+        lines=lines, curves=figures, claims=claims, data=data, picture=plot
+    )

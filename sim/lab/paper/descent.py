@@ -45,10 +45,14 @@ class Descent:
 
 def paper_targets(fractions: tuple[float, ...] = (0.1, 0.5)) -> Targets:
     """Return the paper's targets: −1 at low and middle frequencies, +1 at ω_N."""
-    return Targets(np.pi * np.array([*fractions, 1.0]), np.array([-1.0] * len(fractions) + [1.0]))
+    return Targets(
+        np.pi * np.array([*fractions, 1.0]), np.array([-1.0] * len(fractions) + [1.0])
+    )
 
 
-def term_damping(theta: Array, order: float, taps: int, leak: bool = True) -> tuple[Array, Array]:
+def term_damping(
+    theta: Array, order: float, taps: int, leak: bool = True
+) -> tuple[Array, Array]:
     """Compute f of one Grünwald–Letnikov term with f(ω_N) = 1, and its slope in the order."""
     c, dc = np.ones(taps), np.zeros(taps)
     for m in range(1, taps):
@@ -60,12 +64,18 @@ def term_damping(theta: Array, order: float, taps: int, leak: bool = True) -> tu
     # f(ω_N) is half the alternating sum, which depends on the order too.
     signs = np.where(np.arange(taps) % 2, -1.0, 1.0)
     total = float(signs @ c)
-    return 2.0 / total * (c @ kernel), 2.0 / total * ((dc - float(signs @ dc) / total * c) @ kernel)
+    return 2.0 / total * (c @ kernel), 2.0 / total * (
+        (dc - float(signs @ dc) / total * c) @ kernel
+    )
 
 
-def damping_curve(theta: Array, gains: Array, orders: Array, taps: int, leak: bool = True) -> Array:
+def damping_curve(
+    theta: Array, gains: Array, orders: Array, taps: int, leak: bool = True
+) -> Array:
     """Compute the normalised f of a multi-term law."""
-    parts = np.array([term_damping(theta, order, taps, leak)[0] for order in orders.tolist()])
+    parts = np.array(
+        [term_damping(theta, order, taps, leak)[0] for order in orders.tolist()]
+    )
     return np.asarray(gains @ parts, dtype=np.float64)
 
 
@@ -84,7 +94,10 @@ def steepest_descent(
     steps: int = 5000,
 ) -> Descent:
     """Descend −∇J at a fixed rate, gains (14) and orders (15) in the same step."""
-    gains, orders = np.array(gains, dtype=np.float64), np.array(orders, dtype=np.float64)
+    gains, orders = (
+        np.array(gains, dtype=np.float64),
+        np.array(orders, dtype=np.float64),
+    )
     history: list[float] = []
     outcome = "slow"
     for _ in range(steps + 1):
@@ -127,16 +140,25 @@ class Shaping:
 
 
 def minimax(
-    orders: Array, band: tuple[float, float], nyquist: float, taps: int, points: int = 61
+    orders: Array,
+    band: tuple[float, float],
+    nyquist: float,
+    taps: int,
+    points: int = 61,
 ) -> Shaping | None:
     """Compute the gains of least ripple about f = −1 over a band, by linear programming.
 
     f(ω_N) is bounded.
     """
     theta = np.pi * np.linspace(band[0], band[1], points)
-    basis = np.array([term_damping(theta, order, taps, False)[0] for order in orders.tolist()]).T
+    basis = np.array(
+        [term_damping(theta, order, taps, False)[0] for order in orders.tolist()]
+    ).T
     top = np.array(
-        [term_damping(np.array([np.pi]), order, taps, False)[0][0] for order in orders.tolist()]
+        [
+            term_damping(np.array([np.pi]), order, taps, False)[0][0]
+            for order in orders.tolist()
+        ]
     )
     found = _least_ripple(basis, top, nyquist)
     return None if found is None else measured(found[:-1], orders, band, taps)
@@ -151,7 +173,9 @@ def _least_ripple(basis: Array, top: Array, nyquist: float) -> Array | None:
 
     points, factors = basis.shape
     ones = np.ones((points, 1))
-    above = np.block([[basis, -ones], [-basis, -ones], [top, np.zeros(1)], [-top, np.zeros(1)]])
+    above = np.block(
+        [[basis, -ones], [-basis, -ones], [top, np.zeros(1)], [-top, np.zeros(1)]]
+    )
     limits = np.concatenate([-np.ones(points), np.ones(points), [nyquist, nyquist]])
     bounds = [(None, None)] * factors + [(0.0, None)]
     solution = linprog(
@@ -164,7 +188,9 @@ def _least_ripple(basis: Array, top: Array, nyquist: float) -> Array | None:
     )
 
 
-def measured(gains: Array, orders: Array, band: tuple[float, float], taps: int) -> Shaping:
+def measured(
+    gains: Array, orders: Array, band: tuple[float, float], taps: int
+) -> Shaping:
     """Measure f of a multi-term law."""
     fine = np.pi * np.linspace(band[0], band[1], 601)
     ripple = float(np.abs(damping_curve(fine, gains, orders, taps, False) + 1.0).max())
@@ -192,7 +218,9 @@ def free_taps(
         raise ValueError(
             f"nyquist = {nyquist:g}: no {taps} taps meet this bound; raise it or take more taps"
         )
-    return np.asarray(-np.diff([0.0, *found[:-1], 0.0]), dtype=np.float64), float(found[-1])
+    return np.asarray(-np.diff([0.0, *found[:-1], 0.0]), dtype=np.float64), float(
+        found[-1]
+    )
 
 
 def best_orders(
@@ -216,7 +244,8 @@ def best_orders(
 
     axis = 4.0 * (np.arange(grid) + 0.5) / grid
     ranked = sorted(
-        (ripple(np.array(orders)), orders) for orders in combinations(axis.tolist(), terms)
+        (ripple(np.array(orders)), orders)
+        for orders in combinations(axis.tolist(), terms)
     )
     if ranked[0][0] >= 1e3:
         raise ValueError(
@@ -236,5 +265,7 @@ def best_orders(
     )
     shape = minimax(np.asarray(found.x, dtype=np.float64), band, nyquist, taps)
     if shape is None:
-        raise ValueError(f"nyquist = {nyquist:g}: lost the bound while polishing; raise it")
+        raise ValueError(
+            f"nyquist = {nyquist:g}: lost the bound while polishing; raise it"
+        )
     return shape, solved

@@ -50,10 +50,16 @@ class FailureEdge:
     @property
     def agreed(self) -> bool:
         """Whether both methods place the boundary between the two points."""
-        return self.inside < 1.0 < self.outside and self.settled_inside and not self.settled_outside
+        return (
+            self.inside < 1.0 < self.outside
+            and self.settled_inside
+            and not self.settled_outside
+        )
 
 
-Boundary = tuple[str, CompiledLaw, Plant]  # name of a law, its derivative part, and the device
+Boundary = tuple[
+    str, CompiledLaw, Plant
+]  # name of a law, its derivative part, and the device
 
 
 def boundaries() -> list[Boundary]:
@@ -76,7 +82,10 @@ def boundaries() -> list[Boundary]:
     pd = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
     return [
         ("spring", spring, Plant(PERIOD, 0.1, 1.0)),
-        *(("PD, B 2 N s/m", pd, Plant(PERIOD, 0.1, 1.0, delay)) for delay in (0.0, 1.0, 0.4)),
+        *(
+            ("PD, B 2 N s/m", pd, Plant(PERIOD, 0.1, 1.0, delay))
+            for delay in (0.0, 1.0, 0.4)
+        ),
         (
             "PD, B 40 N s/m",
             without_spring(PD(stiffness=1.0, damping=40.0), PERIOD),
@@ -101,7 +110,9 @@ def both_sides(boundary: Boundary) -> FailureEdge | None:
     limit = k_max(derivative, device).k_max_n_per_m
     if limit is None or not math.isfinite(limit):
         return None
-    laws = [with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)]
+    laws = [
+        with_spring(derivative, limit * share) for share in (1.0 - MARGIN, 1.0 + MARGIN)
+    ]
     inside, outside = (pole_radius(law, device) for law in laws)
     settled = settles(free_scene(held(device), PERIOD), laws, Criterion(HORIZON))
     return FailureEdge(
@@ -123,7 +134,8 @@ def traps() -> list[Claim]:
     passive = 2.0 * (1.0 - 2.0) / PERIOD
     really = (
         k_max(
-            without_spring(PD(stiffness=1.0, damping=2.0), PERIOD), Plant(PERIOD, 0.1, 1.0)
+            without_spring(PD(stiffness=1.0, damping=2.0), PERIOD),
+            Plant(PERIOD, 0.1, 1.0),
         ).k_max_n_per_m
         or 0.0
     )
@@ -141,7 +153,11 @@ def traps() -> list[Claim]:
         Claim(
             "THEORY.md §7",
             "Tustin-CFE of the whole α > 1 is unstable; split off the integer part",
-            verdict(not whole.stable_sections() and split.stable_sections() and bad > 1.0 > good),
+            verdict(
+                not whole.stable_sections()
+                and split.stable_sections()
+                and bad > 1.0 > good
+            ),
             f"α = 1.5, degree 2, in the loop: pole radius {bad:.3f} whole, {good:.5f} split",
         ),
         _fragile_claim(fragility()),
@@ -156,7 +172,8 @@ def traps() -> list[Claim]:
             "read as a bound: friction that stops a mass of 0.1 kg at rest on the floor,"
             " over Δ·H(−1)/2: "
             + ", ".join(
-                f"{n} {ratio:.2f} (H(−1) = {h:.0f} N/m)" for n, (h, _, ratio) in noisy.items()
+                f"{n} {ratio:.2f} (H(−1) = {h:.0f} N/m)"
+                for n, (h, _, ratio) in noisy.items()
             ),
         ),
         Claim(
@@ -184,7 +201,8 @@ def _euler_claim() -> Claim:
         verdict(worst < 0.01, worst < 0.1),
         "heavy device (10 kg), found/predicted: "
         + ", ".join(
-            f"n={n} {found:.3f}/{predicted:.3f}" for n, (found, predicted) in biases.items()
+            f"n={n} {found:.3f}/{predicted:.3f}"
+            for n, (found, predicted) in biases.items()
         ),
     )
 
@@ -205,7 +223,9 @@ def _leak_claim() -> Claim:
 
 def _fragile_claim(fragile: dict[str, dict[str, tuple[float, bool]]]) -> Claim:
     def shown(name: str) -> str:
-        return ", ".join(f"{loop} {radius:.3f}" for loop, (radius, _) in fragile[name].items())
+        return ", ".join(
+            f"{loop} {radius:.3f}" for loop, (radius, _) in fragile[name].items()
+        )
 
     optimum_fails = (
         fragile["optimum"]["one tick of delay"][0] > 1.0
@@ -225,7 +245,9 @@ PERIOD = 0.002  # T of everything below [s]: the paper's
 
 def optimum(damping: float) -> CompiledLaw:
     """Return the derivative part of the paper's optimum."""
-    return without_spring(parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD)
+    return without_spring(
+        parse_law({"kind": "paper_optimum", "damping": damping}), PERIOD
+    )
 
 
 def euler_bias(substeps: int) -> tuple[float, float]:
@@ -236,7 +258,9 @@ def euler_bias(substeps: int) -> tuple[float, float]:
     mass, damping = 10.0, 1.0
     exact = k_max(CompiledLaw((0.0,)), Plant(PERIOD, mass, damping)).k_max_n_per_m
     assert exact is not None  # noqa: S101 - a spring on a damped mass always has a limit
-    return spring_limit(euler(substeps, True, mass, damping)) / exact, 1.0 / (1.0 - 1.0 / substeps)
+    return spring_limit(euler(substeps, True, mass, damping)) / exact, 1.0 / (
+        1.0 - 1.0 / substeps
+    )
 
 
 def gamma_coefficient(order: float, m: int) -> float:
@@ -249,9 +273,9 @@ def gamma_coefficient(order: float, m: int) -> float:
 
 def leak_law(damping: float, stiffness: float = 1000.0) -> CompiledLaw:
     """Return a PDα whose short memory leaks: α = 1.5, 4 taps, normalised gain."""
-    return PDAlpha(stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper").compile(
-        PERIOD
-    )
+    return PDAlpha(
+        stiffness=stiffness, damping=damping, order=1.5, taps=4, gains="paper"
+    ).compile(PERIOD)
 
 
 def leak_boundary(stiffness: float = 1000.0) -> float:

@@ -69,12 +69,16 @@ def joint() -> BeyondEdge:
     gain, margin, ticks = 2.0, 0.02, 6000
     edge = stiffest(FlexiblePlant(MASS, DAMPING, **beyond), PERIOD, gain)
     assert edge is not None  # noqa: S101 - a soft wall is stable on this device
-    model = NonidealDevice(DeviceModel(mass=MASS, damping=DAMPING), "flexible mode", **beyond)
+    model = NonidealDevice(
+        DeviceModel(mass=MASS, damping=DAMPING), "flexible mode", **beyond
+    )
 
     def rests(stiffness: float) -> bool:
         taps = np.array(_pd(stiffness, gain).taps)
         # Released 10 mm from an anchor, at rest.
-        position, _ = pushed(model, PERIOD, np.zeros(ticks), taps, (0.0, 1.0, math.inf, 0.01), 1)
+        position, _ = pushed(
+            model, PERIOD, np.zeros(ticks), taps, (0.0, 1.0, math.inf, 0.01), 1
+        )
         return _shrinks(position)
 
     sides = rests(edge * (1.0 - margin)), rests(edge * (1.0 + margin))
@@ -91,7 +95,10 @@ def joint() -> BeyondEdge:
 def _shrinks(position: Array) -> bool:
     """Whether a swing about 0 decreases from its second quarter to its last."""
     quarter = len(position) // 4
-    early, late = np.abs(position[quarter : 2 * quarter]).max(), np.abs(position[-quarter:]).max()
+    early, late = (
+        np.abs(position[quarter : 2 * quarter]).max(),
+        np.abs(position[-quarter:]).max(),
+    )
     return bool(late < early)
 
 
@@ -121,7 +128,12 @@ def two_rates() -> BeyondEdge:
 
     sides = rests(edge * (1.0 - margin)), rests(edge * (1.0 + margin))
     return BeyondEdge(
-        "a servo at four times the rate", "K [N/m]", edge, margin, "lifted map; servo ticks", *sides
+        "a servo at four times the rate",
+        "K [N/m]",
+        edge,
+        margin,
+        "lifted map; servo ticks",
+        *sides,
     )
 
 
@@ -133,7 +145,9 @@ def encoder_and_friction() -> BeyondEdge:
     law, margin, path = _pd(1000.0, 3.0), 0.002, 1e-9
     edge = rest(law, PERIOD, RESOLUTION).friction_alternating_n
     x = np.where(
-        np.arange(4000) % 2, 10.5 * RESOLUTION + 0.5 * path, 10.5 * RESOLUTION - 0.5 * path
+        np.arange(4000) % 2,
+        10.5 * RESOLUTION + 0.5 * path,
+        10.5 * RESOLUTION - 0.5 * path,
     )
     read = np.array([quantise(float(value), RESOLUTION) for value in x])
     force = -np.convolve(read, law.taps)[: len(x)]
@@ -163,20 +177,27 @@ def jitter() -> BeyondEdge:
     plant = Plant(PERIOD, MASS, DAMPING)
     low, high = (
         100.0,
-        k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0,
+        k_max(
+            without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant
+        ).k_max_n_per_m
+        or 0.0,
     )
     while high - low > 0.01 * high:
         middle = 0.5 * (low + high)
         low, high = (
             (low, middle)
-            if every_delay(_pd(middle, gain), plant, delays).stable is Certificate.UNSTABLE
+            if every_delay(_pd(middle, gain), plant, delays).stable
+            is Certificate.UNSTABLE
             else (middle, high)
         )
     outer = _pd(high * (1.0 + margin), gain)
     worst = every_delay(outer, plant, delays).growing
     inner = _pd(high * (1.0 - margin), gain)
     certified = bool(every_delay(inner, plant, delays).stable)
-    sides = certified and not _grows(inner, plant, worst), not _grows(outer, plant, worst)
+    sides = (
+        certified and not _grows(inner, plant, worst),
+        not _grows(outer, plant, worst),
+    )
     return BeyondEdge(
         "a delay of 0.5 to 1 ticks",
         "K [N/m]",
@@ -210,10 +231,14 @@ def _grows(law: CompiledLaw, plant: Plant, delays: tuple[float, ...]) -> bool:
     return not _shrinks(np.array(seen))
 
 
-def _moved(x: float, v: float, force: float, duration: float, plant: Plant) -> tuple[float, float]:
+def _moved(
+    x: float, v: float, force: float, duration: float, plant: Plant
+) -> tuple[float, float]:
     if duration <= 0.0:
         return x, v
-    return advance(x, v, force, coefficients(plant.mass, plant.damping, plant.stiffness, duration))
+    return advance(
+        x, v, force, coefficients(plant.mass, plant.damping, plant.stiffness, duration)
+    )
 
 
 def bounce() -> BeyondEdge:
@@ -228,7 +253,10 @@ def bounce() -> BeyondEdge:
     horizon = Criterion(20_000)
     gain, margin, plant = 8.0, 0.03, Plant(PERIOD, MASS, DAMPING)
     linear = (
-        k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+        k_max(
+            without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant
+        ).k_max_n_per_m
+        or 0.0
     )
     low, high = 0.5 * linear, linear
     while high - low > 1e-3 * high:
@@ -239,7 +267,10 @@ def bounce() -> BeyondEdge:
             else (low, middle)
         )
     drops = falls(
-        Demand((MASS, MASS), DAMPING, (0.0, 0.0), PERIOD, 0.99, 1e6), [MASS], [CONVENTION], [0.01]
+        Demand((MASS, MASS), DAMPING, (0.0, 0.0), PERIOD, 0.99, 1e6),
+        [MASS],
+        [CONVENTION],
+        [0.01],
     )
     sides = (
         settled(_pd(high * share, gain), drops, horizon)[0]
@@ -247,7 +278,12 @@ def bounce() -> BeyondEdge:
     )
     name = f"a landing, at {100.0 * high / linear:.0f} % of the linear edge"
     return BeyondEdge(
-        name, "K [N/m]", high, margin, "drop by closed form; by matrix exponential", *sides
+        name,
+        "K [N/m]",
+        high,
+        margin,
+        "drop by closed form; by matrix exponential",
+        *sides,
     )
 
 
@@ -262,7 +298,10 @@ def slide() -> BeyondEdge:
     margin, gain = 0.1, 2.0
     plant = Plant(PERIOD, 0.15, 3.0, 0.0, 150.0)
     edge = (
-        k_max(without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant).k_max_n_per_m or 0.0
+        k_max(
+            without_spring(PD(stiffness=1.0, damping=gain), PERIOD), plant
+        ).k_max_n_per_m
+        or 0.0
     )
 
     def quiet(stiffness: float) -> bool:
@@ -277,7 +316,12 @@ def slide() -> BeyondEdge:
 
     sides = quiet(edge * (1.0 - margin)), quiet(edge * (1.0 + margin))
     return BeyondEdge(
-        "a slide along a rough plane", "K [N/m]", edge, margin, "poles; the launch, played", *sides
+        "a slide along a rough plane",
+        "K [N/m]",
+        edge,
+        margin,
+        "poles; the launch, played",
+        *sides,
     )
 
 
@@ -294,10 +338,14 @@ def unknown_world() -> BeyondEdge:
     ).k_max_n_per_m
     assert edge is not None  # noqa: S101 - a soft law is certified on this device
     held = held_plant(plant)
-    theta = np.concatenate([np.geomspace(1e-4, 1e-2, 400), np.linspace(1e-2, math.pi, 40_001)])
+    theta = np.concatenate(
+        [np.geomspace(1e-4, 1e-2, 400), np.linspace(1e-2, math.pi, 40_001)]
+    )
     z = np.exp(1j * theta)
     slope = (1.0 - 1.0 / z) / PERIOD
-    device = slope * np.polyval(held.numerator, z) / (np.polyval(held.denominator, z) * z)
+    device = (
+        slope * np.polyval(held.numerator, z) / (np.polyval(held.denominator, z) * z)
+    )
 
     def share(stiffness: float) -> Array:
         return np.asarray(slope / _pd(stiffness, gain).response(z) + device)
@@ -315,7 +363,9 @@ def unknown_world() -> BeyondEdge:
         if sigma > 0.0:
             world = Body(mass=PERIOD / (2.0 * sigma * half), integrator="lossless")
         else:
-            world = Body(stiffness=-2.0 * half / (sigma * PERIOD), integrator="lossless")
+            world = Body(
+                stiffness=-2.0 * half / (sigma * PERIOD), integrator="lossless"
+            )
         return world_radius(_pd(stiffness, gain), plant, world) < 1.0
 
     sides = stands(edge * (1.0 - margin)), stands(edge * (1.0 + margin))

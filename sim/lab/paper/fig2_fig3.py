@@ -27,7 +27,9 @@ MIDDLE = 0.5  # upper end of the low and middle frequencies, in units of ω_N
 
 def term_curve(theta: Array, order: float) -> Array:
     """Return f of one term with unlimited memory, (sin(θ/2))^{α−1} cos((α+1)(π−θ)/2)."""
-    shape = np.sin(theta / 2.0) ** (order - 1.0) * np.cos(0.5 * (order + 1.0) * (math.pi - theta))
+    shape = np.sin(theta / 2.0) ** (order - 1.0) * np.cos(
+        0.5 * (order + 1.0) * (math.pi - theta)
+    )
     return np.asarray(shape, dtype=np.float64)
 
 
@@ -41,15 +43,23 @@ class TermCurve:
     zero: float  # last zero before f stays positive, ω/ω_N; NaN if f is never negative
 
 
-def figure_2(taps: int, points: int = 400) -> tuple[Array, list[TermCurve], list[TermCurve]]:
+def figure_2(
+    taps: int, points: int = 400
+) -> tuple[Array, list[TermCurve], list[TermCurve]]:
     """Compute f(ω) of single terms."""
     theta = np.pi * np.arange(1, points + 1) / points
 
     def term(order: float) -> TermCurve:
         curve = one_term(theta, order, taps)
-        return TermCurve(order, curve, term_curve(theta, order), _last_zero(theta, curve))
+        return TermCurve(
+            order, curve, term_curve(theta, order), _last_zero(theta, curve)
+        )
 
-    return theta, [term(order) for order in LOW_ORDERS], [term(order) for order in HIGH_ORDERS]
+    return (
+        theta,
+        [term(order) for order in LOW_ORDERS],
+        [term(order) for order in HIGH_ORDERS],
+    )
 
 
 def one_term(theta: Array, order: float, taps: int) -> Array:
@@ -60,7 +70,9 @@ def one_term(theta: Array, order: float, taps: int) -> Array:
 def curve_of(theta: Array, order: float, memory: float) -> Array:
     """Return f of one term with memory n, or infinite memory."""
     return (
-        term_curve(theta, order) if memory == math.inf else one_term(theta, order, int(memory) + 1)
+        term_curve(theta, order)
+        if memory == math.inf
+        else one_term(theta, order, int(memory) + 1)
     )
 
 
@@ -81,18 +93,25 @@ def _order_of_signs(difference: Array) -> str:
     """
     signs = np.sign(difference)[np.abs(difference) > 1e-9]
     return "".join(
-        "+" if s > 0 else "-" for i, s in enumerate(signs) if i == 0 or s != signs[i - 1]
+        "+" if s > 0 else "-"
+        for i, s in enumerate(signs)
+        if i == 0 or s != signs[i - 1]
     )
 
 
 def _for_which(holds: dict[int, bool]) -> str:
-    good, bad = [n for n, yes in holds.items() if yes], [n for n, yes in holds.items() if not yes]
+    good, bad = (
+        [n for n, yes in holds.items() if yes],
+        [n for n, yes in holds.items() if not yes],
+    )
     return f"n = {', '.join(map(str, good)) or 'none'}" + (
         f"; not n = {', '.join(map(str, bad))}" if bad else ""
     )
 
 
-def _by_memory(source: str, claim: str, judge: Callable[[float], bool], number: str) -> Claim:
+def _by_memory(
+    source: str, claim: str, judge: Callable[[float], bool], number: str
+) -> Claim:
     """Judge a claim at every memory of `MEMORIES` and with unlimited memory."""
     holds, unlimited = {n: judge(n) for n in MEMORIES}, judge(math.inf)
     everywhere = all(holds.values()) and unlimited
@@ -100,7 +119,9 @@ def _by_memory(source: str, claim: str, judge: Callable[[float], bool], number: 
     found = f"{which}; unlimited memory: {'yes' if unlimited else 'no'}" + (
         f"; {number}" if number else ""
     )
-    return Claim(source, claim, verdict(everywhere, any(holds.values()) or unlimited), found)
+    return Claim(
+        source, claim, verdict(everywhere, any(holds.values()) or unlimited), found
+    )
 
 
 def claims_2(taps: int) -> list[Claim]:
@@ -108,7 +129,9 @@ def claims_2(taps: int) -> list[Claim]:
     theta, low, high = figure_2(taps)
     pd = -np.cos(theta)
     orders = {*LOW_ORDERS, *HIGH_ORDERS}
-    curves = {(a, n): curve_of(theta, a, n) for a in orders for n in (*MEMORIES, math.inf)}
+    curves = {
+        (a, n): curve_of(theta, a, n) for a in orders for n in (*MEMORIES, math.inf)
+    }
     finite = [curve for (_, n), curve in curves.items() if n < math.inf]
     return [
         Claim(
@@ -124,7 +147,9 @@ def claims_2(taps: int) -> list[Claim]:
             "paper, section 3.2",
             "a single term is not enough: none is more passive than PD at low and middle"
             " frequencies both",
-            lambda n: all(_worse_somewhere(theta, curve_of(theta, a, n), pd) for a in _OTHERS),
+            lambda n: all(
+                _worse_somewhere(theta, curve_of(theta, a, n), pd) for a in _OTHERS
+            ),
             f"α = {_OTHERS[0]} to {_OTHERS[-1]} but 1, up to {MIDDLE:g} ω_N; at n = 1 the leak"
             " passes for damping",
         ),
@@ -142,7 +167,9 @@ def claims_2(taps: int) -> list[Claim]:
 Curves = Mapping[tuple[float, float], Array]
 
 
-def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
+def _below_1(
+    theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
+) -> list[Claim]:
     """Judge the claims on orders below 1, and on the zero of all orders."""
     pd, below = -np.cos(theta), LOW_ORDERS[:-1]
 
@@ -150,7 +177,9 @@ def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
         return all(bool((np.diff(curves[a, n]) > 0.0).all()) for a in orders)
 
     def moves(n: float) -> bool:
-        return _rising([_last_zero(theta, curves[a, n]) for a in (*below, *HIGH_ORDERS)])
+        return _rising(
+            [_last_zero(theta, curves[a, n]) for a in (*below, *HIGH_ORDERS)]
+        )
 
     def crosses(n: float) -> bool:
         return all(_order_of_signs(curves[a, n] - pd) == "-+" for a in below)
@@ -178,7 +207,9 @@ def _below_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
     ]
 
 
-def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int) -> list[Claim]:
+def _above_1(
+    theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
+) -> list[Claim]:
     """Judge the claims on orders above 1."""
     pd, above = -np.cos(theta), HIGH_ORDERS[1:]
 
@@ -187,14 +218,17 @@ def _above_1(theta: Array, curves: Curves, shown: Sequence[TermCurve], taps: int
 
     def starts_at_zero(n: float) -> bool:
         # With unlimited memory f(0) is 0 for all, and does not rise.
-        starts = [] if n == math.inf else [_at_zero(a, int(n) + 1) for a in (*above, 2.0)]
+        starts = (
+            [] if n == math.inf else [_at_zero(a, int(n) + 1) for a in (*above, 2.0)]
+        )
         return bool(starts) and _rising(starts) and abs(starts[-1]) < 1e-9
 
     def crosses(n: float) -> bool:
         return all(_order_of_signs(curves[a, n] - pd) == "+-" for a in above)
 
     lowest = ", ".join(
-        f"{term.order:g} at {theta[int(np.argmin(term.curve))] / math.pi:.2f} ω_N" for term in shown
+        f"{term.order:g} at {theta[int(np.argmin(term.curve))] / math.pi:.2f} ω_N"
+        for term in shown
     )
     starts = ", ".join(f"{a:g}: {_at_zero(a, taps):+.3f}" for a in (*above, 2.0))
     return [
@@ -233,7 +267,10 @@ def _worse_somewhere(theta: Array, curve: Array, pd: Array) -> bool:
 
 def _at_zero(order: float, taps: int) -> float:
     """Return f(0) of a normalised term: T Σ c_m (½ + m) in units of f(ω_N)."""
-    total = sum(coefficient * (0.5 + m) for m, coefficient in enumerate(coefficients(order, taps)))
+    total = sum(
+        coefficient * (0.5 + m)
+        for m, coefficient in enumerate(coefficients(order, taps))
+    )
     return 2.0 * total / alternating_sum(order, taps)
 
 
@@ -285,7 +322,10 @@ def figure_3(taps: int, points: int = 400) -> dict[str, Array]:
     """Compute f(ω) of the paper's optimum and of PD."""
     theta = np.pi * np.arange(1, points + 1) / points
     gains, orders = optimum_terms()
-    parts = [damping_curve(theta, gains[i : i + 1], orders[i : i + 1], taps) for i in range(2)]
+    parts = [
+        damping_curve(theta, gains[i : i + 1], orders[i : i + 1], taps)
+        for i in range(2)
+    ]
     return {
         "theta": theta,
         "optimum": parts[0] + parts[1],
@@ -307,7 +347,9 @@ def claims_3(taps: int, period: float) -> list[Claim]:
     theta, gains, orders = figure["theta"], *optimum_terms()
 
     def against_pd(n: int) -> str:
-        return _order_of_signs(damping_curve(theta, gains, orders, n + 1) + np.cos(theta))
+        return _order_of_signs(
+            damping_curve(theta, gains, orders, n + 1) + np.cos(theta)
+        )
 
     better = _order_of_signs(figure["optimum"] - figure["pd"]) == "-+"
     everywhere = {n: against_pd(n) == "-+" for n in MEMORIES}
@@ -328,13 +370,18 @@ def claims_3(taps: int, period: float) -> list[Claim]:
     fine = np.pi * (np.arange(20000) + 0.5) / 20000
     mean = float(damping_curve(fine, gains, orders, taps).mean())
     leak = float(
-        sum(g * _leak(o, taps) for g, o in zip(gains.tolist(), orders.tolist(), strict=True))
+        sum(
+            g * _leak(o, taps)
+            for g, o in zip(gains.tolist(), orders.tolist(), strict=True)
+        )
     )
     return [
         Claim(
             "paper, fig. 3",
             "the optimum is more passive than PD at low and middle frequencies, less near ω_N",
-            verdict(better and all(everywhere.values()), better or any(everywhere.values())),
+            verdict(
+                better and all(everywhere.values()), better or any(everywhere.values())
+            ),
             f"only if {_for_which(everywhere)} (n ≠ 3 loses at low frequencies); n = {taps - 1}: "
             + (f"below PD up to {crossing:.2f} ω_N" if better else "not so"),
         ),

@@ -32,7 +32,14 @@ from sim.measure.jobs import SweepRow, key_of
 
 Family = Callable[[float], CompiledLaw]
 
-LAWS = ("pd", "pd_filtered", "pd_windowed", "paper_optimum", "designed", "designed_drop")
+LAWS = (
+    "pd",
+    "pd_filtered",
+    "pd_windowed",
+    "paper_optimum",
+    "designed",
+    "designed_drop",
+)
 DELAYS = (0.0, 1.0)
 CUTOFF = 100.0  # of the filtered velocity [Hz], a fifth of the paper's rate
 
@@ -55,7 +62,9 @@ class Setting:
 
     def device(self, delay: float, touch: bool) -> DeviceModel:
         """Return the virtual device."""
-        resolution, friction = (self.resolution, self.friction) if touch else (None, None)
+        resolution, friction = (
+            (self.resolution, self.friction) if touch else (None, None)
+        )
         return DeviceModel(
             mass=self.mass,
             damping=self.damping,
@@ -76,7 +85,9 @@ class Curve:
     law: str  # one of `LAWS`
     delay: float  # of the loop [ticks]
     touch: bool  # whether with resolution and friction of a Touch X
-    found: list[SimulatedKMax]  # one per gain of the setting; fewer after an interruption
+    found: list[
+        SimulatedKMax
+    ]  # one per gain of the setting; fewer after an interruption
     linear: list[float | None]  # K_max of the linear loop by pole radius [N/m]
     # contact convention, one of `sim.design.demand.CONVENTIONS`; the figure shows the first
     convention: int = 0
@@ -119,7 +130,9 @@ def demands(setting: Setting, delay: float) -> dict[str, Demand]:
     return {
         # Half to twice the mass, a margin for the hand, and the defaults of `study
         # design`.
-        "designed": Demand((0.5 * mass, 2.0 * mass), damping, delays, period, 0.99, 1e4),
+        "designed": Demand(
+            (0.5 * mass, 2.0 * mass), damping, delays, period, 0.99, 1e4
+        ),
         # This mass and this convention only; 0.995 per tick still settles within the
         # horizon, and |H(−1)| is that of PD at its best.
         "designed_drop": Demand(
@@ -160,12 +173,25 @@ def designs(setting: Setting) -> list[SweepRow]:
 def drops(setting: Setting, designed: Sequence[SweepRow]) -> list[SweepRow]:
     """Return all points of the figure and of the conventions: jobs of `point`."""
     taps = {(row["delay"], row["law"]): row["taps"] for row in designed}
-    plain = [(delay, law, touch, 0) for delay in DELAYS for law in LAWS for touch in (False, True)]
+    plain = [
+        (delay, law, touch, 0)
+        for delay in DELAYS
+        for law in LAWS
+        for touch in (False, True)
+    ]
     others = [
-        (0.0, law, False, i) for law in ("pd", "paper_optimum") for i in range(1, len(CONVENTIONS))
+        (0.0, law, False, i)
+        for law in ("pd", "paper_optimum")
+        for i in range(1, len(CONVENTIONS))
     ]
     return [
-        {"setting": asdict(setting), "what": "drop", "law": law, "delay": delay, "touch": touch}
+        {
+            "setting": asdict(setting),
+            "what": "drop",
+            "law": law,
+            "delay": delay,
+            "touch": touch,
+        }
         | {"convention": convention, "gain": gain, "taps": taps.get((delay, law))}
         for delay, law, touch, convention in (*plain, *others)
         if law in published(setting) or taps[delay, law] is not None
@@ -181,14 +207,18 @@ def point(job: Mapping[str, Any]) -> SweepRow:
         return {**record, "taps": _designed(setting, job["delay"], job["law"])}
     derivative = _family(setting, job["law"], job["taps"])(job["gain"])
     scene = drop_scene(
-        setting.device(job["delay"], job["touch"]), setting.period, *CONVENTIONS[job["convention"]]
+        setting.device(job["delay"], job["touch"]),
+        setting.period,
+        *CONVENTIONS[job["convention"]],
     )
     found = simulated_k_max(
         lambda stiffness: with_spring(derivative, stiffness), scene, setting.criterion
     )
     # A law with own code has no poles.
     linear = (
-        None if derivative.evaluate else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
+        None
+        if derivative.evaluate
+        else k_max(derivative, setting.held(job["delay"])).k_max_n_per_m
     )
     return {
         **record,
@@ -203,9 +233,9 @@ def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Cu
     named: dict[tuple[str, float, bool, int], list[SweepRow | None]] = {}
     for job in jobs:
         row = rows.get(key_of(job))
-        named.setdefault((job["law"], job["delay"], job["touch"], job["convention"]), []).append(
-            row
-        )
+        named.setdefault(
+            (job["law"], job["delay"], job["touch"], job["convention"]), []
+        ).append(row)
     curves = []
     for (law, delay, touch, convention), found in named.items():
         known = [
@@ -215,16 +245,22 @@ def curves_of(jobs: Sequence[SweepRow], rows: Mapping[str, SweepRow]) -> list[Cu
         ]
         limits = [SimulatedKMax(**row["found"]) for row in known]
         curves.append(
-            Curve(law, delay, touch, limits, [row["linear"] for row in known], convention)
+            Curve(
+                law, delay, touch, limits, [row["linear"] for row in known], convention
+            )
         )
     return curves
 
 
-def spread_of_conventions(setting: Setting, curves: list[Curve]) -> list[tuple[float, str, float]]:
+def spread_of_conventions(
+    setting: Setting, curves: list[Curve]
+) -> list[tuple[float, str, float]]:
     """Return how much the contact conventions change K_max, d = 0, perfect sensor."""
     spreads = []
     for name in ("pd", "paper_optimum"):
-        columns = [c.found for c in curves if c.law == name and c.delay == 0.0 and not c.touch]
+        columns = [
+            c.found for c in curves if c.law == name and c.delay == 0.0 and not c.touch
+        ]
         for gain, *row in zip(setting.gains, *columns, strict=False):
             values = [f.k_max_n_per_m for f in row if f.k_max_n_per_m is not None]
             if len(values) == len(CONVENTIONS):

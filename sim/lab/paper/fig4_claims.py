@@ -25,7 +25,10 @@ def claims_4(
         # First in the paper's own unit: nominal K.
         *(
             _against_pd(
-                setting, by["pd", delay, False], by["paper_optimum", delay, False], felt=False
+                setting,
+                by["pd", delay, False],
+                by["paper_optimum", delay, False],
+                felt=False,
             )
             for delay in (0.0, 1.0)
         ),
@@ -33,7 +36,9 @@ def claims_4(
         _peak_of_pd(setting),
         _conditional(setting, pd),
         *(
-            _against_pd(setting, by["pd", delay, touch], by[name, delay, touch], felt=True)
+            _against_pd(
+                setting, by["pd", delay, touch], by[name, delay, touch], felt=True
+            )
             for delay in DELAYS
             for touch in (False, True)
             for name in others
@@ -134,7 +139,9 @@ def _swing(setting: Setting, curves: list[Curve]) -> Claim:
     )
 
 
-def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, float]], list[float]]:
+def _rings(
+    setting: Setting, curves: list[Curve]
+) -> tuple[list[tuple[float, float]], list[float]]:
     """Return the measured swing over √(K/m), with its gain, and over the exact pole's angle."""
     rings, angles = [], []
     for curve in curves:
@@ -154,11 +161,14 @@ def _rings(setting: Setting, curves: list[Curve]) -> tuple[list[tuple[float, flo
 def _ranges(gains: tuple[float, ...], good: set[float]) -> str:
     """Return the ranges of gains that belong to a set, as text."""
     runs = (
-        list(run) for yes, run in itertools.groupby(sorted(set(gains)), good.__contains__) if yes
+        list(run)
+        for yes, run in itertools.groupby(sorted(set(gains)), good.__contains__)
+        if yes
     )
     parts = [(run[0], run[-1]) for run in runs]
     return "B = " + " or ".join(
-        f"{low:.3g}" if low == high else f"{low:.3g} … {high:.3g}" for low, high in parts
+        f"{low:.3g}" if low == high else f"{low:.3g} … {high:.3g}"
+        for low, high in parts
     )
 
 
@@ -182,7 +192,9 @@ def _against_pd(setting: Setting, pd: Curve, other: Curve, felt: bool) -> Claim:
     better = {gain for ratio, gain in pairs if ratio > 1.0}
     some = better and len(better) < len(pairs)
     sensor = "Touch X sensor" if other.touch else "perfect sensor"
-    condition = f"only if {_ranges(tuple(gain for _, gain in pairs), better)}; " if some else ""
+    condition = (
+        f"only if {_ranges(tuple(gain for _, gain in pairs), better)}; " if some else ""
+    )
     unit = "in H(1)" if felt else "in nominal K"
     return Claim(
         "paper, fig. 4" if other.law == "paper_optimum" else "THEORY.md §4",
@@ -206,15 +218,24 @@ def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
         for gain, limit in zip(setting.gains, curve.linear, strict=False)
         if limit is not None
         and math.isfinite(limit)
-        and (edge := edge_of(published(setting)[curve.law](gain), setting.held(0.0))) is not None
+        and (edge := edge_of(published(setting)[curve.law](gain), setting.held(0.0)))
+        is not None
     ]
     simple = [edge.k_simple_n_per_m / limit for edge, limit in edges]
     exact = max(abs(edge.k_exact_n_per_m / limit - 1.0) for edge, limit in edges)
     pairs = [
-        ((optimum.f_n_s_per_m < pd.f_n_s_per_m) == (optimum.k_exact_n_per_m > pd.k_exact_n_per_m))
+        (
+            (optimum.f_n_s_per_m < pd.f_n_s_per_m)
+            == (optimum.k_exact_n_per_m > pd.k_exact_n_per_m)
+        )
         for gain in setting.gains
-        if (pd := edge_of(published(setting)["pd"](gain), setting.held(0.0))) is not None
-        and (optimum := edge_of(published(setting)["paper_optimum"](gain), setting.held(0.0)))
+        if (pd := edge_of(published(setting)["pd"](gain), setting.held(0.0)))
+        is not None
+        and (
+            optimum := edge_of(
+                published(setting)["paper_optimum"](gain), setting.held(0.0)
+            )
+        )
         is not None
     ]
     tops = [_top(replace(setting, period=period), curves[0].law) for period in _PERIODS]
@@ -233,7 +254,8 @@ def _thesis(setting: Setting, curves: list[Curve]) -> list[Claim]:
             verdict(all(a > b for a, b in itertools.pairwise(tops))),
             "best K_max of PD over B, by pole radius: "
             + ", ".join(
-                f"T = {1e3 * t:g} ms {k:.0f} N/m" for t, k in zip(_PERIODS, tops, strict=True)
+                f"T = {1e3 * t:g} ms {k:.0f} N/m"
+                for t, k in zip(_PERIODS, tops, strict=True)
             ),
         ),
     ]

@@ -33,7 +33,9 @@ class ChartOptions(SpreadOptions, FileOptions):
             " processes"
         ),
     )
-    quick: bool = option(action="store_true", help="fewer lengths, rates and rounds: a first look")
+    quick: bool = option(
+        action="store_true", help="fewer lengths, rates and rounds: a first look"
+    )
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -61,7 +63,9 @@ def chart(options: ChartOptions) -> ChartFound:
     parts = [part for part in options.parts.split(",") if part]
     for part in parts:
         if part not in PARTS:
-            raise UsageError(f"--parts {part}: no such part; choose from {', '.join(PARTS)}")
+            raise UsageError(
+                f"--parts {part}: no such part; choose from {', '.join(PARTS)}"
+            )
     from sim.lab.charts.chart_page import conclusions, draw, page
     from sim.lab.charts.points import save
     from sim.measure.stopwatch import machine
@@ -71,7 +75,9 @@ def chart(options: ChartOptions) -> ChartFound:
     # deletes them.
     diary = options.out / ("chart.quick.part" if options.quick else "chart.part")
 
-    def beside(jobs: list[Callable[[], Any]], step: Callable[[str, int], None]) -> list[Any]:
+    def beside(
+        jobs: list[Callable[[], Any]], step: Callable[[str, int], None]
+    ) -> list[Any]:
         return spread(options, jobs, step=step)
 
     groups, failures = _measured(options, parts, diary, beside)
@@ -111,7 +117,12 @@ def _measured(
     from sim.measure.haptic_commands import MeasurementError
 
     makers: dict[
-        str, tuple[Callable[[Callable[[str], None], bool], list[Group]], Callable[[bool], int], int]
+        str,
+        tuple[
+            Callable[[Callable[[str], None], bool], list[Group]],
+            Callable[[bool], int],
+            int,
+        ],
     ] = {
         # The weight is the approximate duration of a step [0.1 s], so that the bar moves
         # evenly.
@@ -124,7 +135,9 @@ def _measured(
         "loop": (loop_groups, loop_steps, 1),
     }
     quick = options.quick
-    step = options.progress(sum(makers[part][1](quick) * makers[part][2] for part in parts))
+    step = options.progress(
+        sum(makers[part][1](quick) * makers[part][2] for part in parts)
+    )
     groups: list[Group] = []
     failures: list[str] = []
     for part in parts:

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import COUNT, SECONDS, SEED
-from nodes.recording.figure_style import COLOURS, INK, new_figure, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    COLOURS,
+    INK,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
 from sim.results import fresh
 from sim.studies.result import Findings, at_top
 from sim.studies.sweeps import SweepOptions, swept
@@ -26,11 +33,17 @@ class CoverageOptions(SweepOptions, FileOptions):
     """Options of `coverage`."""
 
     devices: int = option(
-        default=200, type=COUNT, help="how many; half are held, but for --outside (default: 200)"
+        default=200,
+        type=COUNT,
+        help="how many; half are held, but for --outside (default: 200)",
     )
-    seconds: float = option(default=8.0, type=SECONDS, help="of each push (default: %(default)s)")
+    seconds: float = option(
+        default=8.0, type=SECONDS, help="of each push (default: %(default)s)"
+    )
     rate: float = quantity("rate", 500.0)
-    seed: int = option(default=1, type=SEED, help="of the population (default: %(default)s)")
+    seed: int = option(
+        default=1, type=SEED, help="of the population (default: %(default)s)"
+    )
     outside: bool = option(
         action="store_true",
         help="devices that are not rigid: joints, lags, backlash and more, kind by kind",
@@ -55,9 +68,12 @@ def coverage(options: CoverageOptions) -> CoverageFound:
         return _outside(options)
     told = options.chosen("seed", "seconds", "rate", "tune")
     jobs = [
-        {"number": number, "held": number % 2 == 1, **told} for number in range(options.devices)
+        {"number": number, "held": number % 2 == 1, **told}
+        for number in range(options.devices)
     ]
-    rows, ledger = swept(options, study_device, jobs, "coverage", 1 if options.tune else 8)
+    rows, ledger = swept(
+        options, study_device, jobs, "coverage", 1 if options.tune else 8
+    )
     found = summary(rows)
     kept = all(_kept(one.coverage, one.told) for one in found.parameters.values())
     return CoverageFound(
@@ -73,7 +89,12 @@ def _outside(options: CoverageOptions) -> CoverageFound:
     """Sweep over devices that are not rigid."""
     from scipy.stats import binom
 
-    from sim.lab.monte_carlo.study import ALLOWED, NEEDLESS, study_outside, summary_outside
+    from sim.lab.monte_carlo.study import (
+        ALLOWED,
+        NEEDLESS,
+        study_outside,
+        summary_outside,
+    )
     from sim.lab.monte_carlo.virtual import KINDS
 
     if options.tune:
@@ -113,7 +134,9 @@ def _outside(options: CoverageOptions) -> CoverageFound:
         # More than allowed, beyond chance.
         return count <= allowed * of or bool(binom.sf(count - 1, of, allowed) >= 0.01)
 
-    held = kept(total.false, total.devices, ALLOWED) and kept(total.needless, total.good, NEEDLESS)
+    held = kept(total.false, total.devices, ALLOWED) and kept(
+        total.needless, total.good, NEEDLESS
+    )
     return CoverageFound(lines=lines, held=held, found=found, ledger=ledger)
 
 
@@ -171,14 +194,21 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
         top, bottom = panels[0][column], panels[1][column]
         for held, colour, mark in ((False, COLOURS[0], "o"), (True, COLOURS[1], "x")):
             known = [
-                row[name] for row in rows if row["held"] == held and row[name]["value"] is not None
+                row[name]
+                for row in rows
+                if row["held"] == held and row[name]["value"] is not None
             ]
             if not known:
                 continue
             points = [one["truth"] for one in known], [one["value"] for one in known]
-            top.plot(*points, mark, color=colour, ms=2.5, label="held" if held else "free")
+            top.plot(
+                *points, mark, color=colour, ms=2.5, label="held" if held else "free"
+            )
             half = [max(0.5 * (one["high"] - one["low"]), 1e-300) for one in known]
-            off = [(one["value"] - one["truth"]) / h for one, h in zip(known, half, strict=True)]
+            off = [
+                (one["value"] - one["truth"]) / h
+                for one, h in zip(known, half, strict=True)
+            ]
             bottom.hist(
                 off,
                 bins=25,
@@ -196,6 +226,9 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
                 axis.set_minor_formatter(NullFormatter())
         bottom.axvspan(-1.0, 1.0, alpha=0.12)
         threshold(bottom, 1.0, "95 %", vertical=True)
-        bottom.set(xlabel="error over half interval  [1]", ylabel="devices" if column == 0 else "")
+        bottom.set(
+            xlabel="error over half interval  [1]",
+            ylabel="devices" if column == 0 else "",
+        )
     panels[0][0].legend()
     return save_figure(figure, path, fresh)

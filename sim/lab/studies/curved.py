@@ -37,12 +37,16 @@ class CurvedOptions(SpreadOptions, FileOptions):
     depth: float = option(
         default=0.002, type=positive, help="below the surface [m] (default: 0.002)"
     )
-    speed: float = option(default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)")
+    speed: float = option(
+        default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)"
+    )
     slides: str = option(
-        default="0,0.02,0.04", help="speeds of the sliding contact [m/s] (default: 0,0.02,0.04)"
+        default="0,0.02,0.04",
+        help="speeds of the sliding contact [m/s] (default: 0,0.02,0.04)",
     )
     launched: bool = option(
-        action="store_true", help="confirm each K_max by two launches, 2 %% below it and above"
+        action="store_true",
+        help="confirm each K_max by two launches, 2 %% below it and above",
     )
 
 
@@ -85,7 +89,9 @@ class CurvedFound(Findings):
 def curved(options: CurvedOptions) -> CurvedFound:
     """Move laws along surfaces, then search the stability limit while sliding."""
     if options.depth > 0.005:
-        raise UsageError(f"--depth {options.depth:g}: at most 0.005 m, in a rod of 0.006 m")
+        raise UsageError(
+            f"--depth {options.depth:g}: at most 0.005 m, in a rod of 0.006 m"
+        )
     try:
         slides = [not_negative(text) for text in options.slides.split(",") if text]
     except ArgumentTypeError as error:
@@ -94,7 +100,10 @@ def curved(options: CurvedOptions) -> CurvedFound:
 
     period, k, b = 1.0 / options.rate, options.stiffness, options.gain
     alpha = PDAlpha(stiffness=k, damping=b, order=1.2, taps=10, gains="physical")
-    laws = [("pd", PD(stiffness=k, damping=b).compile(period)), ("pd_alpha", alpha.compile(period))]
+    laws = [
+        ("pd", PD(stiffness=k, damping=b).compile(period)),
+        ("pd_alpha", alpha.compile(period)),
+    ]
     found = along_ways(laws, period, options.speed, options.depth)
     one_axis = theory(period)
     edges = _edges(options, slides, one_axis)
@@ -121,7 +130,9 @@ def curved(options: CurvedOptions) -> CurvedFound:
     )
 
 
-def _edges(options: CurvedOptions, slides: list[float], one_axis: float) -> list[SlidingLimit]:
+def _edges(
+    options: CurvedOptions, slides: list[float], one_axis: float
+) -> list[SlidingLimit]:
     """Search the limit at each speed in both frames."""
     from sim.lab.curved import FRAMES, SEARCHED, growth_launched, sliding_k_max
 
@@ -137,14 +148,17 @@ def _edges(options: CurvedOptions, slides: list[float], one_axis: float) -> list
         grown: tuple[float, ...] = ()
         if options.launched:
             grown = tuple(
-                growth_launched(launch, part * edge, speed, frame) for part in (0.98, 1.02)
+                growth_launched(launch, part * edge, speed, frame)
+                for part in (0.98, 1.02)
             )
         edges.append(SlidingLimit(speed, frame, edge, edge / one_axis, None, *grown))
     return edges
 
 
 @style.styled
-def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[SlidingLimit]) -> Path:
+def draw(
+    path: Path, ways: Sequence[AlongTheWay], edges: Sequence[SlidingLimit]
+) -> Path:
     """Plot the energy along closed paths and the shift of the limit while sliding.
 
     Both in world axes and in turning axes.
@@ -160,7 +174,9 @@ def draw(path: Path, ways: Sequence[AlongTheWay], edges: Sequence[SlidingLimit])
     )
     energy = panels[0, 0]
     style.name_rows(energy, surfaces)
-    for number, (frame, law) in enumerate((frame, law) for frame in frames for law in laws):
+    for number, (frame, law) in enumerate(
+        (frame, law) for frame in frames for law in laws
+    ):
         mine = [row for row in ways if (row.frame, row.law) == (frame, law)]
         rows = [surfaces.index(row.surface) + 0.16 * (number - 1.5) for row in mine]
         mark = {
@@ -193,6 +209,8 @@ def _draw_edges(limit: Axes, edges: Sequence[SlidingLimit]) -> None:
         limit.plot(*places, marker=style.MARKERS[number], label=f"axes of the {frame}")
     limit.set_xlabel("speed of a slide over a sphere of 35 mm  [m/s]")
     limit.set_ylabel(r"$K_\mathrm{max}$ over that of one axis  [1]")
-    limit.set_ylim(0.99 * min(limit.get_ylim()[0], 1.0), 1.01 * max(limit.get_ylim()[1], 1.0))
+    limit.set_ylim(
+        0.99 * min(limit.get_ylim()[0], 1.0), 1.01 * max(limit.get_ylim()[1], 1.0)
+    )
     limit.locator_params(nbins=5)
     style.legend_above(limit)

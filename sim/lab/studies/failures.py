@@ -44,14 +44,17 @@ def failures(options: FailuresOptions) -> PaperFigure:
         "margin": MARGIN,
         "edges": [asdict(edge) | {"agreed": edge.agreed} for edge in found],
         "beyond": [asdict(edge) | {"agreed": edge.agreed} for edge in beyond],
-        "euler_bias": [{"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()],
+        "euler_bias": [
+            {"substeps": n, "found": a, "predicted": b} for n, (a, b) in bias.items()
+        ],
     }
     lines = [
         f"{'boundary':64} {'K [N/m]':>9}  pole radius − 1 at K ∓ {100.0 * MARGIN:g} %  simulated"
     ]
     for edge in found:
         simulated = " / ".join(
-            "settled" if s else "not" for s in (edge.settled_inside, edge.settled_outside)
+            "settled" if s else "not"
+            for s in (edge.settled_inside, edge.settled_outside)
         )
         lines.append(
             f"{edge.name:64.64} {edge.stiffness:9.1f}  {edge.inside - 1.0:+.1e} /"
@@ -76,7 +79,9 @@ def failures(options: FailuresOptions) -> PaperFigure:
         )
     held = all(edge.agreed for edge in found) and all(edge.agreed for edge in beyond)
     picture, lines = _draw(found, bias), [*lines, "", table(claims)]
-    return replace(save("failures", lines, figures, claims, picture, options.out), held=held)
+    return replace(
+        save("failures", lines, figures, claims, picture, options.out), held=held
+    )
 
 
 @styled
@@ -105,7 +110,12 @@ def _draw(edges: list[FailureEdge], bias: dict[int, tuple[float, float]]) -> Fig
     left.set_xlabel("pole radius − 1 [1]")
     left.set_title("just inside and outside: ● simulation settled, × it did not")
     counts = sorted(bias)
-    right.plot(counts, [bias[n][1] for n in counts], color=GREY, label=r"$1/(1-1/n_\mathrm{sub})$")
+    right.plot(
+        counts,
+        [bias[n][1] for n in counts],
+        color=GREY,
+        label=r"$1/(1-1/n_\mathrm{sub})$",
+    )
     right.plot(
         counts,
         [bias[n][0] for n in counts],

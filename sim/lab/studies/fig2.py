@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
 from nodes.parameters.options import FileOptions, quantity
-from nodes.recording.figure_style import COLOURS, GREY, LINES, MARKERS, OMEGA, new_figure, styled
+from nodes.recording.figure_style import (
+    COLOURS,
+    GREY,
+    LINES,
+    MARKERS,
+    OMEGA,
+    new_figure,
+    styled,
+)
 
 if TYPE_CHECKING:
     from sim.lab.paper.claims import PaperFigure
@@ -34,11 +42,21 @@ def fig2(options: Fig2Options) -> PaperFigure:
     share = theta / theta[-1]
     for axes, name, terms in zip(figure.subplots(1, 2), "ab", (low, high), strict=True):
         axes.set(
-            xlabel=OMEGA, ylabel=r"$f(\omega)$ over $f(\omega_\mathrm{N})$  [1]", ylim=(-2.5, 1.2)
+            xlabel=OMEGA,
+            ylabel=r"$f(\omega)$ over $f(\omega_\mathrm{N})$  [1]",
+            ylim=(-2.5, 1.2),
         )
         for i, term in enumerate(terms):
-            axes.plot(share, term.curve, color=COLOURS[i], ls=LINES[i], label=f"α = {term.order:g}")
-            axes.plot(share, term.unlimited, color=COLOURS[i], ls="-", lw=0.6, alpha=0.7)
+            axes.plot(
+                share,
+                term.curve,
+                color=COLOURS[i],
+                ls=LINES[i],
+                label=f"α = {term.order:g}",
+            )
+            axes.plot(
+                share, term.unlimited, color=COLOURS[i], ls="-", lw=0.6, alpha=0.7
+            )
             axes.plot(term.zero, 0.0, color=COLOURS[i], marker=MARKERS[i])
         axes.axhline(0.0, color=GREY, lw=0.8)
         axes.set_title(
@@ -46,7 +64,13 @@ def fig2(options: Fig2Options) -> PaperFigure:
         )
         axes.legend()
     curves = [
-        {"figure": name, "order": t.order, "zero": t.zero, "f": t.curve, "f_unlimited": t.unlimited}
+        {
+            "figure": name,
+            "order": t.order,
+            "zero": t.zero,
+            "f": t.curve,
+            "f_unlimited": t.unlimited,
+        }
         for name, terms in (("a", low), ("b", high))
         for t in terms
     ]

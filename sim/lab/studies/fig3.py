@@ -38,11 +38,18 @@ def fig3(options: Fig3Options) -> PaperFigure:
         xlabel=OMEGA, ylabel=r"$f(\omega)$, each term 1 at $\omega_\mathrm{N}$  [1]"
     )
     optimum, pd = law_looks(("paper_optimum", "pd"))
-    axes.plot(share, curves["optimum"], color=optimum.color, ls="-", label="paper's optimum")
+    axes.plot(
+        share, curves["optimum"], color=optimum.color, ls="-", label="paper's optimum"
+    )
     axes.plot(share, curves["pd"], color=pd.color, ls="--", label="PD")
     for i, label in enumerate((r"$1.69\,D^{1.50}$", r"$1.32\,D^{3.47}$")):
         axes.plot(
-            share, curves["terms"][i], color=optimum.color, ls=("-.", ":")[i], lw=0.8, label=label
+            share,
+            curves["terms"][i],
+            color=optimum.color,
+            ls=("-.", ":")[i],
+            lw=0.8,
+            label=label,
         )
     for level in (-1.0, 0.0):
         axes.axhline(level, color=GREY, lw=0.8)

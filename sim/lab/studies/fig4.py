@@ -30,14 +30,20 @@ class Fig4Options(SweepOptions, FileOptions):
     rate: float = quantity("rate", 500.0)
     gain: tuple[float, float] = quantity("gain", Interval(0.5, 60.0))
     points: int = option(
-        default=24, type=whole(2, 100000), help="gains, in geometric steps (default: %(default)s)"
+        default=24,
+        type=whole(2, 100000),
+        help="gains, in geometric steps (default: %(default)s)",
     )
-    resolution: float = option(default=2.3e-05, type=positive, help="Touch X's resolution [m]")
+    resolution: float = option(
+        default=2.3e-05, type=positive, help="Touch X's resolution [m]"
+    )
     friction: float = option(
         default=0.06, type=not_negative, help="its friction [N], a remembered figure"
     )
     horizon: int = option(
-        default=2500, type=whole(1, 10**8), help="of a drop [ticks] (default: %(default)s)"
+        default=2500,
+        type=whole(1, 10**8),
+        help="of a drop [ticks] (default: %(default)s)",
     )
 
 
@@ -62,7 +68,14 @@ def _setting(options: Fig4Options) -> Setting:
 def fig4(options: Fig4Options) -> PaperFigure:
     """Run the drops, plot, and check the claims."""
     from sim.lab.paper.claims import save, table
-    from sim.lab.paper.fig4 import as_json, curves_of, designs, drops, point, spread_of_conventions
+    from sim.lab.paper.fig4 import (
+        as_json,
+        curves_of,
+        designs,
+        drops,
+        point,
+        spread_of_conventions,
+    )
     from sim.lab.paper.fig4_claims import claims_4
 
     setting = _setting(options)
@@ -85,7 +98,9 @@ def fig4(options: Fig4Options) -> PaperFigure:
     claims = []
     if complete:
         try:
-            claims = claims_4(setting, curves, spread_of_conventions(setting, everything))
+            claims = claims_4(
+                setting, curves, spread_of_conventions(setting, everything)
+            )
         except ValueError as error:
             raise UsageError(
                 f"--horizon {options.horizon} --points {options.points}: too little settles to"
@@ -102,7 +117,9 @@ def fig4(options: Fig4Options) -> PaperFigure:
         f" {options.points} gains B of {setting.gains[0]:g} to {setting.gains[-1]:g} N s/m,"
         f" {setting.criterion.ticks} ticks"
     )
-    found = save("fig4", [head, text], figures, claims, _draw(setting, curves), options.out)
+    found = save(
+        "fig4", [head, text], figures, claims, _draw(setting, curves), options.out
+    )
     return replace(found, interrupted=0 if complete else signal.SIGINT)
 
 
@@ -123,7 +140,9 @@ def _draw(setting: Setting, curves: list[Curve]) -> Figure:
                 for key in ("k_max_n_per_m", "h1_max_n_per_m", "frequency_hz")
             )
             if curve.touch:
-                stiffness.plot(gains, felt, color=look.color, marker="x", ms=3.0, ls="none")
+                stiffness.plot(
+                    gains, felt, color=look.color, marker="x", ms=3.0, ls="none"
+                )
                 continue
             solid = look.points() | {"ls": "-", "ms": 3.0, "lw": 1.0}
             stiffness.plot(gains, nominal, **solid, label=curve.law)

@@ -53,24 +53,36 @@ class OptimiseOptions(DeviceOptions, SpreadOptions, FileOptions):
 
     taps: int = quantity("taps", 4)
     gain: float = quantity("gain", 3.0)
-    terms: int = option(default=2, type=whole(1, 8), help="number of terms (default: %(default)s)")
+    terms: int = option(
+        default=2, type=whole(1, 8), help="number of terms (default: %(default)s)"
+    )
     at: list[float] = option(
-        default=[0.1, 0.5], type=positive, nargs="+", help="frequencies of the targets [ω_N]"
+        default=[0.1, 0.5],
+        type=positive,
+        nargs="+",
+        help="frequencies of the targets [ω_N]",
     )
     rates: list[float] = option(
         default=[0.003, 0.03, 0.3], type=positive, nargs="*", help="of the descent"
     )
     steps: int = option(
-        default=2000, type=whole(1, 10**7), help="of each descent (default: %(default)s)"
+        default=2000,
+        type=whole(1, 10**7),
+        help="of each descent (default: %(default)s)",
     )
     starts: int = option(
-        default=8, type=whole(1, 1000), help="orders per axis to start from (default: %(default)s)"
+        default=8,
+        type=whole(1, 1000),
+        help="orders per axis to start from (default: %(default)s)",
     )
     band: tuple[float, float] = option(
         default=(0.02, 0.55), type=interval, help="where f = -1 is wanted [ω_N]"
     )
     nyquist: list[float] = option(
-        default=[1.0, 2.0, 3.05, 4.0], type=positive, nargs="+", help="bounds on f at Nyquist"
+        default=[1.0, 2.0, 3.05, 4.0],
+        type=positive,
+        nargs="+",
+        help="bounds on f at Nyquist",
     )
 
 
@@ -105,7 +117,9 @@ class LawShape:
     @property
     def line(self) -> str:
         """The figures in one line."""
-        numbers = [one for one in (self.gains, self.orders, self.taps) if one is not None]
+        numbers = [
+            one for one in (self.gains, self.orders, self.taps) if one is not None
+        ]
         terms = "; ".join(" ".join(f"{value:.3f}" for value in one) for one in numbers)
         bound, h1 = self.nyquist_bound, self.h1_max_n_per_m
         return (
@@ -136,7 +150,8 @@ def optimise(options: OptimiseOptions) -> OptimiseFound:
     # The searches first: each takes as long as many descents.
     shape, bounds = (options.taps, options.band), options.nyquist
     jobs: list[partial[Any]] = [
-        partial(best_orders, options.terms, options.band, one, options.taps) for one in bounds
+        partial(best_orders, options.terms, options.band, one, options.taps)
+        for one in bounds
     ]
     jobs += [partial(free_taps, *shape, bound) for bound in bounds]
     jobs += [
@@ -159,7 +174,8 @@ def optimise(options: OptimiseOptions) -> OptimiseFound:
     count = len(bounds)
     runs = done[2 * count :]
     descents = {
-        rate: runs[i * len(starts) :][: len(starts)] for i, rate in enumerate(options.rates)
+        rate: runs[i * len(starts) :][: len(starts)]
+        for i, rate in enumerate(options.rates)
     }
     paper = measured(*optimum_terms(), options.band, 4)
     rows = [_shape("paper_optimum", None, paper, options)] if options.terms == 2 else []
@@ -215,13 +231,17 @@ def _stiffest(derivative: CompiledLaw, options: OptimiseOptions) -> float | None
 
 def _counts(rate: float, runs: list[Descent]) -> DescentCounts:
     counts = Counter(run.outcome for run in runs)
-    ends = sorted(float(run.cost[-1]) for run in runs if run.outcome in ("converged", "slow"))
+    ends = sorted(
+        float(run.cost[-1]) for run in runs if run.outcome in ("converged", "slow")
+    )
     best, median = (ends[0], ends[len(ends) // 2]) if ends else (None, None)
     converged, slow, out, diverged = (counts[one] for one in OUTCOMES)
     return DescentCounts(rate, len(runs), converged, slow, out, diverged, best, median)
 
 
-def _text(descent: list[DescentCounts], paper_cost: float, shapes: list[LawShape]) -> list[str]:
+def _text(
+    descent: list[DescentCounts], paper_cost: float, shapes: list[LawShape]
+) -> list[str]:
     lines = [
         "steepest descent (13)-(15)",
         "     rate  starts  converged  slow  left 0<α<4  diverged  best J     median J",
@@ -247,7 +267,11 @@ def _draw(
     left, right = figure.subplots(1, 2)
     for k, (rate, runs) in enumerate(descents.items()):
         for i, one in enumerate(runs):
-            thin: Any = {"color": COLOURS[k % len(COLOURS)], "lw": 0.6, "ls": LINES[k % len(LINES)]}
+            thin: Any = {
+                "color": COLOURS[k % len(COLOURS)],
+                "lw": 0.6,
+                "ls": LINES[k % len(LINES)],
+            }
             left.loglog(
                 np.arange(1, one.cost.size + 1),
                 one.cost,
@@ -275,7 +299,9 @@ def _draw(
         named = rf"best orders, $f(\omega_\mathrm{{N}}) \leq {bound or 0.0:g}$"
         label = row.law if bound is None else named
         right.plot(theta / np.pi, curve, label=label, **look.curve())
-    right.set(xlabel=OMEGA, ylabel="f over the spring as H(1)  [1]", title="shapes of f")
+    right.set(
+        xlabel=OMEGA, ylabel="f over the spring as H(1)  [1]", title="shapes of f"
+    )
     if rows:
         right.legend()
     return save_figure(figure, options.out / "optimise.png", fresh)

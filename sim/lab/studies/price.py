@@ -20,7 +20,10 @@ from sim.studies.sweeps import SweepOptions, swept
 # relative uncertainty of the joint's parameters, in either direction [%]
 KNOWN = (0.0, 5.0, 20.0, 50.0)
 VARIED = ("share", "frequency", "loss")  # parameters of a joint
-WORLDS = {"any_world": "any world, this rigid device", "any_hand": "any hand and any world"}
+WORLDS = {
+    "any_world": "any world, this rigid device",
+    "any_hand": "any hand and any world",
+}
 LAWS = "price.yaml"
 
 
@@ -31,16 +34,22 @@ class PriceOptions(DeviceOptions, SweepOptions, FileOptions):
     delay: float = quantity("delay", 1.2)
     hand: float = quantity("hand", 500.0)
     share: float = option(
-        default=0.3, type=positive, help="of the mass behind the joint (default: %(default)s)"
+        default=0.3,
+        type=positive,
+        help="of the mass behind the joint (default: %(default)s)",
     )
     frequency: float = option(
         default=40.0, type=positive, help="of the joint [Hz] (default: %(default)s)"
     )
     loss: float = option(
-        default=0.03, type=positive, help="damping ratio of the joint (default: %(default)s)"
+        default=0.03,
+        type=positive,
+        help="damping ratio of the joint (default: %(default)s)",
     )
     jitter: float = option(
-        default=0.2, type=not_negative, help="of the delay, above it [ticks] (default: 0.2)"
+        default=0.2,
+        type=not_negative,
+        help="of the delay, above it [ticks] (default: 0.2)",
     )
     known: list[float] = option(
         default=list(KNOWN),
@@ -82,7 +91,9 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
     )
     joints = () if job["spread"] is None else possible_joints(job)
     lands = CONVENTIONS if job["lands"] else ()
-    asked = Demand(*device, 0.99, 1e4, stiffness=(0.0, job["hand"]), beyond=joints, lands=lands)
+    asked = Demand(
+        *device, 0.99, 1e4, stiffness=(0.0, job["hand"]), beyond=joints, lands=lands
+    )
 
     def free(wanted: Demand) -> Any:
         return designed(wanted, job["taps"])
@@ -99,7 +110,8 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
     truth = (0.0, job["share"], job["frequency"], job["loss"])
     ends = itertools.product(asked.delay, asked.stiffness)
     plants = [
-        FlexiblePlant(job["mass"], job["damping"], delay, hand, *truth) for delay, hand in ends
+        FlexiblePlant(job["mass"], job["damping"], delay, hand, *truth)
+        for delay, hand in ends
     ]
     real = replace(asked, beyond=(truth,))
     settled = drops(found.law, real)
@@ -112,7 +124,9 @@ def study_price(job: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, float], ...]:
+def possible_joints(
+    job: Mapping[str, Any],
+) -> tuple[tuple[float, float, float, float], ...]:
     """Return the joints to design for.
 
     These are the declared joint and all combinations of each varied parameter multiplied or
@@ -124,7 +138,9 @@ def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, 
             sorted(
                 {
                     job[name] / spread,
-                    min(job[name] * spread, 0.95) if name == "share" else job[name] * spread,
+                    min(job[name] * spread, 0.95)
+                    if name == "share"
+                    else job[name] * spread,
                 }
             )
             if name in job["vary"]
@@ -133,7 +149,9 @@ def possible_joints(job: Mapping[str, Any]) -> tuple[tuple[float, float, float, 
         for name in VARIED
     ]
     declared = tuple(job[name] for name in VARIED)
-    return tuple((0.0, *joint) for joint in sorted({declared, *itertools.product(*values)}))
+    return tuple(
+        (0.0, *joint) for joint in sorted({declared, *itertools.product(*values)})
+    )
 
 
 def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
@@ -151,7 +169,9 @@ def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
         ("any_world", (options.mass / 1.1, options.mass * 1.1)),
         ("any_hand", None),
     ):
-        surroundings = Surroundings(1.0 / options.rate, options.damping, delay, 1e4, mass)
+        surroundings = Surroundings(
+            1.0 / options.rate, options.damping, delay, 1e4, mass
+        )
         design = stiffest_taps(surroundings, options.taps).design
         rows.append(
             {"world": world, "h1_n_per_m": None}
@@ -174,8 +194,12 @@ def price(options: PriceOptions) -> PriceFound:
     """Design with less and less knowledge."""
     refuse_taps(options.taps)
     if options.share >= 1.0:
-        raise UsageError(f"--share {options.share:g}: expected a part of the mass, below 1")
-    device = options.chosen("mass", "damping", "delay", "jitter", *VARIED, "taps", "rate", "vary")
+        raise UsageError(
+            f"--share {options.share:g}: expected a part of the mass, below 1"
+        )
+    device = options.chosen(
+        "mass", "damping", "delay", "jitter", *VARIED, "taps", "rate", "vary"
+    )
     jobs: list[dict[str, Any]] = [
         {**device, "hand": hand, "spread": spread, "lands": lands}
         for lands in ((False, True) if options.land is None else (options.land,))
@@ -195,7 +219,11 @@ def price(options: PriceOptions) -> PriceFound:
         *map(_line, priced),
     ]
     worlds = price_of_worlds(options) if options.damping > 0.0 else []
-    lines += ["the world unknown, the joint left out:", *map(_world_line, worlds)] if worlds else []
+    lines += (
+        ["the world unknown, the joint left out:", *map(_world_line, worlds)]
+        if worlds
+        else []
+    )
     laws = write_laws(options.out / LAWS, [*priced, *worlds], 1.0 / options.rate)
     lines += (
         []
@@ -211,11 +239,17 @@ def _name(row: Mapping[str, Any]) -> str:
     """Return the name of a row's law: letters, digits, - and _."""
     if "world" in row:
         return str(row["world"])
-    known = "rigid" if row["spread"] is None else f"joint_{100.0 * (row['spread'] - 1.0):.0f}"
+    known = (
+        "rigid"
+        if row["spread"] is None
+        else f"joint_{100.0 * (row['spread'] - 1.0):.0f}"
+    )
     return f"{known}_{'lands' if row['lands'] else 'poles'}_{'hands' if row['hand'] else 'free'}"
 
 
-def write_laws(path: Path, rows: Sequence[Mapping[str, Any]], period: float) -> Path | None:
+def write_laws(
+    path: Path, rows: Sequence[Mapping[str, Any]], period: float
+) -> Path | None:
     """Write all named laws for `haptic param load`; return the path, or None if no law."""
     from nodes.parameters.yaml_io import write_yaml
 
@@ -241,18 +275,28 @@ def _world_line(row: Mapping[str, Any]) -> str:
 
 def _taps(row: Mapping[str, Any]) -> str:
     taps = row.get("taps_n_per_m")
-    return "taps " + ", ".join(f"{tap:.6g}" for tap in taps) if taps else "taps not recorded"
+    return (
+        "taps " + ", ".join(f"{tap:.6g}" for tap in taps)
+        if taps
+        else "taps not recorded"
+    )
 
 
 def _line(row: Mapping[str, Any]) -> str:
     known = (
-        "believed rigid" if row["spread"] is None else f"joint to {100 * (row['spread'] - 1):.0f} %"
+        "believed rigid"
+        if row["spread"] is None
+        else f"joint to {100 * (row['spread'] - 1):.0f} %"
     )
     asked = "lands, every sequence" if row["lands"] else "poles alone"
     start = f"{known:22} {_held(row['hand']):24} {asked:22}"
     if row["h1_n_per_m"] is None:
         return f"{start} {'no law':>10}"
-    verdict = "stable" if row["radius"] < 1.0 else f"UNSTABLE, pole radius {row['radius']:.3f}"
+    verdict = (
+        "stable"
+        if row["radius"] < 1.0
+        else f"UNSTABLE, pole radius {row['radius']:.3f}"
+    )
     proof = "" if row["certified"] else ", NOT certified for every sequence of delays"
     return (
         f"{start} {row['h1_n_per_m']:10.5g}  {verdict}, {row['drops_settled']} drops settle{proof};"
@@ -273,12 +317,18 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
         known = [
             row
             for row in rows
-            if (row["lands"], row["hand"]) == (lands, hand) and row["spread"] is not None
+            if (row["lands"], row["hand"]) == (lands, hand)
+            and row["spread"] is not None
         ]
-        felt = [math.nan if row["h1_n_per_m"] is None else row["h1_n_per_m"] for row in known]
+        felt = [
+            math.nan if row["h1_n_per_m"] is None else row["h1_n_per_m"]
+            for row in known
+        ]
         look: Any = {"marker": "o" if hand == 0.0 else "s", "ls": "-" if lands else ":"}
         label = f"{_held(hand)}, {'lands, every sequence of delays' if lands else 'poles alone'}"
-        axes.plot([100.0 * (row["spread"] - 1.0) for row in known], felt, label=label, **look)
+        axes.plot(
+            [100.0 * (row["spread"] - 1.0) for row in known], felt, label=label, **look
+        )
     none = [
         100.0 * (row["spread"] - 1.0)
         for row in rows

@@ -36,20 +36,30 @@ class ProxiesOptions(SpreadOptions, FileOptions):
     """Options of `proxies`."""
 
     finest: int = option(
-        default=5, type=whole(2, _MOST), help="finest mesh: 20·4ⁿ triangles (default: 5, 20 480)"
+        default=5,
+        type=whole(2, _MOST),
+        help="finest mesh: 20·4ⁿ triangles (default: 5, 20 480)",
     )
     ticks: int = option(
-        default=5000, type=whole(100, 10000000), help="length of each way (default: 5000)"
+        default=5000,
+        type=whole(100, 10000000),
+        help="length of each way (default: 5000)",
     )
     stiffness: float = quantity("stiffness", 500.0)
     rate: float = quantity("rate", 1000.0)
     depth: float = option(
         default=0.004, type=positive, help="below the surface [m] (default: 0.004)"
     )
-    speed: float = option(default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)")
-    tool: float = option(default=0.0, type=not_negative, help="radius of the tool [m] (default: 0)")
+    speed: float = option(
+        default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)"
+    )
+    tool: float = option(
+        default=0.0, type=not_negative, help="radius of the tool [m] (default: 0)"
+    )
     steps: int = option(
-        default=1000000, type=whole(1, 10**9), help="random steps through the plate (default: 10⁶)"
+        default=1000000,
+        type=whole(1, 10**9),
+        help="random steps through the plate (default: 10⁶)",
     )
     seed: int = option(default=0, type=SEED, help="of the random steps (default: 0)")
 
@@ -75,7 +85,9 @@ class ProxiesFound(Findings):
 def proxies(options: ProxiesOptions) -> ProxiesFound:
     """Compare the proxies; fail if a proxy changed sides."""
     if options.depth > 0.01:
-        raise UsageError(f"--depth {options.depth}: at most 0.01 m, in a sphere of 0.05 m")
+        raise UsageError(
+            f"--depth {options.depth}: at most 0.01 m, in a sphere of 0.05 m"
+        )
     from sim.lab.proxies import PLATE, Way, compared, count, timed, wrong_sides
 
     period, step = 1.0 / options.rate, 2.0 / options.rate
@@ -83,7 +95,9 @@ def proxies(options: ProxiesOptions) -> ProxiesFound:
     ways = [Way(number, *led) for number in range(count(options.finest))]
     # The finest mesh takes longest and runs first; times are of this machine, the rest may be
     # computed elsewhere.
-    jobs: list[partial[Any]] = [partial(compared, way, options.stiffness) for way in reversed(ways)]
+    jobs: list[partial[Any]] = [
+        partial(compared, way, options.stiffness) for way in reversed(ways)
+    ]
     jobs.append(partial(wrong_sides, options.steps, step, options.seed, options.tool))
     *rows, (wrong, aside) = spread(options, jobs)
     found = [timed(row, way) for row, way in zip(reversed(rows), ways, strict=True)]
@@ -110,7 +124,9 @@ def proxies(options: ProxiesOptions) -> ProxiesFound:
     )
     plate = PlateCrossed(options.steps, step, wrong, aside)
     picture = _draw(options.out / "proxies.png", found)
-    return ProxiesFound(lines=lines, picture=picture, held=not wrong, rows=found, plate=plate)
+    return ProxiesFound(
+        lines=lines, picture=picture, held=not wrong, rows=found, plate=plate
+    )
 
 
 @styled

@@ -11,7 +11,14 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, positive
-from nodes.recording.figure_style import GREY, name_rows, new_figure, save_figure, styled, threshold
+from nodes.recording.figure_style import (
+    GREY,
+    name_rows,
+    new_figure,
+    save_figure,
+    styled,
+    threshold,
+)
 from nodes.stability.plant import Plant
 from sim.measure.jobs import SweepRow
 from sim.results import fresh
@@ -43,7 +50,9 @@ class RelativesOptions(SweepOptions, FileOptions):
     delay: float = quantity("delay", 1.0)
     rate: float = quantity("rate", 500.0)
     from_run: Path | None = option(
-        type=Path, metavar="RECORDING", help="take rate and median delay from a recording instead"
+        type=Path,
+        metavar="RECORDING",
+        help="take rate and median delay from a recording instead",
     )
     nyquist: float = option(
         default=10000.0, type=positive, help="|H(-1)| allowed [N/m] (default: 10000)"
@@ -63,7 +72,9 @@ def tune_family(job: Mapping[str, Any]) -> dict[str, Any]:
 
     period, delay = 1.0 / job["rate"], (job["delay"],) * 2
     lightest, heaviest = job["mass"]
-    asked = Demand((lightest, heaviest), job["damping"], delay, period, 0.99, job["nyquist"])
+    asked = Demand(
+        (lightest, heaviest), job["damping"], delay, period, 0.99, job["nyquist"]
+    )
     family = job["family"]
     if family == "two rates":
         return _two_rates(job, period)
@@ -120,7 +131,9 @@ def _masses(ends: Sequence[float]) -> list[float]:
     return found
 
 
-def _best_solid(asked: Any, taps: int, family: str) -> tuple[Any, dict[str, Any]] | None:
+def _best_solid(
+    asked: Any, taps: int, family: str
+) -> tuple[Any, dict[str, Any]] | None:
     """Tune K and B at every order and relaxation time; a Kelvin–Voigt solid has none."""
     from sim.design.families import best_linear
 
@@ -171,7 +184,12 @@ def _two_rates(job: Mapping[str, Any], period: float) -> dict[str, Any]:
     gains = np.geomspace(0.01 * top, top, 24)
     for _ in range(3):
         found = [
-            (_stiffest_spring(job, period, damper, late, job["nyquist"] - noise * damper), damper)
+            (
+                _stiffest_spring(
+                    job, period, damper, late, job["nyquist"] - noise * damper
+                ),
+                damper,
+            )
             for damper in gains
         ]
         best = max(best, *found)
@@ -202,7 +220,8 @@ def _stiffest_spring(
     from nodes.stability.two_rate import TwoRate, two_rate_radius
 
     devices = [
-        TwoRate(mass, job["damping"], float(damper), SERVO, late) for mass in _masses(job["mass"])
+        TwoRate(mass, job["damping"], float(damper), SERVO, late)
+        for mass in _masses(job["mass"])
     ]
 
     def keeps(stiffness: float) -> bool:
@@ -249,7 +268,10 @@ def relatives(options: RelativesOptions) -> RelativesFound:
         measured = shared.recorded(options.from_run)
         options = replace(options, rate=1.0 / measured.period, delay=measured.median)
     told = options.chosen("damping", "delay", "rate", "taps", "nyquist")
-    jobs = [told | {"mass": list(options.mass), "family": family} for family in options.families]
+    jobs = [
+        told | {"mass": list(options.mass), "family": family}
+        for family in options.families
+    ]
     rows, ledger = swept(options, tune_family, jobs, "relatives")
     low, high = options.mass
     lines = [
@@ -269,7 +291,9 @@ def relatives(options: RelativesOptions) -> RelativesFound:
         ),
     ]
     picture = draw(options.out / "relatives.png", lines[0], options.damping, rows)
-    found = RelativesFound(lines=lines, delay_ticks=options.delay, rate_hz=options.rate, rows=rows)
+    found = RelativesFound(
+        lines=lines, delay_ticks=options.delay, rate_hz=options.rate, rows=rows
+    )
     return replace(found, ledger=ledger, picture=picture)
 
 
@@ -282,9 +306,8 @@ def _line(row: Mapping[str, Any]) -> str:
         )
         return f"{row['family']:22} {why}"
     if row["family"] == "two rates":
-        result = (
-            f"a servo's damper of {row['law']['servo_damping']:.3g} N s/m at {SERVO} times the rate"
-        )
+        damping = row["law"]["servo_damping"]
+        result = f"a servo's damper of {damping:.3g} N s/m at {SERVO} times the rate"
         late = f"{row['delay_ticks']:g} ticks late; haptic lab two_rate for other rates"
         return (
             f"{row['family']:22} {row['h1_n_per_m']:10.1f} {0.0:10.1f}"
@@ -299,7 +322,9 @@ def _line(row: Mapping[str, Any]) -> str:
 
 
 @styled
-def draw(path: Path, demand: str, damping: float, rows: Sequence[Mapping[str, Any]]) -> Path:
+def draw(
+    path: Path, demand: str, damping: float, rows: Sequence[Mapping[str, Any]]
+) -> Path:
     """Plot the stiffness of each family and its required damping for passivity."""
     figure = new_figure(8.6, 1.6 + 0.32 * len(rows))
     figure.suptitle(demand, fontsize=8.5, x=0.01, ha="left")

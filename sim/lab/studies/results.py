@@ -21,7 +21,9 @@ class ResultsOptions(Options):
     list_only: bool = option(
         "--list", action="store_true", help="list the sections, and measure none"
     )
-    page: Path | None = option(type=Path, help="where the page goes (default: sim/RESULTS.md)")
+    page: Path | None = option(
+        type=Path, help="where the page goes (default: sim/RESULTS.md)"
+    )
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -53,7 +55,9 @@ def results(options: ResultsOptions) -> SectionsFound | PageWritten:
 
     unknown = sorted(set(options.sections) - set(SECTIONS))
     if unknown:
-        raise UsageError(f"{', '.join(unknown)}: no such section; there are {', '.join(SECTIONS)}")
+        raise UsageError(
+            f"{', '.join(unknown)}: no such section; there are {', '.join(SECTIONS)}"
+        )
     if options.list_only:
         found = {name: recorded(name) for name in SECTIONS}
         when = {
@@ -69,7 +73,9 @@ def results(options: ResultsOptions) -> SectionsFound | PageWritten:
         return SectionsFound(lines=lines, sections=when)
     target = options.page or PAGE
     if options.page is None and not PAGE.exists():
-        raise UsageError(f"{PAGE}: this is no checkout of haptic-nodes; name a file with --page")
+        raise UsageError(
+            f"{PAGE}: this is no checkout of haptic-nodes; name a file with --page"
+        )
     names = [*SECTIONS] if options.all else options.sections
     step = options.progress(len(names))
     failed = {}
@@ -81,5 +87,9 @@ def results(options: ResultsOptions) -> SectionsFound | PageWritten:
         step(f"{name}: {SECTIONS[name].command}")
         target.write_text(page(), encoding="utf-8")
     target.write_text(page(), encoding="utf-8")
-    lines = [f"{len(names) - len(failed)} of {len(names)} measured", *failed.values(), str(target)]
+    lines = [
+        f"{len(names) - len(failed)} of {len(names)} measured",
+        *failed.values(),
+        str(target),
+    ]
     return PageWritten(lines=lines, held=not failed, failed=failed, page=target)

@@ -33,14 +33,22 @@ class TunedOptions(SweepOptions, FileOptions):
     """Options of `tuned`."""
 
     devices: int = option(
-        default=40, type=COUNT, help="how many, half of them inside (default: %(default)s)"
+        default=40,
+        type=COUNT,
+        help="how many, half of them inside (default: %(default)s)",
     )
-    seconds: float = option(default=8.0, type=SECONDS, help="of each push (default: %(default)s)")
+    seconds: float = option(
+        default=8.0, type=SECONDS, help="of each push (default: %(default)s)"
+    )
     rate: float = quantity("rate", 500.0)
     taps: int = quantity("taps", 4)
-    seed: int = option(default=1, type=SEED, help="of the population (default: %(default)s)")
+    seed: int = option(
+        default=1, type=SEED, help="of the population (default: %(default)s)"
+    )
     nyquist: float = option(
-        default=10000.0, type=positive, help="|H(-1)| allowed [N/m] (default: %(default)g)"
+        default=10000.0,
+        type=positive,
+        help="|H(-1)| allowed [N/m] (default: %(default)g)",
     )
     land: bool = option(
         default=True,
@@ -68,7 +76,9 @@ def tuned(options: TunedOptions) -> TunedFound:
     from sim.lab.monte_carlo.virtual import KINDS
 
     outside = list(KINDS)
-    told = options.chosen("seed", "seconds", "rate", "taps", "nyquist", "land", "refuted")
+    told = options.chosen(
+        "seed", "seconds", "rate", "taps", "nyquist", "land", "refuted"
+    )
     kind = [
         INSIDE if number % 2 == 0 else outside[number // 2 % len(outside)]
         for number in range(options.devices)
@@ -129,7 +139,9 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     """Plot the reported limit over the true one, and each law's distance from it."""
     figure = new_figure(6.8, 5.4)
     told, radius = figure.subplots(2, 1, sharex=True)
-    tried = [row for row in rows if row["holds"] is not None and row["true_edge_n_per_m"]]
+    tried = [
+        row for row in rows if row["holds"] is not None and row["true_edge_n_per_m"]
+    ]
     for name, delivered, unstable, colour, mark in (
         ("delivered, and stable", True, (False,), COLOURS[0], MARKERS[0]),
         ("not delivered", False, (False, True), COLOURS[1], MARKERS[1]),
@@ -162,7 +174,8 @@ def draw(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
     title = f"{len(rows)} devices tuned end to end, {len(tried)} laws tried"
     told.set(ylabel="edge told / true edge  [1]", xscale="log", title=title)
     radius.set(
-        xlabel="true edge of the device with its law, H(1)  [N/m]", ylabel="true pole radius  [1]"
+        xlabel="true edge of the device with its law, H(1)  [N/m]",
+        ylabel="true pole radius  [1]",
     )
     for value, name in ((0.95, "−5 %"), (1.0, "true"), (1.05, "+5 %")):
         threshold(told, value, name)

@@ -25,7 +25,10 @@ class TwoRateOptions(FileOptions):
         default=3.0, type=not_negative, help="damper of the servo [N s/m] (default: 3)"
     )
     ratios: list[int] = option(
-        default=[1, 2, 4, 8], type=whole(1, 1000), nargs="+", help="servo ticks a tick of the loop"
+        default=[1, 2, 4, 8],
+        type=whole(1, 1000),
+        nargs="+",
+        help="servo ticks a tick of the loop",
     )
 
 
@@ -75,7 +78,9 @@ def two_rate(options: TwoRateOptions) -> TwoRateFound:
         )
         endless = found == math.inf
         k, least = (None, 1e3 * heavy) if endless else (found, None)
-        rows.append(ServoRate(ratio, ratio * options.rate, late / ratio, k, least, heavy))
+        rows.append(
+            ServoRate(ratio, ratio * options.rate, late / ratio, k, least, heavy)
+        )
     head = (
         f"spring; {options.mass:g} kg, {options.damping:g} N s/m, servo damper"
         f" {options.servo:g} N s/m"
@@ -103,7 +108,9 @@ def draw(path: Path, title: str, rows: Sequence[ServoRate]) -> Path:
         ("k_max_n_per_m", "$K_\\mathrm{max}$", "o"),
         ("heavy_limit_n_per_m", "of a heavy device", "s"),
     ):
-        values = [math.nan if getattr(row, key) is None else getattr(row, key) for row in rows]
+        values = [
+            math.nan if getattr(row, key) is None else getattr(row, key) for row in rows
+        ]
         axes.plot(rates, values, marker=mark, label=label)
     axes.set_xticks(rates, [f"{rate:g}" for rate in rates], minor=False)
     axes.minorticks_off()

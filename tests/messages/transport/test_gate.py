@@ -178,7 +178,9 @@ def test_a_listener_that_fills_the_memory_of_an_open_port_is_put_out(
 def encrypted(context: Context, me: Identity) -> Iterator[Guarded]:
     port = free_ports(2)
     made = Guarded(
-        context, f"tcp://127.0.0.1:{port}#{me.public}", f"tcp://127.0.0.1:{port + 1}#{me.public}"
+        context,
+        f"tcp://127.0.0.1:{port}#{me.public}",
+        f"tcp://127.0.0.1:{port + 1}#{me.public}",
     )
     yield made
     made.close()
@@ -250,7 +252,8 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     take_away(how, keys.key_dir())
     wait_for(
         lambda: any(
-            f"the key {other.public} is no longer allowed" in told for told in encrypted.denied
+            f"the key {other.public} is no longer allowed" in told
+            for told in encrypted.denied
         ),
         "it is told",
     )
@@ -259,7 +262,9 @@ def test_a_key_that_is_taken_away_ends_connections_and_lets_in_nobody(
     assert not hears(encrypted, listener)
     with contextlib.suppress(zmq.Again):
         asking.send(b"after", zmq.NOBLOCK)
-    assert not encrypted.reply.poll(300), "the open connection commands nothing any more"
+    assert not encrypted.reply.poll(300), (
+        "the open connection commands nothing any more"
+    )
     asking.close(linger=0)
     listener.close()
     # Oneself is still let in.
@@ -282,12 +287,16 @@ def test_the_other_machines_connections_survive_a_revocation(
     keys.revoke("other")
     wait_for(lambda: encrypted.denied, "the revocation")
     drain(own)
-    wait_for(lambda: hears(encrypted, own), "oneself, connected again without being asked")
+    wait_for(
+        lambda: hears(encrypted, own), "oneself, connected again without being asked"
+    )
     own.close()
     listener.close()
 
 
-def test_without_an_identity_nobody_is_oneself(encrypted: Guarded, context: Context) -> None:
+def test_without_an_identity_nobody_is_oneself(
+    encrypted: Guarded, context: Context
+) -> None:
     own = Subscription(context, [encrypted.publish], [""])
     wait_for(lambda: hears(encrypted, own), "oneself")
     keys.new_identity(replace=True)

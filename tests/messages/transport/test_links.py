@@ -193,7 +193,9 @@ def test_a_publisher_without_the_key_in_place_of_a_killed_one(
             "who it is not",
         )
         # Long enough for ZeroMQ to give it up.
-        wait_for(lambda: ear.tended(ear.told or len(ear.denied) > 2), "it goes on trying")
+        wait_for(
+            lambda: ear.tended(ear.told or len(ear.denied) > 2), "it goes on trying"
+        )
     other.term()
     assert_heard(context, endpoint, ear)
 

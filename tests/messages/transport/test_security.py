@@ -29,7 +29,14 @@ from messages.transport.requests import ControlError, call
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import Force
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, HAPTIC, haptic, running, typed_in, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    haptic,
+    running,
+    typed_in,
+    wait_for,
+)
 from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:
@@ -67,7 +74,9 @@ def test_key_files_are_private_whatever_the_umask(
     finally:
         os.umask(before)
     for path in (tmp_path / "keys").rglob("*"):
-        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
+        assert stat.S_IMODE(path.stat().st_mode) == (
+            0o700 if path.is_dir() else 0o600
+        ), path
     assert keys.identity() == made
     assert keys.allowed() == {"robot": made.public}
 
@@ -115,13 +124,17 @@ def test_nothing_is_replaced_unasked(me: Identity) -> None:
     assert keys.key_of("a") == me.public
 
 
-@pytest.mark.parametrize("name", ["", "../x", "a/b", ".hidden", "x" * 64, "a b", "-x", "x\n"])
+@pytest.mark.parametrize(
+    "name", ["", "../x", "a/b", ".hidden", "x" * 64, "a b", "-x", "x\n"]
+)
 def test_names_that_are_paths_are_refused(me: Identity, name: str) -> None:
     with pytest.raises(KeyRefusedError, match="name"):
         keys.allow(name, me.public)
 
 
-@pytest.mark.parametrize("key", ["", "00", "g" * 64, "0" * 63, "0" * 65, "\x00" * 40, "#" * 40])
+@pytest.mark.parametrize(
+    "key", ["", "00", "g" * 64, "0" * 63, "0" * 65, "\x00" * 40, "#" * 40]
+)
 def test_what_is_no_key_is_refused(me: Identity, key: str) -> None:
     with pytest.raises(KeyRefusedError):
         keys.allow("robot", key)
@@ -130,14 +143,22 @@ def test_what_is_no_key_is_refused(me: Identity, key: str) -> None:
 
 def test_keys_on_the_command_line(tmp_path: Path) -> None:
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "k")}
-    assert "haptic keys new" in typed_in(tmp_path, "keys", "list", environment=environment).stdout
-    public = typed_in(tmp_path, "keys", "new", environment=environment).stdout.split()[0]
+    assert (
+        "haptic keys new"
+        in typed_in(tmp_path, "keys", "list", environment=environment).stdout
+    )
+    public = typed_in(tmp_path, "keys", "new", environment=environment).stdout.split()[
+        0
+    ]
     typed_in(tmp_path, "keys", "allow", "10.0.0.2", public, environment=environment)
     assert (
         f"10.0.0.2      {public}"
         in typed_in(tmp_path, "keys", "list", environment=environment).stdout
     )
-    assert "--replace" in typed_in(tmp_path, "keys", "new", code=2, environment=environment).stderr
+    assert (
+        "--replace"
+        in typed_in(tmp_path, "keys", "new", code=2, environment=environment).stderr
+    )
     assert (
         "name"
         in typed_in(
@@ -203,7 +224,9 @@ def denied(door: Door, text: str) -> Callable[[], bool]:
     return lambda: any(text in reason for reason in door.denied)
 
 
-def test_oneself_and_the_allowed_are_let_in(door: Door, context: Context, tmp_path: Path) -> None:
+def test_oneself_and_the_allowed_are_let_in(
+    door: Door, context: Context, tmp_path: Path
+) -> None:
     listener = Subscription(context, [door.endpoint], [""])
     wait_for(lambda: hears(door, listener), "oneself")
     listener.close()
@@ -237,8 +260,12 @@ def test_a_plain_client_gets_nothing(door: Door, context: Context) -> None:
             assert not plain.poll(20)
 
 
-@pytest.mark.parametrize("garbage", [b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 200, bytes(range(256))])
-def test_bytes_that_are_no_handshake(door: Door, context: Context, garbage: bytes) -> None:
+@pytest.mark.parametrize(
+    "garbage", [b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 200, bytes(range(256))]
+)
+def test_bytes_that_are_no_handshake(
+    door: Door, context: Context, garbage: bytes
+) -> None:
     host, _, port = split(door.endpoint)[0].removeprefix("tcp://").rpartition(":")
     with socket.create_connection((host, int(port)), timeout=10.0) as stranger:
         stranger.sendall(garbage)
@@ -312,12 +339,16 @@ class Replayer(threading.Thread):
         """Forward one connection."""
         client, _ = self._server.accept()
         with client, socket.create_connection(("127.0.0.1", self._target)) as server:
-            back = threading.Thread(target=self._pump, args=(server, client, None), daemon=True)
+            back = threading.Thread(
+                target=self._pump, args=(server, client, None), daemon=True
+            )
             back.start()
             self._pump(client, server, self.kept)
 
     @staticmethod
-    def _pump(source: socket.socket, sink: socket.socket, keep: bytearray | None) -> None:
+    def _pump(
+        source: socket.socket, sink: socket.socket, keep: bytearray | None
+    ) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
                 if keep is not None:
@@ -326,7 +357,9 @@ class Replayer(threading.Thread):
 
     def replay(self) -> None:
         """Send every byte of the honest client again to the real server."""
-        with socket.create_connection(("127.0.0.1", self._target), timeout=10.0) as again:
+        with socket.create_connection(
+            ("127.0.0.1", self._target), timeout=10.0
+        ) as again:
             again.sendall(bytes(self.kept))
             with contextlib.suppress(OSError):
                 while again.recv(65536):
@@ -337,7 +370,9 @@ class Replayer(threading.Thread):
         self._server.close()
 
 
-def test_a_replayed_request_is_not_heard(door: Door, context: Context, me: Identity) -> None:
+def test_a_replayed_request_is_not_heard(
+    door: Door, context: Context, me: Identity
+) -> None:
     wire = Replayer(int(split(door.control)[0].rpartition(":")[2]))
     asking = context.socket(zmq.REQ)
     connect(asking, f"tcp://127.0.0.1:{wire.port}#{me.public}")
@@ -359,7 +394,9 @@ def test_a_replayed_request_is_not_heard(door: Door, context: Context, me: Ident
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me: Identity) -> None:
+def test_a_launch_over_curve_turns_strangers_away_and_goes_on(
+    tmp_path: Path, me: Identity
+) -> None:
     port = free_ports(2)
     scene = tmp_path / "curve.yaml"
     scene.write_text(SCENE.format(port=port, base=free_ports(8)))
@@ -367,7 +404,9 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
     with running(tmp_path, str(scene), ready=False) as launch:
         command = [*HAPTIC, "node", "start", "coupling", "--bind", f"127.0.0.1:{port}"]
         with open(tmp_path / "node.txt", "wb") as errors:
-            node = subprocess.Popen(command, env=launch.environment, cwd=tmp_path, stderr=errors)
+            node = subprocess.Popen(
+                command, env=launch.environment, cwd=tmp_path, stderr=errors
+            )
         try:
             wait_for(lambda: launch.ticks() > 0, "the first tick")
             setup = launch.run.nodes["coupling"]
@@ -391,7 +430,8 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
             assert figures["nodes"]["coupling"]["state"] == "finished"
             # Stale ones come of a busy machine; these would come of a stranger.
             assert {
-                figures["safety"]["refused"][why] for why in ("future", "replayed", "not_finite")
+                figures["safety"]["refused"][why]
+                for why in ("future", "replayed", "not_finite")
             } == {0}
             assert node.wait(timeout=DEADLINE) == 0
             assert f"unknown key {other.public}" in (tmp_path / "node.txt").read_text()
@@ -404,22 +444,32 @@ def test_a_launch_over_curve_turns_strangers_away_and_goes_on(tmp_path: Path, me
 def refused(folder: Path, text: str, environment: dict[str, Any]) -> str:
     scene = folder / "scene.yaml"
     scene.write_text(text)
-    return typed_in(folder, "launch", str(scene), code=2, environment=environment).stderr
+    return typed_in(
+        folder, "launch", str(scene), code=2, environment=environment
+    ).stderr
 
 
-def test_a_launch_abroad_without_keys_is_refused_with_what_to_do(tmp_path: Path) -> None:
+def test_a_launch_abroad_without_keys_is_refused_with_what_to_do(
+    tmp_path: Path,
+) -> None:
     environment = {"HAPTIC_KEYS": str(tmp_path / "none")}
     text = SCENE.format(port=5900, base=5910)
     assert "haptic keys new" in refused(tmp_path, text, environment)
-    abroad = text.replace("host: 127.0.0.1", "host: 10.9.8.7").replace("    key: robot\n", "")
+    abroad = text.replace("host: 127.0.0.1", "host: 10.9.8.7").replace(
+        "    key: robot\n", ""
+    )
     assert "haptic keys allow 10.9.8.7 KEY" in refused(tmp_path, abroad, environment)
 
 
 @pytest.mark.process
 def test_the_cost_of_curve_is_measured_in_one_run(tmp_path: Path) -> None:
-    done = haptic(tmp_path, "bench", "curve", "--rounds", "2", "--ticks", "20", "--json")
+    done = haptic(
+        tmp_path, "bench", "curve", "--rounds", "2", "--ticks", "20", "--json"
+    )
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["ratio"] > 0.0
     assert len(found["ratio_of_rounds"]) == 2
     for kind in ("ipc", "curve"):
-        assert 0.0 < found["response_us"][kind]["p50"] <= found["response_us"][kind]["p99"]
+        assert (
+            0.0 < found["response_us"][kind]["p50"] <= found["response_us"][kind]["p99"]
+        )

@@ -38,7 +38,9 @@ if TYPE_CHECKING:
 KEY = "ab" * 32
 
 
-def connected(context: Context, place: str, *topics: str) -> tuple[Publisher, Subscription]:
+def connected(
+    context: Context, place: str, *topics: str
+) -> tuple[Publisher, Subscription]:
     publisher = Publisher(context, place)
     subscription = Subscription(context, [place], topics or [""])
     wait_for(publisher.listeners, "the subscription")
@@ -94,7 +96,9 @@ def test_a_context_ends_whatever_line_of_a_socket_s_life_a_signal_interrupts() -
         finally:
             sys.settrace(None)
             gc.enable()
-        end = threading.Thread(target=context.destroy, kwargs={"linger": 0}, daemon=True)
+        end = threading.Thread(
+            target=context.destroy, kwargs={"linger": 0}, daemon=True
+        )
         end.start()
         end.join(20.0)
         assert context.closed
@@ -191,7 +195,9 @@ def test_a_listener_cannot_talk_back(context: Context, place: str) -> None:
         for word in (b"\x01real", b"\x02garbage", b"", b"\x00never subscribed"):
             mouth.send(word)
         # What it sent last came first or not at all: one connection keeps its order.
-        wait_for(lambda: publisher.listeners() == 2, "its subscription, and nothing else")
+        wait_for(
+            lambda: publisher.listeners() == 2, "its subscription, and nothing else"
+        )
     wait_for(lambda: publisher.listeners() == 1, "its end")
     publisher.send(b"/t", b"x")
     assert subscription.receive(20_000) == (b"/t", b"x")
@@ -256,9 +262,16 @@ def test_tcp_off_loopback_needs_a_key(endpoint: str, context: Context) -> None:
 
 @pytest.mark.parametrize(
     "endpoint",
-    ["tcp://127.0.0.1:5600", "tcp://127.8.9.1:1", "tcp://[::1]:5600", "tcp://localhost:2"],
+    [
+        "tcp://127.0.0.1:5600",
+        "tcp://127.8.9.1:1",
+        "tcp://[::1]:5600",
+        "tcp://localhost:2",
+    ],
 )
-def test_loopback_is_shared_by_all_users_and_needs_one_too(endpoint: str, context: Context) -> None:
+def test_loopback_is_shared_by_all_users_and_needs_one_too(
+    endpoint: str, context: Context
+) -> None:
     for use in (
         split,
         lambda place: Publisher(context, place),
@@ -291,7 +304,8 @@ def test_what_is_opened_to_all_can_only_be_listened_to(context: Context) -> None
 
 
 @pytest.mark.parametrize(
-    "endpoint", ["udp://127.0.0.1:1", "inproc://x", "nonsense", "tcp://127.0.0.1:5600#abc"]
+    "endpoint",
+    ["udp://127.0.0.1:1", "inproc://x", "nonsense", "tcp://127.0.0.1:5600#abc"],
 )
 def test_other_endpoints_are_refused(endpoint: str) -> None:
     with pytest.raises(ValueError, match=r"ipc://|key"):
@@ -310,7 +324,8 @@ def test_the_directory_of_the_sockets_is_private(
     place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(
-        "HAPTIC_RUNTIME_DIR", str(Path(place.removeprefix("ipc://")).with_name("haptic"))
+        "HAPTIC_RUNTIME_DIR",
+        str(Path(place.removeprefix("ipc://")).with_name("haptic")),
     )
     before = os.umask(0)
     try:

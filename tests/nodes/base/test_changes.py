@@ -15,7 +15,9 @@ from nodes.parameters.store import ParameterError
 from tests.support.setups import setup_of
 
 
-class GainParameters(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class GainParameters(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """Two parameters."""
 
     gain: float = 1.0
@@ -28,7 +30,9 @@ class Amplifier(Node):
     Parameters: ClassVar[type[msgspec.Struct]] = GainParameters
 
     def __init__(self) -> None:
-        super().__init__(setup_of(run_dir="/nowhere", name="amplifier", kind="amplifier"))
+        super().__init__(
+            setup_of(run_dir="/nowhere", name="amplifier", kind="amplifier")
+        )
         self.state = "running"
         self.applied: list[tuple[int, float]] = []
 
@@ -39,7 +43,9 @@ class Amplifier(Node):
 
         def apply(seq: int) -> dict[str, Any]:
             if parameters.gain > 5.0:
-                raise ParameterError(f"amplifier.gain: {parameters.gain}, limit 5 just now")
+                raise ParameterError(
+                    f"amplifier.gain: {parameters.gain}, limit 5 just now"
+                )
             self.applied.append((seq, parameters.gain))
             return {"seq": seq, "gain": parameters.gain}
 
@@ -47,7 +53,9 @@ class Amplifier(Node):
 
 
 @contextmanager
-def ticking(node: Amplifier, each: Callable[[int], None] = lambda _: None) -> Iterator[None]:
+def ticking(
+    node: Amplifier, each: Callable[[int], None] = lambda _: None
+) -> Iterator[None]:
     """Run the loop's side of the node in a thread."""
     ending = threading.Event()
 
@@ -68,7 +76,9 @@ def ticking(node: Amplifier, each: Callable[[int], None] = lambda _: None) -> It
 
 
 def changing(node: Amplifier, **values: float) -> dict[str, Any]:
-    found: dict[str, Any] = node.changes.change(lambda: node.store.changed(values), node.prepare)
+    found: dict[str, Any] = node.changes.change(
+        lambda: node.store.changed(values), node.prepare
+    )
     return found
 
 
@@ -83,7 +93,8 @@ def test_a_change_is_applied_once_between_two_ticks() -> None:
 def test_what_the_loop_does_not_take_up_is_withdrawn_for_good() -> None:
     node = Amplifier()
     with pytest.raises(
-        ParameterError, match=r"not applied by the loop within 0\.1 s; nothing was changed"
+        ParameterError,
+        match=r"not applied by the loop within 0\.1 s; nothing was changed",
     ):
         node.changes.hand_over(lambda seq: node.applied.append((seq, 0.0)), timeout=0.1)
     node.between_ticks(1)
@@ -98,7 +109,8 @@ def test_a_node_that_has_finished_refuses_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gain", "told"), [(10.5, "limit 10"), (5.5, "limit 5 just now"), (float("nan"), "finite")]
+    ("gain", "told"),
+    [(10.5, "limit 10"), (5.5, "limit 5 just now"), (float("nan"), "finite")],
 )
 def test_what_is_refused_on_either_side_changes_nothing_and_the_loop_goes_on(
     gain: float, told: str
@@ -113,7 +125,9 @@ def test_what_is_refused_on_either_side_changes_nothing_and_the_loop_goes_on(
     assert [gain for _, gain in node.applied] == [2.0]
 
 
-def test_a_change_that_a_scheduled_one_overtakes_is_made_again_from_the_newer_parameters() -> None:
+def test_a_change_that_a_scheduled_one_overtakes_is_made_again_from_the_newer_parameters() -> (
+    None
+):
     node = Amplifier()
     made: list[int] = []
     scheduled = [0]
@@ -123,7 +137,9 @@ def test_a_change_that_a_scheduled_one_overtakes_is_made_again_from_the_newer_pa
         # attempts are overtaken.
         if 0 < len(made) < 4:
             scheduled.append(seq)
-            node.store.accept(msgspec.structs.replace(node.store.current, scheduled=seq))
+            node.store.accept(
+                msgspec.structs.replace(node.store.current, scheduled=seq)
+            )
 
     def make() -> Any:
         made.append(node.store.current.scheduled)

@@ -25,7 +25,13 @@ from nodes.base import control_thread
 from nodes.base.control_thread import ControlServer
 from nodes.base.node import Node
 from sim.measure.free_ports import free_ports
-from tests.support.launching import DEADLINE, HAPTIC, private_runtime_dir, running, wait_for
+from tests.support.launching import (
+    DEADLINE,
+    HAPTIC,
+    private_runtime_dir,
+    running,
+    wait_for,
+)
 from tests.support.setups import setup_of
 
 if TYPE_CHECKING:
@@ -33,9 +39,13 @@ if TYPE_CHECKING:
 
 
 def server(context: Context, folder: Path, **operations: Any) -> ControlServer:
-    setup = setup_of(run_dir=str(folder), name="n", kind="k", control=f"ipc://{folder}/n.ctl")
+    setup = setup_of(
+        run_dir=str(folder), name="n", kind="k", control=f"ipc://{folder}/n.ctl"
+    )
     node = Node(setup)
-    made = ControlServer(node, context, Links(context, node.events.log, node.events.deny))
+    made = ControlServer(
+        node, context, Links(context, node.events.log, node.events.deny)
+    )
     made._operations |= operations
     return made
 
@@ -51,7 +61,9 @@ def test_its_end_waits_for_nobody(context: Context, first: str) -> None:
             control._ending.set()
             control.join(DEADLINE)
         ended: list[bool] = []
-        stopping = threading.Thread(target=lambda: ended.append(control.stop()), daemon=True)
+        stopping = threading.Thread(
+            target=lambda: ended.append(control.stop()), daemon=True
+        )
         stopping.start()
         stopping.join(DEADLINE)
         assert ended == [True]
@@ -102,14 +114,23 @@ def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> No
         while time.monotonic() < begun + 1.0:
             line.call("clock")
             count += 1
-        assert count <= control_thread.BURST + control_thread.RATE * (time.monotonic() - begun) + 1
+        assert (
+            count
+            <= control_thread.BURST
+            + control_thread.RATE * (time.monotonic() - begun)
+            + 1
+        )
         # Another one takes its turn between two of the flood's.
-        assert "monotonic_s" in call(context, f"ipc://{folder}/n.ctl", "clock", timeout=DEADLINE)
+        assert "monotonic_s" in call(
+            context, f"ipc://{folder}/n.ctl", "clock", timeout=DEADLINE
+        )
         line.drop()
         assert control.stop()
 
 
-def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(context: Context) -> None:
+def test_half_a_request_of_one_who_is_gone_costs_nobody_an_answer(
+    context: Context,
+) -> None:
     """REP of libzmq loses the answer to the next request, of any client."""
     with private_runtime_dir() as folder:
         control = server(context, folder)
@@ -182,7 +203,9 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
             env={**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime)}, cwd=tmp_path, stderr=errors,
         )  # fmt: skip
         try:
-            publish, control = (f"tcp://127.0.0.1:{port + i}#{me.public}" for i in (0, 1))
+            publish, control = (
+                f"tcp://127.0.0.1:{port + i}#{me.public}" for i in (0, 1)
+            )
             setup = setup_of(
                 run="r-1",
                 name="environment",
@@ -190,7 +213,9 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
                 publish=publish,
                 control=control,
                 lease=2.0,
-                sources={"/device/state": f"tcp://127.0.0.1:{free_ports(1)}#{me.public}"},
+                sources={
+                    "/device/state": f"tcp://127.0.0.1:{free_ports(1)}#{me.public}"
+                },
                 by_hand=True,
                 patience=1.0,
             )
@@ -198,7 +223,13 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
                 lambda: b"waiting for its launcher" in (tmp_path / "err").read_bytes(),
                 "the node waits",
             )
-            call(context, control, "configure", timeout=DEADLINE, setup=msgspec.to_builtins(setup))
+            call(
+                context,
+                control,
+                "configure",
+                timeout=DEADLINE,
+                setup=msgspec.to_builtins(setup),
+            )
             clients: list[socket.socket] = []
 
             def keep_coming() -> bool:
@@ -207,7 +238,9 @@ def test_a_flooded_node_without_a_launcher_ends_by_its_lease(
                     client.setblocking(False)
                     clients.append(client)
                     with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                        client.connect(("127.0.0.1", int(split(place)[0].rpartition(":")[2])))
+                        client.connect(
+                            ("127.0.0.1", int(split(place)[0].rpartition(":")[2]))
+                        )
                 return node.poll() is not None
 
             wait_for(keep_coming, "the node ends by its lease")

@@ -14,7 +14,9 @@ def test_what_begins_has_not_stood_however_long_the_wait_before(
 ) -> None:
     """A driver that waited long for its start counted as hung in its first ticks."""
     clock = [0.0]
-    monkeypatch.setattr(hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(
+        hang_watchdog, "time", SimpleNamespace(monotonic=lambda: clock[0])
+    )
     watched = hang_watchdog.HangWatchdog()
     for clock[0] in (0.5, 1.0, 1.5, 20.0):
         stood = watched.check("waits for the start")

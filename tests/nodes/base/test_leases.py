@@ -35,7 +35,8 @@ def test_a_lease_that_somebody_holds_is_taken_by_nobody_else(
     asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch"}
     take(**asked, args={"law": "pd"})
     with pytest.raises(
-        ParameterError, match=r"coupling: lease 'borrowed' is held by another client; .* 5 s after"
+        ParameterError,
+        match=r"coupling: lease 'borrowed' is held by another client; .* 5 s after",
     ):
         take(**asked, args={"law": "trial"})
     # Not even one that has run out, before what was agreed is done.
@@ -53,7 +54,12 @@ def test_whoever_held_one_before_neither_renews_nor_ends_that_of_another() -> No
     """A delayed client continued with another's lease and restored its own law."""
     _, _, operations = leases_of()
     take, renew, end = (operations[name] for name in ("take", "renew", "end"))
-    asked = {"name": "borrowed", "seconds": 5.0, "then": "law.switch", "args": {"law": "pd"}}
+    asked = {
+        "name": "borrowed",
+        "seconds": 5.0,
+        "then": "law.switch",
+        "args": {"law": "pd"},
+    }
     take(**asked, holder="first")
     assert renew(names=["borrowed"], holder="first") == {"run_out": []}
     assert end(names=["borrowed"], holder="first") == {"run_out": []}
@@ -76,7 +82,12 @@ def test_a_change_is_made_under_its_own_lease_and_refused_under_none(
     refused = r"coupling: law.switch refused: its lease 'borrowed' has run out"
     with pytest.raises(ParameterError, match=refused):
         change(**wanted, holder="first")
-    agreed = {"name": "borrowed", "seconds": 5.0, "then": "law.switch", "args": {"law": "pd"}}
+    agreed = {
+        "name": "borrowed",
+        "seconds": 5.0,
+        "then": "law.switch",
+        "args": {"law": "pd"},
+    }
     take(**agreed, holder="first")
     change(**wanted, holder="first")
     assert done == [("law.switch", {"law": "trial"})]
@@ -112,8 +123,12 @@ def test_a_lease_outlives_the_process_of_its_node(
     assert operations["renew"](names=["ended", "borrowed"], holder="first") == {
         "run_out": ["ended"]
     }
-    assert operations["renew"](names=["borrowed"], holder="second") == {"run_out": ["borrowed"]}
-    operations["change"](name="borrowed", operation="param.set", args={}, holder="first")
+    assert operations["renew"](names=["borrowed"], holder="second") == {
+        "run_out": ["borrowed"]
+    }
+    operations["change"](
+        name="borrowed", operation="param.set", args={}, holder="first"
+    )
     assert done == [("param.set", {})]
     now = time.monotonic()
     monkeypatch.setattr("nodes.base.leases.time.monotonic", lambda: now + 6.0)

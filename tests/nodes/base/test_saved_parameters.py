@@ -19,7 +19,9 @@ from tests.support.setups import setup_of
 UNSTABLE = {"laws.pd.stiffness": 1e6}
 
 
-def started_again(node: type[Node], folder: Path, values: dict[str, Any], **given: Any) -> Any:
+def started_again(
+    node: type[Node], folder: Path, values: dict[str, Any], **given: Any
+) -> Any:
     """Start a node, change its parameters while it runs, and restart it."""
     setup = setup_of(run_dir=str(folder), **given)
     first = node(setup)
@@ -34,7 +36,12 @@ def started_again(node: type[Node], folder: Path, values: dict[str, Any], **give
 
 def coupling(**more: Any) -> dict[str, Any]:
     laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}
-    parameters = {"law": "pd", "laws": laws, "plant": {"mass": 0.1, "damping": 1.0}, **more}
+    parameters = {
+        "law": "pd",
+        "laws": laws,
+        "plant": {"mass": 0.1, "damping": 1.0},
+        **more,
+    }
     return {"name": "coupling", "kind": "coupling", "parameters": parameters}
 
 
@@ -45,7 +52,11 @@ def test_a_law_that_was_taken_by_force_renders_again(
     given = coupling(stability=policy)
     node = started_again(Coupling, tmp_path, UNSTABLE, **given)
     assert node.store.get("laws.pd.stiffness") == 1e6
-    why = "coupling.stability is warn" if policy == "warn" else "it was accepted before the restart"
+    why = (
+        "coupling.stability is warn"
+        if policy == "warn"
+        else "it was accepted before the restart"
+    )
     assert f"started anyway: {why}" in capsys.readouterr().err
     # A launch that begins so is refused as before.
     if policy != "warn":
@@ -54,8 +65,12 @@ def test_a_law_that_was_taken_by_force_renders_again(
             Coupling(setup_of(**coupling(stability=policy, laws=laws))).configure()
 
 
-def test_a_device_that_was_withdrawn_leaves_nobody_without_a_law(tmp_path: Path) -> None:
-    node = started_again(Coupling, tmp_path, {"plant": None}, **coupling(stability="refuse"))
+def test_a_device_that_was_withdrawn_leaves_nobody_without_a_law(
+    tmp_path: Path,
+) -> None:
+    node = started_again(
+        Coupling, tmp_path, {"plant": None}, **coupling(stability="refuse")
+    )
     assert node.store.current.plant is None
 
 
@@ -68,7 +83,9 @@ def test_a_guard_that_was_set_while_it_ran_can_be_taken_away(tmp_path: Path) -> 
     node.prepare(node.store.changed({"passivity": None}))(0)
     assert node.driving.guard_on == 0
     # The launch file's own stays.
-    own = SimDriver(setup_of(parameters={"device": {"mass": 0.1}, "passivity": {"guard": "on"}}))
+    own = SimDriver(
+        setup_of(parameters={"device": {"mass": 0.1}, "passivity": {"guard": "on"}})
+    )
     own.configure()
     with pytest.raises(ParameterError, match="the launch file's own guard is fixed"):
         own.prepare(own.store.changed({"passivity": None}))

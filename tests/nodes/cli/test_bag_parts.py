@@ -25,7 +25,12 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
     out = tmp_path / "part.mcap"
-    assert main(["bag", "cut", str(path), "--from", "0.2", "--to", "0.4", "--out", str(out)]) == 0
+    assert (
+        main(
+            ["bag", "cut", str(path), "--from", "0.2", "--to", "0.4", "--out", str(out)]
+        )
+        == 0
+    )
     part, whole = Recording(out), Recording(path)
     # 500 Hz: the ticks 100 to 200, both ends included.
     for topic in (DEVICE_STATE, PROXY, FORCE):
@@ -38,7 +43,10 @@ def test_a_cut_holds_the_while_and_no_more(path: Path, tmp_path: Path) -> None:
 def test_a_filter_takes_whole_names_and_patterns(path: Path, tmp_path: Path) -> None:
     def topics(*words: str) -> set[str]:
         out = tmp_path / "few.mcap"
-        assert main(["bag", "filter", str(path), "--out", str(out), "--force", *words]) == 0
+        assert (
+            main(["bag", "filter", str(path), "--out", str(out), "--force", *words])
+            == 0
+        )
         return set(Recording(out).topics)
 
     loop = {DEVICE_STATE, PROXY, FORCE}
@@ -85,10 +93,15 @@ def test_play_begins_later_and_under_other_names(
         f"{FORCE}:=/replayed/force",
         "--json",
     ]
-    assert main(["bag", "play", str(path), *words, "--endpoint", f"ipc://{tmp_path}/p"]) == 0
+    assert (
+        main(["bag", "play", str(path), *words, "--endpoint", f"ipc://{tmp_path}/p"])
+        == 0
+    )
     published = json.loads(capsys.readouterr().out.splitlines()[-1])["published"]
     assert FORCE not in published
-    assert published["/replayed/force"] == sum(time >= whole.first_stamp + half for time in times)
+    assert published["/replayed/force"] == sum(
+        time >= whole.first_stamp + half for time in times
+    )
 
 
 @pytest.fixture(scope="module")
@@ -122,13 +135,25 @@ def test_patterns_choose_what_is_recorded(wall: Running, tmp_path: Path) -> None
 def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
     # From 2.3 s on the hand rests before the wall, and the law gives nothing.
     wait_for(lambda: wall.ticks() > 1300, "the hand to rest")
-    words = ("topic", "pub", "/external/wrench", "{force: [0.25, 0, 0]}", "-r", "100", "-t", "300")
+    words = (
+        "topic",
+        "pub",
+        "/external/wrench",
+        "{force: [0.25, 0, 0]}",
+        "-r",
+        "100",
+        "-t",
+        "300",
+    )
     with start_command(
         *words, cwd=wall.folder, env=wall.environment, stdout=subprocess.DEVNULL
     ) as pushing:
         try:
             echo = ("topic", "echo", "/device/state", "--field", "force[0]")
-            wait_for(lambda: typed(wall, *echo, "--once").stdout.strip() == "0.25", "the force")
+            wait_for(
+                lambda: typed(wall, *echo, "--once").stdout.strip() == "0.25",
+                "the force",
+            )
         finally:
             pushing.kill()
     wait_for(
@@ -141,7 +166,9 @@ def test_a_force_from_outside_reaches_the_device(wall: Running) -> None:
 def test_what_cannot_be_published_is_refused(wall: Running) -> None:
     assert (
         "published 1"
-        in typed(wall, "topic", "pub", "/external/target", "[0.005, 0, 0]", "--once").stdout
+        in typed(
+            wall, "topic", "pub", "/external/target", "[0.005, 0, 0]", "--once"
+        ).stdout
     )
     for topic, why in (
         ("/device/state", "publishes one per tick"),
@@ -149,7 +176,10 @@ def test_what_cannot_be_published_is_refused(wall: Running) -> None:
     ):
         assert why in typed(wall, "topic", "pub", topic, "[0, 0, 0]", code=2).stderr
     assert (
-        "force" in typed(wall, "topic", "pub", "/external/wrench", "{force: [0, 0]}", code=2).stderr
+        "force"
+        in typed(
+            wall, "topic", "pub", "/external/wrench", "{force: [0, 0]}", code=2
+        ).stderr
     )
 
 

@@ -21,14 +21,18 @@ from tests.support.launching import haptic, private_runtime_dir, typed_in
 
 
 def examined(folder: Path, code: int, **environment: str) -> dict[str, Any]:
-    done = haptic(folder, "doctor", "--json", code=code, environment={**os.environ, **environment})
+    done = haptic(
+        folder, "doctor", "--json", code=code, environment={**os.environ, **environment}
+    )
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(tmp_path: Path) -> None:
+def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(
+    tmp_path: Path,
+) -> None:
     with private_runtime_dir() as runtime_dir:
         figures = examined(tmp_path, 0, HAPTIC_RUNTIME_DIR=str(runtime_dir))
     assert figures["fine"] is True
@@ -56,13 +60,17 @@ def test_this_machine_can_run_a_loop_and_each_remedy_belongs_to_a_finding(tmp_pa
     wake_up = figures["wake_up_us"]["normal"]
     assert 0.0 < wake_up["p50"] <= max(wake_up.values())
     granted = next(
-        check["state"] == "ok" for check in figures["checks"] if check["name"] == "SCHED_FIFO"
+        check["state"] == "ok"
+        for check in figures["checks"]
+        if check["name"] == "SCHED_FIFO"
     )
     assert ("fifo" in figures["wake_up_us"]) == granted
 
 
 @pytest.mark.parametrize("path", ["x" * 90, "file/below"])
-def test_a_runtime_directory_that_cannot_be_used_is_essential(tmp_path: Path, path: str) -> None:
+def test_a_runtime_directory_that_cannot_be_used_is_essential(
+    tmp_path: Path, path: str
+) -> None:
     with private_runtime_dir() as folder:
         (folder / "file").write_text("")
         environment = {"HAPTIC_RUNTIME_DIR": str(folder / path)}
@@ -74,7 +82,9 @@ def test_a_runtime_directory_that_cannot_be_used_is_essential(tmp_path: Path, pa
     assert "HAPTIC_RUNTIME_DIR" in missing["remedy"]
 
 
-def test_too_few_open_files_are_told_at_the_edge(capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_few_open_files_are_told_at_the_edge(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -100,7 +110,10 @@ def test_wake_ups_are_ordered() -> None:
     ("counts", "expected"), [((5, 900), 0), ((900, 5), 1), ((7, 7), 1), ((0, 1), 0)]
 )
 def test_the_chain_gets_the_processor_that_devices_interrupt_least(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, counts: tuple[int, int], expected: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    counts: tuple[int, int],
+    expected: int,
 ) -> None:
     # Timers and calls between processors do not count, and processor 2 is not ours.
     table = tmp_path / "interrupts"
@@ -139,12 +152,21 @@ def test_a_report_has_versions_machine_load_and_configuration_and_names_nobody(
     home = tmp_path / "somebody"
     (home / "keys" / "allowed").mkdir(parents=True)
     (home / "keys" / "allowed" / "a-friend.key").touch()
-    environment = {"HOME": str(home), "HAPTIC_KEYS": str(home / "keys"), "HAPTIC_COMPILE": "asked"}
+    environment = {
+        "HOME": str(home),
+        "HAPTIC_KEYS": str(home / "keys"),
+        "HAPTIC_COMPILE": "asked",
+    }
     with private_runtime_dir() as runtime_dir:
         environment["HAPTIC_RUNTIME_DIR"] = str(runtime_dir)
         done = typed_in(tmp_path, "doctor", "--report", code=0, environment=environment)
     said = done.stdout
-    for section in ("### Versions", "### Machine", "### Configuration", "### haptic doctor"):
+    for section in (
+        "### Versions",
+        "### Machine",
+        "### Configuration",
+        "### haptic doctor",
+    ):
         assert section in said
     for told in (
         f"- Python: CPython {platform.python_version()}",
@@ -157,7 +179,9 @@ def test_a_report_has_versions_machine_load_and_configuration_and_names_nobody(
         "- launches that run: none",
     ):
         assert told in said
-    assert re.search(r"- load over 1, 5 and 15 min: \d+\.\d\d, \d+\.\d\d, \d+\.\d\d$", said, re.M)
+    assert re.search(
+        r"- load over 1, 5 and 15 min: \d+\.\d\d, \d+\.\d\d, \d+\.\d\d$", said, re.M
+    )
     # Of the user's own limits, not of the processor that the wake-ups are measured on.
     assert f" {len(os.sched_getaffinity(0))} to be used" in said
     assert re.search(r"- haptic-nodes: \d+\.\d+\.\d+", said)

@@ -34,7 +34,13 @@ def test_a_backend_that_is_not_there_does_not_stop_a_plot(recording: Path) -> No
     out = recording.with_name("backend.png")
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
     haptic(
-        recording.parent, "bag", "plot", str(recording), "--out", str(out), environment=environment
+        recording.parent,
+        "bag",
+        "plot",
+        str(recording),
+        "--out",
+        str(out),
+        environment=environment,
     )
     assert out.stat().st_size > 10_000
 
@@ -68,7 +74,9 @@ nodes:
     assert "nodes.second.parameters.path" in told
 
 
-def test_a_tab_in_yaml_is_called_a_tab(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tab_in_yaml_is_called_a_tab(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "tab.yaml"
     path.write_text("summary: x\nnodes:\n\tdriver: {}\n", encoding="utf-8")
     assert main(["launch", str(path)]) == 2

@@ -61,7 +61,9 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 
 def told(launch: Running, *words: str, code: int = 0) -> Any:
-    return json.loads(typed(launch, *words, "--json", code=code).stdout.splitlines()[-1])
+    return json.loads(
+        typed(launch, *words, "--json", code=code).stdout.splitlines()[-1]
+    )
 
 
 # -- topic
@@ -70,8 +72,13 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 
 @pytest.mark.process
 def test_topic_options_of_ros2(launch: Running) -> None:
-    assert launch.haptic("topic", "echo", DEVICE_STATE, "--once").stdout.count("---") == 1
-    assert f"{FORCE} [haptic.Force]" in typed(launch, "topic", "list", "-t").stdout.splitlines()
+    assert (
+        launch.haptic("topic", "echo", DEVICE_STATE, "--once").stdout.count("---") == 1
+    )
+    assert (
+        f"{FORCE} [haptic.Force]"
+        in typed(launch, "topic", "list", "-t").stdout.splitlines()
+    )
     # Of 60 messages, the interval figures are those of the last 20.
     found = told(launch, "topic", "hz", DEVICE_STATE, "-w", "20", "-n", "60")
     assert found["messages"] == 20
@@ -82,13 +89,25 @@ def test_topic_options_of_ros2(launch: Running) -> None:
 
 
 @pytest.mark.process
-def test_a_topic_that_nobody_publishes_is_an_error(launch: Running, tmp_path: Path) -> None:
+def test_a_topic_that_nobody_publishes_is_an_error(
+    launch: Running, tmp_path: Path
+) -> None:
     out = tmp_path / "r.mcap"
     for topic, hint in (
         ("/nosuch", "there are /device/state"),
         ("/device/stat", "did you mean /device/state?"),
     ):
-        done = typed(launch, "bag", "record", topic, "--out", str(out), "--duration", "0.2", code=2)
+        done = typed(
+            launch,
+            "bag",
+            "record",
+            topic,
+            "--out",
+            str(out),
+            "--duration",
+            "0.2",
+            code=2,
+        )
         assert f"no topic '{topic}'" in done.stderr
         assert hint in done.stderr
         assert not out.exists()
@@ -116,7 +135,9 @@ def test_topics_are_whole_names(launch: Running, tmp_path: Path) -> None:
     assert "choose one" in typed(launch, "bag", "record", "-a", PROXY, code=2).stderr
 
 
-def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Path) -> None:
+def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(
+    tmp_path: Path,
+) -> None:
     scenario = tmp_path / "x.yaml"
     text = (Path(main.__file__).parents[2] / "launch" / "two_loggers.yaml").read_text(
         encoding="utf-8"
@@ -124,11 +145,14 @@ def test_a_launch_refuses_a_logger_of_topics_that_nothing_publishes(tmp_path: Pa
     assert "[/device/state, /environment/proxy" in text
     for wrong in ("/device", "/nobody/status"):
         scenario.write_text(
-            text.replace("[/device/state, ", f"[{wrong}, /device/state, "), encoding="utf-8"
+            text.replace("[/device/state, ", f"[{wrong}, /device/state, "),
+            encoding="utf-8",
         )
         with private_runtime_dir() as runtime:
             environment = {"HAPTIC_RUNTIME_DIR": str(runtime)}
-            done = typed_in(tmp_path, "launch", str(scenario), code=2, environment=environment)
+            done = typed_in(
+                tmp_path, "launch", str(scenario), code=2, environment=environment
+            )
         assert f"topics[0]: nothing publishes '{wrong}'" in done.stderr
 
 
@@ -176,7 +200,14 @@ def test_play_loops_until_it_is_ended(launch: Running, tmp_path: Path) -> None:
 @pytest.mark.process
 def test_param_describe(launch: Running) -> None:
     found = told(
-        launch, "param", "describe", "coupling", "laws.pd.stiffness", "memory", "stability", "plant"
+        launch,
+        "param",
+        "describe",
+        "coupling",
+        "laws.pd.stiffness",
+        "memory",
+        "stability",
+        "plant",
     )
     stiffness = found["parameters"]["laws.pd.stiffness"]
     assert stiffness["unit"] == "N/m"
@@ -187,7 +218,9 @@ def test_param_describe(launch: Running) -> None:
     )
     assert found["parameters"]["memory"]["limits"] == "at least 2, at most 1e+06"
     assert found["parameters"]["memory"]["default"] == 2048
-    assert found["parameters"]["stability"]["type"] == "one of changes, off, refuse, warn"
+    assert (
+        found["parameters"]["stability"]["type"] == "one of changes, off, refuse, warn"
+    )
     assert found["parameters"]["plant"]["type"] == "parameters or nothing"
     done = typed(launch, "param", "set", "coupling", "laws.pd.stiffness=900", code=2)
     assert "did you mean laws.pd.stiffness 900?" in done.stderr
@@ -216,11 +249,17 @@ def test_every_parameter_of_every_node_is_described(launch: Running) -> None:
 @pytest.mark.parametrize("name", ["laws.aside", "laws.preset", "plant", "laws", "law"])
 def test_a_branch_describes_what_is_below_it(name: str) -> None:
     laws = {"aside": {"kind": "pd", "stiffness": 900.0}, "preset": "paper_optimum"}
-    below = names_below(CouplingParameters, {"law": "pd", "laws": laws}, name, _struct_of)
+    below = names_below(
+        CouplingParameters, {"law": "pd", "laws": laws}, name, _struct_of
+    )
     fields = {
         "laws.aside": ["stiffness", "damping"],
-        "laws.preset": [field.encode_name for field in msgspec.structs.fields(MultiTerm)],
-        "plant": [field.encode_name for field in msgspec.structs.fields(PlantParameters)],
+        "laws.preset": [
+            field.encode_name for field in msgspec.structs.fields(MultiTerm)
+        ],
+        "plant": [
+            field.encode_name for field in msgspec.structs.fields(PlantParameters)
+        ],
         "laws": ["aside", "preset"],
         "law": [],
     }[name]
@@ -230,8 +269,14 @@ def test_a_branch_describes_what_is_below_it(name: str) -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--replay", "run.mcap", "--foxglove"], "haptic bag export run.mcap --format foxglove"),
-        (["--replay", "run.mcap", "--foxglove", "9000"], "--foxglove serves a running launch"),
+        (
+            ["--replay", "run.mcap", "--foxglove"],
+            "haptic bag export run.mcap --format foxglove",
+        ),
+        (
+            ["--replay", "run.mcap", "--foxglove", "9000"],
+            "--foxglove serves a running launch",
+        ),
     ],
 )
 def test_a_replay_refuses_what_it_would_not_serve(
@@ -282,7 +327,8 @@ def test_out_dir_takes_all_recordings_and_the_plot(tmp_path: Path) -> None:
     there = sorted(path.suffix for path in (tmp_path / "there" / "below").iterdir())
     assert there == [".mcap", ".mcap", ".png"]
     assert all(
-        path.startswith("there/below/") for path in [*figures["recordings"], figures["plot"]]
+        path.startswith("there/below/")
+        for path in [*figures["recordings"], figures["plot"]]
     )
 
 
@@ -374,12 +420,17 @@ def test_completion_knows_what_runs(launch: Running) -> None:
         (["stop", "--json", "floor"], launch.run.run),
         (["law", "switch", ""], "pd"),
     ):
-        assert found in typed(launch, "completion", "words", "--", *words).stdout.splitlines()
+        assert (
+            found
+            in typed(launch, "completion", "words", "--", *words).stdout.splitlines()
+        )
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_scripts_are_taken_by_their_shells(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_scripts_are_taken_by_their_shells(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main.main(["completion", shell]) == 0
     script = capsys.readouterr().out
     if shutil.which(shell) is None:
@@ -403,13 +454,18 @@ def test_scripts_are_taken_by_their_shells(shell: str, capsys: pytest.CaptureFix
 # ------------------------------------------------------------------------------------
 
 
-@given(st.integers(1, 200), st.dictionaries(st.sampled_from(ORDER), st.text(max_size=30)))
+@given(
+    st.integers(1, 200), st.dictionaries(st.sampled_from(ORDER), st.text(max_size=30))
+)
 def test_what_is_shown_fits(width: int, parts: dict[str, str]) -> None:
     shown = fitted(parts, width)
     assert len("  ".join(parts[name] for name in shown)) <= width
     assert shown == [name for name in ORDER if name in shown]
     # The first of those to keep that fits is there.
-    first = next((name for name in PRIORITY if parts.get(name) and len(parts[name]) <= width), None)
+    first = next(
+        (name for name in PRIORITY if parts.get(name) and len(parts[name]) <= width),
+        None,
+    )
     assert first is None or first in shown
 
 
@@ -418,7 +474,11 @@ def resize(terminal: int, columns: int) -> None:
 
 
 def on_terminal(
-    words: list[str], columns: int, environment: dict[str, str], folder: Path, narrow: int = 0
+    words: list[str],
+    columns: int,
+    environment: dict[str, str],
+    folder: Path,
+    narrow: int = 0,
 ) -> str:
     """Run a command with a terminal of some columns as standard error; return its output.
 
@@ -427,7 +487,11 @@ def on_terminal(
     ours, theirs = pty.openpty()
     resize(theirs, columns)
     with subprocess.Popen(
-        [*HAPTIC, *words], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=theirs
+        [*HAPTIC, *words],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
     ) as process:
         os.close(theirs)
         written = b""
@@ -449,7 +513,11 @@ def on_terminal(
 @pytest.mark.parametrize("columns", slowly([40, 120], but=[40]))
 def test_the_status_line_fits_its_terminal(tmp_path: Path, columns: int) -> None:
     with private_runtime_dir() as runtime:
-        environment = {**os.environ, "HAPTIC_RUNTIME_DIR": str(runtime), "TERM": "xterm"}
+        environment = {
+            **os.environ,
+            "HAPTIC_RUNTIME_DIR": str(runtime),
+            "TERM": "xterm",
+        }
         words = ["launch", "floor_drop", "duration:=2.4", "--no-plot"]
         written = on_terminal(
             words, columns, environment, tmp_path, narrow=40 if columns > 40 else 0
@@ -505,7 +573,13 @@ def test_nothing_is_coloured_in_a_pipe(launch: Running) -> None:
 
 def test_stop_of_what_is_gone(tmp_path: Path) -> None:
     with private_runtime_dir() as runtime:
-        typed_in(tmp_path, "stop", "x", code=2, environment={"HAPTIC_RUNTIME_DIR": str(runtime)})
+        typed_in(
+            tmp_path,
+            "stop",
+            "x",
+            code=2,
+            environment={"HAPTIC_RUNTIME_DIR": str(runtime)},
+        )
     wait_for(lambda: not list(tmp_path.iterdir()), "nothing written")
 
 
@@ -519,15 +593,20 @@ def test_stop_of_what_is_gone(tmp_path: Path) -> None:
 def test_linear_algebra_has_one_thread_unless_somebody_asks_for_more(
     asked: str | None, had: str
 ) -> None:
-    code = (
-        "import os, sys; sys.argv = ['haptic', '--version']\nfrom nodes.cli.command import main\n"
-    )
+    code = "import os, sys; sys.argv = ['haptic', '--version']\n"
+    code += "from nodes.cli.command import main\n"
     code += "try: main()\nexcept SystemExit: pass\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
     environment = {
-        name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"
+        name: value
+        for name, value in os.environ.items()
+        if name != "OPENBLAS_NUM_THREADS"
     }
     environment |= {} if asked is None else {"OPENBLAS_NUM_THREADS": asked}
     done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.splitlines()[-1] == had

@@ -19,7 +19,9 @@ from tests.support.shapes import box_triangles
 FIXTURES = ROOT / "tests/fixtures/begin"
 
 
-def described(capsys: pytest.CaptureFixture[str], *words: str, code: int = 0) -> dict[str, Any]:
+def described(
+    capsys: pytest.CaptureFixture[str], *words: str, code: int = 0
+) -> dict[str, Any]:
     assert main(["mesh", *words, "--json"]) == code
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
@@ -32,7 +34,9 @@ def write(path: Path, triangles: Any) -> Path:
     return path
 
 
-def test_a_file_of_another_program_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_of_another_program_is_described(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     found = described(capsys, str(FIXTURES / "two_cubes_one_inverted.obj"))
     assert (found["faces"], found["triangles"]) == ({"4": 12}, 24)
     assert (found["shells"], found["closed_shells"], found["cavities"]) == (2, 2, 0)
@@ -44,7 +48,9 @@ def test_a_file_of_another_program_is_described(capsys: pytest.CaptureFixture[st
     assert "1 of 2 shells pointed inwards and were flipped" in capsys.readouterr().out
 
 
-def test_at_a_given_scale_it_says_what_the_scene_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_at_a_given_scale_it_says_what_the_scene_says(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     found = described(capsys, str(FIXTURES / "bom.obj"), "--scale", "1")
     assert "60 m wide" in found["refusal"]
     assert not found["is_solid"]
@@ -103,9 +109,15 @@ def test_a_large_hole_is_left_and_the_exit_code_says_so(
     [
         (["none.stl"], "none.stl cannot be read: No such file"),
         (["a.3ds"], "neither an .stl, .obj, .ply nor .off file"),
-        (["bom.obj", "--close", "out.ply"], "expected a name that ends with .stl or .obj"),
+        (
+            ["bom.obj", "--close", "out.ply"],
+            "expected a name that ends with .stl or .obj",
+        ),
         (["bom.obj", "--close", "bom.obj"], "exists already; choose another name"),
-        (["bom.obj", "--close", "bom.obj/x.stl"], "is not a directory; choose another --close"),
+        (
+            ["bom.obj", "--close", "bom.obj/x.stl"],
+            "is not a directory; choose another --close",
+        ),
     ],
 )
 def test_a_wrong_command_is_refused(

@@ -27,17 +27,33 @@ COMMAND = Path(sys.executable).parent / "haptic"
 
 @pytest.mark.parametrize(
     "value",
-    ["!!int [1]", "!!bool x", "!!float x", "!!int {a: 1}", "!!seq x", "!!map x", "!!null [1]"],
+    [
+        "!!int [1]",
+        "!!bool x",
+        "!!float x",
+        "!!int {a: 1}",
+        "!!seq x",
+        "!!map x",
+        "!!null [1]",
+    ],
 )
-def test_tags_that_do_not_fit_are_refused_where_they_stand(value: str, tmp_path: Path) -> None:
-    (tmp_path / "given.yaml").write_text(f"coupling:\n  ramp: {value}\n", encoding="utf-8")
-    told = typed_in(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
+def test_tags_that_do_not_fit_are_refused_where_they_stand(
+    value: str, tmp_path: Path
+) -> None:
+    (tmp_path / "given.yaml").write_text(
+        f"coupling:\n  ramp: {value}\n", encoding="utf-8"
+    )
+    told = typed_in(
+        tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2
+    ).stderr
     assert "given.yaml" in told
     assert "Traceback" not in told
 
 
 def test_a_file_that_never_ends_is_not_read_to_its_end(tmp_path: Path) -> None:
-    told = typed_in(tmp_path, "launch", "floor_drop", "--params", "/dev/zero", code=2).stderr
+    told = typed_in(
+        tmp_path, "launch", "floor_drop", "--params", "/dev/zero", code=2
+    ).stderr
     assert told.startswith("haptic: /dev/zero: more than ")
 
 
@@ -84,7 +100,10 @@ def test_no_room_for_the_run_s_directory(tmp_path: Path) -> None:
 @pytest.mark.process
 @pytest.mark.parametrize(
     "more",
-    [{"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, {"PYTHONOPTIMIZE": "2"}],
+    [
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        {"PYTHONOPTIMIZE": "2"},
+    ],
 )
 def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
     with private_runtime_dir() as runtime_dir:
@@ -94,23 +113,32 @@ def test_odd_interpreters(more: dict[str, str], tmp_path: Path) -> None:
         assert "response  p50" in done.stdout
         assert "Traceback" not in done.stderr
         assert (
-            "usage: haptic" in haptic(tmp_path, "launch", "--help", environment=environment).stdout
+            "usage: haptic"
+            in haptic(tmp_path, "launch", "--help", environment=environment).stdout
         )
         haptic(tmp_path, "study", "kmax", "--gain", "3", environment=environment)
 
 
-def test_a_place_that_cannot_be_written_to_is_told_before_the_work(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_to_is_told_before_the_work(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "notes").write_text("", encoding="utf-8")
     for out in ("notes/deeper", "/proc/nothing"):
-        told = typed_in(tmp_path, "study", "kmax", "--gain", "1..5", "--out", out, code=2)
+        told = typed_in(
+            tmp_path, "study", "kmax", "--gain", "1..5", "--out", out, code=2
+        )
         assert told.stderr.startswith(f"haptic: {out}: ")
         assert "choose another --out" in told.stderr
         assert told.stdout == ""
 
 
-def test_a_launch_that_could_not_record_is_refused_before_it_starts(tmp_path: Path) -> None:
+def test_a_launch_that_could_not_record_is_refused_before_it_starts(
+    tmp_path: Path,
+) -> None:
     told = typed_in(Path("/proc"), "launch", "floor_drop", code=2)
-    assert told.stderr.startswith("haptic: recordings/{run}.mcap: /proc cannot be written to: ")
+    assert told.stderr.startswith(
+        "haptic: recordings/{run}.mcap: /proc cannot be written to: "
+    )
     assert "choose another --out-dir" in told.stderr
     (tmp_path / "recordings").write_text("", encoding="utf-8")
     told = typed_in(tmp_path, "launch", "floor_drop", code=2)
@@ -152,7 +180,11 @@ def test_an_interrupt_while_the_plot_is_drawn_keeps_the_summary(tmp_path: Path) 
         os.close(*writers)
         out, told = process.communicate(timeout=DEADLINE)
     figures = json.loads(out.splitlines()[-1])
-    assert (process.returncode, figures["ticks"], figures["exit_reason"]) == (0, 1500, "done")
+    assert (process.returncode, figures["ticks"], figures["exit_reason"]) == (
+        0,
+        1500,
+        "done",
+    )
     assert figures["plot"] is None
     assert "no plot: interrupted; haptic bag plot recordings/" in told
     assert "Traceback" not in told
@@ -168,7 +200,9 @@ def catches_interrupts(pid: int) -> bool:
 @pytest.mark.process
 @pytest.mark.smoke("0.1")
 @pytest.mark.parametrize("later", [0.0, 0.05, 0.1, 0.2])
-def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: Path) -> None:
+def test_an_interrupt_while_the_command_starts_is_quiet(
+    later: float, tmp_path: Path
+) -> None:
     with private_runtime_dir() as runtime_dir:
         process = subprocess.Popen(
             [COMMAND, "launch", "floor_drop", "duration:=600"],
@@ -215,12 +249,18 @@ def test_an_interrupt_while_the_command_starts_is_quiet(later: float, tmp_path: 
             ("lab", "coverage", "--seed", "-1"),
             "argument --seed: -1: must be between 0 and 4294967295",
         ),
-        (("study", "guard", "--points", "1e3"), "argument --points: '1e3' is not a whole number"),
+        (
+            ("study", "guard", "--points", "1e3"),
+            "argument --points: '1e3' is not a whole number",
+        ),
         (
             ("lab", "price", "--frequency", "1e300"),
             "argument --frequency: 1e300: must be between 1e-12 and 1e+12",
         ),
-        (("bench", "ros2", "--rounds", "0"), "argument --rounds: 0: must be between 1 and 10000"),
+        (
+            ("bench", "ros2", "--rounds", "0"),
+            "argument --rounds: 0: must be between 1 and 10000",
+        ),
         (
             ("bag", "play", "none.mcap", "--rate", "5e-324"),
             "argument --rate/-r: 5e-324: must be between 1e-12 and 1e+12",
@@ -239,9 +279,15 @@ def test_numbers_and_words_that_fit_nothing_are_refused(
     assert "Traceback" not in refused
 
 
-@pytest.mark.parametrize("kept", [b'{"identified": ', b'{"identified": {}}', b"[1]", b"\xff"])
-def test_a_tuning_that_was_cut_is_refused_with_its_file(kept: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "kept", [b'{"identified": ', b'{"identified": {}}', b"[1]", b"\xff"]
+)
+def test_a_tuning_that_was_cut_is_refused_with_its_file(
+    kept: bytes, tmp_path: Path
+) -> None:
     (tmp_path / "tuning").mkdir()
     (tmp_path / "tuning" / "tune.json").write_bytes(kept)
     refused = typed_in(tmp_path, "tune", "--steps", "design", code=2).stderr
-    assert refused.startswith("haptic: tuning/tune.json: is not what haptic tune wrote (")
+    assert refused.startswith(
+        "haptic: tuning/tune.json: is not what haptic tune wrote ("
+    )

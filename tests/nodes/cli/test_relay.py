@@ -31,7 +31,9 @@ def plotjuggler(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
 
 
 @contextlib.contextmanager
-def relaying(environment: Mapping[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
+def relaying(
+    environment: Mapping[str, str], *words: str
+) -> Iterator[subprocess.Popen[str]]:
     """Run a relay beside the block, and end it in any case."""
     with subprocess.Popen(
         [*HAPTIC, "relay", *words, "--json"],
@@ -85,17 +87,24 @@ def take(socket: zmq.Socket[bytes], series: Series) -> str:
 
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    with running(tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0") as found:
+    with running(
+        tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0"
+    ) as found:
         yield found
 
 
 @pytest.mark.process
-def test_plotjuggler_sees_every_topic_at_one_address(launch: Running, tmp_path: Path) -> None:
+def test_plotjuggler_sees_every_topic_at_one_address(
+    launch: Running, tmp_path: Path
+) -> None:
     # A port of its own would be taken from other tests; what PlotJuggler does with it is the same.
     endpoint = f"ipc://{tmp_path}/r"
     series: Series = {}
     seen: set[str] = set()
-    with relaying(launch.environment, endpoint) as relay, plotjuggler(endpoint) as socket:
+    with (
+        relaying(launch.environment, endpoint) as relay,
+        plotjuggler(endpoint) as socket,
+    ):
         while not {DEVICE_STATE, PROXY, FORCE, "/driver/status"} <= seen:
             seen.add(take(socket, series))
         answered = end(relay)
@@ -146,6 +155,12 @@ def test_what_is_refused(launch: Running, capsys: pytest.CaptureFixture[str]) ->
     assert main.main(["relay", "tcp://0.0.0.0:9872"]) == 2
     assert "a relay serves this machine only" in capsys.readouterr().err
     done = typed(
-        launch, "relay", f"ipc://{launch.folder}/q", "--once", "--topics", "/device/stat", code=2
+        launch,
+        "relay",
+        f"ipc://{launch.folder}/q",
+        "--once",
+        "--topics",
+        "/device/stat",
+        code=2,
     )
     assert "did you mean /device/state?" in done.stderr

@@ -46,13 +46,18 @@ SLACK = 0.5
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     with running(
-        tmp_path_factory.mktemp("launch"), "floor_drop", "duration:=0", f"rate:={RATE:g}"
+        tmp_path_factory.mktemp("launch"),
+        "floor_drop",
+        "duration:=0",
+        f"rate:={RATE:g}",
     ) as found:
         yield found
 
 
 def told(launch: Running, *words: str, code: int = 0) -> Any:
-    return json.loads(typed(launch, *words, "--json", code=code).stdout.splitlines()[-1])
+    return json.loads(
+        typed(launch, *words, "--json", code=code).stdout.splitlines()[-1]
+    )
 
 
 # -- list, info, echo
@@ -64,10 +69,19 @@ def told(launch: Running, *words: str, code: int = 0) -> Any:
 def test_list(launch: Running) -> None:
     found = told(launch, "topic", "list")
     assert found["run"] == launch.run.run
-    loop = {DEVICE_STATE: "driver", PROXY: "environment", FORCE: "coupling", RECEIPT: "coupling"}
+    loop = {
+        DEVICE_STATE: "driver",
+        PROXY: "environment",
+        FORCE: "coupling",
+        RECEIPT: "coupling",
+    }
     nodes = ("driver", "environment", "coupling", "logger")
-    expected = loop | {f"/{node}/{kind}": node for node in nodes for kind in ("status", "event")}
-    assert {topic: entry["node"] for topic, entry in found["topics"].items()} == expected
+    expected = loop | {
+        f"/{node}/{kind}": node for node in nodes for kind in ("status", "event")
+    }
+    assert {
+        topic: entry["node"] for topic, entry in found["topics"].items()
+    } == expected
     assert found["topics"][DEVICE_STATE]["type"] == "DeviceState"
     text = typed(launch, "topic", "list").stdout
     assert [line.split()[0] for line in text.splitlines()] == list(found["topics"])
@@ -77,7 +91,11 @@ def test_list(launch: Running) -> None:
 @pytest.mark.smoke
 def test_info(launch: Running) -> None:
     found = told(launch, "topic", "info", FORCE)
-    assert (found["type"], found["node"], found["per_tick"]) == ("Force", "coupling", True)
+    assert (found["type"], found["node"], found["per_tick"]) == (
+        "Force",
+        "coupling",
+        True,
+    )
     assert found["endpoint"] == launch.run.nodes["coupling"].listen
     assert "[N]" in found["schema"]["properties"]["force"]["description"]
     assert "published by coupling" in typed(launch, "topic", "info", FORCE).stdout
@@ -86,7 +104,9 @@ def test_info(launch: Running) -> None:
 @pytest.mark.process
 @pytest.mark.smoke
 def test_echo(launch: Running) -> None:
-    lines = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "5", "--json").stdout.splitlines()
+    lines = typed(
+        launch, "topic", "echo", DEVICE_STATE, "-n", "5", "--json"
+    ).stdout.splitlines()
     states = [json.loads(line) for line in lines]
     seqs = [state["seq"] for state in states]
     assert seqs == sorted(set(seqs))
@@ -97,8 +117,13 @@ def test_echo(launch: Running) -> None:
     words = ("topic", "echo", DEVICE_STATE, "-n", "1", "--field", "position[2]")
     # Between where the drop began and the deepest a spring of 1000 N/m lets it; while the other
     # nodes are kept from a busy machine's processors it falls through, and comes back.
-    wait_for(lambda: -0.01 < float(typed(launch, *words).stdout) <= 0.01, "the floor holds it")
-    done = typed(launch, "topic", "echo", DEVICE_STATE, "-n", "1", "--field", "speed", code=2)
+    wait_for(
+        lambda: -0.01 < float(typed(launch, *words).stdout) <= 0.01,
+        "the floor holds it",
+    )
+    done = typed(
+        launch, "topic", "echo", DEVICE_STATE, "-n", "1", "--field", "speed", code=2
+    )
     assert "--field speed: no such field; there are seq, stamp, position" in done.stderr
 
 
@@ -129,7 +154,12 @@ def test_bw(launch: Running) -> None:
     # seq and revision are the only numbers of the message that MessagePack shortens, to 1 byte from
     # at most 9.
     whole = encode(Force(seq=0, stamp=1.5, force=(0.5, 0.5, 0.5), law="pd", revision=0))
-    assert len(FORCE) + len(whole) <= size["min"] <= size["max"] <= len(FORCE) + len(whole) + 16
+    assert (
+        len(FORCE) + len(whole)
+        <= size["min"]
+        <= size["max"]
+        <= len(FORCE) + len(whole) + 16
+    )
 
 
 @pytest.mark.process
@@ -150,8 +180,14 @@ def test_duration_ends_the_listening(launch: Running) -> None:
 
 @pytest.mark.process
 def test_a_silent_topic_is_told_by_the_exit_code(launch: Running) -> None:
-    assert told(launch, "topic", "hz", RECEIPT, "--duration", "0.2", code=1)["messages"] == 0
-    assert typed(launch, "topic", "echo", RECEIPT, "--duration", "0.2", code=1).stdout == ""
+    assert (
+        told(launch, "topic", "hz", RECEIPT, "--duration", "0.2", code=1)["messages"]
+        == 0
+    )
+    assert (
+        typed(launch, "topic", "echo", RECEIPT, "--duration", "0.2", code=1).stdout
+        == ""
+    )
 
 
 @pytest.mark.process
@@ -178,7 +214,10 @@ def test_a_signal_prints_the_figures_so_far(launch: Running, number: int) -> Non
 def test_unknown_topics(launch: Running, verb: str) -> None:
     done = typed(launch, "topic", verb, "/device/stat", code=2)
     assert "no topic '/device/stat'; did you mean /device/state?" in done.stderr
-    assert "there are /device/state, " in typed(launch, "topic", verb, "zzz", code=2).stderr
+    assert (
+        "there are /device/state, "
+        in typed(launch, "topic", verb, "zzz", code=2).stderr
+    )
 
 
 def test_no_launch_no_topics(
@@ -206,7 +245,12 @@ def test_lockstep_has_no_delay(
         )
         write_run(
             path,
-            RunInfo(run="quick", scenario="quick", launcher=os.getpid(), nodes={"driver": driver}),
+            RunInfo(
+                run="quick",
+                scenario="quick",
+                launcher=os.getpid(),
+                nodes={"driver": driver},
+            ),
         )
         assert main.main(["topic", "delay", DEVICE_STATE]) == 2
     assert "in lockstep stamps are simulated time" in capsys.readouterr().err
@@ -222,7 +266,9 @@ def test_spread_is_that_of_the_statistics_module(values: list[float]) -> None:
     largest = max(map(abs, values))
     assert spread.count == len(values)
     assert (spread.low, spread.high) == (min(values), max(values))
-    assert spread.mean == pytest.approx(statistics.fmean(values), abs=1e-14 * len(values) * largest)
+    assert spread.mean == pytest.approx(
+        statistics.fmean(values), abs=1e-14 * len(values) * largest
+    )
     assert spread.deviation**2 == pytest.approx(
         statistics.pvariance(values), abs=1e-14 * len(values) * largest**2
     )
@@ -246,8 +292,21 @@ def test_record_for_a_while(launch: Running) -> None:
     # It came late, and from then on has everything.
     assert recording.topics[DEVICE_STATE].first_seq > 0
     assert {DEVICE_STATE, PROXY, FORCE, "/driver/status"} <= set(recording.topics)
-    assert "already exists" in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
-    told(launch, "bag", "record", FORCE, "--duration", "0.3", "--out", str(path), "--force")
+    assert (
+        "already exists"
+        in typed(launch, "bag", "record", "--out", str(path), code=2).stderr
+    )
+    told(
+        launch,
+        "bag",
+        "record",
+        FORCE,
+        "--duration",
+        "0.3",
+        "--out",
+        str(path),
+        "--force",
+    )
     assert list(Recording(path).topics) == [FORCE]
 
 
@@ -255,7 +314,9 @@ def test_record_for_a_while(launch: Running) -> None:
 def test_the_duration_begins_with_the_first_message(tmp_path: Path) -> None:
     """If connecting took longer than the duration, nothing was recorded."""
     path = tmp_path / "late.mcap"
-    with running(tmp_path, "floor_drop", "duration:=0", "--without", "logger") as launch:
+    with running(
+        tmp_path, "floor_drop", "duration:=0", "--without", "logger"
+    ) as launch:
         launch.wait_ticks(10)
         nodes = [launch.pid(name) for name in ("driver", "environment", "coupling")]
         for pid in nodes:
@@ -285,7 +346,8 @@ def recording_into(launch: Running, path: Path) -> Iterator[subprocess.Popen[str
     ) as process:
         try:
             wait_for(
-                lambda: path.exists() and path.stat().st_size and ticks_in(path), "the first flush"
+                lambda: path.exists() and path.stat().st_size and ticks_in(path),
+                "the first flush",
             )
             yield process
         finally:
@@ -294,7 +356,11 @@ def recording_into(launch: Running, path: Path) -> Iterator[subprocess.Popen[str
 
 def ticks_in(path: Path) -> int:
     recording = Recording(path)
-    return recording.topics[DEVICE_STATE].messages if DEVICE_STATE in recording.topics else 0
+    return (
+        recording.topics[DEVICE_STATE].messages
+        if DEVICE_STATE in recording.topics
+        else 0
+    )
 
 
 @pytest.mark.process
@@ -307,11 +373,15 @@ def test_record_until_a_signal(launch: Running, number: int) -> None:
     assert process.returncode == 0
     recording = Recording(path)
     assert recording.complete
-    assert json.loads(out)["messages"] == sum(topic.messages for topic in recording.topics.values())
+    assert json.loads(out)["messages"] == sum(
+        topic.messages for topic in recording.topics.values()
+    )
 
 
 @pytest.mark.process
-def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: Running) -> None:
+def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(
+    launch: Running,
+) -> None:
     """Once it announces Ctrl-C, it obeys. Its output pipe is full here, so it blocks there."""
     path = launch.folder / "begun.mcap"
     reading, writing = full_pipe()
@@ -328,7 +398,9 @@ def test_who_ends_a_recorder_that_only_begins_gets_a_complete_recording(launch: 
             process.send_signal(signal.SIGINT)
             # Until it has room.
             threading.Thread(
-                target=lambda: [None for _ in iter(lambda: os.read(reading, 65536), b"")]
+                target=lambda: [
+                    None for _ in iter(lambda: os.read(reading, 65536), b"")
+                ]
             ).start()
             out, _ = process.communicate(timeout=30)
         finally:
@@ -355,7 +427,9 @@ def test_a_killed_recorder_loses_at_most_half_a_second(launch: Running) -> None:
     assert saved["recovered"] is True
     whole = Recording(saved["out"])
     assert whole.complete
-    assert {topic: figures.messages for topic, figures in whole.topics.items()} == saved["messages"]
+    assert {
+        topic: figures.messages for topic, figures in whole.topics.items()
+    } == saved["messages"]
     assert saved["messages"][DEVICE_STATE] == cut.topics[DEVICE_STATE].messages
 
 
@@ -369,7 +443,10 @@ def test_a_full_disk_ends_the_logger_and_not_the_loop(tmp_path: Path) -> None:
         'mount -t tmpfs -o size=64k tmpfs "$0" && exec "$@"',
         str(tmp_path),
     ]
-    if subprocess.run([*mount, "true"], capture_output=True, check=False).returncode != 0:
+    if (
+        subprocess.run([*mount, "true"], capture_output=True, check=False).returncode
+        != 0
+    ):
         pytest.skip("mounting a small tmpfs in a private namespace needs root")
     script = """
         cd "$0"
@@ -386,7 +463,8 @@ def test_a_full_disk_ends_the_logger_and_not_the_loop(tmp_path: Path) -> None:
         )
     assert "Traceback" not in done.stderr
     assert re.search(
-        r"\[logger\] recording: .*: No space left on device after \d+ bytes", done.stderr
+        r"\[logger\] recording: .*: No space left on device after \d+ bytes",
+        done.stderr,
     )
     figures, info = map(json.loads, done.stdout.splitlines())
     assert figures["ticks"] == 3000

@@ -22,7 +22,9 @@ from nodes.compiled.library import obtain
 from nodes.compiled.message_fields import NotCompilableError
 
 TINY = "tests.support.tiny_kernel"
-SOURCES = {"nodes/arithmetic.py": cache.source_of(cache.ROOT / "nodes" / "arithmetic.py")}
+SOURCES = {
+    "nodes/arithmetic.py": cache.source_of(cache.ROOT / "nodes" / "arithmetic.py")
+}
 ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
 needs_root = pytest.mark.skipif(
     os.getuid() != 0, reason="only root can give a file to another user"
@@ -80,7 +82,9 @@ def _pipe(path: Path) -> None:
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("steps", range(4), ids=["entry", "folder", "haptic-nodes", "base"])
+@pytest.mark.parametrize(
+    "steps", range(4), ids=["entry", "folder", "haptic-nodes", "base"]
+)
 @pytest.mark.parametrize(
     "spoil",
     [_open_to_others, pytest.param(_of_another_user, marks=needs_root), _link],
@@ -95,7 +99,8 @@ def test_nothing_is_loaded_that_somebody_else_could_have_written(
         assert obtain(TINY)(41) == 42
         return
     with pytest.raises(
-        NotCompilableError, match=r"remove it|may write there|Too many levels|Not a directory"
+        NotCompilableError,
+        match=r"remove it|may write there|Too many levels|Not a directory",
     ):
         obtain(TINY)
     told: list[str] = []
@@ -232,9 +237,14 @@ def test_sources_are_those_that_are_loaded() -> None:
         " cache;print(*{m.__file__ for n, m in sys.modules.items() if n.split('.')[0] in"
         " ('messages', 'nodes', 'sim')})"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     loaded = {str(Path(file).relative_to(cache.ROOT)) for file in done.stdout.split()}
-    assert loaded <= {*cache.sources_of("sim.lab.monte_carlo.virtual"), "nodes/compiled/cache.py"}
+    assert loaded <= {
+        *cache.sources_of("sim.lab.monte_carlo.virtual"),
+        "nodes/compiled/cache.py",
+    }
 
 
 class Evil:
@@ -255,12 +265,18 @@ print(compiled()(fir)((2.0, 1.0), (1.0, 3.0), 0))
 def scene(folder: Path) -> subprocess.CompletedProcess[str]:
     """Compile a function of the one-process loop in a separate process."""
     return subprocess.run(
-        [sys.executable, "-c", SCENE], capture_output=True, text=True, check=False, cwd=folder
+        [sys.executable, "-c", SCENE],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
     )
 
 
 @pytest.mark.slow
-def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: Path) -> None:
+def test_the_one_process_loop_reads_no_pickle_of_others(
+    place: Path, tmp_path: Path
+) -> None:
     first = scene(tmp_path)
     assert first.stdout == "5.0\n", first.stderr
     (entry,) = place.glob("nodes.arithmetic.*.numba")
@@ -270,7 +286,11 @@ def test_the_one_process_loop_reads_no_pickle_of_others(place: Path, tmp_path: P
     assert scene(tmp_path).stdout == "5.0\n"
     healed = cache.read(entry.name)
     assert healed is not None
-    cache.write(entry.name, cache.CacheEntry(kind="numba", content=pickle.dumps(Evil())), SOURCES)
+    cache.write(
+        entry.name,
+        cache.CacheEntry(kind="numba", content=pickle.dumps(Evil())),
+        SOURCES,
+    )
     entry.chmod(0o666)
     done = scene(tmp_path)
     assert done.stdout == "5.0\n"
@@ -307,7 +327,9 @@ def test_two_that_compile_at_once_do_no_harm(kept: Path) -> None:
     assert sorted(path.name for path in kept.parent.iterdir()) == [seconds, kept.name]
 
 
-def test_who_waited_for_an_entry_finds_it(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_waited_for_an_entry_finds_it(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     waits, locked = threading.Event(), cache._locked
 
     def tried(at: int, lock: str) -> int | None:

@@ -58,11 +58,14 @@ def test_a_compilation_that_failed_is_said_at_every_rate_and_by_the_doctor(
     found = CHECKS["compiled tick"]()
     assert found.state == "limited"
     assert (
-        f"cannot be compiled here: {KERNEL}: no such type; auto uses the plain tick" in found.found
+        f"cannot be compiled here: {KERNEL}: no such type; auto uses the plain tick"
+        in found.found
     )
 
 
-def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(empty_cache: Path) -> None:
+def test_a_folder_in_the_place_of_an_entry_lets_the_plain_tick_run(
+    empty_cache: Path,
+) -> None:
     """A folder in place of a file ended every launch."""
     cache.write(f"{KERNEL}.tick", cache.CacheEntry(kind="so", content=b""), {})
     entry = cache.folder() / f"{KERNEL}.tick"
@@ -83,7 +86,9 @@ def test_what_cannot_be_compiled_is_said_and_the_plain_tick_runs(
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     told: list[str] = []
     assert choose("compiled", [KERNEL], told.append) == "plain"
-    assert "compiling 1 kernel, once for this version: about 10 s (an estimate" in told[0]
+    assert (
+        "compiling 1 kernel, once for this version: about 10 s (an estimate" in told[0]
+    )
     assert KERNEL in told[1]
     # A node, on another machine too, loads what is there and never compiles.
     with pytest.raises(
@@ -109,7 +114,9 @@ def test_the_message_says_what_compiling_took_here_last_time(empty_cache: Path) 
     seconds, is_measured = expected_seconds([TINY])
     assert is_measured
     assert 0.0 < seconds < 10.0
-    cache.write(f"{TINY}.seconds", cache.CacheEntry(kind="seconds", content=b"77.0"), {})
+    cache.write(
+        f"{TINY}.seconds", cache.CacheEntry(kind="seconds", content=b"77.0"), {}
+    )
     (cache.folder() / f"{TINY}.tick").unlink()
     assert choose("compiled", [TINY], told.append) == "compiled"
     assert (
@@ -220,7 +227,8 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(
         figures = launch.finish()
         # It forks one for each kernel that it compiles just now.
         (process, line), *_ = sorted(
-            background(empty_cache).items(), key=lambda found: os.getpgid(found[0]) != found[0]
+            background(empty_cache).items(),
+            key=lambda found: os.getpgid(found[0]) != found[0],
         )
         try:
             assert {*line.split()[-4:]} == {
@@ -229,7 +237,10 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(
                 "nodes.coupling.kernel",
                 "sim.device.kernel",
             }
-            wait_for(lambda: os.sched_getscheduler(process) == os.SCHED_IDLE, "it steps aside")
+            wait_for(
+                lambda: os.sched_getscheduler(process) == os.SCHED_IDLE,
+                "it steps aside",
+            )
             assert os.getpriority(os.PRIO_PROCESS, process) == 19
             assert os.getsid(process) == process
         finally:
@@ -240,4 +251,6 @@ def test_a_launch_says_which_tick_ran_and_has_the_other_made(
         "environment": "plain",
         "coupling": "plain",
     }
-    assert (tmp_path / "stderr.txt").read_text(encoding="utf-8").count("for the next launch") == 1
+    assert (tmp_path / "stderr.txt").read_text(encoding="utf-8").count(
+        "for the next launch"
+    ) == 1

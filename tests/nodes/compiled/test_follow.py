@@ -25,7 +25,12 @@ from tests.support.setups import setup_of
 # One of taps alone, one with a recursive section, which sees what is bridged too.
 LAWS = {
     "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
-    "pd_filtered": {"kind": "pd_filtered", "stiffness": 500.0, "damping": 3.0, "cutoff": 60.0},
+    "pd_filtered": {
+        "kind": "pd_filtered",
+        "stiffness": 500.0,
+        "damping": 3.0,
+        "cutoff": 60.0,
+    },
     "stiff": {"kind": "pd", "stiffness": 800.0, "damping": 3.0},
 }
 MEMORY = 64
@@ -84,9 +89,13 @@ def answered(
     load_kernel(node)
     node.configure()
     proxies, node.publisher = Publisher(context, source), Publisher(context, sink)
-    node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
+    node.connect(
+        lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue)
+    )
     inbox = Subscription(context, [sink], [topics.FORCE])
-    wait_for(lambda: proxies.listeners() and node.publisher.listeners(), "both subscriptions")
+    wait_for(
+        lambda: proxies.listeners() and node.publisher.listeners(), "both subscriptions"
+    )
     forces: list[Force] = []
 
     def force_of(seq: int) -> Force:
@@ -117,7 +126,9 @@ def answered(
     return forces, node
 
 
-def one_by_one(ticks: Sequence[int]) -> Callable[[Publisher, Callable[[int], Force]], None]:
+def one_by_one(
+    ticks: Sequence[int],
+) -> Callable[[Publisher, Callable[[int], Force]], None]:
     def feed(proxies: Publisher, force_of: Callable[[int], Force]) -> None:
         for seq in ticks:
             proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, 0.002 * seq)))
@@ -127,7 +138,9 @@ def one_by_one(ticks: Sequence[int]) -> Callable[[Publisher, Callable[[int], For
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_ticks_left_out_are_bridged_with_the_same_bits(tmp_path: Path, law: str) -> None:
+def test_ticks_left_out_are_bridged_with_the_same_bits(
+    tmp_path: Path, law: str
+) -> None:
     # Gaps of 1, 5, almost as long as the memory, and one beyond it.
     ticks, at = list(range(20)), 19
     for missing in (1, 5, MEMORY - 2, MEMORY - 1, 3 * MEMORY):
@@ -147,15 +160,21 @@ def test_ticks_left_out_are_bridged_with_the_same_bits(tmp_path: Path, law: str)
 
 
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
-def test_of_messages_that_are_too_late_the_newest_is_answered(tmp_path: Path, tick: str) -> None:
+def test_of_messages_that_are_too_late_the_newest_is_answered(
+    tmp_path: Path, tick: str
+) -> None:
     late = 7
 
     def feed(proxies: Publisher, force_of: Callable[[int], Force]) -> None:
         # In time until here: a minute ahead is not late, whatever the machine does.
-        proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(0, time.monotonic() + 60.0)))
+        proxies.send_hop(
+            topics.PROXY.encode(), encode(proxy_of(0, time.monotonic() + 60.0))
+        )
         force_of(0)
         for seq in range(1, late + 1):
-            proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, time.monotonic() - 60.0)))
+            proxies.send_hop(
+                topics.PROXY.encode(), encode(proxy_of(seq, time.monotonic() - 60.0))
+            )
         force_of(late)
 
     forces, node = answered(tmp_path, tick, "pd", "realtime", feed)
@@ -180,14 +199,21 @@ def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
 
     def feed(proxies: Publisher, force_of: Callable[[int], Force]) -> None:
         topic = topics.PROXY.encode()
-        sizes = {2: MAX_PAYLOAD, 3: MAX_PAYLOAD + 1, 5: MAX_PAYLOAD + 64, 7: MAX_PAYLOAD + 65}
+        sizes = {
+            2: MAX_PAYLOAD,
+            3: MAX_PAYLOAD + 1,
+            5: MAX_PAYLOAD + 64,
+            7: MAX_PAYLOAD + 65,
+        }
         for seq in range(20):
             if seq in (9, 10, 12):
                 # A message of one frame, twice in a row, and once alone.
                 proxies._hop(topic)
             proxies.send_hop(
                 topic,
-                padded(seq, sizes[seq]) if seq in sizes else encode(proxy_of(seq, 0.002 * seq)),
+                padded(seq, sizes[seq])
+                if seq in sizes
+                else encode(proxy_of(seq, 0.002 * seq)),
             )
             if sizes.get(seq, 0) <= MAX_PAYLOAD:
                 force_of(seq)
@@ -195,7 +221,9 @@ def test_both_ticks_take_and_refuse_the_same(tmp_path: Path) -> None:
     runs = {}
     for tick in ("plain", "compiled"):
         forces, node = answered(tmp_path, tick, "pd", "lockstep", feed)
-        assert [force.seq for force in forces] == [seq for seq in range(20) if seq not in (3, 5, 7)]
+        assert [force.seq for force in forces] == [
+            seq for seq in range(20) if seq not in (3, 5, 7)
+        ]
         runs[tick] = (
             [force.force for force in forces],
             node.events.refused,
@@ -219,10 +247,14 @@ def test_swaps_and_fades_stay_compiled_with_the_same_bits(tmp_path: Path) -> Non
         node: list[Coupling] = []
 
         def feed(
-            proxies: Publisher, force_of: Callable[[int], Force], node: list[Coupling] = node
+            proxies: Publisher,
+            force_of: Callable[[int], Force],
+            node: list[Coupling] = node,
         ) -> None:
             for seq in ticks:
-                proxies.send_hop(topics.PROXY.encode(), encode(proxy_of(seq, 0.002 * seq)))
+                proxies.send_hop(
+                    topics.PROXY.encode(), encode(proxy_of(seq, 0.002 * seq))
+                )
                 force_of(seq)
                 # Each during the fade of the one before.
                 if law := {60: "pd", 63: "pd_filtered", 70: "stiff"}.get(seq):

@@ -109,7 +109,12 @@ CASES = {
         )
     ),
     ("environment", "a driver in a fault"): environment(
-        [*STATES[:4], *(state_of(seq, safety="fault") for seq in range(4, 7)), *STATES[7:]], 3
+        [
+            *STATES[:4],
+            *(state_of(seq, safety="fault") for seq in range(4, 7)),
+            *STATES[7:],
+        ],
+        3,
     ),
     ("environment", "a jump of the device"): environment(
         [
@@ -120,10 +125,16 @@ CASES = {
         2,
     ),
     ("coupling", "the first tick, and a jump"): coupling(
-        [*PROXIES[:5], *(msgspec.structs.replace(proxy, rebased=5) for proxy in PROXIES[5:])], 1
+        [
+            *PROXIES[:5],
+            *(msgspec.structs.replace(proxy, rebased=5) for proxy in PROXIES[5:]),
+        ],
+        1,
     ),
     ("coupling", "the tick of a scheduled swap"): coupling(
-        PROXIES, 2, schedule=[{"at": 0.006, "law": "soft"}, {"at": 0.012, "law": "pd", "ramp": 3}]
+        PROXIES,
+        2,
+        schedule=[{"at": 0.006, "law": "soft"}, {"at": 0.012, "law": "pd", "ramp": 3}],
     ),
     ("coupling", "a law with code of its own"): coupling(PROXIES, TICKS, law="own"),
     ("coupling", "a force that is not finite"): coupling(
@@ -142,13 +153,24 @@ STAYS = {
     ),
     "shapes": environment(STATES, 0, **BALL),
     "a driver that lets its force in, or has stopped": environment(
-        [*STATES[:4], state_of(4, safety="ramp"), state_of(5, safety="stopped"), *STATES[6:]], 0
+        [
+            *STATES[:4],
+            state_of(4, safety="ramp"),
+            state_of(5, safety="stopped"),
+            *STATES[6:],
+        ],
+        0,
     ),
     "nothing to touch": environment(STATES, 0, kind="free"),
     "a gap": coupling([*PROXIES[:3], *PROXIES[6:]], 0),
-    "a gap longer than the memory": coupling([*PROXIES[:6], proxy_of(40), proxy_of(41)], 0),
+    "a gap longer than the memory": coupling(
+        [*PROXIES[:6], proxy_of(40), proxy_of(41)], 0
+    ),
     "a recursive law": coupling(
-        PROXIES, 0, law="filtered", laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}}
+        PROXIES,
+        0,
+        law="filtered",
+        laws={"filtered": {**PD, "kind": "pd_filtered", "cutoff": 60.0}},
     ),
 }
 
@@ -172,16 +194,21 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
     load_kernel(node)
     node.configure()
     feed, node.publisher = Publisher(context, source), Publisher(context, sink)
-    node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
+    node.connect(
+        lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue)
+    )
     inbox = Subscription(context, [sink], [case.kind.publishes[0]])
-    wait_for(lambda: feed.listeners() and node.publisher.listeners(), "both subscriptions")
+    wait_for(
+        lambda: feed.listeners() and node.publisher.listeners(), "both subscriptions"
+    )
     answers: list[bytes] = []
 
     def work() -> None:
         try:
             for message in case.sent:
                 feed.send_hop(
-                    heard.encode(), message if isinstance(message, bytes) else encode(message)
+                    heard.encode(),
+                    message if isinstance(message, bytes) else encode(message),
                 )
                 if isinstance(message, bytes):
                     wait_for(lambda: node.events.refused, "the refusal")
@@ -202,7 +229,9 @@ def played(place: Path, case: Case) -> tuple[Node, int]:
         socket.close()
     context.term()
     seqs = [msgspec.msgpack.decode(answer)["seq"] for answer in answers]
-    assert seqs == [message.seq for message in case.sent if not isinstance(message, bytes)]
+    assert seqs == [
+        message.seq for message in case.sent if not isinstance(message, bytes)
+    ]
     return node, len(set(seqs))
 
 
@@ -231,12 +260,18 @@ def test_what_goes_back_does_and_the_rest_of_the_run_does_not(
 @pytest.mark.parametrize("row", STAYS)
 def test_what_is_not_in_the_table_stays_compiled(row: str, tmp_path: Path) -> None:
     node, ticks = played(tmp_path, STAYS[row])
-    assert (node.counters.ticks, ticks - node.ticks_compiled) == (ticks, STAYS[row].plain)
+    assert (node.counters.ticks, ticks - node.ticks_compiled) == (
+        ticks,
+        STAYS[row].plain,
+    )
 
 
 def test_gaps_without_an_end_are_still_a_count(tmp_path: Path) -> None:
     """Two jumps to the largest tick overflowed the status' counter."""
-    jumps = [state_of(seq) for seq in (0, MAX_COUNT - 1, MAX_COUNT, 0, MAX_COUNT - 1, MAX_COUNT)]
+    jumps = [
+        state_of(seq)
+        for seq in (0, MAX_COUNT - 1, MAX_COUNT, 0, MAX_COUNT - 1, MAX_COUNT)
+    ]
     node, _ = played(tmp_path, environment(jumps, 0))
     assert Decoder(NodeStatus).decode(encode(node.status())).gaps == MAX_COUNT
 
@@ -307,7 +342,9 @@ def test_what_brings_a_driver_back_does_and_its_ticks_stay_compiled(
     _, node = assert_alike(script, tmp_path)
     assert node.ticks_compiled == node.driving.ticks == 120
     _, usual = scripted(
-        in_lockstep(driver(ANSWERED), 0) if script.pace == "lockstep" else driver(ANSWERED),
+        in_lockstep(driver(ANSWERED), 0)
+        if script.pace == "lockstep"
+        else driver(ANSWERED),
         "compiled",
         tmp_path,
     )
@@ -325,6 +362,11 @@ def test_nothing_else_brings_a_driver_back(row: str, tmp_path: Path) -> None:
 
 def test_the_page_has_these_rows() -> None:
     text = (ROOT / "nodes" / "ARCHITECTURE.md").read_text(encoding="utf-8")
-    table = text.partition("| node | what goes back to the interpreter |")[2].partition("\n\n")[0]
-    rows = {tuple(cell.strip() for cell in line.split("|")[1:3]) for line in table.splitlines()[2:]}
+    table = text.partition("| node | what goes back to the interpreter |")[2].partition(
+        "\n\n"
+    )[0]
+    rows = {
+        tuple(cell.strip() for cell in line.split("|")[1:3])
+        for line in table.splitlines()[2:]
+    }
     assert rows == {*CASES, *(("driver", row) for row in DRIVER_CASES)}

@@ -18,7 +18,13 @@ from nodes.compiled.choose_tick import choose
 from nodes.coupling.node import Coupling
 from nodes.driver.node import Driver
 from nodes.environment.node import Environment
-from tests.support.scripted import Outcome, Script, ScriptedSimulation, assert_alike, played
+from tests.support.scripted import (
+    Outcome,
+    Script,
+    ScriptedSimulation,
+    assert_alike,
+    played,
+)
 from tests.support.scripted_world import EPOCH, TICK, Arrival, at
 from tests.support.scripts import KINDS, answer, driver, follower, question
 
@@ -74,14 +80,29 @@ BAD: dict[str, Frames] = {
         topic,
         changed(message, stamp=math.nan),
     ),
-    "a stamp without an end": lambda topic, message: (topic, changed(message, stamp=-math.inf)),
+    "a stamp without an end": lambda topic, message: (
+        topic,
+        changed(message, stamp=-math.inf),
+    ),
     "a tick before the first": lambda topic, message: (topic, changed(message, seq=-1)),
-    "a tick after the last": lambda topic, message: (topic, changed(message, seq=MAX_COUNT + 1)),
-    "a tick that is a word": lambda topic, message: (topic, changed(message, seq="now")),
+    "a tick after the last": lambda topic, message: (
+        topic,
+        changed(message, seq=MAX_COUNT + 1),
+    ),
+    "a tick that is a word": lambda topic, message: (
+        topic,
+        changed(message, seq="now"),
+    ),
     "a topic that begins alike": lambda topic, message: (topic + b"s", encode(message)),
-    "a topic of 5000 letters": lambda topic, message: (topic + b"x" * 5000, encode(message)),
+    "a topic of 5000 letters": lambda topic, message: (
+        topic + b"x" * 5000,
+        encode(message),
+    ),
     **{
-        f"{size} bytes": lambda topic, message, size=size: (topic, padded(message, size))  # type: ignore[misc]
+        f"{size} bytes": lambda topic, message, size=size: (
+            topic,
+            padded(message, size),
+        )  # type: ignore[misc]
         for size in TOO_LONG
     },
 }
@@ -95,14 +116,19 @@ def message_of(kind: str, seq: int, stamp: float) -> Message:
     )
 
 
-def script_of(kind: str, coming: list[tuple[float, float, int, Frames]], pace: str) -> Script:
+def script_of(
+    kind: str, coming: list[tuple[float, float, int, Frames]], pace: str
+) -> Script:
     """Return a script of messages: place, delay [µs], tick and modification of each."""
     base = follower(kind, [], pace) if kind in KINDS else driver([], ticks=32)
     if pace == "lockstep" and kind == "driver":
         base = base._replace(kind=ScriptedSimulation, pace=pace)
     topic = base.kind.listens_to[0].encode()
     arrivals = [
-        Arrival(at(place, late), made(topic, message_of(kind, seq, 1e-9 * (EPOCH + TICK * place))))
+        Arrival(
+            at(place, late),
+            made(topic, message_of(kind, seq, 1e-9 * (EPOCH + TICK * place))),
+        )
         for place, late, seq, made in coming
     ]
     return base._replace(arrivals=arrivals)
@@ -140,7 +166,9 @@ def test_what_is_refused_is_refused_alike_and_costs_no_other_message(
 @pytest.mark.parametrize("pace", ["realtime", "lockstep"])
 @pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("good", GOOD)
-def test_what_is_taken_is_taken_alike(good: str, kind: str, pace: str, tmp_path: Path) -> None:
+def test_what_is_taken_is_taken_alike(
+    good: str, kind: str, pace: str, tmp_path: Path
+) -> None:
     coming = [(float(seq), 500.0, seq, GOOD[good]) for seq in range(32)]
     outcome, node = assert_alike(script_of(kind, coming, pace), tmp_path)
     assert node.events.refused == 0
@@ -168,16 +196,22 @@ def test_messages_of_one_frame_and_of_three_cost_themselves_only(
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 def test_numbers_that_are_none_reach_no_device(number: float, tmp_path: Path) -> None:
-    made: Frames = lambda topic, message: (topic, changed(message, force=[0.0, number, 0.0]))  # noqa: E731
+    def made(topic: Any, message: Any) -> Any:
+        return topic, changed(message, force=[0.0, number, 0.0])
+
     outcome, node = assert_alike(with_one_refused("driver", made, "realtime"), tmp_path)
     assert node.events.refused == 20
     assert all(map(math.isfinite, sum((force for _, force, _ in outcome.given), ())))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_ticks_that_jump_make_no_count_that_cannot_be_told(kind: str, tmp_path: Path) -> None:
+def test_ticks_that_jump_make_no_count_that_cannot_be_told(
+    kind: str, tmp_path: Path
+) -> None:
     jumps = [0, MAX_COUNT - 1, MAX_COUNT, 0, MAX_COUNT - 1, MAX_COUNT, 1, MAX_COUNT]
-    coming = [(float(place), 500.0, seq, GOOD["as it is"]) for place, seq in enumerate(jumps)]
+    coming = [
+        (float(place), 500.0, seq, GOOD["as it is"]) for place, seq in enumerate(jumps)
+    ]
     for pace in ("realtime", "lockstep"):
         _, node = assert_alike(script_of(kind, coming, pace), tmp_path)
         assert node.status().gaps == MAX_COUNT
@@ -185,14 +219,20 @@ def test_ticks_that_jump_make_no_count_that_cannot_be_told(kind: str, tmp_path: 
 
 ANY = {
     **GOOD,
-    **{name: made for name, made in BAD.items() if "bytes" not in name and "million" not in name},
+    **{
+        name: made
+        for name, made in BAD.items()
+        if "bytes" not in name and "million" not in name
+    },
 }
 coming = st.lists(
     st.tuples(
         st.integers(0, 30),
         st.integers(0, 9_000),
         st.integers(-6, 3),
-        st.sampled_from([*["as it is"] * 12, *["with an extension of MessagePack"] * 6, *ANY]),
+        st.sampled_from(
+            [*["as it is"] * 12, *["with an extension of MessagePack"] * 6, *ANY]
+        ),
     ),
     max_size=60,
 )
@@ -225,6 +265,8 @@ def test_late_repeated_overtaken_and_damaged_messages_in_any_order(
 
 def test_the_answers_of_this_suite_are_answers(tmp_path: Path) -> None:
     """A normal stream is answered tick by tick, or the comparisons would be empty."""
-    outcome, node = assert_alike(driver([answer(seq) for seq in range(32)], ticks=32), tmp_path)
+    outcome, node = assert_alike(
+        driver([answer(seq) for seq in range(32)], ticks=32), tmp_path
+    )
     assert node.driving.missed == 0
     assert any(force != (0.0, 0.0, 0.0) for _, force, _ in outcome.given)

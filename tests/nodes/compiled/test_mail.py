@@ -32,10 +32,17 @@ TICKS = {
 
 
 @pytest.fixture(scope="module")
-def figures(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, object], Recording]:
+def figures(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[dict[str, object], Recording]:
     folder = tmp_path_factory.mktemp("mail")
     found = launch_json(
-        folder, "floor_drop", f"rate:={RATE:g}", "duration:=3", "tick:=compiled", "stiffness:=500"
+        folder,
+        "floor_drop",
+        f"rate:={RATE:g}",
+        "duration:=3",
+        "tick:=compiled",
+        "stiffness:=500",
     )
     return found, Recording(folder / str(found["recording"]))
 
@@ -50,7 +57,10 @@ def test_a_status_says_where_the_node_is_now(
     for entry in recording.entries([TICKS[node], f"/{node}/status"]):
         if entry.topic == TICKS[node]:
             newest = entry.message.seq
-        elif isinstance(status := entry.message, NodeStatus) and status.state == "running":
+        elif (
+            isinstance(status := entry.message, NodeStatus)
+            and status.state == "running"
+        ):
             behind.append(abs(newest - status.seq))
             ticks.append(status.ticks)
     # Every half second of three.
@@ -72,14 +82,22 @@ def test_all_that_was_told_was_sent_and_counted(
         assert account.lost == 0, node
 
 
-def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) -> list[str]:
+def told_during(
+    place: Path, kernel: Callable[[Coupling, CouplingState], None]
+) -> list[str]:
     """Send while a node runs its scripted compiled ticks; return what leaves afterwards."""
     context = new_context()
     source = f"ipc://{place}/proxy"
-    parameters = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}}
+    parameters = {
+        "law": "pd",
+        "laws": {"pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}},
+    }
     node = Coupling(
         setup_of(
-            name="coupling", tick="compiled", sources={topics.PROXY: source}, parameters=parameters
+            name="coupling",
+            tick="compiled",
+            sources={topics.PROXY: source},
+            parameters=parameters,
         )
     )
 
@@ -90,8 +108,13 @@ def told_during(place: Path, kernel: Callable[[Coupling, CouplingState], None]) 
 
     node.kernel = ticks
     node.configure()
-    proxies, node.publisher = Publisher(context, source), Publisher(context, f"ipc://{place}/force")
-    node.connect(lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue))
+    proxies, node.publisher = (
+        Publisher(context, source),
+        Publisher(context, f"ipc://{place}/force"),
+    )
+    node.connect(
+        lambda endpoints, wanted, queue: Subscription(context, endpoints, wanted, queue)
+    )
     compiled: Any = node.make_compiled()
     assert compiled is not None
     compiled.go()

@@ -64,7 +64,9 @@ messages = st.one_of(
         contact=st.booleans(),
         delay=reals,
     ),
-    st.builds(Force, seq=counts, stamp=reals, force=vectors, law=names, revision=counts),
+    st.builds(
+        Force, seq=counts, stamp=reals, force=vectors, law=names, revision=counts
+    ),
 )
 
 
@@ -77,7 +79,9 @@ def test_what_the_nodes_send_is_read(message: Message) -> None:
 def encoder(message: type[Message]) -> Callable[[Message], bytes]:
     write: Any = make_encode(message)
     compiled = kept(
-        lambda at, keys, reals, wholes, text, size: write(at, keys, reals, wholes, text, size),
+        lambda at, keys, reals, wholes, text, size: write(
+            at, keys, reals, wholes, text, size
+        ),
         f"write_{message.__name__}",
     )
     keys = ctypes.create_string_buffer(key_blocks(message))
@@ -98,7 +102,9 @@ def encoder(message: type[Message]) -> Callable[[Message], bytes]:
             ctypes.create_string_buffer(text, len(text) + 16),
         )
         at = ctypes.addressof(out)
-        end = compiled(at, ctypes.addressof(keys), *banks, ctypes.addressof(told), len(text))
+        end = compiled(
+            at, ctypes.addressof(keys), *banks, ctypes.addressof(told), len(text)
+        )
         return out.raw[: end - at]
 
     return made
@@ -116,7 +122,9 @@ def test_every_width_of_an_integer_is_written_as_msgspec_does() -> None:
         assert encoder(Force)(message) == encode(message)
         assert assert_read_alike(Force, encode(message))
     for force_seq in (-1, 0, 127):
-        state = DeviceState(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0), force_seq=force_seq)
+        state = DeviceState(
+            seq=0, stamp=0.0, position=(0.0, 0.0, 0.0), force_seq=force_seq
+        )
         assert encoder(DeviceState)(state) == encode(state)
 
 
@@ -156,12 +164,14 @@ anything = st.recursive(
         st.binary(),
     ),
     lambda inner: st.one_of(
-        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=4)
+        st.lists(inner, max_size=4),
+        st.dictionaries(st.text(max_size=4), inner, max_size=4),
     ),
     max_leaves=8,
 ).map(msgpack.packb)
 keys = st.sampled_from(
-    [field.name for field in fields_of(Force)] + ["x", "Seq", "forces", "stam", "stämp", ""]
+    [field.name for field in fields_of(Force)]
+    + ["x", "Seq", "forces", "stam", "stämp", ""]
 ).map(msgpack.packb)
 codes = st.one_of(
     whole_codes,
@@ -177,14 +187,22 @@ codes = st.one_of(
 @given(
     st.permutations(["seq", "stamp", "force", "law", "revision"]),
     st.tuples(
-        whole_codes, real_codes, st.tuples(real_codes, real_codes, real_codes), names, whole_codes
+        whole_codes,
+        real_codes,
+        st.tuples(real_codes, real_codes, real_codes),
+        names,
+        whole_codes,
     ),
     st.lists(st.tuples(keys, codes), max_size=4),
     st.booleans(),
     st.data(),
 )
 def test_in_any_order_with_any_width_and_unknown_keys(
-    order: list[str], values: Any, more: list[tuple[bytes, bytes]], wide: bool, data: Any
+    order: list[str],
+    values: Any,
+    more: list[tuple[bytes, bytes]],
+    wide: bool,
+    data: Any,
 ) -> None:
     """Both refuse each message, or leave it to msgspec, or read it alike."""
     seq, stamp, force, law, revision = values
@@ -204,7 +222,11 @@ def test_in_any_order_with_any_width_and_unknown_keys(
         right = True
     except MessageRefusedError:
         right = False
-    read = assert_read_alike(Force, payload) if right else scanner(Force)(payload) is not None
+    read = (
+        assert_read_alike(Force, payload)
+        if right
+        else scanner(Force)(payload) is not None
+    )
     assert right or not read
 
 
@@ -212,9 +234,13 @@ def test_in_any_order_with_any_width_and_unknown_keys(
 def test_a_damaged_payload_is_never_read_otherwise(message: Message, data: Any) -> None:
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(1, 3))):
-        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(
+            st.integers(0, 255)
+        )
     damaged = bytes(
-        payload[: data.draw(st.integers(0, len(payload)))] if data.draw(st.booleans()) else payload
+        payload[: data.draw(st.integers(0, len(payload)))]
+        if data.draw(st.booleans())
+        else payload
     )
     assert_read_alike(type(message), damaged)
 

@@ -34,13 +34,17 @@ def filled(state: Any, table: Published, numbers: Any) -> None:
     """Put numbers where the fields of a message stand."""
     words = (ctypes.c_int64 * (ctypes.sizeof(state) // 8)).from_buffer(state)
     reals = (ctypes.c_double * len(words)).from_buffer(state)
-    for field, offset in zip(msgspec.structs.fields(table.message), table.offsets, strict=True):
+    for field, offset in zip(
+        msgspec.structs.fields(table.message), table.offsets, strict=True
+    ):
         if field.type == Vector:
             reals[offset : offset + 3] = [numbers.draw(REALS) for _ in range(3)]
         elif offset >= 0 and "float" in str(field.type):
             reals[offset] = numbers.draw(REALS)
         elif offset >= 0:
-            words[offset] = numbers.draw(st.booleans() if field.type is bool else COUNTS)
+            words[offset] = numbers.draw(
+                st.booleans() if field.type is bool else COUNTS
+            )
 
 
 REALS = st.floats(allow_nan=False, allow_infinity=False)
@@ -60,9 +64,14 @@ def test_both_ticks_send_what_stands_in_the_state(hop: str) -> None:
     def alike(numbers: st.DataObject, text: str) -> None:
         state: Any = state_of(kind, compiled=True)
         filled(state, table, numbers)
-        words = ctypes.create_string_buffer(msgspec.msgpack.encode(text).ljust(48, b"\0"))
+        words = ctypes.create_string_buffer(
+            msgspec.msgpack.encode(text).ljust(48, b"\0")
+        )
         state.here, state.out_keys = ctypes.addressof(state), ctypes.addressof(keys)
-        state.text, state.text_size = ctypes.addressof(words), len(msgspec.msgpack.encode(text))
+        state.text, state.text_size = (
+            ctypes.addressof(words),
+            len(msgspec.msgpack.encode(text)),
+        )
         begin = ctypes.addressof(room)
         payload = ctypes.string_at(begin, compiled(state.here, begin) - begin)
         assert payload == plain(state, text)
@@ -97,10 +106,16 @@ def test_a_field_without_a_variable_of_its_kind_is_refused_by_its_name() -> None
     }
     with pytest.raises(TypeError, match=r"Said\.total: Small has no 'total'"):
         published(Said, Small)
-    with pytest.raises(TypeError, match=r"Said\.total: Small has no 'stamp' of that kind"):
+    with pytest.raises(
+        TypeError, match=r"Said\.total: Small has no 'stamp' of that kind"
+    ):
         published(Said, Small, total="stamp")
-    with pytest.raises(TypeError, match=r"Said\.point: Small has no 'many' of that kind"):
+    with pytest.raises(
+        TypeError, match=r"Said\.point: Small has no 'many' of that kind"
+    ):
         published(Said, Small, total="count", point="many")
-    with pytest.raises(TypeError, match=r"Said\.point: Small has no 'many' of that kind"):
+    with pytest.raises(
+        TypeError, match=r"Said\.point: Small has no 'many' of that kind"
+    ):
         # beyond the end
         published(Said, Small, total="count", point=("many", 3))

@@ -43,7 +43,9 @@ def compiled_before() -> None:
 
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
 @pytest.mark.parametrize("rule", RULES)
-def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path: Path) -> None:
+def test_a_driver_keeps_every_rule_of_time_alike(
+    rule: str, apply: str, tmp_path: Path
+) -> None:
     script, acted = RULES[rule]
     outcome, node = assert_alike(script._replace(apply=apply), tmp_path)
     s = node.driving
@@ -66,9 +68,13 @@ def test_a_driver_keeps_every_rule_of_time_alike(rule: str, apply: str, tmp_path
                 continue
             work = sum(
                 f * (x - y)
-                for f, x, y in zip(state.mean_force, state.position, before.position, strict=True)
+                for f, x, y in zip(
+                    state.mean_force, state.position, before.position, strict=True
+                )
             )
-            assert state.energy - before.energy == pytest.approx(work, abs=1e-12), state.seq
+            assert state.energy - before.energy == pytest.approx(work, abs=1e-12), (
+                state.seq
+            )
 
 
 def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
@@ -81,25 +87,38 @@ def test_the_guard_has_the_same_bits_along_several_axes(tmp_path: Path) -> None:
             forces.append((x, y, z))
     script = driver(
         [answer(seq, force=force) for seq, force in enumerate(forces)],
-        position=lambda seq: (1e-4 * (seq % 3), 1e-4 * (seq * 7 % 5), 1e-4 * (seq * 5 % 7)),
+        position=lambda seq: (
+            1e-4 * (seq % 3),
+            1e-4 * (seq * 7 % 5),
+            1e-4 * (seq * 5 % 7),
+        ),
         guard={"stiffness": 500.0, "damping": 5.0},
     )
     _, node = assert_alike(script, tmp_path)
     assert node.driving.lowered + node.driving.raised > TICKS / 4
 
 
-def test_states_are_stamped_in_the_time_of_the_launchers_machine(tmp_path: Path) -> None:
+def test_states_are_stamped_in_the_time_of_the_launchers_machine(
+    tmp_path: Path,
+) -> None:
     """Plain ticks used this machine's time, hours away from the forces'."""
     outcome, _ = assert_alike(RULES["nothing unusual"].script, tmp_path)
-    stamps = [Decoder(DeviceState).decode(frames[1]).stamp - AHEAD for _, frames in outcome.sent]
+    stamps = [
+        Decoder(DeviceState).decode(frames[1]).stamp - AHEAD
+        for _, frames in outcome.sent
+    ]
     # A scripted sleep ends one step of the script's grid late: 1 µs. A clock at 6000 s has steps of
     # 1e-12 s.
     assert stamps == pytest.approx(
-        [EPOCH * 1e-9 + seq * T for seq in range(TICKS + 1)], rel=0.0, abs=1.0e-6 + 3e-12
+        [EPOCH * 1e-9 + seq * T for seq in range(TICKS + 1)],
+        rel=0.0,
+        abs=1.0e-6 + 3e-12,
     )
 
 
-def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(tmp_path: Path) -> None:
+def test_the_mean_force_of_a_tick_is_split_where_its_answers_came(
+    tmp_path: Path,
+) -> None:
     """A compiled tick interrupted by an unreadable message forgot the force so far."""
     arrivals = [
         *(answer(seq, force=(0.0, 0.0, 1.0)) for seq in range(4)),
@@ -141,16 +160,26 @@ def test_an_environment_knows_its_tick_during_and_after_a_fault_of_the_driver(
     for seq, arrival in enumerate(script.arrivals):
         state = Decoder(DeviceState).decode(arrival.frames[1])
         fault = (
-            msgspec.structs.replace(state, safety="fault") if 8 <= seq < 12 or seq >= 17 else state
+            msgspec.structs.replace(state, safety="fault")
+            if 8 <= seq < 12 or seq >= 17
+            else state
         )
         arrivals.append(arrival._replace(frames=(arrival.frames[0], encode(fault))))
         # Refusals are events, and say at which tick.
-        arrivals.append(Arrival(arrival.at + 500_000, (arrival.frames[0], b"no message")))
+        arrivals.append(
+            Arrival(arrival.at + 500_000, (arrival.frames[0], b"no message"))
+        )
     outcome, node = assert_alike(script._replace(arrivals=arrivals), tmp_path)
     assert len(outcome.sent) == 20 - 4 - 3
     assert node.status().seq == 19
     # The 1st, 2nd, 4th, 8th and 16th.
-    assert [seq for kind, _, seq, _ in outcome.events if kind == "refused"] == [0, 1, 3, 7, 15]
+    assert [seq for kind, _, seq, _ in outcome.events if kind == "refused"] == [
+        0,
+        1,
+        3,
+        7,
+        15,
+    ]
 
 
 def test_a_call_that_fails_ends_the_run_of_either_tick(tmp_path: Path) -> None:
@@ -168,10 +197,12 @@ def test_a_call_that_fails_ends_the_run_of_either_tick(tmp_path: Path) -> None:
 COMING: dict[str, list[tuple[int, float]]] = {
     "in time": [(seq, 100.0) for seq in range(40)],
     "one stall, then all at once": [
-        (seq, 100.0 if seq < 10 else max(100.0, 2000.0 * (25 - seq))) for seq in range(40)
+        (seq, 100.0 if seq < 10 else max(100.0, 2000.0 * (25 - seq)))
+        for seq in range(40)
     ],
     "two stalls": [
-        (seq, max(100.0, 2000.0 * (12 - seq % 20)) if seq > 5 else 100.0) for seq in range(40)
+        (seq, max(100.0, 2000.0 * (12 - seq % 20)) if seq > 5 else 100.0)
+        for seq in range(40)
     ],
     "late, but nothing newer is there": [
         (seq, 100.0 + 2500.0 * (seq % 5 == 4)) for seq in range(40)
@@ -182,15 +213,21 @@ COMING: dict[str, list[tuple[int, float]]] = {
     ],
     "a driver that is started again": [(seq % 23, 100.0) for seq in range(40)],
     "a driver that is started again, in a stall": [
-        (seq % 23, max(100.0, 2000.0 * (26 - seq)) if seq > 18 else 100.0) for seq in range(40)
+        (seq % 23, max(100.0, 2000.0 * (26 - seq)) if seq > 18 else 100.0)
+        for seq in range(40)
     ],
     "a driver that is started again, right after a stall": [
         # The last one before it is not late at all.
-        *((seq, 100.0 if seq < 10 else 2000.0 * (15 - seq) + 100.0) for seq in range(16)),
+        *(
+            (seq, 100.0 if seq < 10 else 2000.0 * (15 - seq) + 100.0)
+            for seq in range(16)
+        ),
         *((seq, -1900.0 if seq == 3 else 100.0) for seq in range(3, 27)),
     ],
     "asked again": [(seq // 2, 100.0) for seq in range(40)],
-    "asked again, in a stall": [(seq // 2, max(100.0, 2000.0 * (20 - seq))) for seq in range(40)],
+    "asked again, in a stall": [
+        (seq // 2, max(100.0, 2000.0 * (20 - seq))) for seq in range(40)
+    ],
     "jumps to the end of all ticks": [
         (seq, 100.0) for seq in (0, 1, MAX_COUNT - 1, MAX_COUNT, 0, 1, MAX_COUNT)
     ],
@@ -219,7 +256,9 @@ lates = st.dictionaries(
     st.integers(0, 40), st.integers(0, 3_000).map(lambda tens: 10 * tens), max_size=6
 )
 stalls = st.dictionaries(
-    st.tuples(st.integers(0, 40), st.sampled_from(["read", "publish", "answer", "stamped"])),
+    st.tuples(
+        st.integers(0, 40), st.sampled_from(["read", "publish", "answer", "stamped"])
+    ),
     st.integers(0, 3_000).map(lambda tens: 10 * tens),
     max_size=4,
 )
@@ -249,7 +288,8 @@ quick = settings(max_examples=60)
     late={},
     held={},
     coming=[
-        (tick, after, 0, 0.0, False) for tick, after in ((0, 0), (0, 0), (1, 1), (28, 1), (30, -1))
+        (tick, after, 0, 0.0, False)
+        for tick, after in ((0, 0), (0, 0), (1, 1), (28, 1), (30, -1))
     ],
     apply="on_arrival",
     patient=1,
@@ -267,8 +307,12 @@ def test_a_driver_does_the_same_in_whatever_order(
     topic = topics.FORCE.encode()
     arrivals = []
     for tick, after, age, size, whole in coming:
-        message = encode(Force(seq=max(tick + age, 0), stamp=0.0, force=(0.0, 0.0, size)))
-        arrivals.append(Arrival(at(tick, after), (topic, message if whole else message[:-3])))
+        message = encode(
+            Force(seq=max(tick + age, 0), stamp=0.0, force=(0.0, 0.0, size))
+        )
+        arrivals.append(
+            Arrival(at(tick, after), (topic, message if whole else message[:-3]))
+        )
     script = driver(
         arrivals,
         late,
@@ -304,7 +348,9 @@ def test_who_follows_does_the_same_in_whatever_order(
         cut.append(not whole)
     script = follower(kind, ticks)
     arrivals = [
-        arrival._replace(frames=(arrival.frames[0], arrival.frames[1][:-3])) if is_cut else arrival
+        arrival._replace(frames=(arrival.frames[0], arrival.frames[1][:-3]))
+        if is_cut
+        else arrival
         for arrival, is_cut in zip(script.arrivals, cut, strict=True)
     ]
     assert_alike(script._replace(arrivals=arrivals), tmp_path)

@@ -91,7 +91,9 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Changed]:
     base = tmp_path_factory.mktemp("changed")
     sources, runs, cache = base / "sources", base / "runs", base / "cache"
     for name in ("messages", "nodes", "sim", "launch"):
-        shutil.copytree(ROOT / name, sources / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / name, sources / name, ignore=shutil.ignore_patterns("__pycache__")
+        )
     path, before, after = RULE
     text = (sources / path).read_text(encoding="utf-8")
     assert text.count(before) == 1
@@ -118,7 +120,9 @@ def keep_what_is_compiled(changed: Changed) -> None:
     Modules that the rule affects are absent there by digest; otherwise the old rule would run.
     """
     there = Path(
-        changed.run("-c", "from nodes.compiled.cache import folder; print(folder())").stdout.strip()
+        changed.run(
+            "-c", "from nodes.compiled.cache import folder; print(folder())"
+        ).stdout.strip()
     )
     there.mkdir(mode=0o700, parents=True)
     for path in (folder() / f"{kernel}.tick" for kernel in KERNELS):
@@ -174,7 +178,9 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
         "interpreted nodes": forces_of(changed.folder, first),
         "compiled nodes": forces_of(changed.folder, second),
     }
-    forces |= json.loads(changed.run("-c", PLAYED, str(changed.folder / first["recording"])).stdout)
+    forces |= json.loads(
+        changed.run("-c", PLAYED, str(changed.folder / first["recording"])).stdout
+    )
     expected = forces["interpreted nodes"]
     assert len(expected) == 300
     assert all(row == expected for row in forces.values()), [
@@ -192,11 +198,15 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
     touched = next(tick for tick, force in enumerate(old) if force)
     assert 1 < touched < RAMP - 1
     # A product of three numbers.
-    assert expected[touched] / old[touched] == pytest.approx((touched + 1) / RAMP, rel=1e-14)
+    assert expected[touched] / old[touched] == pytest.approx(
+        (touched + 1) / RAMP, rel=1e-14
+    )
 
     # Whoever changes it once more has the plain tick again, not the compiled one of other sources.
     path = changed.sources / RULE[0]
-    path.write_text(path.read_text(encoding="utf-8").replace(RULE[2], RULE[1]), encoding="utf-8")
+    path.write_text(
+        path.read_text(encoding="utf-8").replace(RULE[2], RULE[1]), encoding="utf-8"
+    )
     changed.environment["HAPTIC_COMPILE"] = "asked"
     third, _ = changed.launch("pace:=lockstep")
     assert third["tick"] == "plain"

@@ -35,7 +35,9 @@ from nodes.parameters.store import ParameterError
 from tests.support.setups import setup_of
 
 T = 0.002
-RECURSIVE = CompiledLaw((900.0, 50.0), ((300.0, -250.0, -1.2, 0.4), (-20.0, 10.0, 0.9, 0.1)))
+RECURSIVE = CompiledLaw(
+    (900.0, 50.0), ((300.0, -250.0, -1.2, 0.4), (-20.0, 10.0, 0.9, 0.1))
+)
 """Two taps beside two decaying sections: the poles have radius sqrt(0.4) = 0.63 and 0.77."""
 
 
@@ -77,7 +79,10 @@ def test_long_laws_have_the_bits_of_the_kernel_and_no_minus_zero(count: int) -> 
     assert render(history.head).hex() == (0.0).hex()
     for value in deflections(2100, 3):
         history.push(value)
-    assert render(history.head).hex() == arithmetic.fir(taps, history.values, history.head).hex()
+    assert (
+        render(history.head).hex()
+        == arithmetic.fir(taps, history.values, history.head).hex()
+    )
 
 
 def test_a_law_longer_than_the_history_is_refused_at_the_edge() -> None:
@@ -131,7 +136,9 @@ def test_a_snapshot_taken_while_the_loop_pushes_belongs_to_one_tick() -> None:
         for _ in range(2000):
             copy = history.snapshot()
             known = [copy.values[copy.head + age] for age in range(copy.known)]
-            assert known == [max(0.0, float(copy.pushes - age)) for age in range(copy.known)]
+            assert known == [
+                max(0.0, float(copy.pushes - age)) for age in range(copy.known)
+            ]
     finally:
         ending.set()
         thread.join()
@@ -217,7 +224,9 @@ def test_sections_see_the_ticks_that_were_bridged() -> None:
     # has a closed form.
     law = CompiledLaw((0.0,), ((1.0, 0.0, -0.5, 0.0),))
     renderer = Renderer([2], 32)
-    renderer.fallback = ActiveLaw("fallback", "{}", CompiledLaw((0.0,)), renderer.histories)
+    renderer.fallback = ActiveLaw(
+        "fallback", "{}", CompiledLaw((0.0,)), renderer.histories
+    )
     renderer.law = ActiveLaw("r", "{}", law, renderer.histories)
     whole = Renderer([2], 32)
     whole.law = ActiveLaw("r", "{}", law, whole.histories)
@@ -252,7 +261,9 @@ def proxy_at(z: float, seq: int = 0) -> Proxy:
 
 def renderer_with(*taps: float) -> Renderer:
     renderer = Renderer([2], 64)
-    renderer.law = ActiveLaw("first", '{"law":"first"}', CompiledLaw(taps), renderer.histories)
+    renderer.law = ActiveLaw(
+        "first", '{"law":"first"}', CompiledLaw(taps), renderer.histories
+    )
     renderer.fallback = ActiveLaw(
         "fallback", '{"law":"fallback"}', CompiledLaw((0.0, 0.0)), renderer.histories
     )
@@ -260,7 +271,9 @@ def renderer_with(*taps: float) -> Renderer:
 
 
 def law_of(renderer: Renderer, *taps: float, **more: Any) -> ActiveLaw:
-    return ActiveLaw("next", '{"law":"next"}', CompiledLaw(taps, **more), renderer.histories)
+    return ActiveLaw(
+        "next", '{"law":"next"}', CompiledLaw(taps, **more), renderer.histories
+    )
 
 
 def test_a_fade_is_the_kernels_and_ends_after_its_ramp() -> None:
@@ -313,7 +326,8 @@ def test_laws_of_taps_are_joined_exactly(counts: tuple[int, ...]) -> None:
     history = filled(deflections(100), 80)
     joined = arithmetic.fir(weighted_taps(laws), history.values, history.head)
     apart = sum(
-        weight * arithmetic.fir(taps, history.values, history.head) for taps, weight in laws
+        weight * arithmetic.fir(taps, history.values, history.head)
+        for taps, weight in laws
     )
     # Sums of 100 products of size 1e-6 in another order.
     assert joined == pytest.approx(apart, abs=100 * 1e-6 * 2**-52)
@@ -351,7 +365,9 @@ def broken(ring: Any, head: int) -> float:
         ({"evaluate": lambda *_: "strong"}, "raised TypeError"),
     ],
 )
-def test_a_law_that_fails_at_once_is_not_swapped_in(more: dict[str, Any], told: str) -> None:
+def test_a_law_that_fails_at_once_is_not_swapped_in(
+    more: dict[str, Any], told: str
+) -> None:
     renderer = renderer_with(1000.0)
     renderer.render(proxy_at(-0.001))
     running = renderer.law
@@ -414,7 +430,9 @@ def test_a_law_that_fades_out_is_watched_until_it_is_gone() -> None:
 # --------------------------------------------------------------------------------------------------
 
 
-def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excused() -> None:
+def test_sleeping_and_computing_overrun_and_waiting_for_the_interpreter_is_excused() -> (
+    None
+):
     budget = Budget(0.005)
     budget.start()
     assert budget.overrun() == ""
@@ -453,13 +471,20 @@ class Slow(Law, frozen=True, kw_only=True):
         return CompiledLaw((0.0,), (), evaluate)
 
 
-def test_a_law_is_tried_with_the_budget_that_it_comes_with(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_is_tried_with_the_budget_that_it_comes_with(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("nodes.laws.parse.load_law", {"slow": Slow, "pd": PD}.get)
     monkeypatch.setattr("nodes.laws.parse.law_names", lambda: ["pd", "slow"])
-    laws = {"slow": {"kind": "slow"}, "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0}}
+    laws = {
+        "slow": {"kind": "slow"},
+        "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
+    }
     node = Coupling(
         setup_of(
-            name="coupling", period=0.1, parameters={"law": "pd", "laws": laws, "stability": "off"}
+            name="coupling",
+            period=0.1,
+            parameters={"law": "pd", "laws": laws, "stability": "off"},
         )
     )
     node.configure()

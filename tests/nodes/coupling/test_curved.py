@@ -20,7 +20,9 @@ PERIOD, RADIUS, DEPTH, SPEED = 0.002, 0.035, 2e-3, 0.2
 TURN = SPEED * PERIOD / (RADIUS - DEPTH)
 LAWS: dict[str, Law] = {
     "pd": PD(stiffness=800.0, damping=2.0),
-    "pd_alpha": PDAlpha(stiffness=800.0, damping=2.0, order=1.2, taps=10, gains="physical"),
+    "pd_alpha": PDAlpha(
+        stiffness=800.0, damping=2.0, order=1.2, taps=10, gains="physical"
+    ),
     "multi_term": MultiTerm(
         stiffness=800.0,
         damping=2.0,
@@ -73,7 +75,9 @@ def test_a_history_in_the_worlds_axes_pushes_along_a_curved_way(name: str) -> No
     # the period goes to 0.
     assert along[-1] > 0.0
     if name == "pd":
-        assert along[-1] == pytest.approx(2.0 * DEPTH * SPEED / (RADIUS - DEPTH), rel=TURN**2)
+        assert along[-1] == pytest.approx(
+            2.0 * DEPTH * SPEED / (RADIUS - DEPTH), rel=TURN**2
+        )
     assert across[-1] == pytest.approx(law.h1 * DEPTH, rel=0.01)
 
 
@@ -84,7 +88,9 @@ def test_in_axes_that_turn_with_the_surface_the_way_is_not_felt(name: str) -> No
     settled = len(LAWS[name].compile(PERIOD).taps)
     # Rounding of some newtons, as above.
     assert np.abs(along[settled:]).max() < 1e-9
-    assert across[settled:] == pytest.approx(LAWS[name].compile(PERIOD).h1 * DEPTH, rel=1e-9)
+    assert across[settled:] == pytest.approx(
+        LAWS[name].compile(PERIOD).h1 * DEPTH, rel=1e-9
+    )
 
 
 def test_axes_stay_axes_however_long_they_turn() -> None:
@@ -133,11 +139,22 @@ def test_a_frame_may_change_while_a_law_renders() -> None:
     assert np.array(still) @ normal == pytest.approx(law.h1 * DEPTH, rel=1e-9)
 
 
-def test_axes_that_turn_need_all_three(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_axes_that_turn_need_all_three(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     given = tmp_path / "given.yaml"
     given.write_text("coupling: {frame: surface}", encoding="utf-8")
     assert (
-        main(["launch", "floor_drop", "--params", str(given), "pace:=lockstep", "duration:=0.1"])
+        main(
+            [
+                "launch",
+                "floor_drop",
+                "--params",
+                str(given),
+                "pace:=lockstep",
+                "duration:=0.1",
+            ]
+        )
         == 2
     )
     told = capfd.readouterr().err

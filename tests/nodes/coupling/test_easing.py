@@ -53,7 +53,9 @@ def force_of(scene: LaunchedScene, ticks: int | None = None) -> np.ndarray[Any, 
 
 
 def led(
-    launch: Launch, path: np.ndarray[Any, Any], changes: Sequence[tuple[int, dict[str, Any]]]
+    launch: Launch,
+    path: np.ndarray[Any, Any],
+    changes: Sequence[tuple[int, dict[str, Any]]],
 ) -> ChainTrace:
     """Play a way that the device is led, over surfaces that change."""
     surfaces = [(tick, {"surface": surface}) for tick, surface in changes]
@@ -63,15 +65,21 @@ def led(
 
 def dropped(law: str, height: float) -> Launch:
     """Return the launch of that drop without the driver's own ramp."""
-    launch = launch_file.read("floor_drop", {"law": law, "height": height, "duration": 0.6})
+    launch = launch_file.read(
+        "floor_drop", {"law": law, "height": height, "duration": 0.6}
+    )
     return with_values(
-        launch, "driver", {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}}
+        launch,
+        "driver",
+        {"safety": {**launch.nodes["driver"].parameters["safety"], "ramp": 0.0}},
     )
 
 
 def gain_at_rest(law: CompiledLaw) -> float:
     """Return force over deflection of a law at constant deflection [N/m]."""
-    return sum(law.taps) + sum((b0 + b1) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections)
+    return sum(law.taps) + sum(
+        (b0 + b1) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections
+    )
 
 
 def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
@@ -84,11 +92,17 @@ def with_values(launch: Launch, name: str, values: dict[str, Any]) -> Launch:
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
 @pytest.mark.parametrize("height", [-0.002, -0.0005])
-def test_a_drop_that_begins_inside_the_floor_begins_softly(law: str, height: float) -> None:
+def test_a_drop_that_begins_inside_the_floor_begins_softly(
+    law: str, height: float
+) -> None:
     """The first force was B/T times the depth too: 5.0, 4.6 and 6.3 N instead of 2.0 N."""
     scene = drop(law, height)
     force = force_of(scene)
-    assert 0.0 < force[0] == pytest.approx(-gain_at_rest(scene.law) * height / RAMP, rel=1e-9)
+    assert (
+        0.0
+        < force[0]
+        == pytest.approx(-gain_at_rest(scene.law) * height / RAMP, rel=1e-9)
+    )
     # It never pushes harder than a device that is let down on the surface itself.
     assert force.max() < 1.3 * force_of(drop(law, 0.0)).max()
 
@@ -103,11 +117,15 @@ def test_a_drop_that_begins_free_has_the_bits_of_one_without_easing(law: str) ->
 
 
 def test_without_easing_a_beginning_is_no_velocity_all_the_same() -> None:
-    assert force_of(drop("pd", -0.002, ease=0.0), 10)[0] == pytest.approx(2.0, rel=1e-12)
+    assert force_of(drop("pd", -0.002, ease=0.0), 10)[0] == pytest.approx(
+        2.0, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term", "designed_d0"])
-def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(law: str) -> None:
+def test_the_compiled_loop_and_the_nodes_rules_begin_with_the_same_bits(
+    law: str,
+) -> None:
     """One process, interpreted over the loop's own rules and over the nodes' own parts."""
     force = force_of(drop(law, -0.0012), 150)
     nodes = play(dropped(law, -0.0012), ticks=150, how="nodes")
@@ -168,7 +186,10 @@ SURFACES = st.one_of(
         st.tuples(*3 * [st.floats(0.01, 0.08)]),
         st.tuples(*3 * [st.floats(-1.0, 1.0)]),
     ),
-    st.builds(lambda at: {"kind": "plane", "axis": "z", "position": at}, st.floats(-0.02, 0.02)),
+    st.builds(
+        lambda at: {"kind": "plane", "axis": "z", "position": at},
+        st.floats(-0.02, 0.02),
+    ),
     st.builds(
         lambda at: {"kind": "anchor", "position": list(at)},
         st.tuples(*3 * [st.floats(-0.02, 0.02)]),
@@ -201,14 +222,18 @@ FIRST_TAPS = np.array([STIFFNESS + DAMPING / PERIOD, -DAMPING / PERIOD])
 def with_surface(surface: dict[str, Any], **given_: Any) -> Launch:
     """Return the scene in space with a surface."""
     launch = launch_file.read(str(FIXTURES / "space.yaml"), given_)
-    node = msgspec.structs.replace(launch.nodes["environment"], parameters={"surface": surface})
+    node = msgspec.structs.replace(
+        launch.nodes["environment"], parameters={"surface": surface}
+    )
     return msgspec.structs.replace(launch, nodes={**launch.nodes, "environment": node})
 
 
 def couplings(surface: dict[str, Any], law: str) -> CouplingParameters:
     """Return the coupling's parameters in space."""
     made: CouplingParameters = convert(
-        with_surface(surface, law=law).nodes["coupling"].parameters, CouplingParameters, "coupling"
+        with_surface(surface, law=law).nodes["coupling"].parameters,
+        CouplingParameters,
+        "coupling",
     )
     return made
 
@@ -225,7 +250,9 @@ def unexplained(found: ChainTrace, changes: Sequence[int]) -> float:
         before[tick] = deflection[tick]
     asked = FIRST_TAPS[0] * deflection + FIRST_TAPS[1] * before
     along = np.einsum("ij,ij->i", asked, found.normal)
-    asked = np.where((along < 0.0)[:, None], asked - along[:, None] * found.normal, asked)
+    asked = np.where(
+        (along < 0.0)[:, None], asked - along[:, None] * found.normal, asked
+    )
     worst, felt, share = 0.0, np.zeros(3), np.zeros(3)
     for k, force in enumerate(found.force):
         # A jump that leaves the deflection as it is (free air before and after) is none, and its
@@ -248,7 +275,10 @@ def unexplained(found: ChainTrace, changes: Sequence[int]) -> float:
     st.integers(0, 2**32 - 1),
 )
 def test_no_change_of_a_surface_makes_a_force_that_no_motion_made(
-    surfaces: list[dict[str, Any]], start: tuple[float, float, float], gaps: list[int], seed: int
+    surfaces: list[dict[str, Any]],
+    start: tuple[float, float, float],
+    gaps: list[int],
+    seed: int,
 ) -> None:
     """Random surfaces, starts, paths and live changes, also during easing."""
     path = np.array(start) + wander(
@@ -279,13 +309,16 @@ def test_a_surface_that_moves_under_a_hand_at_rest_is_felt_by_the_ramp_alone(
         ]
     )
     ball, moved = (
-        {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.01)
+        {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03}
+        for z in (0.0, 0.01)
     )
     found = led(with_surface(ball, law=law, frame=frame), path, [(1200, moved)])
     force = found.force[:, 2]
     step = np.abs(np.diff(force[1100:])).max()
     gain = gain_at_rest(LawBook("coupling", PERIOD).compile(couplings(ball, law), law))
-    assert force[-1] == pytest.approx(gain * (0.013 + TOOL_RADIUS), abs=2.0 * gain * SKIN)
+    assert force[-1] == pytest.approx(
+        gain * (0.013 + TOOL_RADIUS), abs=2.0 * gain * SKIN
+    )
     # Of what a law remembers of the way in, nothing is left but what fades with the ramp.
     assert step <= 1.02 * (gain * 0.013 - force[1199]) / RAMP
 
@@ -299,29 +332,43 @@ def test_a_surface_that_asks_for_more_than_the_driver_gives_comes_by_the_whole_r
 ) -> None:
     """The requested 80 N reached the driver's 7.9 N after a tenth of the ramp."""
     path = np.concatenate(
-        [np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100), np.tile([0.0, 0.0, 0.02], (300, 1))]
+        [
+            np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.02], 100),
+            np.tile([0.0, 0.0, 0.02], (300, 1)),
+        ]
     )
     launch = with_surface({"kind": "sphere", "radius": radius})
-    limits = {**launch.nodes["driver"].parameters["safety"], "peak_force": 7.9, "slew": 4000.0}
+    limits = {
+        **launch.nodes["driver"].parameters["safety"],
+        "peak_force": 7.9,
+        "slew": 4000.0,
+    }
     launch = with_values(launch, "driver", {"safety": limits})
     changes = [(250, {"kind": "sphere", "radius": radius + moved})]
     force = led(launch, path, changes).force[:, 2]
     deep = radius + TOOL_RADIUS - 0.02
     before, after = (
-        min(max(STIFFNESS * deflection, 0.0), 7.9) for deflection in (deep, deep + moved)
+        min(max(STIFFNESS * deflection, 0.0), 7.9)
+        for deflection in (deep, deep + moved)
     )
     line = before + (after - before) * np.minimum(np.arange(1, 151) / RAMP, 1.0)
     # The skin of a surface is 0.1 nm.
     assert force[250:] == pytest.approx(line, abs=1e-6)
 
 
-def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside() -> None:
+def test_a_solid_that_moves_onto_a_free_device_is_not_felt_until_it_is_outside() -> (
+    None
+):
     path = np.concatenate(
-        [np.tile([0.0, 0.0, 0.04], (50, 1)), np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.08], 300)]
+        [
+            np.tile([0.0, 0.0, 0.04], (50, 1)),
+            np.linspace([0.0, 0.0, 0.04], [0.0, 0.0, 0.08], 300),
+        ]
     )
     path = np.concatenate([path, np.linspace([0.0, 0.0, 0.08], [0.0, 0.0, 0.058], 150)])
     ball, moved = (
-        {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03} for z in (0.0, 0.03)
+        {"kind": "sphere", "position": [0.0, 0.0, z], "radius": 0.03}
+        for z in (0.0, 0.03)
     )
     found = led(with_surface(ball), path, [(20, moved)])
     assert not found.force[:350].any()
@@ -366,16 +413,16 @@ def test_a_jump_has_the_ramp_that_its_message_asks_for_and_the_next_one_begins_w
 ):
     node = coupling()
     assert force_at(node, 0, 0.0) == 0.0
-    assert [force_at(node, k, 0.01, rebased=1, ease=4) for k in range(1, 6)] == pytest.approx(
-        [2.0, 4.0, 6.0, 8.0, 8.0]
-    )
+    assert [
+        force_at(node, k, 0.01, rebased=1, ease=4) for k in range(1, 6)
+    ] == pytest.approx([2.0, 4.0, 6.0, 8.0, 8.0])
     # Lost ticks are no motion either: the message after them tells of the jump.
     assert force_at(node, 9, 0.02, rebased=8, ease=4) == pytest.approx(8.0 + 2.0)
     assert force_at(node, 10, 0.02, rebased=8, ease=4) == pytest.approx(8.0 + 4.0)
     # In the middle of it another one, to nothing.
-    assert [force_at(node, k, 0.0, rebased=11, ease=3) for k in range(11, 15)] == pytest.approx(
-        [8.0, 4.0, 0.0, 0.0]
-    )
+    assert [
+        force_at(node, k, 0.0, rebased=11, ease=3) for k in range(11, 15)
+    ] == pytest.approx([8.0, 4.0, 0.0, 0.0])
 
 
 def test_a_coupling_that_is_started_again_begins_at_rest_from_nothing() -> None:
@@ -389,10 +436,14 @@ def test_a_driver_that_counts_anew_is_no_velocity() -> None:
     node = coupling(laws={"pd": {**PD, "damping": 8.0}})
     for k in range(20):
         force_at(node, k, 0.0)
-    assert [force_at(node, k, 0.01) for k in range(2)] == pytest.approx([8.0 / RAMP, 16.0 / RAMP])
+    assert [force_at(node, k, 0.01) for k in range(2)] == pytest.approx(
+        [8.0 / RAMP, 16.0 / RAMP]
+    )
 
 
-def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that_renders() -> None:
+def test_a_law_that_is_prepared_while_a_jump_fills_the_history_rests_as_one_that_renders() -> (
+    None
+):
     """Its slow section kept the deflection before the jump: 0.5 N instead of 2.2 N."""
     law = CompiledLaw(taps=(100.0,), sections=((5.0, -4.9, -1.99, 0.9901),))
     history = History(16)

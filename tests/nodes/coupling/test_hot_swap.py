@@ -56,9 +56,9 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
         # is rounded at 1e-12 N/m, and 1 mm of it at 1e-15 N.
         h1 = launch.call("coupling", "law.show", law="multi_term")["h1_n_per_m"]
         done("param.set", values={"laws.multi_term.stiffness": 1000.0 + (1000.0 - h1)})
-        assert launch.call("coupling", "law.show", law="multi_term")["h1_n_per_m"] == pytest.approx(
-            1000.0, abs=1e-11
-        )
+        assert launch.call("coupling", "law.show", law="multi_term")[
+            "h1_n_per_m"
+        ] == pytest.approx(1000.0, abs=1e-11)
         for name in ("multi_term", "pd", "multi_term"):
             answer = done("law.switch", law=name)
             assert answer["to"] == name
@@ -68,7 +68,8 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
         # From K to another K at rest, the step is the difference of the forces at the present
         # deflection.
         answer = done(
-            "param.set", values={"law": "pd", "laws.pd.stiffness": 1200.0, "laws.pd.damping": 2.0}
+            "param.set",
+            values={"law": "pd", "laws.pd.stiffness": 1200.0, "laws.pd.damping": 2.0},
         )
         assert answer["force_step_n"] == pytest.approx(200.0 * REST / 1000.0, rel=1e-6)
         assert answer["action"] == "switch"
@@ -105,7 +106,9 @@ def test_every_request_has_its_receipt_and_equal_stiffness_swaps_without_a_step(
         "switch",
     ]
     # What was before is what came after, receipt by receipt, and it is YAML with all parameters.
-    assert [receipt.before for receipt in found[1:]] == [receipt.after for receipt in found[:-1]]
+    assert [receipt.before for receipt in found[1:]] == [
+        receipt.after for receipt in found[:-1]
+    ]
     assert parse_yaml(found[-1].after, "receipt") == {
         "law": "new",
         "kind": "fir",
@@ -147,7 +150,11 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"values": {"laws.pd.stiffness": math.nan}},
         "coupling.laws.pd.stiffness: nan is not a finite number",
     ),
-    ("param.set", {"values": {"laws.pd.stiffness": 10**18 * 10}}, "coupling.laws.pd: pole radius"),
+    (
+        "param.set",
+        {"values": {"laws.pd.stiffness": 10**18 * 10}},
+        "coupling.laws.pd: pole radius",
+    ),
     (
         "param.set",
         {"values": {"laws.pd.stiffnes": 1.0}},
@@ -158,9 +165,21 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         {"values": {"laws.pd.stiffness": "soft"}},
         "coupling.laws.pd.stiffness: expected a number, got 'soft'",
     ),
-    ("param.set", {"values": {"nix": 1}}, "coupling.nix: no such parameter; available: law, laws"),
-    ("param.set", {"values": {"ramp": 2.5}}, "coupling.ramp: expected a whole number, got 2.5"),
-    ("param.set", {"values": {"memory": 64}}, "coupling.memory: is fixed while the node runs"),
+    (
+        "param.set",
+        {"values": {"nix": 1}},
+        "coupling.nix: no such parameter; available: law, laws",
+    ),
+    (
+        "param.set",
+        {"values": {"ramp": 2.5}},
+        "coupling.ramp: expected a whole number, got 2.5",
+    ),
+    (
+        "param.set",
+        {"values": {"memory": 64}},
+        "coupling.memory: is fixed while the node runs",
+    ),
     (
         "param.set",
         {"values": {"laws.pd.damping": 2.0, "laws.pd_alpha.order": 4.0}},
@@ -226,12 +245,17 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("op", "args", "told"), REFUSED, ids=[f"{op}-{told[:40]}" for op, _, told in REFUSED]
+    ("op", "args", "told"),
+    REFUSED,
+    ids=[f"{op}-{told[:40]}" for op, _, told in REFUSED],
 )
 def test_what_is_refused_is_told_and_leaves_everything_as_it_was(
     held: Running, op: str, args: dict[str, Any], told: str
 ) -> None:
-    before = held.call("coupling", "param.dump"), held.call("coupling", "law.list")["active"]
+    before = (
+        held.call("coupling", "param.dump"),
+        held.call("coupling", "law.list")["active"],
+    )
     assert told in refusal(held, op, **args)
     assert (
         held.call("coupling", "param.dump"),
@@ -250,12 +274,18 @@ def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: Running) 
     assert "set coupling.stability to warn" in text
     # Policy and value in one change are judged together.
     assert (
-        held.call("coupling", "param.set", values={**hard, "stability": "warn"})["action"] == "set"
+        held.call("coupling", "param.set", values={**hard, "stability": "warn"})[
+            "action"
+        ]
+        == "set"
     )
     assert held.call("coupling", "param.set", values=soft)["action"] == "set"
     assert "stability: coupling.laws.pd: pole radius" in held.errors
     assert (
-        held.call("coupling", "param.set", values={**hard, "stability": "off"})["action"] == "set"
+        held.call("coupling", "param.set", values={**hard, "stability": "off"})[
+            "action"
+        ]
+        == "set"
     )
     assert "coupling.laws.pd: pole radius" in refusal(
         held, "param.set", values={"stability": "refuse"}
@@ -267,11 +297,15 @@ def test_the_policy_is_part_of_the_parameters_and_judges_at_once(held: Running) 
 @pytest.mark.process
 def test_a_law_of_an_installed_package_works(held: Running) -> None:
     law = {"kind": "stiffening", "stiffness": 500.0, "damping": 3.0, "cubic": 1e8}
-    held.call("coupling", "param.set", values={"laws.cubic": law, "law": "cubic", "ramp": 20})
+    held.call(
+        "coupling", "param.set", values={"laws.cubic": law, "law": "cubic", "ramp": 20}
+    )
 
     def balance() -> bool:
         depth = -held.call("driver", "progress")["position_m"][2]
-        return bool(abs(500.0 * depth + 1e8 * depth**3 - 300.0 * (0.003 - depth)) < 1e-3)
+        return bool(
+            abs(500.0 * depth + 1e8 * depth**3 - 300.0 * (0.003 - depth)) < 1e-3
+        )
 
     # The hand's 300 N/m from 3 mm against K x + c x³: at rest at 1.04 mm, where PD of the same K
     # would rest at 1.13 mm.
@@ -296,31 +330,47 @@ def test_a_law_that_breaks_at_once_is_refused_and_one_that_breaks_later_replaced
     launch = held
     surface = launch.call("environment", "param.get", name="surface")
     at_once = {"kind": kind, "stiffness": 500.0}
-    assert told in refusal(launch, "param.set", values={"laws.broken": at_once, "law": "broken"})
+    assert told in refusal(
+        launch, "param.set", values={"laws.broken": at_once, "law": "broken"}
+    )
     assert launch.call("coupling", "law.list")["active"] == "pd"
     # It is well down to 4 mm; then the floor rises by 12 mm, and the hand holds the device 5.6 mm
     # below it: who asks all the time which law renders excuses none of its ticks for good.
     launch.call(
-        "coupling", "param.set", values={"laws.broken": {**at_once, "deep": 4e-3}, "law": "broken"}
+        "coupling",
+        "param.set",
+        values={"laws.broken": {**at_once, "deep": 4e-3}, "law": "broken"},
     )
     assert launch.call("coupling", "law.list")["active"] == "broken"
     # On a busy machine the loop may stand still in between: it must have rendered with that law
     # before the floor rises.
     ticks = launch.call("coupling", "status")["ticks"]
-    wait_for(lambda: launch.call("coupling", "status")["ticks"] > ticks, "a force of the law")
-    launch.call(
-        "environment", "param.set", values={"surface.position": surface["position"] + 0.012}
+    wait_for(
+        lambda: launch.call("coupling", "status")["ticks"] > ticks, "a force of the law"
     )
-    wait_for(lambda: launch.call("coupling", "law.list")["active"] == "fallback", "the fallback")
+    launch.call(
+        "environment",
+        "param.set",
+        values={"surface.position": surface["position"] + 0.012},
+    )
+    wait_for(
+        lambda: launch.call("coupling", "law.list")["active"] == "fallback",
+        "the fallback",
+    )
     assert launch.call("coupling", "law.show")["law"] == "fallback"
     # Setting something else does not bring the broken law back; naming another law brings that.
     launch.call("coupling", "param.set", values={"clamp": True})
     assert launch.call("coupling", "law.list")["active"] == "fallback"
-    launch.call("environment", "param.set", values={"surface.position": surface["position"]})
+    launch.call(
+        "environment", "param.set", values={"surface.position": surface["position"]}
+    )
     switched = launch.call("coupling", "law.switch", law="pd")
     assert (switched["from"], switched["to"]) == ("fallback", "pd")
     assert switched["was"]["h1_n_per_m"] == 0.0
-    wait_for(lambda: "fallback: law 'broken' at tick" in launch.errors, "the event on the terminal")
+    wait_for(
+        lambda: "fallback: law 'broken' at tick" in launch.errors,
+        "the event on the terminal",
+    )
     launch.wait_ticks(300)
 
 
@@ -330,8 +380,14 @@ def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
     figures = held.finish(signal.SIGINT, code=0)
     recording = recorded(held.folder, figures)
     forces = {force.seq: force for force in recording.messages("/coupling/force")}
-    fallbacks = [receipt for receipt in receipts(recording) if receipt.action == "fallback"]
-    told = [event for event in recording.messages("/coupling/event") if event.kind == "fallback"]
+    fallbacks = [
+        receipt for receipt in receipts(recording) if receipt.action == "fallback"
+    ]
+    told = [
+        event
+        for event in recording.messages("/coupling/event")
+        if event.kind == "fallback"
+    ]
     assert len(fallbacks) == len(told) == 4, (fallbacks, told)
     reasons = ("raised ZeroDivisionError", "not finite", "slept: took", "computed for")
     for receipt, event, reason in zip(fallbacks, told, reasons, strict=True):

@@ -24,7 +24,10 @@ T = 0.002
 
 
 def parameters(**more: Any) -> CouplingParameters:
-    laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}, "optimum": "paper_optimum"}
+    laws = {
+        "pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0},
+        "optimum": "paper_optimum",
+    }
     made: CouplingParameters = convert(
         {"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling"
     )
@@ -54,9 +57,13 @@ def test_the_stability_policy_refuses_warns_or_is_silent_at_the_edge() -> None:
         assert judgement.at_start(at(0.999 * low, policy), 0.0) == []
     assert judgement.at_start(at(1.001 * high, "off"), 0.0) == []
     (warned,) = judgement.at_start(at(1.001 * high, "warn"), 0.0)
-    (started,) = judgement.at_start(at(1.001 * high, "changes"), 0.0, StartAnyway.VIRTUAL)
+    (started,) = judgement.at_start(
+        at(1.001 * high, "changes"), 0.0, StartAnyway.VIRTUAL
+    )
     for policy in ("refuse", "changes"):
-        with pytest.raises(ParameterError, match=r"set coupling\.stability to warn") as raised:
+        with pytest.raises(
+            ParameterError, match=r"set coupling\.stability to warn"
+        ) as raised:
             judgement.at_start(
                 at(1.001 * high, policy),
                 0.0,
@@ -112,7 +119,9 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     with pytest.raises(ParameterError) as raised:
-        judgement.of_change(now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False)
+        judgement.of_change(
+            now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False
+        )
     text = str(raised.value)
     told = re.search(
         rf"the {side} coupling\.laws\.pd\.{path} that is accepted is ([-+.e\d]+)",
@@ -134,7 +143,9 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
     assert "the loop is unstable" in warning
 
 
-def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its_taps() -> None:
+def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its_taps() -> (
+    None
+):
     laws = {
         "pd": {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
         "hard": {"kind": "pd", "stiffness": 5000.0, "damping": 3.0},
@@ -150,7 +161,9 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
     ):
         wanted = msgspec.structs.replace(now, law=name)
         with pytest.raises(ParameterError) as raised:
-            judgement.of_change(now, wanted, name, book.compile(wanted, name), 1.0, force=False)
+            judgement.of_change(
+                now, wanted, name, book.compile(wanted, name), 1.0, force=False
+            )
         told = re.search(pattern, str(raised.value), re.IGNORECASE)
         assert told is not None, str(raised.value)
         value, law = float(told[1]), book.description(wanted, name)
@@ -173,7 +186,10 @@ def test_a_fallback_is_judged_too_and_a_damper_alone_is_stable() -> None:
         for damping in (20.0, 1e4)
     )
     assert judgement.at_start(soft, 0.0) == []
-    assert "coupling.fallback: pole radius" in judgement.at_start(hard, 0.0, StartAnyway.VIRTUAL)[0]
+    assert (
+        "coupling.fallback: pole radius"
+        in judgement.at_start(hard, 0.0, StartAnyway.VIRTUAL)[0]
+    )
     with pytest.raises(
         ParameterError, match=r"coupling\.fallback: pole radius .*nothing was changed"
     ):
@@ -199,4 +215,7 @@ def test_two_devices_on_one_law_are_judged_for_any_two_hands() -> None:
             " s/m at 1 ticks"
         )
         assert "in any passive hand: H(1) up to 236.1 N/m" in text
-    assert judgement.of_moving_world(parameters(plant={"mass": 0.1, "damping": 1.0}), 0.0) == []
+    assert (
+        judgement.of_moving_world(parameters(plant={"mass": 0.1, "damping": 1.0}), 0.0)
+        == []
+    )

@@ -22,7 +22,10 @@ T = 0.002
 
 
 def parameters(**more: Any) -> CouplingParameters:
-    laws = {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}, "optimum": "paper_optimum"}
+    laws = {
+        "pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0},
+        "optimum": "paper_optimum",
+    }
     made: CouplingParameters = convert(
         {"law": "pd", "laws": laws, **more}, CouplingParameters, "coupling"
     )
@@ -47,7 +50,10 @@ def test_a_bare_preset_is_a_law() -> None:
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ({"law": "nix"}, "coupling.law: no law is named 'nix'; available: pd, optimum, "),
+        (
+            {"law": "nix"},
+            "coupling.law: no law is named 'nix'; available: pd, optimum, ",
+        ),
         (
             {"laws": {"pd": 3}},
             "coupling.laws.pd: expected a mapping with kind and parameters, got 3",
@@ -56,14 +62,25 @@ def test_a_bare_preset_is_a_law() -> None:
             {"laws": {"pd": {"kind": "pd", "damping": 1.0}}},
             "coupling.laws.pd.stiffness: is missing",
         ),
-        ({"laws": {"pd": {"kind": "pdd"}}}, "coupling.laws.pd.kind: 'pdd' is not an installed law"),
+        (
+            {"laws": {"pd": {"kind": "pdd"}}},
+            "coupling.laws.pd.kind: 'pdd' is not an installed law",
+        ),
         (
             {"schedule": [{"at": 1.0, "law": "nix"}]},
             "coupling.schedule[0].law: no law is named 'nix'",
         ),
         (
-            {"schedule": [{"at": 2.0, "law": "pd"}, {"at": 1.0, "law": "pd", "ramp": 501}]},
-            ("coupling.schedule[0].at: 2 s is tick 1000, but the swap before it ends at tick 1001"),
+            {
+                "schedule": [
+                    {"at": 2.0, "law": "pd"},
+                    {"at": 1.0, "law": "pd", "ramp": 501},
+                ]
+            },
+            (
+                "coupling.schedule[0].at: 2 s is tick 1000,"
+                " but the swap before it ends at tick 1001"
+            ),
         ),
         (
             {"schedule": [{"at": 1.0, "law": "pd"}, {"at": 1.0, "law": "optimum"}]},
@@ -74,11 +91,19 @@ def test_a_bare_preset_is_a_law() -> None:
             {"memory": 3, "law": "optimum"},
             "coupling.laws.optimum: 4 taps, but coupling.memory is 3",
         ),
-        ({"laws": {"a.b": "paper_optimum"}}, "coupling.laws: expected a name that matches"),
-        ({"laws": {"x" * 65: "paper_optimum"}}, "coupling.laws: expected a name that matches"),
+        (
+            {"laws": {"a.b": "paper_optimum"}},
+            "coupling.laws: expected a name that matches",
+        ),
+        (
+            {"laws": {"x" * 65: "paper_optimum"}},
+            "coupling.laws: expected a name that matches",
+        ),
     ],
 )
-def test_what_does_not_belong_together_is_refused(more: dict[str, Any], told: str) -> None:
+def test_what_does_not_belong_together_is_refused(
+    more: dict[str, Any], told: str
+) -> None:
     with pytest.raises(ParameterError) as raised:
         check(**more)
     assert told in str(raised.value)
@@ -131,7 +156,10 @@ INSTALLED = FIXTURES / "installed"
             {"kind": "absent"},
             "coupling.laws.pd.kind: 'absent': the law cannot be imported: ModuleNotFoundError",
         ),
-        ({"kind": "uncompilable"}, "coupling.laws.pd: cannot be compiled: KeyError: 0.002"),
+        (
+            {"kind": "uncompilable"},
+            "coupling.laws.pd: cannot be compiled: KeyError: 0.002",
+        ),
         (
             {"kind": "stiffening", "stiffness": 1.0, "qubic": 1.0},
             "coupling.laws.pd.qubic: law kind stiffening has no such",

@@ -19,7 +19,10 @@ def rendered(path: Array, turn: Array, raw: bool, clamp: bool) -> Array:
     renderer = Renderer([0, 1, 2], 16)
     renderer.state.raw, renderer.state.clamp = raw, clamp
     renderer.law = ActiveLaw(
-        "pd", "pd", PD(stiffness=500.0, damping=20.0).compile(PERIOD), renderer.histories
+        "pd",
+        "pd",
+        PD(stiffness=500.0, damping=20.0).compile(PERIOD),
+        renderer.histories,
     )
     forces = []
     for k, point in enumerate(path):
@@ -49,10 +52,16 @@ def test_a_surface_that_leans_is_a_floor_turned(raw: bool) -> None:
     """Pressed in, drawn along, and pulled out so fast that the law would pull."""
     way = np.linspace(0.0, 1.0, 40)[:, None]
     path = np.concatenate(
-        [way * (0.004, 0.0, -0.012) + (0.0, 0.0, 0.002), (1.0 - way) * (0.004, 0.0, -0.01)]
+        [
+            way * (0.004, 0.0, -0.012) + (0.0, 0.0, 0.002),
+            (1.0 - way) * (0.004, 0.0, -0.01),
+        ]
     )
     turn = np.array(rotation((0.5, -0.7, 0.9)))
-    level, leaning = rendered(path, np.eye(3), raw, True), rendered(path, turn, raw, True)
+    level, leaning = (
+        rendered(path, np.eye(3), raw, True),
+        rendered(path, turn, raw, True),
+    )
     # Rounding of products of order one.
     assert np.abs(leaning - level @ turn.T).max() < 1e-12
     held = rendered(path, np.eye(3), raw, False)[:, 2] < 0.0

@@ -18,7 +18,8 @@ from nodes.recording.reader import Recording
 from tests.support.launching import Running, running, typed, wait_for
 
 LARGEST = re.compile(
-    r"largest coupling\.laws\.(\w+)\.stiffness that is accepted is ([-+.e\d]+)", re.IGNORECASE
+    r"largest coupling\.laws\.(\w+)\.stiffness that is accepted is ([-+.e\d]+)",
+    re.IGNORECASE,
 )
 
 
@@ -42,21 +43,31 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
     # Just inside: what it says would be taken, is; in percents beyond it is not. The delay may move
     # between two commands.
     def limit() -> float:
-        told = typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1).stderr
+        told = typed(
+            press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1
+        ).stderr
         found = LARGEST.search(told)
         assert found is not None, told
         return float(found[2])
 
     def beyond_is_refused() -> bool:
         done = typed(
-            press, "param", "set", "coupling", "laws.pd.stiffness", str(1.1 * limit()), code=None
+            press,
+            "param",
+            "set",
+            "coupling",
+            "laws.pd.stiffness",
+            str(1.1 * limit()),
+            code=None,
         )
         typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1000.0")
         return done.returncode == 1
 
     wait_for(beyond_is_refused, "a tenth beyond the limit is refused")
     largest = limit()
-    taken = typed(press, "param", "set", "coupling", "laws.pd.stiffness", str(0.9 * largest))
+    taken = typed(
+        press, "param", "set", "coupling", "laws.pd.stiffness", str(0.9 * largest)
+    )
     assert re.search(r"laws\.pd\.stiffness 1000\.0 → \d+", taken.stdout), taken.stdout
     assert re.search(
         r"pole radius 0\.\d+ → 0\.9\d+ \(stable below 1\) at a delay of", taken.stdout
@@ -69,7 +80,9 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(
         write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}})
     )
-    assert LARGEST.search(typed(press, "param", "load", "coupling", "hard.yaml", code=1).stderr)
+    assert LARGEST.search(
+        typed(press, "param", "load", "coupling", "hard.yaml", code=1).stderr
+    )
     # A law that is not active is judged when it is set; what was taken by force is judged again
     # when it is switched to.
     hard = "{kind: pd, stiffness: 2e5, damping: 2.0}"
@@ -78,7 +91,8 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
         in typed(press, "param", "set", "coupling", "laws.hard", hard, code=1).stderr
     )
     assert (
-        "UNSTABLE" in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
+        "UNSTABLE"
+        in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
     )
     told = typed(press, "law", "switch", "hard", "--json", code=1)
     found = LARGEST.search(json.loads(told.stdout.splitlines()[-1])["error"])
@@ -103,7 +117,9 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     told = press.haptic("law", "switch", "hard", "--force").stdout
     assert "UNSTABLE: applied because of --force" in told
     # The hand comes back every 3 s.
-    wait_for(lambda: press.call("driver", "progress")["safety"] == "stopped", "the safe stop")
+    wait_for(
+        lambda: press.call("driver", "progress")["safety"] == "stopped", "the safe stop"
+    )
     assert "[driver] stopped: active → stopped at tick" in press.errors
     # It stays so, whatever is sent: a stable law does not bring the force back.
     typed(press, "law", "switch", "pd")
@@ -111,12 +127,20 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     # Until somebody asks for it.
     done = press.haptic("node", "rearm", "--json")
     again = json.loads(done.stdout.splitlines()[-1])["seq"]
-    wait_for(lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event")
-    wait_for(lambda: press.call("driver", "progress")["safety"] == "active", "the force to be back")
+    wait_for(
+        lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event"
+    )
+    wait_for(
+        lambda: press.call("driver", "progress")["safety"] == "active",
+        "the force to be back",
+    )
     assert "has not stopped the loop" in typed(press, "node", "rearm", code=1).stderr
     # A loop that swings again is stopped again.
     typed(press, "law", "switch", "hard", "--force")
-    wait_for(lambda: press.call("driver", "progress")["safety"] == "stopped", "the second stop")
+    wait_for(
+        lambda: press.call("driver", "progress")["safety"] == "stopped",
+        "the second stop",
+    )
     figures = press.finish(signal.SIGINT, code=0)
     recording = Recording(press.folder / figures["recording"])
     states = recording.messages(DEVICE_STATE)
@@ -131,7 +155,11 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     assert len(after) > 1000
     assert {state.safety for state in after} == {"stopped"}
     assert {state.force for state in after} == {(0.0, 0.0, 0.0)}
-    event = next(event for event in recording.messages("/driver/event") if event.kind == "stopped")
+    event = next(
+        event
+        for event in recording.messages("/driver/event")
+        if event.kind == "stopped"
+    )
     assert (event.data["limit_n"], event.data["strokes"]) == (7.9, 6.0)
     assert event.data["energy_j"] > 0.0
     assert SAFETY[int(event.data["after"])] == "stopped"
@@ -152,9 +180,13 @@ def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
 @pytest.mark.process
 def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> None:
     scenario = tmp_path / "press.yaml"
-    text = (Path(__file__).parents[3] / "launch" / "wall_press.yaml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "launch" / "wall_press.yaml").read_text(
+        encoding="utf-8"
+    )
     scenario.write_text(
-        text.replace("    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n")
+        text.replace(
+            "    kind: coupling\n", "    kind: coupling\n    watch: coupling.yaml\n"
+        )
     )
     (tmp_path / "coupling.yaml").write_text("laws: {pd: {stiffness: 900.0}}\n")
     with running(tmp_path, f"./{scenario.name}", "duration:=0") as launch:
@@ -163,9 +195,13 @@ def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> Non
         wait_for(lambda: "that is accepted is" in launch.errors, "the refusal")
         assert "running parameters are untouched" in launch.errors
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 900.0
-        (tmp_path / "coupling.yaml").write_text("stability: warn\nlaws: {pd: {stiffness: 1.0e5}}\n")
+        (tmp_path / "coupling.yaml").write_text(
+            "stability: warn\nlaws: {pd: {stiffness: 1.0e5}}\n"
+        )
         wait_for(
-            lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1e5,
+            lambda: (
+                launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1e5
+            ),
             "the file's own wish",
         )
 
@@ -182,7 +218,17 @@ def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     assert press.call("driver", "param.get", name="device.delay") == 0.5
     # What the driver refuses is as before for the judge, too.
-    typed(press, "param", "set", "driver", "device.delay", "0", "device.mass", "1.0", code=1)
+    typed(
+        press,
+        "param",
+        "set",
+        "driver",
+        "device.delay",
+        "0",
+        "device.mass",
+        "1.0",
+        code=1,
+    )
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     typed(press, "param", "set", "driver", "device.delay", "0")
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.0
@@ -213,6 +259,8 @@ def test_what_is_certain_of_a_scene_that_moves_is_said_anew_when_the_law_changes
         figures = launch.finish(signal.SIGINT, code=0)
     events = Recording(tmp_path / figures["recording"]).messages("/coupling/event")
     reported = [event.reason for event in events if event.kind == "world"]
-    assert reported[0].startswith("coupling.laws.pd: certified with a tool of at least 0.05 kg")
+    assert reported[0].startswith(
+        "coupling.laws.pd: certified with a tool of at least 0.05 kg"
+    )
     assert len(reported) == 6
     assert all("coupling.laws.pd_alpha: " in reason for reason in reported[-2:])

@@ -29,7 +29,9 @@ def leak() -> float:
     total = 0.0
     for gain, order in ((1.69, 1.50), (1.32, 3.47)):
         choose = [math.prod((order - i) / (i + 1) for i in range(m)) for m in range(4)]
-        total += gain * sum((-1) ** m * one for m, one in enumerate(choose)) / sum(choose)
+        total += (
+            gain * sum((-1) ** m * one for m, one in enumerate(choose)) / sum(choose)
+        )
     return abs(2.0 * 3.0 / 0.002 * total)
 
 
@@ -41,10 +43,9 @@ def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(
     figures = launch_json(tmp_path, "floor_swap", "pace:=lockstep", f"ramp:={ramp}")
     recording = recorded(tmp_path, figures)
     found = receipts(recording)
-    assert [(receipt.seq, receipt.action, receipt.reason, receipt.ramp) for receipt in found] == [
-        (1000, "switch", "schedule", 0),
-        (2000, "switch", "schedule", ramp),
-    ]
+    assert [
+        (receipt.seq, receipt.action, receipt.reason, receipt.ramp) for receipt in found
+    ] == [(1000, "switch", "schedule", 0), (2000, "switch", "schedule", ramp)]
     # PDα is leak-corrected: the same H(1) as PD, at rest no step but rounding of 1 N. Multi-term is
     # softer by its leak.
     assert found[0].force_step < 1e-13
@@ -57,7 +58,10 @@ def test_scheduled_swaps_are_recorded_and_have_the_bits_of_one_process(
     if ramp:
         # Faded, the force never changes by more per tick than it would within a law: no jump to be
         # felt.
-        steps = [abs(b.force[2] - a.force[2]) for a, b in itertools.pairwise(forces[1900:2300])]
+        steps = [
+            abs(b.force[2] - a.force[2])
+            for a, b in itertools.pairwise(forces[1900:2300])
+        ]
         assert max(steps) < 0.02
 
 
@@ -77,7 +81,9 @@ SCHEDULED = (
 
 @pytest.mark.process
 @pytest.mark.parametrize("ramp", [0, 40])
-def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, ramp: int) -> None:
+def test_a_scheduled_recursive_law_has_the_bits_of_one_process(
+    tmp_path: Path, ramp: int
+) -> None:
     # Long before the history is full, and when the swap replays less than all: memory is shorter
     # than the run.
     text = SCHEDULED.replace("fifo: 0", "fifo: 0, pace: lockstep").replace(
@@ -101,7 +107,9 @@ def test_a_scheduled_recursive_law_has_the_bits_of_one_process(tmp_path: Path, r
 
 
 @pytest.mark.slow
-def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(tmp_path: Path) -> None:
+def test_a_scheduled_law_runs_along_and_follows_a_change_before_its_time(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "scheduled.yaml").write_text(SCHEDULED)
     with running(tmp_path, "./scheduled.yaml") as launch:
         launch.call("coupling", "param.set", values={"laws.recursive.damping": 2.0})

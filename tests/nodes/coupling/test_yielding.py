@@ -36,7 +36,9 @@ LAWS = [
 
 def made(axes: list[int], law: CompiledLaw) -> Renderer:
     renderer = Renderer(axes, 64)
-    renderer.fallback = ActiveLaw("fallback", "", CompiledLaw((0.0,)), renderer.histories)
+    renderer.fallback = ActiveLaw(
+        "fallback", "", CompiledLaw((0.0,)), renderer.histories
+    )
     renderer.law = ActiveLaw("first", "", law, renderer.histories)
     return renderer
 
@@ -46,7 +48,9 @@ def made(axes: list[int], law: CompiledLaw) -> Renderer:
     st.sampled_from([[0], [0, 1, 2]]),
     st.sampled_from(LAWS),
     st.lists(
-        st.tuples(st.integers(1, 60), st.sampled_from(LAWS), st.sampled_from([0, 1, 7, 30])),
+        st.tuples(
+            st.integers(1, 60), st.sampled_from(LAWS), st.sampled_from([0, 1, 7, 30])
+        ),
         max_size=4,
     ),
     st.floats(1e-6, 1e-2),
@@ -78,7 +82,9 @@ def test_the_force_is_that_of_where_the_proxy_went(
             "normal": zero,
             "contact": True,
         }
-        force = yielding.render(Proxy(**place, proxy=tuple(free.tolist()), compliance=compliance))
+        force = yielding.render(
+            Proxy(**place, proxy=tuple(free.tolist()), compliance=compliance)
+        )
         left = free - compliance * np.array(force)
         same = rigid.render(Proxy(**place, proxy=tuple(left.tolist())))
         # What a newest deflection of 1 mm does to the force, and 80 ticks of rounding of it.
@@ -86,7 +92,9 @@ def test_the_force_is_that_of_where_the_proxy_went(
             same, abs=1e-9 * 1e-3 * max(sum(map(abs, one.taps)) + 1e3 for one in LAWS)
         )
         for one, other in zip(yielding.histories, rigid.histories, strict=True):
-            assert one.values[one.head] == pytest.approx(other.values[other.head], abs=1e-15)
+            assert one.values[one.head] == pytest.approx(
+                other.values[other.head], abs=1e-15
+            )
 
 
 def test_a_proxy_without_compliance_and_a_law_that_grows_by_itself_are_rendered_as_they_come() -> (
@@ -107,4 +115,6 @@ def test_a_proxy_without_compliance_and_a_law_that_grows_by_itself_are_rendered_
             contact=True,
             compliance=compliance,
         )
-        assert made([0], law).render(met) == pytest.approx((expected, 0.0, 0.0), abs=1e-15)
+        assert made([0], law).render(met) == pytest.approx(
+            (expected, 0.0, 0.0), abs=1e-15
+        )

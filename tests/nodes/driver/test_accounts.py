@@ -66,7 +66,9 @@ def test_a_rubbing_surface_does_not_pay_for_an_unstable_normal() -> None:
 @pytest.mark.slow
 def test_a_launch_of_it_has_the_bits_of_one_process(tmp_path: Path) -> None:
     launch = _rubbed(0.3)
-    text = yaml.safe_load((ROOT / "launch" / "rough_plane.yaml").read_text(encoding="utf-8"))
+    text = yaml.safe_load(
+        (ROOT / "launch" / "rough_plane.yaml").read_text(encoding="utf-8")
+    )
     nodes = {
         name: {"kind": spec.kind, "parameters": spec.parameters}
         for name, spec in launch.nodes.items()
@@ -81,7 +83,9 @@ def test_a_launch_of_it_has_the_bits_of_one_process(tmp_path: Path) -> None:
     states = Recording(tmp_path / ended["recording"]).messages("/device/state")
     played = play(launch)
     # The last state is of the tick after the last one, which has no answer any more.
-    assert np.array_equal(np.array([state.position for state in states[:-1]]), played.position)
+    assert np.array_equal(
+        np.array([state.position for state in states[:-1]]), played.position
+    )
 
 
 @given(data=st.data())
@@ -142,7 +146,9 @@ def test_partners_together_give_out_no_more_than_was_put_in(
             )
             count_step(s)
             if rng.random() >= loss:
-                under_way[1 - n].append((k + int(rng.integers(late + 1)), s.guard_surplus))
+                under_way[1 - n].append(
+                    (k + int(rng.integers(late + 1)), s.guard_surplus)
+                )
         positions, steps = positions + moved, moved
         for n, s in enumerate(sides):
             arrived = [credit for at, credit in under_way[n] if at <= k]
@@ -168,7 +174,9 @@ def test_credit_is_given_out_once_and_a_sum_that_begins_anew_gives_nothing() -> 
         guarded(s, 0.0)
         return float(s.wanted[0])
 
-    assert force(0.5) == 0.0  # the first sum is where a partner stands, not what it gave to us
+    assert (
+        force(0.5) == 0.0
+    )  # the first sum is where a partner stands, not what it gave to us
     # 1 mJ over a step of 1 mm; rounding of 0.501 − 0.5
     assert force(0.501) == pytest.approx(1.0, rel=1e-12)
     # nothing moved: it is still there, and no more than that

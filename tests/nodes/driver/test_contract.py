@@ -76,7 +76,9 @@ def test_limits_are_read_and_kept(stand: Bench) -> None:
     device = stand.opened()
     assert undeclared(SafetyParameters(), device.limits) == ""
     peak = device.limits.peak_force
-    asked = lower(SafetyParameters(peak_force=1000.0, watchdog=10_000), device.limits, 0.002)
+    asked = lower(
+        SafetyParameters(peak_force=1000.0, watchdog=10_000), device.limits, 0.002
+    )
     assert asked.peak == peak
     assert len(asked.overruled) == 2
 
@@ -127,7 +129,9 @@ def test_unplugged_it_says_so_and_ends_safely(stand: Bench) -> None:
         except OSError as error:
             told.append(str(error))
             return True
-        assert position == pytest.approx(HERE, abs=1e-12) or all(map(math.isnan, position))
+        assert position == pytest.approx(HERE, abs=1e-12) or all(
+            map(math.isnan, position)
+        )
         return False
 
     wait_for(says, "it says so")
@@ -166,9 +170,10 @@ def test_a_failed_read_is_no_zero(stand: Bench) -> None:
     stand.world.state.position[:] = HERE
     device = stand.opened()
     stand.world.fail(
-        {"touch_driver": "hdGetDoublev", "force_dimension_driver": "dhdGetPosition"}.get(
-            stand.kind, "state"
-        )
+        {
+            "touch_driver": "hdGetDoublev",
+            "force_dimension_driver": "dhdGetPosition",
+        }.get(stand.kind, "state")
     )
     seen: list[tuple[float, ...]] = []
 
@@ -192,7 +197,10 @@ def test_nan_is_no_position(stand: Bench) -> None:
     stand.world.state.nan = 1
     wait_for(lambda: all(map(math.isnan, device.read_position(0))), "no position")
     stand.world.state.nan = 0
-    wait_for(lambda: device.read_position(0) == pytest.approx(HERE, abs=1e-12), "a position again")
+    wait_for(
+        lambda: device.read_position(0) == pytest.approx(HERE, abs=1e-12),
+        "a position again",
+    )
     device.close()
 
 
@@ -226,7 +234,10 @@ def test_every_call_may_fail(stand: Bench) -> None:
             finally:
                 device.close()
                 stand.world.fail("")
-            wait_for(lambda: without_force(stand), f"no force after {call} has failed {moment}")
+            wait_for(
+                lambda: without_force(stand),
+                f"no force after {call} has failed {moment}",
+            )
             # its service counts sessions, which end by themselves
             if stand.kind != "inverse3_driver":
                 assert stand.world.state.open == 0, (call, moment)
@@ -249,7 +260,9 @@ def test_closed_twice_is_closed(stand: Bench) -> None:
 
 def test_the_wrong_device_first(stand: Bench) -> None:
     """Of two devices the chosen one is used, or a clear error is given."""
-    wrong: dict[str, Any] = {"serial": 1 if stand.kind == "force_dimension_driver" else "1"}
+    wrong: dict[str, Any] = {
+        "serial": 1 if stand.kind == "force_dimension_driver" else "1"
+    }
     if stand.kind == "inverse3_driver":
         wrong["start_time"] = 0
     device = stand.device(**wrong)

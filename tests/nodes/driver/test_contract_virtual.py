@@ -71,7 +71,12 @@ class VirtualBench(NamedTuple):
 @pytest.fixture(params=list(AXES))
 def virtual(request: pytest.FixtureRequest, tmp_path: Path) -> VirtualBench:
     axes: Any = AXES[request.param]
-    device: dict[str, Any] = {"mass": 0.1, "damping": 0.0, "position": 0.01, "peak_force": PEAK}
+    device: dict[str, Any] = {
+        "mass": 0.1,
+        "damping": 0.0,
+        "position": 0.01,
+        "peak_force": PEAK,
+    }
     parameters = msgspec.convert({"device": device, "hold": HOLD}, SimDriverParameters)
     sim = SimDevice(parameters.device, setup_of(axes=axes), HOLD)
     order = tmp_path / "order"
@@ -150,7 +155,9 @@ def test_a_read_that_blocks_holds_up_nobody(virtual: VirtualBench) -> None:
     assert not any(virtual.acting())
     moved = [part.state.v for part in virtual.sim.parts]
     # It was pushed for its hold, and not longer: F/m t.
-    assert moved == pytest.approx([1.0 / 0.1 * (HELD + 1) * PERIOD] * len(moved), rel=2.0 / HELD)
+    assert moved == pytest.approx(
+        [1.0 / 0.1 * (HELD + 1) * PERIOD] * len(moved), rel=2.0 / HELD
+    )
 
 
 def test_a_failed_read_is_no_zero(virtual: VirtualBench) -> None:
@@ -221,7 +228,9 @@ def test_no_registered_device_is_left_out() -> None:
     kinds, broken = NODES.all()
     assert not broken
     drivers = {
-        name for name, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Driver)
+        name
+        for name, kind in kinds.items()
+        if isinstance(kind, type) and issubclass(kind, Driver)
     }
     real = {name for name in drivers if issubclass(kinds[name], HardwareDriver)}
     assert drivers - real == set(VIRTUAL)
@@ -234,4 +243,7 @@ def test_no_registered_device_is_left_out() -> None:
     )
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     head = next(line for line in page.splitlines() if line.startswith("| check |"))
-    assert {name.strip(" `") for name in head.strip("|").split("|")[1:]} == {*real, "sim_driver"}
+    assert {name.strip(" `") for name in head.strip("|").split("|")[1:]} == {
+        *real,
+        "sim_driver",
+    }

@@ -68,17 +68,23 @@ def test_a_condition_that_raises_is_told_once_and_ends_the_driver(
 ) -> None:
     driver = _Vague(
         setup_of(
-            name="driver", kind="vague", axes=["x", "y", "z"], parameters={"safety": {"hang": None}}
+            name="driver",
+            kind="vague",
+            axes=["x", "y", "z"],
+            parameters={"safety": {"hang": None}},
         )
     )
     told: list[tuple[str, str]] = []
-    monkeypatch.setattr(driver.events, "emit", lambda kind, text, **_: told.append((kind, text)))
+    monkeypatch.setattr(
+        driver.events, "emit", lambda kind, text, **_: told.append((kind, text))
+    )
     driver.configure()
     driver.state = "running"
     for _ in range(3):
         driver.check_health()
     expected = (
-        "driver: condition() of the device failed: RuntimeError: vendor library: connection reset"
+        "driver: condition() of the device failed:"
+        " RuntimeError: vendor library: connection reset"
     )
     assert driver.stop_reason == expected
     assert driver.failing
@@ -134,7 +140,10 @@ def test_whatever_a_node_does_beside_its_loop_the_control_thread_goes_on() -> No
         patch.setattr("nodes.base.control_thread.remove_ipc", lambda _: None)
         ControlServer.run(server)
     assert done[:4] == ["ValueError", "TypeError", "lease", "OSError"]
-    assert told[0] == "control: driver: ValueError outside the loop: no number; the node ends"
+    assert (
+        told[0]
+        == "control: driver: ValueError outside the loop: no number; the node ends"
+    )
     assert sum(text.startswith("stop: ") for text in told) == 1
     assert told.count("control: no descriptor") > 3
 

@@ -80,12 +80,14 @@ def test_a_device_s_own_error_is_the_one_that_is_told() -> None:
 
 
 @pytest.mark.parametrize(
-    "given", [None, (0.0, 0.0), np.zeros(4), ("x", 0.0, 0.0), np.zeros((3, 2)).tolist(), 1.0]
+    "given",
+    [None, (0.0, 0.0), np.zeros(4), ("x", 0.0, 0.0), np.zeros((3, 2)).tolist(), 1.0],
 )
 def test_what_is_no_position_is_told_with_the_device_s_name(given: Any) -> None:
     status, _, calls = read(Arm(given))
     assert status == -1
     with pytest.raises(
-        TypeError, match=r"Arm: read_position\(\) gave .*, expected three numbers in metres"
+        TypeError,
+        match=r"Arm: read_position\(\) gave .*, expected three numbers in metres",
     ):
         calls.raise_error()

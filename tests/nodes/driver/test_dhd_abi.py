@@ -58,11 +58,15 @@ def declared(argument: str) -> object:
     return TYPES[f"{word} {array or pointer}".strip()]
 
 
-@pytest.mark.skipif(not HEADER, reason="HAPTIC_DHD_HEADER names no header of the vendor")
+@pytest.mark.skipif(
+    not HEADER, reason="HAPTIC_DHD_HEADER names no header of the vendor"
+)
 def test_types_are_those_of_the_vendors_header() -> None:
     text = Path(HEADER).read_text(encoding="utf-8", errors="replace")
     for name, (result, arguments) in FUNCTIONS.items():
-        found = re.search(rf"^\s*([\w ]+\*?)\s+__SDK\s+{name}\s*\((.*?)\);", text, re.MULTILINE)
+        found = re.search(
+            rf"^\s*([\w ]+\*?)\s+__SDK\s+{name}\s*\((.*?)\);", text, re.MULTILINE
+        )
         assert found, name
         assert TYPES[found[1].strip()] == result, name
         theirs = [declared(one) for one in found[2].split(",") if one.strip()]
@@ -81,7 +85,9 @@ def test_the_vendors_library_has_all_and_says_that_no_device_is_there() -> None:
     assert x.value == 7.0
     assert library.dhdErrorGetLast() != 0
     device = ForceDimensionDevice(
-        ForceDimensionDriverParameters(force_dimension=ForceDimensionParameters(library=REAL))
+        ForceDimensionDriverParameters(
+            force_dimension=ForceDimensionParameters(library=REAL)
+        )
     )
     with pytest.raises(OSError, match="no device found"):
         device.connect()
@@ -123,7 +129,9 @@ def test_a_library_that_lacks_a_function_is_refused_by_its_name(
     del cached
     renamed = f"-D{name}={name}_of_old"
     path = (
-        archive("dhd", tmp_path, renamed) if form == "a" else library("dhd", tmp_path, renamed)[0]
+        archive("dhd", tmp_path, renamed)
+        if form == "a"
+        else library("dhd", tmp_path, renamed)[0]
     )
     with pytest.raises(
         OSError,
@@ -150,7 +158,8 @@ def test_what_cannot_be_linked_or_loaded_is_refused_in_one_line(
     shared.write_text("no library", encoding="ascii")
     for path in (shared, tmp_path / "libnone.so"):
         with pytest.raises(
-            OSError, match=rf"{path.name} cannot be loaded .*install the Force Dimension SDK"
+            OSError,
+            match=rf"{path.name} cannot be loaded .*install the Force Dimension SDK",
         ):
             load_library(str(path))
 

@@ -34,7 +34,9 @@ def energies(latency: float) -> tuple[float, float]:
             if part
             else (start, 0.0)
         )
-        work += older * (middle - start) + newer * (float(trace.position[k + 1]) - middle)
+        work += older * (middle - start) + newer * (
+            float(trace.position[k + 1]) - middle
+        )
     return account, work
 
 

@@ -76,13 +76,19 @@ def test_nonsense_is_refused(port: Port, bad: list[Any]) -> None:
 
 def test_along_an_axis_that_nobody_computes_there_is_none() -> None:
     """Forces along axes not computed are ignored, without effect on the others."""
-    alone, beside = (Port(axes=(0, 1), peak_force=5.0, continuous_force=3.0) for _ in range(2))
+    alone, beside = (
+        Port(axes=(0, 1), peak_force=5.0, continuous_force=3.0) for _ in range(2)
+    )
     with pytest.raises(
         ParameterError,
         match=r"driver\.external\.force: 0\.5 N along z, .*\[x, y\]: nothing would be felt",
     ):
         give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.5])
-    assert give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.0])["force_n"] == (0.5, 0.0, 0.0)
+    assert give(alone.s, ALLOWED, "driver", [0.5, 0.0, 0.0])["force_n"] == (
+        0.5,
+        0.0,
+        0.0,
+    )
     give(beside.s, ALLOWED, "driver", [0.5, 0.0, 0.0])
     for seq in range(400):
         for port, z in ((alone, 0.0), (beside, 40.0)):
@@ -98,5 +104,7 @@ def test_along_an_axis_that_nobody_computes_there_is_none() -> None:
 
 
 def test_nobody_pushes_unasked(port: Port) -> None:
-    with pytest.raises(ParameterError, match=r"driver\.external: no force from outside.*peak"):
+    with pytest.raises(
+        ParameterError, match=r"driver\.external: no force from outside.*peak"
+    ):
         give(port.s, None, "driver", [0.0, 0.0, 1.0])

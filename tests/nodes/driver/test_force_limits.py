@@ -115,7 +115,11 @@ def test_continuous_force_holds_through_gap_after_gap(
     """With margin for one gap only it was exceeded by 20 %: gaps may follow each other."""
     limit, keep = 1.75, math.exp(-T / tau)
     port = Port(
-        continuous_force=limit, thermal_time=tau, slew=slew, peak_force=7.9, watchdog=watchdog
+        continuous_force=limit,
+        thermal_time=tau,
+        slew=slew,
+        peak_force=7.9,
+        watchdog=watchdog,
     )
     heat, tick = 0.0, 0
     for _ in range(1500):
@@ -130,12 +134,16 @@ def test_continuous_force_holds_through_gap_after_gap(
     assert heat > 0.8 * limit**2
 
 
-def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_force() -> None:
+def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_force() -> (
+    None
+):
     """A whole watchdog of lost ticks at a large force must stay within the limit."""
     limit, tau = 1.75, 0.2
     keep = math.exp(-T / tau)
     for lost_after in range(1, 60, 3):
-        port = Port(continuous_force=limit, thermal_time=tau, slew=100.0, peak_force=7.9)
+        port = Port(
+            continuous_force=limit, thermal_time=tau, slew=100.0, peak_force=7.9
+        )
         heat, tick = 0.0, 0
         for n in range(400):
             port.answer(force(tick, 7.9), tick)
@@ -151,7 +159,9 @@ def test_continuous_force_holds_through_a_gap_in_which_the_device_holds_its_forc
 
 
 @given(start=st.floats(-7.9, 7.9), slew=st.one_of(st.none(), st.floats(5.3, 1e5)))
-def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float | None) -> None:
+def test_soft_stop_ends_at_zero_within_slew_and_time(
+    start: float, slew: float | None
+) -> None:
     port = Port(slew=slew, peak_force=7.9)
     port.s.force[:] = (0.0, start, -0.5 * start)
     steps = soft_stop(port.force, port.s.slew, T)
@@ -160,7 +170,8 @@ def test_soft_stop_ends_at_zero_within_slew_and_time(start: float, slew: float |
     most = slew * T if slew is not None else abs(start) / 10.0
     for before, after in pairwise([port.force, *steps]):
         assert all(
-            abs(b - a) <= most * (1.0 + 1e-9) + 1e-12 for a, b in zip(before, after, strict=True)
+            abs(b - a) <= most * (1.0 + 1e-9) + 1e-12
+            for a, b in zip(before, after, strict=True)
         )
 
 
@@ -172,7 +183,8 @@ def test_soft_stop_without_force_is_one_zero() -> None:
 # ---------------------------------------------------------------------------------
 
 anything = st.one_of(
-    st.floats(-20.0, 20.0), st.sampled_from([1e308, -1e308, math.nan, math.inf, 5e-324, 0.0])
+    st.floats(-20.0, 20.0),
+    st.sampled_from([1e308, -1e308, math.nan, math.inf, 5e-324, 0.0]),
 )
 vectors = st.tuples(anything, anything, anything)
 places = st.one_of(st.just(0.0), st.floats(-0.2, 0.2), st.just(math.nan))
@@ -180,7 +192,9 @@ messages = st.tuples(st.integers(-12, 2), vectors)
 ticks = st.tuples(
     st.integers(1, 3),  # ticks passed: more than one is an overrun
     st.tuples(places, places, places),
-    st.lists(messages, max_size=8),  # forces that arrive in this tick, by the tick they answer
+    st.lists(
+        messages, max_size=8
+    ),  # forces that arrive in this tick, by the tick they answer
 )
 
 
@@ -248,7 +262,10 @@ def test_no_sequence_of_messages_gets_past_a_limit(
         if continuous is not None and max(gaps, default=0) <= watchdog:
             # Gaps in which the device holds its force are provided for, as many as there may be.
             assert heat <= continuous**2 * (1.0 + 1e-9)
-        if tick - since >= watchdog + 2 + math.ceil(peak / (slew * T)) and port.state != "waiting":
+        if (
+            tick - since >= watchdog + 2 + math.ceil(peak / (slew * T))
+            and port.state != "waiting"
+        ):
             assert port.force == ZERO or passed > 1
         if not inside:
             assert port.state == "fault"

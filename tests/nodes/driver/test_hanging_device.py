@@ -17,9 +17,12 @@ from tests.support.logging_arm import diary, forces, scene
 @pytest.mark.process
 @pytest.mark.smoke
 @pytest.mark.parametrize(
-    "call", slowly(["open", "read_position", "write_force", "close"], but=["write_force"])
+    "call",
+    slowly(["open", "read_position", "write_force", "close"], but=["write_force"]),
 )
-def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(tmp_path: Path, call: str) -> None:
+def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(
+    tmp_path: Path, call: str
+) -> None:
     declared = {
         "peak_force": 10.0,
         "hold": 0.05,
@@ -48,7 +51,9 @@ def test_a_call_that_hangs_is_noticed_told_and_ends_the_driver(tmp_path: Path, c
 
 
 @pytest.mark.slow
-def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_path: Path) -> None:
+def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(
+    tmp_path: Path,
+) -> None:
     """No thread of the process can check then."""
     path = scene(tmp_path, hangs_in="write_force", hangs_holding=True)
     with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
@@ -64,7 +69,12 @@ def test_a_call_that_hangs_with_the_interpreter_s_lock_ends_the_driver_too(tmp_p
 @pytest.mark.slow
 def test_closing_gets_the_time_that_the_device_declares(tmp_path: Path) -> None:
     # Longer than the launcher waits for any other node before it presses on.
-    declared = {"peak_force": 10.0, "hold": 0.05, "workspace": [[-0.1, 0.1]] * 3, "closing": 20.0}
+    declared = {
+        "peak_force": 10.0,
+        "hold": 0.05,
+        "workspace": [[-0.1, 0.1]] * 3,
+        "closing": 20.0,
+    }
     with running(
         tmp_path, scene(tmp_path, closing=3.5, declared=declared), environment=INSTALLED
     ) as launch:
@@ -76,7 +86,9 @@ def test_closing_gets_the_time_that_the_device_declares(tmp_path: Path) -> None:
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_hardware_that_declares_no_limits_does_not_start_unless_told_to(tmp_path: Path) -> None:
+def test_hardware_that_declares_no_limits_does_not_start_unless_told_to(
+    tmp_path: Path,
+) -> None:
     path = scene(tmp_path, declared={"workspace": [[-0.1, 0.1]] * 3})
     with running(tmp_path, path, environment=INSTALLED, ready=False) as launch:
         launch.finish(code=1)

@@ -24,12 +24,15 @@ def test_a_push_along_an_axis_moves_what_the_other_axes_leave() -> None:
     for axis in range(3):
         # One newton along it: what it is accelerated by, along itself.
         push = np.eye(3)[axis]
-        assert 1.0 / along[axis] == pytest.approx((np.linalg.inv(matrix) @ push)[axis], rel=1e-12)
+        assert 1.0 / along[axis] == pytest.approx(
+            (np.linalg.inv(matrix) @ push)[axis], rel=1e-12
+        )
         assert least <= along[axis] <= matrix[axis, axis]
 
 
 @pytest.mark.parametrize(
-    "wrong", [[[0.0] * 3] * 3, [[float("nan")] * 3] * 3, np.diag([0.1, -0.1, 0.1]).tolist()]
+    "wrong",
+    [[[0.0] * 3] * 3, [[float("nan")] * 3] * 3, np.diag([0.1, -0.1, 0.1]).tolist()],
 )
 def test_what_is_no_inertia_is_refused(wrong: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="inertia is not"):
@@ -51,7 +54,9 @@ def test_poses_are_remembered() -> None:
 
 
 @pytest.mark.process
-def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Path) -> None:
+def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(
+    tmp_path: Path,
+) -> None:
     with (
         bench("force_dimension_driver", tmp_path) as stand,
         running(tmp_path, through(stand, tmp_path), *SOFT, "duration:=0") as launch,
@@ -67,14 +72,20 @@ def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(tmp_path: Pa
         # The stand-in is half as heavy again towards the operator, and twice as heavy 0.1 m to the
         # right of ours.
         wait_for(
-            lambda: told().get("greatest_kg") == pytest.approx(0.15), "the masses of this pose"
+            lambda: told().get("greatest_kg") == pytest.approx(0.15),
+            "the masses of this pose",
         )
         assert told()["here_kg"] == pytest.approx([0.15, 0.1, 0.1])
         stand.world.state.position[1] = 0.1
-        wait_for(lambda: told()["greatest_kg"] == pytest.approx(0.3), "the masses of another pose")
+        wait_for(
+            lambda: told()["greatest_kg"] == pytest.approx(0.3),
+            "the masses of another pose",
+        )
         assert told()["least_kg"] == pytest.approx(0.1)
         stand.world.state.position[1] = 0.0
-        wait_for(lambda: told()["here_kg"][2] == pytest.approx(0.1), "the first pose again")  # type: ignore[index]
+        wait_for(
+            lambda: told()["here_kg"][2] == pytest.approx(0.1), "the first pose again"
+        )  # type: ignore[index]
         info = launch.haptic("node", "info", "driver")
         assert (
             "mass: 0.15, 0.1, 0.1 kg along x, y, z at its position; 0.1 to 0.3 kg in all poses"

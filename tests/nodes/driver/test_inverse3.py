@@ -73,16 +73,23 @@ def test_a_launch_waits_for_a_cold_start(stand: Bench, tmp_path: Path) -> None:
     stand.world.state.unplugged = 1
     with running(tmp_path, scene, *SOFT, "duration:=0", ready=False) as launch:
         wait_for(
-            lambda: "[driver] device_waits: Inverse3: waits up to 100 s" in launch.errors,
+            lambda: (
+                "[driver] device_waits: Inverse3: waits up to 100 s" in launch.errors
+            ),
             "why it waits",
         )
         stand.world.state.unplugged = 0
-        wait_for(lambda: stand.world.force()[2] == pytest.approx(0.3, abs=1e-9), "2 mm of 150 N/m")
+        wait_for(
+            lambda: stand.world.force()[2] == pytest.approx(0.3, abs=1e-9),
+            "2 mm of 150 N/m",
+        )
         assert "device_waits: Inverse3: is there after" in launch.errors
 
 
 @pytest.mark.process
-def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(tmp_path: Path) -> None:
+def test_a_service_that_takes_forces_under_another_name_is_refused_loudly(
+    tmp_path: Path,
+) -> None:
     with bench("inverse3_driver", tmp_path, "--version", "3.1") as stand:
         device = stand.opened()
         told: list[str] = []
@@ -122,7 +129,9 @@ def test_what_another_session_adds_is_told(stand: Bench) -> None:
 @pytest.mark.process
 @pytest.mark.smoke
 @pytest.mark.parametrize("events", [True, False])
-def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool) -> None:
+def test_an_emergency_brake_is_told_and_ends_nothing(
+    stand: Bench, events: bool
+) -> None:
     device = stand.opened() if events else stand.opened(events_port=0)
     stand.press(device, (0.0, 0.0, 1.0))
     why = (
@@ -140,7 +149,10 @@ def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool)
 
     stand.world.state.cause = 1
     braked = time.monotonic()
-    wait_for(lambda: told() and time.monotonic() - braked > 2.0 * FORCELESS_AFTER, "the brake")
+    wait_for(
+        lambda: told() and time.monotonic() - braked > 2.0 * FORCELESS_AFTER,
+        "the brake",
+    )
     stand.world.state.cause = 0
     stand.press(device, (0.0, 0.0, 1.0))
     wait_for(lambda: device.condition() == "", "the brake released")
@@ -148,7 +160,9 @@ def test_an_emergency_brake_is_told_and_ends_nothing(stand: Bench, events: bool)
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(stand: Bench) -> None:
+def test_a_service_that_answers_slowly_has_old_samples_counted_as_none(
+    stand: Bench,
+) -> None:
     """States 80 ms late exceed the deadline of 50 ms: no position, so no force."""
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
@@ -175,7 +189,11 @@ def test_surplus_answers_make_no_position_older(
     device.connect()
     device.open()
     stand.world.fail("twice")
-    wait_for(lambda: device.facts.get("surplus_answers", 0) > 1000, "1000 surplus answers", 30.0)
+    wait_for(
+        lambda: device.facts.get("surplus_answers", 0) > 1000,
+        "1000 surplus answers",
+        30.0,
+    )
     stand.world.state.position[2] = 0.01
     moved, seen = device.ticks, 0
     while device.read_position(0)[2] != pytest.approx(0.01, abs=1e-12):
@@ -192,15 +210,21 @@ def test_a_service_that_goes_on_with_surplus_answers_is_given_up(stand: Bench) -
     stand.press(device, (0.0, 0.0, 1.0))
     # A few are forgiven.
     stand.world.fail("twice")
-    wait_for(lambda: device.facts.get("surplus_answers", 0) > 0, "a surplus answer", 10.0)
+    wait_for(
+        lambda: device.facts.get("surplus_answers", 0) > 0, "a surplus answer", 10.0
+    )
     stand.world.fail("")
     assert not math.isnan(device.read_position(0)[0])
     stand.world.fail("twice")
     wait_for(
-        lambda: "more states than it is asked for" in device.condition(), "it is given up", 30.0
+        lambda: "more states than it is asked for" in device.condition(),
+        "it is given up",
+        30.0,
     )
     assert SURPLUS_BURST <= device.facts["surplus_answers"] <= 2 * SURPLUS_BURST
-    with pytest.raises(OSError, match="goes on sending more states than it is asked for"):
+    with pytest.raises(
+        OSError, match="goes on sending more states than it is asked for"
+    ):
         device.read_position(0)
     wait_for(lambda: not any(stand.world.force()), "no force acts")
 
@@ -212,7 +236,9 @@ def test_messages_that_cannot_be_read_end_nothing(stand: Bench) -> None:
     device = stand.opened()
     stand.press(device, (0.0, 0.0, 1.0))
     stand.world.fail("nested")
-    wait_for(lambda: "messages that cannot be read" in device.condition(), "it is told", 10.0)
+    wait_for(
+        lambda: "messages that cannot be read" in device.condition(), "it is told", 10.0
+    )
     wait_for(lambda: not any(stand.world.force()), "no force without a position", 10.0)
     stand.world.fail("")
     stand.press(device, (0.0, 0.0, 1.0))
@@ -238,7 +264,9 @@ def test_whatever_ends_the_exchange_ends_forces_and_is_told(
     device = stand.opened()
     monkeypatch.setattr("nodes.driver.haply.driver.buttons", lambda _: 1 / 0)
     wait_for(
-        lambda: "ZeroDivisionError: division by zero" in device.condition(), "it is told", 10.0
+        lambda: "ZeroDivisionError: division by zero" in device.condition(),
+        "it is told",
+        10.0,
     )
     with pytest.raises(
         OSError, match="the exchange with the Inverse Service failed: ZeroDivisionError"

@@ -34,18 +34,24 @@ PERIOD = 0.002
 @pytest.mark.process
 @pytest.mark.realtime
 def test_a_driver_that_is_not_virtual_has_the_compiled_tick_too(tmp_path: Path) -> None:
-    kernels = ["nodes.environment.kernel", "nodes.coupling.kernel", "nodes.driver.kernel"]
+    kernels = [
+        "nodes.environment.kernel",
+        "nodes.coupling.kernel",
+        "nodes.driver.kernel",
+    ]
     assert choose("compiled", kernels, print) == "compiled"
     path = scene(tmp_path, run={"duration": 0.6, "tick": "compiled"})
     with running(tmp_path, path, environment=INSTALLED) as launch:
         figures = launch.finish()
     assert figures["tick"] == "compiled"
     compiled = figures["ticks_compiled"]
-    assert min(compiled[node] for node in ("driver", "environment", "coupling")) > 0.8 * (
-        figures["ticks"] - figures["missed"]
-    )
+    assert min(
+        compiled[node] for node in ("driver", "environment", "coupling")
+    ) > 0.8 * (figures["ticks"] - figures["missed"])
     # 1 mm into 1000 N/m, at rest: after a ramp of 0.15 s at 500 Hz, because the arm begins there.
-    assert forces(tmp_path).count(1.0) > 0.8 * (figures["ticks"] - figures["missed"] - 75)
+    assert forces(tmp_path).count(1.0) > 0.8 * (
+        figures["ticks"] - figures["missed"] - 75
+    )
 
 
 # -- a reader that pauses or goes away
@@ -68,16 +74,21 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(
             # Damping of an arm that stands still is zero too, but the launch must go on to say so
             # on its topics.
             wait_for(
-                lambda: launch.call("driver", "progress")["safety"] == "zero", "the watchdog bites"
+                lambda: launch.call("driver", "progress")["safety"] == "zero",
+                "the watchdog bites",
             )
             assert abs(forces(tmp_path)[-1]) == 0.0
             ticks = launch.wait_ticks(20)
             figures = launch.finish(signal.SIGINT, code=1)
-            assert (figures["exit_reason"], figures["ticks"] >= ticks) == ("SIGINT", True)
+            assert (figures["exit_reason"], figures["ticks"] >= ticks) == (
+                "SIGINT",
+                True,
+            )
             assert figures["nodes"]["driver"]["state"] == "finished"
         assert [call for _, call, _ in diary(tmp_path)][-2:] == ["close", "closed"]
         told = [
-            event.reason for event in Recording(tmp_path / "run.mcap").messages("/driver/event")
+            event.reason
+            for event in Recording(tmp_path / "run.mcap").messages("/driver/event")
         ]
         assert any(reason.startswith("damping → zero") for reason in told)
     finally:
@@ -92,7 +103,9 @@ def test_the_force_goes_down_and_the_launch_ends_whoever_reads_what_is_printed(
 
 @pytest.mark.process
 @pytest.mark.realtime
-def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_path: Path) -> None:
+def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(
+    tmp_path: Path,
+) -> None:
     speed = 0.1
     path = scene(
         tmp_path,
@@ -107,14 +120,19 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
         driver = launch.pid("driver")
         launch.wait_ticks(20)
         os.kill(launch.pid("coupling"), signal.SIGKILL)
-        wait_for(lambda: launch.call("driver", "progress")["safety"] == "damping", "damping begins")
+        wait_for(
+            lambda: launch.call("driver", "progress")["safety"] == "damping",
+            "damping begins",
+        )
         launch.wait_ticks(5)
         seen = len(diary(tmp_path))
         for _ in range(8):
             overruns = launch.call("driver", "progress")["overruns"]
             os.kill(driver, signal.SIGSTOP)
             begun = time.monotonic()
-            wait_for(lambda begun=begun: time.monotonic() - begun > 25 * PERIOD, "ticks pass")  # type: ignore[misc]
+            wait_for(
+                lambda begun=begun: time.monotonic() - begun > 25 * PERIOD, "ticks pass"
+            )  # type: ignore[misc]
             os.kill(driver, signal.SIGCONT)
             wait_for(
                 lambda overruns=overruns: (
@@ -124,7 +142,9 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
             )
             launch.wait_ticks(5)
         launch.finish(signal.SIGINT, code=1)
-    damped = [value for _, call, value in diary(tmp_path)[seen:] if call == "write_force"]
+    damped = [
+        value for _, call, value in diary(tmp_path)[seen:] if call == "write_force"
+    ]
     # b·v; of a sample that is read a little after its time a little more, where one period for 25
     # ticks gave 25 times that.
     assert max(map(abs, damped)) <= 3.0 * DAMPING * speed
@@ -133,11 +153,17 @@ def test_damping_knows_the_time_that_passed_while_the_driver_was_held_up(tmp_pat
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(tmp_path: Path) -> None:
+def test_the_soft_stop_begins_at_the_force_that_is_on_the_device(
+    tmp_path: Path,
+) -> None:
     # Slewing all the time, under next_tick the force decided last has not been handed over yet.
     slew = 0.3
     path = scene(
-        tmp_path, run={"apply": "next_tick"}, swing=0.004, speed=0.5, safety={"slew": slew / PERIOD}
+        tmp_path,
+        run={"apply": "next_tick"},
+        swing=0.004,
+        speed=0.5,
+        safety={"slew": slew / PERIOD},
     )
     with running(tmp_path, path, environment=INSTALLED) as launch:
         wait_for(lambda: len(forces(tmp_path)) > 200, "forces are written")
@@ -164,8 +190,12 @@ def killed(launch: Running, node: str) -> None:
 
 
 @pytest.mark.process
-def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path) -> None:
-    with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
+def test_a_coupling_started_again_has_its_parameters_and_no_jump(
+    tmp_path: Path,
+) -> None:
+    with running(
+        tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED
+    ) as launch:
         wait_for(lambda: forces(tmp_path)[-1:] == [1.0], "the arm is pressed")
         launch.call("coupling", "param.set", values={"laws.pd.stiffness": 700.0})
         launch.call(
@@ -174,14 +204,18 @@ def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path)
             values={"surface": {"kind": "plane", "axis": "z", "position": 0.001}},
         )
         wait_for(
-            lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "they are in place"
+            lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)],
+            "they are in place",
         )
         for _ in range(2):
             for node in ("environment", "coupling"):
                 killed(launch, node)
-            assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 700.0
+            assert (
+                launch.call("coupling", "param.get", name="laws.pd.stiffness") == 700.0
+            )
             wait_for(
-                lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)], "forces flow again"
+                lambda: forces(tmp_path)[-1:] == [pytest.approx(1.4, abs=1e-9)],
+                "forces flow again",
             )
         launch.finish(signal.SIGINT)
     # Held still, the arm is felt as a spring: from a history of zeros the damper alone would give 3
@@ -194,7 +228,9 @@ def test_a_coupling_started_again_has_its_parameters_and_no_jump(tmp_path: Path)
 @pytest.mark.process
 @pytest.mark.realtime
 def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -> None:
-    with running(tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED) as launch:
+    with running(
+        tmp_path, scene(tmp_path, chain=AGAIN), environment=INSTALLED
+    ) as launch:
         for _ in range(2):
             # What its predecessors have, the last half second excepted, must stay.
             launch.wait_ticks(400)
@@ -204,7 +240,11 @@ def test_a_logger_started_again_leaves_alone_what_was_recorded(tmp_path: Path) -
         told = json.loads(
             launch.haptic("bag", "info", "run.mcap", "--json").stdout.splitlines()[-1]
         )
-    assert [Path(path).name for path in told["parts"]] == ["run.mcap", "run.2.mcap", "run.3.mcap"]
+    assert [Path(path).name for path in told["parts"]] == [
+        "run.mcap",
+        "run.2.mcap",
+        "run.3.mcap",
+    ]
     assert told["recovered"] is True
     whole = Recording(tmp_path / "run.mcap")
     seen = [state.seq for state in whole.messages("/device/state")]
@@ -227,7 +267,9 @@ WRONG = (1.7e308, -1.7e308, None, 0.11)
 @pytest.mark.process
 @pytest.mark.smoke
 @pytest.mark.realtime
-def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path) -> None:
+def test_positions_outside_the_workspace_are_a_fault_and_no_data(
+    tmp_path: Path,
+) -> None:
     # Each for a tenth of a second, and for a tick or two.
     glitches = [
         (begin, begin + length, wrong)
@@ -238,17 +280,20 @@ def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path)
     with running(tmp_path, path, environment=INSTALLED) as launch:
         over = glitches[-1][1] + 0.3
         wait_for(
-            lambda: diary(tmp_path)[-1][0] - diary(tmp_path)[1][0] > over, "the glitches are over"
+            lambda: diary(tmp_path)[-1][0] - diary(tmp_path)[1][0] > over,
+            "the glitches are over",
         )
         wait_for(lambda: forces(tmp_path)[-1] == 1.0, "forces flow again")
         figures = launch.finish(signal.SIGINT)
     # At tick 0 the history is empty, as it is in one process; from then on the arm stands still.
     first = 1.0 + LAW_DAMPING * 0.001 / PERIOD
     assert all(
-        math.isfinite(force) and 0.0 <= force <= first + 1e-9 for force in forces(tmp_path)[:10]
+        math.isfinite(force) and 0.0 <= force <= first + 1e-9
+        for force in forces(tmp_path)[:10]
     )
     assert all(
-        math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9 for force in forces(tmp_path)[10:]
+        math.isfinite(force) and 0.0 <= force <= 1.0 + 1e-9
+        for force in forces(tmp_path)[10:]
     )
     assert figures["safety"]["entered"]["fault"] >= len(WRONG)
     recording = Recording(tmp_path / "run.mcap")
@@ -256,7 +301,9 @@ def test_positions_outside_the_workspace_are_a_fault_and_no_data(tmp_path: Path)
     assert {state.position[2] for state in states} == {-0.001}
     # An arm that stands still gets no energy, whatever its encoders said meanwhile.
     assert all(state.energy == 0.0 for state in states)
-    assert not any(event.kind == "fallback" for event in recording.messages("/coupling/event"))
+    assert not any(
+        event.kind == "fallback" for event in recording.messages("/coupling/event")
+    )
 
 
 # -- what goes on pushing while nobody answers
@@ -310,7 +357,9 @@ def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown
         launch.finish(signal.SIGINT)
     states = Recording(tmp_path / "run.mcap").messages("/device/state")
     recovery = round(SafetyParameters().recovery / PERIOD)
-    silent = [a.seq for a, b in pairwise(states) if (a.safety, b.safety) == ("zero", "ramp")]
+    silent = [
+        a.seq for a, b in pairwise(states) if (a.safety, b.safety) == ("zero", "ramp")
+    ]
     assert len(silent) >= 2
     for last in silent:
         after = [state for state in states if last <= state.seq <= last + 450]
@@ -318,7 +367,9 @@ def test_what_has_sunk_in_meets_a_force_that_grows_by_the_ramp_and_is_not_thrown
         assert depth > 0.03
         for state in after:
             # two roundings
-            assert abs(state.force[2]) <= 40.0 * max(state.seq - last, 0) / recovery * (1.0 + 1e-15)
+            assert abs(state.force[2]) <= 40.0 * max(state.seq - last, 0) / recovery * (
+                1.0 + 1e-15
+            )
         # What takes energy is who pushes, on the way out, and the speed of that way; a tick or two
         # of acceleration beyond it.
         speed = 1.5 * RETURN_SPEED

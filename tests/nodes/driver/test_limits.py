@@ -41,7 +41,9 @@ def test_no_launch_file_raises_a_limit_of_the_device_and_each_attempt_is_told() 
     assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
     assert (limits.watchdog, limits.damping_ticks, limits.max_age) == (25, 25, 25)
     assert limits.workspace == ((-0.08, 0.08), (-0.01, 0.01), (-0.06, 0.06))
-    assert [text.split(":")[0].removeprefix("driver.safety.") for text in limits.overruled] == [
+    assert [
+        text.split(":")[0].removeprefix("driver.safety.") for text in limits.overruled
+    ] == [
         "peak_force",
         "slew",
         "watchdog",
@@ -65,7 +67,12 @@ def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
         peak_force=7.9, continuous_force=1.0, slew=2000.0, watchdog=25, damping_ticks=5
     )
     limits = lower(modest, TOUCH, T)
-    assert (limits.peak, limits.continuous, limits.watchdog, limits.overruled) == (7.9, 1.0, 25, ())
+    assert (limits.peak, limits.continuous, limits.watchdog, limits.overruled) == (
+        7.9,
+        1.0,
+        25,
+        (),
+    )
     # Left out, the device's own limits hold.
     limits = lower(SafetyParameters(damping_ticks=25), TOUCH, T)
     assert (limits.peak, limits.continuous, limits.slew) == (7.9, 1.75, 2000.0 * T)
@@ -73,7 +80,10 @@ def test_a_modest_launch_file_lowers_the_limits_and_nothing_is_told() -> None:
 
 def test_a_slew_too_slow_to_stop_in_time_lowers_the_peak() -> None:
     limits = lower(SafetyParameters(slew=2.0, peak_force=3.0), DeviceLimits(), T)
-    assert (limits.peak, limits.overruled) == (3.0, ())  # 3 N at 2 N/s is exactly STOP_TIME
+    assert (limits.peak, limits.overruled) == (
+        3.0,
+        (),
+    )  # 3 N at 2 N/s is exactly STOP_TIME
     limits = lower(SafetyParameters(slew=2.0, peak_force=3.01), DeviceLimits(), T)
     assert limits.peak == 2.0 * STOP_TIME
     assert limits.overruled[0].startswith("safety.slew: 2 N/s takes")
@@ -93,7 +103,9 @@ def test_a_slew_too_slow_to_stop_in_time_lowers_the_peak() -> None:
         ({"stop_after": 65}, "driver.safety.stop_after"),
     ],
 )
-def test_parameters_that_make_no_sense_are_refused_by_path(data: dict[str, Any], path: str) -> None:
+def test_parameters_that_make_no_sense_are_refused_by_path(
+    data: dict[str, Any], path: str
+) -> None:
     with pytest.raises(ParameterError, match=rf"^{path}".replace(".", r"\.")):
         convert(data, SafetyParameters, "driver.safety")
 
@@ -105,7 +117,9 @@ def test_an_empty_workspace_is_refused_before_anything_is_started() -> None:
             kind="driver",
             factory="nodes.driver.node:Driver",
             period=T,
-            parameters={"safety": {"workspace": [[-1.0, 1.0], [-1.0, 1.0], [0.0, high]]}},
+            parameters={
+                "safety": {"workspace": [[-1.0, 1.0], [-1.0, 1.0], [0.0, high]]}
+            },
         )
 
     Driver.check(setup(1e-3))

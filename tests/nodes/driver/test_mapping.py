@@ -35,24 +35,38 @@ def test_axes_rotation_and_scale_are_one_matrix() -> None:
     assert turned.T @ turned == pytest.approx(2.5**2 * np.eye(3), abs=10 * EPSILON)
     assert np.linalg.det(turned) > 0.0
     # A quarter turn about z brings x to y, exactly.
-    assert matrix(Mapping(rotation=(0.0, 0.0, 90.0)), UPRIGHT) == ((0, -1, 0), (1, 0, 0), (0, 0, 1))
+    assert matrix(Mapping(rotation=(0.0, 0.0, 90.0)), UPRIGHT) == (
+        (0, -1, 0),
+        (1, 0, 0),
+        (0, 0, 1),
+    )
 
 
-@pytest.mark.parametrize("axes", [["+x", "+x", "+z"], ["+x", "+z", "+y"], ["-x", "+y", "+z"]])
+@pytest.mark.parametrize(
+    "axes", [["+x", "+x", "+z"], ["+x", "+z", "+y"], ["-x", "+y", "+z"]]
+)
 def test_a_mirror_or_a_missing_axis_is_refused(axes: list[str]) -> None:
-    with pytest.raises(msgspec.ValidationError, match=r"axes is .*: (each of x, y and z|a mirror)"):
+    with pytest.raises(
+        msgspec.ValidationError, match=r"axes is .*: (each of x, y and z|a mirror)"
+    ):
         msgspec.convert({"axes": axes}, Mapping)
 
 
 def test_power_is_the_same_on_both_sides(stand: Bench) -> None:
-    mapping = {"scale": 2.0, "rotation": [20.0, -35.0, 60.0], "centre": [0.1, 0.0, -0.05]}
+    mapping = {
+        "scale": 2.0,
+        "rotation": [20.0, -35.0, 60.0],
+        "centre": [0.1, 0.0, -0.05],
+    }
     stand.world.state.peak = 100.0
     device = stand.opened(mapping)
     centre = np.array(device.read_position(0))
     assert centre == pytest.approx(mapping["centre"], abs=1e-12)
     move = np.array([0.01, -0.02, 0.005])
     stand.world.state.position[:] = list(move)
-    wait_for(lambda: device.read_position(0) != tuple(centre), "the sample after the move")
+    wait_for(
+        lambda: device.read_position(0) != tuple(centre), "the sample after the move"
+    )
     scene = np.array(device.read_position(0)) - centre
     assert np.linalg.norm(scene) == pytest.approx(2.0 * np.linalg.norm(move), rel=1e-12)
     force = np.array([0.3, 0.2, -0.4])
@@ -66,30 +80,42 @@ def test_power_is_the_same_on_both_sides(stand: Bench) -> None:
         2.0 * np.linalg.norm(force), rel=1e-12
     )
     # Work of a move: in newtons and metres of the scene, and of the arm.
-    assert np.array(stand.world.force()) @ move == pytest.approx(force @ scene, rel=1e-12)
+    assert np.array(stand.world.force()) @ move == pytest.approx(
+        force @ scene, rel=1e-12
+    )
 
 
 def test_limits_hold_in_every_direction() -> None:
     box = ((-0.1, 0.1), (-0.2, 0.2), (-0.05, 0.15))
-    limits = DeviceLimits(peak_force=6.0, continuous_force=2.0, hold=0.05, workspace=box)
+    limits = DeviceLimits(
+        peak_force=6.0, continuous_force=2.0, hold=0.05, workspace=box
+    )
     quarter = limits_in_scene(
         limits, m := Mapping(rotation=(0.0, 0.0, 90.0), scale=2.0), matrix(m, UPRIGHT)
     )
-    assert (quarter.peak_force, quarter.continuous_force, quarter.hold) == (3.0, 1.0, 0.05)
+    assert (quarter.peak_force, quarter.continuous_force, quarter.hold) == (
+        3.0,
+        1.0,
+        0.05,
+    )
     assert quarter.workspace == ((-0.4, 0.4), (-0.2, 0.2), (-0.1, 0.3))
     askew = Mapping(rotation=(0.0, 0.0, 45.0))
     turn = np.array(matrix(askew, UPRIGHT))
     lowered = limits_in_scene(limits, askew, matrix(askew, UPRIGHT))
     # A force on all axes of the scene, each at its limit, is at most the limit on each axis of the
     # device.
-    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1) * lowered.peak_force
+    corners = (
+        np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1) * lowered.peak_force
+    )
     assert np.abs(turn.T @ corners).max() == pytest.approx(6.0, rel=10 * EPSILON)
-    assert limits_in_scene(limits, c := Mapping(clutch=0, reach=0.3), matrix(c, UPRIGHT)).workspace[
-        0
-    ] == (-0.4, 0.4)
+    assert limits_in_scene(
+        limits, c := Mapping(clutch=0, reach=0.3), matrix(c, UPRIGHT)
+    ).workspace[0] == (-0.4, 0.4)
 
 
-def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(stand: Bench) -> None:
+def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(
+    stand: Bench,
+) -> None:
     device = stand.opened({"clutch": 1, "clutch_ramp": 10.0, "reach": 0.05})
     w = stand.world.state
 
@@ -116,7 +142,9 @@ def test_the_clutch_holds_the_scene_and_the_force_comes_back_by_a_ramp(stand: Be
     ticks = device.ticks
     wait_for(lambda: device.ticks > ticks + 3, "samples of the new place")
     w.buttons = 0
-    wait_for(lambda: device.read_position(0) and not device._box.held, "the clutch let go")
+    wait_for(
+        lambda: device.read_position(0) and not device._box.held, "the clutch let go"
+    )
     settles((0.0, 0.0, 0.01))
     w.position[2] = 0.05
     settles((0.0, 0.0, 0.02))
@@ -142,13 +170,17 @@ def test_the_centre_is_where_the_handle_stands(stand: Bench) -> None:
     assert device.read_position(0) == pytest.approx((0.0, 0.0, 0.1), abs=1e-12)
 
 
-def test_the_workspace_moves_with_the_centre(stand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_workspace_moves_with_the_centre(
+    stand: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The launch file's workspace is the scene's and stays; the device's own moves."""
     parameters = {
         **stand.written({"scale": 2.0}),
         "safety": {"hang": None, "workspace": [[-1.0, 1.0], [-1.0, 1.0], [-0.01, 1.0]]},
     }
-    driver = stand.driver(setup_of(kind=stand.kind, axes=["x", "y", "z"], parameters=parameters))
+    driver = stand.driver(
+        setup_of(kind=stand.kind, axes=["x", "y", "z"], parameters=parameters)
+    )
     driver.configure()
     stand.made.append(driver.held)
     driver.held.open()
@@ -176,7 +208,9 @@ def test_the_handle_turns_with_the_scene(stand: Bench) -> None:
     assert handle is not None
     half = math.sqrt(0.5)
     # HDAPI's +x is to the right: −y here.
-    assert handle.orientation == pytest.approx((0.0, -half, 0.0, half), abs=10 * EPSILON)
+    assert handle.orientation == pytest.approx(
+        (0.0, -half, 0.0, half), abs=10 * EPSILON
+    )
     assert handle.buttons == 3
 
 
@@ -184,7 +218,10 @@ def test_weights_are_told_to_the_library_before_forces_are_on(tmp_path: Path) ->
     with bench("force_dimension_driver", tmp_path) as stand:
         w = stand.world.state
         w.tool_mass = -1.0
-        for carries, tool, base in ((True, None, (0.0, 0.0)), (False, 0.08, (90.0, -30.0))):
+        for carries, tool, base in (
+            (True, None, (0.0, 0.0)),
+            (False, 0.08, (90.0, -30.0)),
+        ):
             device = stand.device(
                 gravity_compensation=carries, tool_mass=tool, base_angles=list(base)
             )
@@ -198,7 +235,9 @@ def test_weights_are_told_to_the_library_before_forces_are_on(tmp_path: Path) ->
 
 
 @pytest.mark.process
-def test_the_gripper_and_the_buttons_of_each_kind_are_in_the_handle(tmp_path: Path) -> None:
+def test_the_gripper_and_the_buttons_of_each_kind_are_in_the_handle(
+    tmp_path: Path,
+) -> None:
     for kind, gripper, pressed in (
         ("force_dimension_driver", 0.012, 5),
         ("inverse3_driver", 0.0, 1),
@@ -221,4 +260,6 @@ def test_inertia_keeps_its_energy() -> None:
     ours = np.array(inertia_in_scene(theirs.tolist(), turn))
     velocity = np.array([0.3, -0.2, 0.1])
     scene = np.array(turn) @ velocity
-    assert scene @ ours @ scene == pytest.approx(velocity @ theirs @ velocity, rel=10 * EPSILON)
+    assert scene @ ours @ scene == pytest.approx(
+        velocity @ theirs @ velocity, rel=10 * EPSILON
+    )

@@ -74,18 +74,24 @@ def test_a_ramp_that_is_asked_for_is_that_of_the_first_force_whatever_it_is() ->
 # --------------------------------------------------------------------------------------------------
 
 
-def _jumping(at: int, before: float, after: float, ticks: int = 130, **more: Any) -> Script:
+def _jumping(
+    at: int, before: float, after: float, ticks: int = 130, **more: Any
+) -> Script:
     """Return a script: a force before a jump of the position, another after it."""
     limits = DeviceLimits(peak_force=PEAK, hold=10.0, workspace=BOX, latency=0.0)
     moves = more.pop("moves", 0.0)
-    answers = [answer(seq, force=(0.0, 0.0, before if seq < at else after)) for seq in range(ticks)]
+    answers = [
+        answer(seq, force=(0.0, 0.0, before if seq < at else after))
+        for seq in range(ticks)
+    ]
     script = driver(answers, ticks=ticks, **more)
     place = lambda seq: (0.0, 0.0, (0.0 if seq < at else 0.05) - moves * seq)  # noqa: E731
     return script._replace(hand=lambda: Hand(limits, place, jumps_at=[at]))
 
 
 @pytest.mark.parametrize(
-    ("before", "after"), [(-2.0, -7.0), (2.0, -5.0), (0.0, 4.0), (-3.0, 0.0), (1.5, 1.5)]
+    ("before", "after"),
+    [(-2.0, -7.0), (2.0, -5.0), (0.0, 4.0), (-3.0, 0.0), (1.5, 1.5)],
 )
 def test_a_jump_goes_from_what_is_felt_to_what_is_asked_by_the_ramp(
     before: float, after: float, tmp_path: Path
@@ -107,13 +113,17 @@ def test_a_jump_is_no_motion_no_energy_and_is_published(tmp_path: Path) -> None:
 
 def test_a_jump_in_free_air_has_no_ramp(tmp_path: Path) -> None:
     script = _jumping(20, 0.0, 0.0)
-    later = [answer(seq, force=(0.0, 0.0, 0.0 if seq < 40 else 3.0)) for seq in range(130)]
+    later = [
+        answer(seq, force=(0.0, 0.0, 0.0 if seq < 40 else 3.0)) for seq in range(130)
+    ]
     outcome, node = played(script._replace(arrivals=later), "plain", tmp_path)
     assert {force[2] for seq, force, _ in outcome.given if 40 <= seq < 130} == {3.0}
     assert node.driving.entered[RAMP] == 0
 
 
-def test_what_answers_a_position_before_the_jump_changes_nothing(tmp_path: Path) -> None:
+def test_what_answers_a_position_before_the_jump_changes_nothing(
+    tmp_path: Path,
+) -> None:
     """An answer one tick old refers to the position before the jump."""
     answers = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
     # Of tick 20 the answer comes late in tick 21, at which the device jumps, and is another force.
@@ -150,7 +160,9 @@ def _pressed(energy: Any, ticks: int) -> Port:
     return port
 
 
-def test_a_force_at_its_limit_that_gives_out_energy_stops_the_driver_within_a_second() -> None:
+def test_a_force_at_its_limit_that_gives_out_energy_stops_the_driver_within_a_second() -> (
+    None
+):
     """Counted as one event, it threw a tool 1.7 km with 40 N without a stop."""
     port = _pressed(lambda k: 1e-3 * k, 2000)
     assert port.state == "stopped"
@@ -164,7 +176,9 @@ def test_a_force_at_its_limit_that_gives_out_energy_stops_the_driver_within_a_se
         pytest.param(lambda _: 0.0, id="held still"),
         pytest.param(lambda k: -1e-3 * k, id="pushed in"),
         # In for 2 s and out again for 2 s: what is given back was taken before.
-        pytest.param(lambda k: -1e-3 * min(k, 2000 - k), id="pushed in and let out again"),
+        pytest.param(
+            lambda k: -1e-3 * min(k, 2000 - k), id="pushed in and let out again"
+        ),
     ],
 )
 def test_a_long_push_does_not_stop_the_driver(energy: Any) -> None:
@@ -189,7 +203,9 @@ def test_a_rearmed_driver_counts_swings_from_zero() -> None:
     swing(4)
     assert port.state == "stopped"
     assert rearm(port.s, tick)
-    port.s.safety = ACTIVE  # without its ramp, in which forces do not come to their limit
+    port.s.safety = (
+        ACTIVE  # without its ramp, in which forces do not come to their limit
+    )
     swing(3)
     assert port.state == "active", "swings of before the stop were counted again"
     swing(1)
@@ -201,7 +217,10 @@ def test_a_rearmed_driver_counts_swings_from_zero() -> None:
 
 TAKEN_DOWN: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "slew": ({"slew": 10.0, "watchdog": 5}, {}),
-    "heat": ({"continuous_force": 1.0, "thermal_time": 0.05, "slew": 40.0, "watchdog": 200}, {}),
+    "heat": (
+        {"continuous_force": 1.0, "thermal_time": 0.05, "slew": 40.0, "watchdog": 200},
+        {},
+    ),
     "guard": ({"watchdog": 200}, {"guard": {"stiffness": 500.0}}),
 }
 
@@ -218,7 +237,14 @@ def test_no_force_of_before_comes_back_while_it_is_taken_down(
     moves = lambda seq: (0.0, 0.0, 1e-5 * max(seq - 78, 0))  # noqa: E731
     for tick in range(82, 102, 3):
         script = driver(
-            answers, {tick: held_up}, moves, {"hold": HOLD}, ticks=120, ramp=None, **more, **safety
+            answers,
+            {tick: held_up},
+            moves,
+            {"hold": HOLD},
+            ticks=120,
+            ramp=None,
+            **more,
+            **safety,
         )
         outcome, _ = played(script._replace(apply=apply), "plain", tmp_path)
         assert broken(_log(outcome), Promise(T, 3.0, hold=HOLD)) == [], tick
@@ -231,12 +257,18 @@ def test_a_driver_that_is_held_up_anywhere_in_a_tick_writes_no_force_that_is_old
     place: str, held_up: int, apply: str, tmp_path: Path
 ) -> None:
     answers = [answer(seq, force=(0.0, 0.0, 3.0 + 0.01 * seq)) for seq in range(300)]
-    script = driver(answers, None, lambda _: (0.0, 0.0, 0.0), {"hold": HOLD}, ticks=300, max_age=2)
+    script = driver(
+        answers, None, lambda _: (0.0, 0.0, 0.0), {"hold": HOLD}, ticks=300, max_age=2
+    )
     outcome, _ = played(
         script._replace(apply=apply, stalls={(50, place): held_up}), "plain", tmp_path
     )
     log = _log(outcome)
-    held = [(before, after) for before, after in pairwise(log) if after.at - before.at > 3 * T]
+    held = [
+        (before, after)
+        for before, after in pairwise(log)
+        if after.at - before.at > 3 * T
+    ]
     for before, after in held:
         # Never one for a position of long ago; where the device let go the force is a part of it,
         # and begins anew.
@@ -244,7 +276,10 @@ def test_a_driver_that_is_held_up_anywhere_in_a_tick_writes_no_force_that_is_old
             answered = (after.force[2] - 3.0) / 0.01
             assert after.at / T - answered < 2 + 1 + 1e-6, (before, after)
     # The scripted force begins at once.
-    assert broken(log, Promise(T, 3.0 + 0.01 * 300, hold=HOLD))[round(0.15 / T) - 1 :] == []
+    assert (
+        broken(log, Promise(T, 3.0 + 0.01 * 300, hold=HOLD))[round(0.15 / T) - 1 :]
+        == []
+    )
     assert held or held_up < 8_000 or apply == "next_tick"
 
 
@@ -260,7 +295,9 @@ stalls = st.dictionaries(
     max_size=4,
 )
 lates = st.dictionaries(
-    st.integers(1, LENGTH), st.sampled_from([400, 1_990, 2_000, 30_000, 49_000, 51_000]), max_size=3
+    st.integers(1, LENGTH),
+    st.sampled_from([400, 1_990, 2_000, 30_000, 49_000, 51_000]),
+    max_size=3,
 )
 levels = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=12)
 
@@ -282,7 +319,11 @@ class Course(Hand):
             assert self.world is not None
             self.begins.append((self.world.now - EPOCH) * 1e-9)
         self._was_outside = outside
-        return 0.0, 0.0, math.nan if outside else 1e-5 * (seq % 7) + 0.02 * (self.jumps % 2)
+        return (
+            0.0,
+            0.0,
+            math.nan if outside else 1e-5 * (seq % 7) + 0.02 * (self.jumps % 2),
+        )
 
 
 HAPPENINGS = given(
@@ -324,8 +365,12 @@ def _feels_no_push(
         made.append(Course(limits, jumps, outside))
         return made[-1]
 
-    script = driver(answers, late, ticks=LENGTH, watchdog=5, damping_ticks=10, ramp=None, slew=slew)
-    outcome, _ = played(script._replace(hand=hand, apply=apply, stalls=held), "plain", tmp_path)
+    script = driver(
+        answers, late, ticks=LENGTH, watchdog=5, damping_ticks=10, ramp=None, slew=slew
+    )
+    outcome, _ = played(
+        script._replace(hand=hand, apply=apply, stalls=held), "plain", tmp_path
+    )
     bounds = Promise(T, PEAK, math.inf if slew is None else slew * T, HOLD)
     # Under next_tick what is handed over as the tick begins was decided before its position was
     # read.
@@ -357,5 +402,7 @@ def test_whatever_happens_to_a_driver_its_device_feels_no_push(
 @seed(int(commit()[:12], 16))
 @settings(max_examples=2000)
 @HAPPENINGS
-def test_two_thousand_runs_of_a_driver_have_no_push(tmp_path: Path, **happens: Any) -> None:
+def test_two_thousand_runs_of_a_driver_have_no_push(
+    tmp_path: Path, **happens: Any
+) -> None:
     _feels_no_push(tmp_path=tmp_path, **happens)

@@ -38,10 +38,15 @@ def _still(_: int) -> tuple[float, float, float]:
 # --------------------------------------------------------------------------------------------------
 
 lates = st.dictionaries(
-    st.integers(1, LENGTH), st.sampled_from([300, 2_100, 9_000, 21_000, 40_000]), max_size=5
+    st.integers(1, LENGTH),
+    st.sampled_from([300, 2_100, 9_000, 21_000, 40_000]),
+    max_size=5,
 )
 stalls = st.dictionaries(
-    st.tuples(st.integers(1, LENGTH), st.sampled_from(["read", "publish", "answer", "stamped"])),
+    st.tuples(
+        st.integers(1, LENGTH),
+        st.sampled_from(["read", "publish", "answer", "stamped"]),
+    ),
     st.sampled_from([1_500, 9_000, 21_000, 60_000]),
     max_size=4,
 )
@@ -93,7 +98,10 @@ def test_no_answer_is_older_than_it_may_be_when_the_device_gets_it(
     apply: str,
     tmp_path: Path,
 ) -> None:
-    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(LENGTH)]
+    arrivals = [
+        answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq))
+        for seq in range(LENGTH)
+    ]
     script = driver(arrivals, late, _still, ticks=LENGTH, watchdog=50, max_age=oldest)
     outcome, _ = played(script._replace(apply=apply, stalls=held), "plain", tmp_path)
     # By the clock an answer may come in the whole of the last tick that takes it; one that waits
@@ -114,7 +122,11 @@ def test_the_driver_takes_a_force_to_be_gone_in_the_tick_in_which_the_device_let
     outcome, _ = played(script, "plain", tmp_path)
     lets_go = max((at - EPOCH) / TICK for at, wrote in outcome.log if any(wrote)) + hold
     # A state tells the force when the tick before it closed.
-    gone = next(state.seq for state in _states(outcome) if state.seq > 5 and not any(state.force))
+    gone = next(
+        state.seq
+        for state in _states(outcome)
+        if state.seq > 5 and not any(state.force)
+    )
     assert lets_go - 1.0 < gone <= lets_go
 
 
@@ -123,7 +135,9 @@ def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(
     hold: float, tmp_path: Path
 ) -> None:
     arrivals = [answer(seq, force=(0.0, 0.0, 2.0)) for seq in range(20)]
-    script = driver(arrivals, {20: 20_000}, _still, {"hold": hold * T}, ticks=60, watchdog=50)
+    script = driver(
+        arrivals, {20: 20_000}, _still, {"hold": hold * T}, ticks=60, watchdog=50
+    )
     outcome, _ = played(script, "plain", tmp_path)
     newest = max((at - EPOCH) / TICK for at, wrote in outcome.log if any(wrote))
     states = _states(outcome)
@@ -145,16 +159,22 @@ def test_what_acted_while_the_driver_was_held_up_is_what_the_device_held(
 def test_the_delay_that_is_told_is_the_time_from_sample_to_write(
     after: int, apply: str, tmp_path: Path
 ) -> None:
-    arrivals = [answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(60)]
+    arrivals = [
+        answer(seq, float(after), (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(60)
+    ]
     outcome, _ = played(
-        driver(arrivals, None, _still, ticks=60)._replace(apply=apply), "plain", tmp_path
+        driver(arrivals, None, _still, ticks=60)._replace(apply=apply),
+        "plain",
+        tmp_path,
     )
     told = [state.delay for state in _states(outcome)][10:]
     measured = _ages(outcome)[10:]
     # A driver that waits for answers that come late has fewer ticks, and not every state of them a
     # write of its own.
     pairs = (
-        zip(told, measured, strict=True) if len(told) == len(measured) else product(told, measured)
+        zip(told, measured, strict=True)
+        if len(told) == len(measured)
+        else product(told, measured)
     )
     # Waits end a microsecond late: 5e-4 ticks.
     assert all(abs(one - other) <= 1.1e-3 for one, other in pairs)
@@ -163,9 +183,13 @@ def test_the_delay_that_is_told_is_the_time_from_sample_to_write(
 def test_an_answer_that_comes_a_tick_late_is_told_with_its_age(tmp_path: Path) -> None:
     # Few answers, each in the tick after its own: nothing is behind, so the driver does not wait
     # for them.
-    arrivals = [answer(seq, 2_300.0, (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(0, 24, 8)]
+    arrivals = [
+        answer(seq, 2_300.0, (0.0, 0.0, 1.0 + NAMED * seq)) for seq in range(0, 24, 8)
+    ]
     outcome, _ = played(
-        driver(arrivals, None, _still, ticks=30, watchdog=50, max_age=5), "plain", tmp_path
+        driver(arrivals, None, _still, ticks=30, watchdog=50, max_age=5),
+        "plain",
+        tmp_path,
     )
     measured = _ages(outcome)
     assert len(measured) == 3
@@ -175,7 +199,9 @@ def test_an_answer_that_comes_a_tick_late_is_told_with_its_age(tmp_path: Path) -
     assert min(told) > 1.0
 
 
-def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed() -> None:
+def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed() -> (
+    None
+):
     """Over the nominal period it would seem twice as fast, and be damped twice."""
     s = state_of()
     s.virtual, s.elapsed = 0, 1
@@ -209,7 +235,11 @@ def test_the_motor_s_heat_has_room_for_the_way_down_whatever_is_lost_on_it(
     """
     limit = 1.75
     port = Port(
-        continuous_force=limit, thermal_time=thermal, slew=slew, peak_force=peak, watchdog=watchdog
+        continuous_force=limit,
+        thermal_time=thermal,
+        slew=slew,
+        peak_force=peak,
+        watchdog=watchdog,
     )
     keep = math.exp(-T / thermal)
     heat = worst = 0.0

@@ -50,7 +50,9 @@ def test_two_hands_are_coupled_and_judged_at_the_measured_delay(tmp_path: Path) 
         wait_for(arrives, "the second follows the first")
         # Judged at the delay of this loop: what is far too stiff for half the mass is refused, with
         # the limit.
-        refused = typed(launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1)
+        refused = typed(
+            launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1
+        )
         assert "unstable" in refused.stderr
         assert re.search(
             r"mass 0.145 kg, .* coupled to 0.145 kg, .* at a delay of \d.*that is accepted is"
@@ -72,7 +74,9 @@ class _Recorded:
         del seq
         return self.place
 
-    def write_force(self, force: tuple[float, float, float], seq: int, offset: float) -> None:
+    def write_force(
+        self, force: tuple[float, float, float], seq: int, offset: float
+    ) -> None:
         del seq, offset
         self.calls.append(force)
 
@@ -89,7 +93,9 @@ class _Broken(_Recorded):
 
 def test_a_pair_pushes_one_and_pulls_the_other() -> None:
     box = ((-0.1, 0.2), (-0.1, 0.1), (0.0, 0.1))
-    first = _Recorded((0.03, 0.0, 0.01), peak_force=8.0, hold=0.05, workspace=box, latency=0.001)
+    first = _Recorded(
+        (0.03, 0.0, 0.01), peak_force=8.0, hold=0.05, workspace=box, latency=0.001
+    )
     second = _Recorded(
         (0.01, 0.02, 0.0), peak_force=3.0, hold=0.03, workspace=((-0.1, 0.1), *box[1:])
     )
@@ -115,7 +121,9 @@ def test_a_pair_pushes_one_and_pulls_the_other() -> None:
     assert all(map(math.isnan, pair.read_position(2)))
     pair.write_force((1.0, 0.0, 0.0), 2, 0.0)
     assert (first.calls[-1], second.calls[-1]) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert pair.outside() == "second: x = 0.15 m, outside its workspace of -0.1 to 0.1 m"
+    assert (
+        pair.outside() == "second: x = 0.15 m, outside its workspace of -0.1 to 0.1 m"
+    )
     # What was opened before the other failed is closed again.
     half = PairedDevice(first, _Broken((0.0, 0.0, 0.0)))
     with pytest.raises(OSError, match="gone"):
@@ -133,7 +141,10 @@ def _paired(second: dict[str, Any], pair: dict[str, Any], **first: Any) -> Paire
         for name, hold, safety in (("first", 0.05, first), ("second", 0.03, second))
     }
     return PairedDriver(
-        setup_of(kind="paired_driver", parameters={"safety": {"hang": None, **pair}, **members})
+        setup_of(
+            kind="paired_driver",
+            parameters={"safety": {"hang": None, **pair}, **members},
+        )
     )
 
 
@@ -149,14 +160,23 @@ def test_the_limits_of_each_hold_for_the_pair(monkeypatch: pytest.MonkeyPatch) -
     assert (s.peak, s.slew) == (2.0, 500.0 * 0.002)
     assert s.device_hold_ticks == 0.03 / 0.002
     driver.pair.places = (0.0, 0.0, 0.05), (0.0, 0.0, 0.15)
-    assert driver.condition() == "second: z = 0.15 m, outside its workspace of -0.1 to 0.1 m"
+    assert (
+        driver.condition()
+        == "second: z = 0.15 m, outside its workspace of -0.1 to 0.1 m"
+    )
     # A real one has no usual limits, and declares what it must, each of the two.
     monkeypatch.setattr(SimDriver, "virtual", False)
     monkeypatch.setattr(SimDriverParameters, "_limit", lambda _: None)
-    with pytest.raises(ParameterError, match=r"^driver\.second: the device declares no workspace"):
-        _paired({}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, workspace=box).configure()
+    with pytest.raises(
+        ParameterError, match=r"^driver\.second: the device declares no workspace"
+    ):
+        _paired(
+            {}, {"peak_force": 7.9, "workspace": [[-0.2, 0.2]] * 3}, workspace=box
+        ).configure()
     _paired(
-        {}, {"peak_force": 7.9, "workspace": box, "without": ["workspace"]}, workspace=box
+        {},
+        {"peak_force": 7.9, "workspace": box, "without": ["workspace"]},
+        workspace=box,
     ).configure()
 
 
@@ -164,7 +184,9 @@ def written(start: str) -> Any:
     """Return the page's code block with a given first line."""
     page = (ROOT / "nodes" / "driver" / "DEVICES.md").read_text(encoding="utf-8")
     (text,) = (
-        text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if text.startswith(start)
+        text
+        for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+        if text.startswith(start)
     )
     return yaml.safe_load(text)
 
@@ -182,16 +204,24 @@ def two(tmp_path: Path, stack: ExitStack, kinds: tuple[str, str]) -> list[Bench]
 @needs_cc
 @pytest.mark.parametrize(
     "kinds",
-    [("force_dimension_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")],
+    [
+        ("force_dimension_driver", "force_dimension_driver"),
+        ("inverse3_driver", "touch_driver"),
+    ],
     ids="+".join,
 )
-def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_path: Path) -> None:
+def test_two_chains_of_real_devices_in_one_launch(
+    kinds: tuple[str, str], tmp_path: Path
+) -> None:
     content = written("summary: Two devices at two walls")
     with ExitStack() as stack:
         left, right = two(tmp_path, stack, kinds)
         for name, stand in (("left", left), ("right", right)):
             # As the page has it, on the stand-in.
-            content["nodes"][f"{name}/driver"] = {"kind": stand.kind, "parameters": stand.written()}
+            content["nodes"][f"{name}/driver"] = {
+                "kind": stand.kind,
+                "parameters": stand.written(),
+            }
         path = tmp_path / "two.yaml"
         path.write_text(json.dumps(content), encoding="utf-8")
         with running(tmp_path, str(path)) as launch:
@@ -199,19 +229,25 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
             left.world.state.position[0], right.world.state.position[0] = 0.021, 0.022
             left.world.state.buttons, right.world.state.buttons = 1, 0
             wait_for(
-                lambda: left.world.force()[0] == pytest.approx(-1.0, abs=1e-9), "its own force"
+                lambda: left.world.force()[0] == pytest.approx(-1.0, abs=1e-9),
+                "its own force",
             )
             wait_for(
-                lambda: right.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "its own force"
+                lambda: right.world.force()[0] == pytest.approx(-2.0, abs=1e-9),
+                "its own force",
             )
-            nodes = json.loads(typed(launch, "node", "list", "--json").stdout.splitlines()[-1])[
-                "nodes"
-            ]
+            nodes = json.loads(
+                typed(launch, "node", "list", "--json").stdout.splitlines()[-1]
+            )["nodes"]
             assert {
-                f"{name}/{node}" for name in ("left", "right") for node in ("driver", "coupling")
+                f"{name}/{node}"
+                for name in ("left", "right")
+                for node in ("driver", "coupling")
             } <= set(nodes)
             assert len({node["pid"] for node in nodes.values()}) == len(nodes)
-            topics = set(json.loads(typed(launch, "topic", "list", "--json").stdout)["topics"])
+            topics = set(
+                json.loads(typed(launch, "topic", "list", "--json").stdout)["topics"]
+            )
             assert {
                 "/left/device/state",
                 "/right/device/state",
@@ -220,7 +256,12 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
             } <= topics
             for name, pressed in (("left", 1), ("right", 0)):
                 told = typed(
-                    launch, "topic", "echo", f"/{name}/device/handle", "--once", "--json"
+                    launch,
+                    "topic",
+                    "echo",
+                    f"/{name}/device/handle",
+                    "--once",
+                    "--json",
                 ).stdout
                 assert json.loads(told.splitlines()[-1])["buttons"] == pressed
             # One is unplugged: each chain's driver ends forces by itself, and the launch ends both.
@@ -236,20 +277,35 @@ def test_two_chains_of_real_devices_in_one_launch(kinds: tuple[str, str], tmp_pa
 @pytest.mark.parametrize(
     "kinds",
     slowly(
-        [("touch_driver", "force_dimension_driver"), ("inverse3_driver", "touch_driver")],
+        [
+            ("touch_driver", "force_dimension_driver"),
+            ("inverse3_driver", "touch_driver"),
+        ],
         but=[("inverse3_driver", "touch_driver")],
     ),
     ids="+".join,
 )
-def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_path: Path) -> None:
-    content = yaml.safe_load((ROOT / "launch" / "hands_coupled.yaml").read_text(encoding="utf-8"))
+def test_two_devices_of_different_kinds_on_one_law(
+    kinds: tuple[str, str], tmp_path: Path
+) -> None:
+    content = yaml.safe_load(
+        (ROOT / "launch" / "hands_coupled.yaml").read_text(encoding="utf-8")
+    )
     with ExitStack() as stack:
         stands = two(tmp_path, stack, kinds)
         driver = written("driver:\n  kind: paired_driver")["driver"]
         for which, stand in zip(("first", "second"), stands, strict=True):
-            driver["parameters"][which] = {"kind": stand.kind, "parameters": stand.written()}
+            driver["parameters"][which] = {
+                "kind": stand.kind,
+                "parameters": stand.written(),
+            }
         content["nodes"]["driver"] = driver
-        arms = {"mass": 0.1, "damping": 1.0, "partner_mass": 0.1, "partner_damping": 1.0}
+        arms = {
+            "mass": 0.1,
+            "damping": 1.0,
+            "partner_mass": 0.1,
+            "partner_damping": 1.0,
+        }
         content["nodes"]["coupling"]["parameters"]["plant"] = arms
         path = tmp_path / "pair.yaml"
         path.write_text(json.dumps(content), encoding="utf-8")
@@ -258,10 +314,12 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
         with running(tmp_path, str(path), "duration:=0") as launch:
             first.world.state.position[0] = 0.054
             wait_for(
-                lambda: first.world.force()[0] == pytest.approx(-2.0, abs=1e-9), "4 mm of 500 N/m"
+                lambda: first.world.force()[0] == pytest.approx(-2.0, abs=1e-9),
+                "4 mm of 500 N/m",
             )
             wait_for(
-                lambda: second.world.force()[0] == pytest.approx(2.0, abs=1e-9), "the opposite"
+                lambda: second.world.force()[0] == pytest.approx(2.0, abs=1e-9),
+                "the opposite",
             )
             refused = typed(
                 launch, "param", "set", "coupling", "laws.pd.stiffness", "50000", code=1
@@ -285,10 +343,13 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
 
                 def told() -> bool:
                     info = json.loads(
-                        typed(launch, "node", "info", "driver", "--json").stdout.splitlines()[-1]
+                        typed(
+                            launch, "node", "info", "driver", "--json"
+                        ).stdout.splitlines()[-1]
                     )
                     return (
-                        "first: the emergency brake of the Inverse3 is on" in info["force"]["why"]
+                        "first: the emergency brake of the Inverse3 is on"
+                        in info["force"]["why"]
                     )
 
                 wait_for(told, "whose brake it is")
@@ -296,7 +357,10 @@ def test_two_devices_of_different_kinds_on_one_law(kinds: tuple[str, str], tmp_p
 
 def test_a_pair_is_judged_as_the_two_devices_that_it_is() -> None:
     """K's limit against polynomials of both devices, to the root's accuracy."""
-    light, heavy = Plant(0.002, 0.05, 0.5, 0.7, 150.0), Plant(0.002, 0.2, 3.0, 0.7, 100.0)
+    light, heavy = (
+        Plant(0.002, 0.05, 0.5, 0.7, 150.0),
+        Plant(0.002, 0.2, 3.0, 0.7, 100.0),
+    )
     law = parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}, "pd")
     edges = [
         k_max(without_spring(law, 0.002), one.paired_with(other)).k_max_n_per_m
@@ -315,14 +379,17 @@ def _exact(stiffness: float, damping: float, first: Plant, second: Plant) -> flo
     """Return the largest pole of PD between two devices, without simplification."""
     one, other = held_plant(first), held_plant(second)
     numerator = np.polyadd(
-        np.polymul(one.numerator, other.denominator), np.polymul(other.numerator, one.denominator)
+        np.polymul(one.numerator, other.denominator),
+        np.polymul(other.numerator, one.denominator),
     )
     late = np.polymul(
         np.polymul(one.denominator, other.denominator), [1.0, *[0.0] * (one.whole + 1)]
     )
     per_tick = damping / first.period
     law = [stiffness + per_tick, -per_tick]
-    poles = np.roots(np.polyadd(np.polymul(late, [1.0, 0.0]), np.polymul(numerator, law)))
+    poles = np.roots(
+        np.polyadd(np.polymul(late, [1.0, 0.0]), np.polymul(numerator, law))
+    )
     return float(np.abs(poles).max())
 
 
@@ -340,30 +407,41 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
             stand.world.state.position[2] = -0.001
         with (
             running(folders[0], through(left, folders[0]), *SOFT, "duration:=0") as one,
-            running(folders[1], through(right, folders[1]), *SOFT, "duration:=0") as other,
+            running(
+                folders[1], through(right, folders[1]), *SOFT, "duration:=0"
+            ) as other,
         ):
             # 1 mm into a floor of 150 N/m, on each by itself.
             wait_for(
-                lambda: left.world.force()[2] == pytest.approx(0.15, abs=1e-9), "its own force"
+                lambda: left.world.force()[2] == pytest.approx(0.15, abs=1e-9),
+                "its own force",
             )
             wait_for(
-                lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "its own force"
+                lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9),
+                "its own force",
             )
             one.interrupt()
             wait_for(lambda: not any(left.world.force()), "the first launch ends")
             wait_for(
-                lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9), "the other goes on"
+                lambda: right.world.force()[2] == pytest.approx(0.15, abs=1e-9),
+                "the other goes on",
             )
-            assert json.loads(typed(other, "node", "list", "--json").stdout.splitlines()[-1])[
-                "nodes"
-            ]["driver"]
+            assert json.loads(
+                typed(other, "node", "list", "--json").stdout.splitlines()[-1]
+            )["nodes"]["driver"]
 
 
 @pytest.mark.parametrize(
     ("second", "told"),
     [
-        ({"kind": "coupling"}, "driver.second.kind: 'coupling' drives no single device"),
-        ({"kind": "sim_drivr"}, "driver.second.kind: 'sim_drivr' is no installed kind of driver"),
+        (
+            {"kind": "coupling"},
+            "driver.second.kind: 'coupling' drives no single device",
+        ),
+        (
+            {"kind": "sim_drivr"},
+            "driver.second.kind: 'sim_drivr' is no installed kind of driver",
+        ),
         (
             {"kind": "sim_driver", "parameters": {"device": {"mas": 0.1}}},
             "driver.second.device.mas",
@@ -375,7 +453,9 @@ def test_two_launches_with_a_device_each(tmp_path: Path) -> None:
 def test_a_member_that_is_no_device_is_refused_before_anything_starts(
     second: dict[str, Any] | None, told: str, device: tuple[str, ...], tmp_path: Path
 ) -> None:
-    content = yaml.safe_load((ROOT / "launch/hands_coupled.yaml").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        (ROOT / "launch/hands_coupled.yaml").read_text(encoding="utf-8")
+    )
     parameters = content["nodes"]["driver"]["parameters"]
     parameters |= {"second": second} if second is not None else {}
     if second is None:
@@ -397,17 +477,25 @@ def _aligned(
         _Recorded((0.03, 0.0, 0.0), workspace=box),
         _Recorded((0.0, 0.0, -0.04), workspace=box),
     )
-    return first, second, PairedDevice(first, second, alignment=Alignment(step=step, apart=apart))
+    return (
+        first,
+        second,
+        PairedDevice(first, second, alignment=Alignment(step=step, apart=apart)),
+    )
 
 
-def test_devices_that_start_apart_count_as_together_and_are_brought_there_evenly() -> None:
+def test_devices_that_start_apart_count_as_together_and_are_brought_there_evenly() -> (
+    None
+):
     """30 mm apart, 30 N were requested at tick 0."""
     first, _, pair = _aligned()
     path = [pair.read_position(seq) for seq in range(60)]
     # 50 mm in a straight line, a millimetre a tick: each part exact to a rounding of 30 or 40 mm,
     # each tick.
     shares = [min(seq / 50.0, 1.0) for seq in range(60)]
-    assert path == [pytest.approx((0.03 * s, 0.0, 0.04 * s), abs=60 * 1e-17) for s in shares]
+    assert path == [
+        pytest.approx((0.03 * s, 0.0, 0.04 * s), abs=60 * 1e-17) for s in shares
+    ]
     # A motion is felt at once, and ticks that are left out count.
     first.place = (0.05, 0.0, 0.0)
     assert pair.read_position(60) == pytest.approx((0.05, 0.0, 0.04), abs=1e-16)
@@ -421,12 +509,15 @@ def test_an_offset_may_stay_and_devices_too_far_apart_may_be_refused() -> None:
     # At the edge, both sides: the larger part decides.
     assert _aligned(apart=0.04)[2].read_position(0) == (0.0, 0.0, 0.0)
     with pytest.raises(
-        OSError, match=r"stand \(0.03, 0, 0.04\) m apart, limit apart: 0.0399 m; move them together"
+        OSError,
+        match=r"stand \(0.03, 0, 0.04\) m apart, limit apart: 0.0399 m; move them together",
     ):
         _aligned(apart=0.0399)[2].read_position(0)
 
 
-def test_a_pair_goes_on_from_where_it_was_when_one_is_read_again_elsewhere_or_jumps() -> None:
+def test_a_pair_goes_on_from_where_it_was_when_one_is_read_again_elsewhere_or_jumps() -> (
+    None
+):
     first, second, pair = _aligned()
     for seq in range(60):
         pair.read_position(seq)
@@ -466,4 +557,6 @@ def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
     assert forces[0] == 0.0
     # K·v·T + B·Δv, of 500 N/m and 1 N s/m; the hands move meanwhile, at no more than the offset
     # does.
-    assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 * (500.0 * 0.05 * 0.002 + 1.0 * 0.05)
+    assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 * (
+        500.0 * 0.05 * 0.002 + 1.0 * 0.05
+    )

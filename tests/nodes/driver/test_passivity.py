@@ -59,11 +59,11 @@ class Guard:
 
     def observe(self, acting: float, before: float, position: float) -> None:
         """Account for a step."""
-        self.s.acted[self._axis], self.s.before[self._axis], self.s.position[self._axis] = (
-            acting,
-            before,
-            position,
-        )
+        (
+            self.s.acted[self._axis],
+            self.s.before[self._axis],
+            self.s.position[self._axis],
+        ) = (acting, before, position)
         count_step(self.s)
 
     def control(self, force: float) -> float:
@@ -79,7 +79,9 @@ class Guard:
 
 def test_energy_is_exact_in_samples() -> None:
     # 2 N through 3 mm, then −1 N through −4 mm: 6 mJ + 4 mJ.
-    assert observe(observe(0.0, 2.0, 0.003), -1.0, -0.004) == pytest.approx(0.010, rel=1e-15)
+    assert observe(observe(0.0, 2.0, 0.003), -1.0, -0.004) == pytest.approx(
+        0.010, rel=1e-15
+    )
 
 
 def test_what_is_in_store_may_leave_to_the_last_bit_and_no_more() -> None:
@@ -91,7 +93,9 @@ def test_what_is_in_store_may_leave_to_the_last_bit_and_no_more() -> None:
     assert control(-1e-300, 2.0, 0.25, 0.0) == 4e-300
 
 
-def test_absorbing_forces_pass_and_a_debt_is_taken_back_with_at_most_the_damper() -> None:
+def test_absorbing_forces_pass_and_a_debt_is_taken_back_with_at_most_the_damper() -> (
+    None
+):
     assert control(-1.0, 2.0, -0.25, 7.0) == 2.0
     assert control(0.0, 2.0, -0.25, 7.0) == 2.0
     # 2 N would take all back at once: the damper's limit holds
@@ -128,7 +132,9 @@ def test_what_is_allowed_leaves_untouched_and_no_more() -> None:
 
 
 @pytest.mark.slow
-def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: Path) -> None:
+def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, "floor_guarded", "guard:=off", "duration:=0") as launch:
         guard = {"guard": "on", "stiffness": 5000.0, "damping": 10.0}
         launch.call("driver", "param.set", values={"passivity": guard})
@@ -150,12 +156,17 @@ def test_a_running_driver_takes_a_guard_up_and_keeps_the_launch_files(tmp_path: 
 
 
 @pytest.mark.parametrize("scenario", ["sphere_feel", "rough_plane"])
-def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str) -> None:
+def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(
+    scenario: str,
+) -> None:
     """One axis returns what another takes; separate accounts would brake the slide."""
     free = launch_file.read(scenario, {"duration": 1.3})
     driver = free.nodes["driver"]
     parameters = {**driver.parameters, "passivity": {"guard": "on"}}
-    nodes = {**free.nodes, "driver": msgspec.structs.replace(driver, parameters=parameters)}
+    nodes = {
+        **free.nodes,
+        "driver": msgspec.structs.replace(driver, parameters=parameters),
+    }
     alone, watched = play(free), play(msgspec.structs.replace(free, nodes=nodes))
     assert np.abs(alone.force).max() > 0.1
     assert np.array_equal(alone.force, watched.force)
@@ -164,7 +175,9 @@ def test_a_guard_leaves_alone_what_makes_no_energy_along_a_surface(scenario: str
 
 @given(data=st.data())
 @settings(max_examples=50)
-def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.DataObject) -> None:
+def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(
+    data: st.DataObject,
+) -> None:
     """E_{k+1} ≤ max(E_k, 0) + F_k·(Δ_{k+1} − Δ_k); the force keeps its direction."""
     s = state_of((0, 1, 2))
     s.elapsed = 1
@@ -183,7 +196,9 @@ def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.Dat
         s.wanted[:] = wanted
         guarded(s, 0.0)
         energy = s.guard_energy[0]
-        assert energy == pytest.approx(after if np.any(wanted) else max(after, 0.0), abs=1e-14)
+        assert energy == pytest.approx(
+            after if np.any(wanted) else max(after, 0.0), abs=1e-14
+        )
         force = np.array(s.wanted[:])
         assert force == pytest.approx(
             wanted * (np.linalg.norm(force) / np.linalg.norm(wanted)), abs=1e-12
@@ -203,7 +218,12 @@ def test_no_more_leaves_in_space_than_the_change_of_a_step_explains(data: st.Dat
     stiffness=st.one_of(st.none(), st.floats(1.0, 1e5)),
 )
 def test_one_tick_gives_out_no_more_than_force_times_the_change_of_displacement(
-    energy: float, law: float, step: float, following: float, rate: float, stiffness: float | None
+    energy: float,
+    law: float,
+    step: float,
+    following: float,
+    rate: float,
+    stiffness: float | None,
 ) -> None:
     before = forget(energy, law, stiffness)
     assert before >= energy
@@ -254,7 +274,12 @@ def scene(
     latency: float = 0.0,
 ) -> Scene:
     device = DeviceModel(
-        mass=mass, damping=1.0, gravity=9.81, position=0.01, resolution=resolution, delay=latency
+        mass=mass,
+        damping=1.0,
+        gravity=9.81,
+        position=0.01,
+        resolution=resolution,
+        delay=latency,
     )
     return Scene(
         device=device,
@@ -274,7 +299,8 @@ def given_out(trace: Trace, delay: float = 0.0) -> Any:
     acting = (
         late[1 : len(trace.force)]
         if part == 0.0
-        else part * late[: len(trace.force) - 1] + (1.0 - part) * late[1 : len(trace.force)]
+        else part * late[: len(trace.force) - 1]
+        + (1.0 - part) * late[1 : len(trace.force)]
     )
     return np.concatenate(([0.0], np.cumsum(acting * np.diff(trace.measured))))
 
@@ -290,11 +316,17 @@ def test_a_dropped_mass_never_gains_more_than_one_tick_allows(
 ) -> None:
     stiffness = ratio * mass / T**2
     guard = PassivityParameters(stiffness=stiffness if credit else None)
-    trace = run(scene(guard, mass), PD(stiffness=stiffness, damping=damping).compile(T), 1500)
+    trace = run(
+        scene(guard, mass), PD(stiffness=stiffness, damping=damping).compile(T), 1500
+    )
     energy = given_out(trace)
     force = trace.force[:-1]
     step = np.diff(trace.measured, prepend=trace.measured[0])
-    allowed = np.maximum(energy[:-1], 0.0) + force * np.diff(trace.measured) - force * step[:-1]
+    allowed = (
+        np.maximum(energy[:-1], 0.0)
+        + force * np.diff(trace.measured)
+        - force * step[:-1]
+    )
     assert np.all(energy[1:] <= allowed + 1e-12)  # sums of some 1e-3 J over 1500 ticks
     # The mass has what it fell with, and what was given out: it cannot fly higher than that.
     most = 0.01 + max(float(energy.max()), 0.0) / (mass * 9.81)
@@ -323,13 +355,19 @@ def test_an_unstable_wall_throws_the_mass_up_without_the_guard_and_lets_it_lie_w
 def test_a_device_that_is_late_is_guarded_as_one() -> None:
     """THEORY.md §6: with a latency, an account without it sees a tenth of the energy."""
     law = PD(stiffness=3000.0, damping=3.0).compile(T)
-    wild, calm = run(scene(None, latency=1.0), law, 1500), run(scene(ON, latency=1.0), law, 1500)
+    wild, calm = (
+        run(scene(None, latency=1.0), law, 1500),
+        run(scene(ON, latency=1.0), law, 1500),
+    )
     assert given_out(wild, 1.0).max() > 0.5
     # Falsely reassuring: the same run, forces taken to act when they are handed over.
     assert given_out(wild, 0.0).max() < 0.1
     assert given_out(calm, 1.0).max() < 0.01
     assert (
-        float(np.ptp(calm.position[-500:])) < 0.5e-3 < 20e-3 < float(np.ptp(wild.position[-500:]))
+        float(np.ptp(calm.position[-500:]))
+        < 0.5e-3
+        < 20e-3
+        < float(np.ptp(wild.position[-500:]))
     )
 
 
@@ -422,7 +460,10 @@ def test_credit_of_dissipated_energy_does_not_feed_an_instability() -> None:
 @pytest.mark.parametrize(
     ("apply", "latency"),
     [
-        *(pytest.param("on_arrival", latency, marks=pytest.mark.slow) for latency in (0.0, 1.0)),
+        *(
+            pytest.param("on_arrival", latency, marks=pytest.mark.slow)
+            for latency in (0.0, 1.0)
+        ),
         ("next_tick", 0.3),
     ],
 )
@@ -437,7 +478,9 @@ def test_lockstep_equals_one_process_and_publishes_its_energy(
         "latency": latency,
     }
     figures = launch_json(
-        tmp_path, "floor_guarded", *(f"{name}:={value}" for name, value in words.items())
+        tmp_path,
+        "floor_guarded",
+        *(f"{name}:={value}" for name, value in words.items()),
     )
     recording = Recording(tmp_path / figures["recording"])
     state = recording.arrays("/device/state")
@@ -477,7 +520,9 @@ def test_study_guard_answers_with_what_it_costs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("law", ["pd", "pd_alpha", "multi_term"])
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
-def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(law: str, apply: str) -> None:
+def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(
+    law: str, apply: str
+) -> None:
     """The force that the guard removed returned at once: 15.7 N instead of 3.2 N."""
     launch = launch_file.read(
         "floor_drop", {"law": law, "height": -0.02, "duration": 0.5, "apply": apply}
@@ -487,7 +532,8 @@ def test_a_beginning_in_contact_comes_by_the_ramp_under_a_guard_too(law: str, ap
     watched = msgspec.structs.replace(driver, parameters=parameters)
     bare = play(launch, ticks=250).force[:, 2]
     force = play(
-        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}), ticks=250
+        msgspec.structs.replace(launch, nodes={**launch.nodes, "driver": watched}),
+        ticks=250,
     ).force[:, 2]
     # 20 N asked at first, over a ramp of 75 ticks in the driver and one in the coupling: no rise is
     # steeper than one of them.

@@ -63,13 +63,21 @@ def test_a_lockstep_driver_or_one_that_takes_no_old_force_waits_for_one_tick() -
 
 
 @pytest.mark.parametrize("safety", [ACTIVE, RAMP])
-@pytest.mark.parametrize(("silent", "periods"), [(0, 6), (4, 6), (5, 5), (8, 2), (9, 1), (20, 1)])
-def test_the_watchdog_is_looked_at_on_time(safety: int, silent: int, periods: int) -> None:
+@pytest.mark.parametrize(
+    ("silent", "periods"), [(0, 6), (4, 6), (5, 5), (8, 2), (9, 1), (20, 1)]
+)
+def test_the_watchdog_is_looked_at_on_time(
+    safety: int, silent: int, periods: int
+) -> None:
     # The last fresh force was `silent` ticks ago; damping begins ten ticks after it.
-    assert waits(10**9, safety, since=1000 - silent) == pytest.approx(periods, abs=CLOSE)
+    assert waits(10**9, safety, since=1000 - silent) == pytest.approx(
+        periods, abs=CLOSE
+    )
 
 
-@pytest.mark.parametrize(("hold", "periods"), [(10.0, 6), (7.0, 6), (4.5, 3.5), (2.0, 1), (0.5, 1)])
+@pytest.mark.parametrize(
+    ("hold", "periods"), [(10.0, 6), (7.0, 6), (4.5, 3.5), (2.0, 1), (0.5, 1)]
+)
 def test_it_asks_again_before_the_device_lets_go(hold: float, periods: float) -> None:
     assert waits(10**9, hold=hold) == pytest.approx(periods, abs=CLOSE)
 

@@ -10,7 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.pointer import PointerReader, PointerWriter, awaited_pointer, pointer_file
+from nodes.driver.pointer import (
+    PointerReader,
+    PointerWriter,
+    awaited_pointer,
+    pointer_file,
+)
 from tests.support.launching import wait_for
 from tests.support.setups import MadeLater, setup_of
 
@@ -29,7 +34,9 @@ def test_what_is_written_is_read_and_let_go(tmp_path: Path) -> None:
     reader.close()
 
 
-def test_a_hand_that_the_launch_promises_is_waited_for_and_no_other(tmp_path: Path) -> None:
+def test_a_hand_that_the_launch_promises_is_waited_for_and_no_other(
+    tmp_path: Path,
+) -> None:
     path = pointer_file(tmp_path, "driver")
     given_up = MadeLater(path, lambda: PointerReader(path, 60.0).close())
 

@@ -110,11 +110,15 @@ def test_a_force_that_was_away_comes_back_by_a_ramp_as_long_as_the_gap_asks_for(
     for tick in range(2 + away, 2 + away + 25):
         port.answer(force(tick), tick)
         shares.append(port.force[2])
-    expected = [min(max(1.0 - REGAIN * away / 20, 0.0) + (n + 1) / 20, 1.0) for n in range(25)]
+    expected = [
+        min(max(1.0 - REGAIN * away / 20, 0.0) + (n + 1) / 20, 1.0) for n in range(25)
+    ]
     assert shares == pytest.approx(expected, abs=1e-15)  # a sum of two quotients
 
 
-def test_a_ramp_that_is_interrupted_goes_on_from_less_not_from_the_whole_force() -> None:
+def test_a_ramp_that_is_interrupted_goes_on_from_less_not_from_the_whole_force() -> (
+    None
+):
     port = Port(watchdog=1, damping_ticks=0, recovery=100 * T)
     port.answer(force(0), 0)
     for tick in range(1, 60):
@@ -151,7 +155,9 @@ def test_after_a_fault_and_after_the_device_let_go_the_whole_ramp_is_due() -> No
 
 
 def test_the_guard_judges_what_the_ramp_lets_through() -> None:
-    port = Port(watchdog=1, damping_ticks=0, recovery=10 * T, guard=PassivityParameters())
+    port = Port(
+        watchdog=1, damping_ticks=0, recovery=10 * T, guard=PassivityParameters()
+    )
     port.answer(force(0), 0)
     for tick in range(1, 9):
         port.missed(tick, ZERO)
@@ -188,7 +194,9 @@ def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_no
     for tick, (speed, share) in enumerate(speeds, 20):
         port.moves((0.0, 0.0, speed))
         port.answer(force(tick), tick)
-        assert port.force[2] == pytest.approx(share, rel=1e-15)  # a sum of shares of ticks
+        assert port.force[2] == pytest.approx(
+            share, rel=1e-15
+        )  # a sum of shares of ticks
 
 
 @pytest.mark.parametrize(
@@ -221,12 +229,19 @@ def test_a_hand_that_has_sunk_in_comes_out_and_is_not_shaken(
     while port.state != "active":
         velocity, before = (depth - before) / T, depth
         wanted = (
-            min(max(-stiffness * depth - law_damping * velocity, 0.0), 40.0) if depth < 0.0 else 0.0
+            min(max(-stiffness * depth - law_damping * velocity, 0.0), 40.0)
+            if depth < 0.0
+            else 0.0
         )
         port.moves((0.0, 0.0, velocity))
         port.answer(force(tick, wanted), tick)
         for _ in range(100):
-            speed += (port.force[2] - damping * speed - spring * (depth - path)) / mass * 0.01 * T
+            speed += (
+                (port.force[2] - damping * speed - spring * (depth - path))
+                / mass
+                * 0.01
+                * T
+            )
             depth += speed * 0.01 * T
         fastest = max(fastest, speed)
         tick += 1
@@ -265,7 +280,9 @@ def test_a_force_that_is_late_does_not_hurry_the_ramp() -> None:
         (11, 12, None),
     ],
 )
-def test_forces_are_refused_by_age_order_and_future(seq: int, tick: int, why: str | None) -> None:
+def test_forces_are_refused_by_age_order_and_future(
+    seq: int, tick: int, why: str | None
+) -> None:
     port = Port(max_age=5)
     port.answer(force(10), 10)
     assert port.answer(force(seq, 3.0), tick) is (why is None)
@@ -276,7 +293,9 @@ def test_forces_are_refused_by_age_order_and_future(seq: int, tick: int, why: st
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_force_that_is_not_finite_is_refused_even_behind_the_codec(value: float) -> None:
+def test_a_force_that_is_not_finite_is_refused_even_behind_the_codec(
+    value: float,
+) -> None:
     port = Port()
     port.answer(force(0), 0)
     assert not port.answer(Force(seq=1, stamp=0.0, force=(0.0, value, 0.0)), 1)
@@ -288,8 +307,12 @@ def test_a_force_that_is_not_finite_is_refused_even_behind_the_codec(value: floa
 # -----------------------------------------------------------------------------------------
 
 
-def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again() -> None:
-    port = Port(workspace=((-1.0, 1.0), (-1.0, 1.0), (0.0, 0.1)), ramp=2 * T, recovery=0.0)
+def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again() -> (
+    None
+):
+    port = Port(
+        workspace=((-1.0, 1.0), (-1.0, 1.0), (0.0, 0.1)), ramp=2 * T, recovery=0.0
+    )
     for tick in range(3):
         port.watch_position((0.0, 0.0, 0.1), tick)
         port.answer(force(tick), tick)
@@ -313,7 +336,9 @@ def test_outside_the_workspace_there_is_no_force_and_back_inside_it_grows_again(
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_position_that_is_not_finite_is_a_fault_and_must_not_be_used(value: float) -> None:
+def test_a_position_that_is_not_finite_is_a_fault_and_must_not_be_used(
+    value: float,
+) -> None:
     port = Port()
     port.answer(force(0), 0)
     assert not port.watch_position((0.0, value, 0.0), 1)

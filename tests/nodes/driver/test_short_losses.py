@@ -51,7 +51,9 @@ def test_a_force_that_was_off_for_want_of_a_position_comes_back_by_a_ramp() -> N
 
 
 @needs_cc
-def test_a_force_decided_before_the_device_let_go_is_not_played_and_the_next_one_ramps() -> None:
+def test_a_force_decided_before_the_device_let_go_is_not_played_and_the_next_one_ramps() -> (
+    None
+):
     """A process may stop between clock and write: only the servo loop can notice."""
     code: Any = servo_library(Path(mailbox.__file__).with_name("mailbox.c"))
     code.device_write.argtypes = [
@@ -125,12 +127,16 @@ def test_on_a_device_too(kind: str, call: str, tmp_path: Path) -> None:
 
         wait_for(comes_back, "the force comes back")
         assert came < FORCE[2]
-        wait_for(lambda: pushed() == pytest.approx(FORCE[2], abs=1e-12), "the whole of it")
+        wait_for(
+            lambda: pushed() == pytest.approx(FORCE[2], abs=1e-12), "the whole of it"
+        )
         device.close()
 
 
 @needs_cc
-def test_a_force_dimension_lets_go_by_its_thread_before_its_firmware_does(tmp_path: Path) -> None:
+def test_a_force_dimension_lets_go_by_its_thread_before_its_firmware_does(
+    tmp_path: Path,
+) -> None:
     """The driver must know the earlier time, from which a force returns by a ramp."""
     with bench("force_dimension_driver", tmp_path) as stand:
         device = stand.device(deadline=0.01, watchdog=0.03)

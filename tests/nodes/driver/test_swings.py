@@ -27,7 +27,13 @@ def swung(port: Port, times: int, apart: int, gained: float, both: bool = False)
     [
         (6, 10, 1e-9, False, "stopped"),
         (5, 10, 1e-9, False, "active"),  # once less
-        (6, 10, 0.0, False, "active"),  # nobody who taps a surface hard gets energy from it
+        (
+            6,
+            10,
+            0.0,
+            False,
+            "active",
+        ),  # nobody who taps a surface hard gets energy from it
         (6, 10, -1e-3, False, "active"),
         (6, 200, 1e-9, False, "stopped"),  # 5 times 0.4 s are 2 s
         (6, 201, 1e-9, False, "active"),
@@ -47,8 +53,12 @@ def test_a_force_that_swings_at_its_limit_and_gives_out_energy_stops_the_driver(
 
 
 def test_a_stop_is_for_good_and_damps_first() -> None:
-    port = Port(peak_force=8.0, damping=0.5, damping_ticks=5, workspace=((-0.1, 0.1),) * 3)
-    tick = swung(port, 6, 2, 1e-3)  # stopped in the tick before this one: 4 of 5 are left
+    port = Port(
+        peak_force=8.0, damping=0.5, damping_ticks=5, workspace=((-0.1, 0.1),) * 3
+    )
+    tick = swung(
+        port, 6, 2, 1e-3
+    )  # stopped in the tick before this one: 4 of 5 are left
     for passed, answered in enumerate([True, False] * 5):
         port.watch_position(ZERO, tick)
         port.watch_swings(1.0, (0.0, 0.0, -0.2), tick)
@@ -56,7 +66,9 @@ def test_a_stop_is_for_good_and_damps_first() -> None:
             assert port.answer(force(tick, 3.0), tick)
         else:
             port.missed(tick, (0.0, 0.0, -0.2))
-        assert port.force[2] == pytest.approx(0.5 * 0.2 if passed < 4 else 0.0, abs=1e-15)
+        assert port.force[2] == pytest.approx(
+            0.5 * 0.2 if passed < 4 else 0.0, abs=1e-15
+        )
         tick += 1
     # A position that is none must not leave a brake behind that no position answers.
     port.s.stopped_at = tick
@@ -85,7 +97,9 @@ def test_a_stop_ends_only_when_somebody_asks_and_then_by_the_whole_ramp() -> Non
         shares.append(port.force[2] / 4.0)
         tick += 1
     # quotients
-    assert shares == pytest.approx([min((n + 1) / 20, 1.0) for n in range(25)], abs=1e-15)
+    assert shares == pytest.approx(
+        [min((n + 1) / 20, 1.0) for n in range(25)], abs=1e-15
+    )
     assert port.changes()[-2:] == ["zero → ramp", "ramp → active"]
     assert any(
         kind == "rearmed" and reason.startswith("stopped → zero at tick")
@@ -102,7 +116,9 @@ def test_a_stop_ends_only_when_somebody_asks_and_then_by_the_whole_ramp() -> Non
 
 
 def test_a_device_outside_its_workspace_has_no_force_after_a_stop_either() -> None:
-    port = Port(peak_force=8.0, damping_ticks=0, recovery=20 * T, workspace=((-0.1, 0.1),) * 3)
+    port = Port(
+        peak_force=8.0, damping_ticks=0, recovery=20 * T, workspace=((-0.1, 0.1),) * 3
+    )
     tick = swung(port, 6, 10, 1e-3)
     assert not port.watch_position((0.2, 0.0, 0.0), tick)
     assert rearm(port.s, tick)

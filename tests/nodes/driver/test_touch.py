@@ -12,7 +12,11 @@ import msgspec
 import pytest
 
 from nodes.driver.limits import SafetyParameters, lower
-from nodes.driver.touch.driver import TouchDevice, TouchDriverParameters, TouchParameters
+from nodes.driver.touch.driver import (
+    TouchDevice,
+    TouchDriverParameters,
+    TouchParameters,
+)
 from nodes.recording.reader import Recording
 from tests.support.devices import Bench, bench, needs_cc
 from tests.support.launching import launch_json, running, wait_for
@@ -60,7 +64,9 @@ def test_calibration_comes_before_forces(fake: Bench) -> None:
         (0x0999, "error"),
     ],
 )
-def test_a_fault_of_the_device_ends_forces_and_is_told(fake: Bench, code: int, name: str) -> None:
+def test_a_fault_of_the_device_ends_forces_and_is_told(
+    fake: Bench, code: int, name: str
+) -> None:
     device = fake.opened()
     fake.world.state.error = code
     told: list[str] = []
@@ -88,7 +94,9 @@ def test_a_servo_thread_that_stands_still_is_told(fake: Bench) -> None:
         try:
             device.read_position(0)
         except OSError as error:
-            return "no sample for" in str(error) and "look at cable and power" in str(error)
+            return "no sample for" in str(error) and "look at cable and power" in str(
+                error
+            )
         return False
 
     wait_for(told, "the driver notices")
@@ -104,7 +112,8 @@ def test_a_refused_rate_and_a_missing_calibration(fake: Bench) -> None:
     device = fake.device(calibration_time=0.0)
     device.connect()
     with pytest.raises(
-        OSError, match=r"not calibrated within 0 s \(0x5002\): put the stylus into its inkwell"
+        OSError,
+        match=r"not calibrated within 0 s \(0x5002\): put the stylus into its inkwell",
     ):
         device.open()
     assert fake.world.state.forces == 0
@@ -115,13 +124,16 @@ def test_a_refused_rate_and_a_missing_calibration(fake: Bench) -> None:
 @pytest.mark.process
 def test_a_missing_library_is_told_with_what_to_do() -> None:
     with pytest.raises(
-        OSError, match=r"libHD\.so\.none cannot be loaded .*install OpenHaptics .* kind sim_driver"
+        OSError,
+        match=r"libHD\.so\.none cannot be loaded .*install OpenHaptics .* kind sim_driver",
     ):
         connected("libHD.so.none")
 
 
 @needs_cc
-def test_a_missing_device_and_a_wrong_library_are_told(fake: Bench, tmp_path: Path) -> None:
+def test_a_missing_device_and_a_wrong_library_are_told(
+    fake: Bench, tmp_path: Path
+) -> None:
     with pytest.raises(
         OSError,
         match=r"device absent cannot be opened: communication error \(0x0302\); is it plugged in",
@@ -138,7 +150,10 @@ def test_no_launch_file_raises_the_limits_of_the_device() -> None:
 
     device = DeviceLimits(peak_force=7.9, silence=0.1, hold=0.05)
     limits = lower(
-        SafetyParameters(peak_force=100.0, watchdog=1000), device, 0.002, "driver.safety"
+        SafetyParameters(peak_force=100.0, watchdog=1000),
+        device,
+        0.002,
+        "driver.safety",
     )
     assert (limits.peak, limits.watchdog) == (7.9, 50)
     assert (
@@ -162,11 +177,16 @@ def scenario(folder: Path, library: str) -> str:
             # The stand-in holds the arm at z = 22 mm, 1 mm inside this wall.
             "environment": {
                 "kind": "environment",
-                "parameters": {"surface": {"kind": "plane", "axis": "z", "position": 0.023}},
+                "parameters": {
+                    "surface": {"kind": "plane", "axis": "z", "position": 0.023}
+                },
             },
             "coupling": {
                 "kind": "coupling",
-                "parameters": {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 500.0}}},
+                "parameters": {
+                    "law": "pd",
+                    "laws": {"pd": {"kind": "pd", "stiffness": 500.0}},
+                },
             },
             "logger": {"kind": "logger", "parameters": {"path": "run.mcap"}},
         },
@@ -215,7 +235,9 @@ def test_a_launch_with_an_uncalibrated_device_fails_with_the_remedy(
     fake: Bench, tmp_path: Path
 ) -> None:
     fake.world.state.manual = 1
-    with running(tmp_path, scenario(tmp_path, fake.parameters["library"]), ready=False) as launch:
+    with running(
+        tmp_path, scenario(tmp_path, fake.parameters["library"]), ready=False
+    ) as launch:
         launch.finish(code=1)
         assert (
             "[driver] ended: Touch: not calibrated within 0.1 s (0x5002): put the stylus into its"

@@ -35,35 +35,50 @@ TOOL = """<body name="tool" pos="0 0 0.1" gravcomp="1">
 def scene(folder: Path, bodies: str, option: str = 'timestep="0.0005"') -> Path:
     path = folder / "scene.xml"
     path.write_text(
-        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii"
+        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>",
+        encoding="ascii",
     )
     return path
 
 
-def world(folder: Path, bodies: str = TOOL, option: str = 'timestep="0.0005"') -> MovingScene:
+def world(
+    folder: Path, bodies: str = TOOL, option: str = 'timestep="0.0005"'
+) -> MovingScene:
     return MovingScene(scene(folder, bodies, option), "tool", PERIOD, "environment")
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 0.5, 1.0, 1.75])
-def test_the_tool_feels_the_force_when_the_device_does(delay: float, tmp_path: Path) -> None:
+def test_the_tool_feels_the_force_when_the_device_does(
+    delay: float, tmp_path: Path
+) -> None:
     """A force with a delay, reversed a tick later: the tool's momentum is its opposite."""
     free = world(tmp_path)
     free.begin((0.01, 0.02, 0.03))
     assert free.tool_position == pytest.approx((0.01, 0.02, 0.03), abs=1e-15)
     speed = []
     for tick in range(1, 5):
-        free.hand_over((3.0, 0.0, -1.0) if tick == 1 else (0.0, 0.0, 0.0), tick - 1, delay)
+        free.hand_over(
+            (3.0, 0.0, -1.0) if tick == 1 else (0.0, 0.0, 0.0), tick - 1, delay
+        )
         free.advance(tick)
         speed.append(free.data.qvel[:3].copy())
     for tick, found in enumerate(speed, 1):
         acted = PERIOD * (np.clip(tick - delay, 0.0, 1.0))
-        assert found == pytest.approx(-np.array([3.0, 0.0, -1.0]) * acted / 0.05, abs=1e-12)
+        assert found == pytest.approx(
+            -np.array([3.0, 0.0, -1.0]) * acted / 0.05, abs=1e-12
+        )
 
 
-@pytest.mark.parametrize("contact", ["", 'solref="-20000 -200"', 'friction="0.2 0.005 0.0001"'])
-def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "contact", ["", 'solref="-20000 -200"', 'friction="0.2 0.005 0.0001"']
+)
+def test_the_stiffness_that_is_told_is_the_one_that_is_felt(
+    contact: str, tmp_path: Path
+) -> None:
     """Measured in its own scene; felt here by how much deeper 1.5 N press than 0.5 N."""
-    felt = world(tmp_path, TOOL + f'<geom name="floor" type="plane" size="1 1 1" {contact}/>')
+    felt = world(
+        tmp_path, TOOL + f'<geom name="floor" type="plane" size="1 1 1" {contact}/>'
+    )
     (told,) = felt.stiffness()
     felt.begin((0.0, 0.0, 0.0051))
     heights = []
@@ -78,7 +93,9 @@ def test_the_stiffness_that_is_told_is_the_one_that_is_felt(contact: str, tmp_pa
     assert told.stiffness == pytest.approx(1.0 / (heights[0] - heights[1]), rel=0.02)
 
 
-def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: Path) -> None:
+def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(
+    tmp_path: Path,
+) -> None:
     """A gliding tool continues for a tenth of a second, whatever time was missed."""
     ways = []
     for missed in (500, 50_000):
@@ -104,7 +121,10 @@ def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: P
         (TOOL.replace('axis="0 0 1"', 'axis="0 0 1" range="0 1"'), "without limits"),
         (TOOL.replace('mass="0.05"', 'mass="1e-9"'), "weighs 1e-09 kg"),
         # MuJoCo warns, and takes the mass of water.
-        (TOOL.replace('mass="0.05"', 'mass="nan"'), "environment.scene: .*contains a 'NaN'"),
+        (
+            TOOL.replace('mass="0.05"', 'mass="nan"'),
+            "environment.scene: .*contains a 'NaN'",
+        ),
         (
             TOOL.replace('mass="0.05"', 'mass="inf"'),
             "body 'tool' weighs inf kg, expected at most 1e.06 kg",
@@ -114,7 +134,8 @@ def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: P
             "body 'b' weighs 1e.300 kg",
         ),
         (
-            TOOL + '<body name="b"><geom size="0.1" mass="1e6"/><geom size="0.1" mass="1"/></body>',
+            TOOL
+            + '<body name="b"><geom size="0.1" mass="1e6"/><geom size="0.1" mass="1"/></body>',
             "body 'b' weighs 1e.06 kg",
         ),
         (
@@ -132,7 +153,9 @@ def test_after_a_long_fault_the_scene_does_not_make_up_for_all_of_it(tmp_path: P
         ),
     ],
 )
-def test_a_scene_without_a_tool_is_refused(bodies: str, told: str, tmp_path: Path) -> None:
+def test_a_scene_without_a_tool_is_refused(
+    bodies: str, told: str, tmp_path: Path
+) -> None:
     with pytest.raises(ParameterError, match=told):
         world(tmp_path, bodies)
 
@@ -159,19 +182,25 @@ def test_the_heaviest_body_is_taken(tmp_path: Path) -> None:
     world(tmp_path, TOOL + '<body name="b"><geom size="0.1" mass="1e6"/></body>')
 
 
-def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_missing_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(
-        ParameterError, match=r"environment.scene: .*none.xml cannot be read: No such file"
+        ParameterError,
+        match=r"environment.scene: .*none.xml cannot be read: No such file",
     ):
         MovingScene(tmp_path / "none.xml", "tool", PERIOD, "environment")
     os.mkfifo(tmp_path / "pipe.xml")
     for odd in (tmp_path / "pipe.xml", Path("/dev/zero")):
-        with pytest.raises(ParameterError, match=r"^environment.scene: .* is not a regular file"):
+        with pytest.raises(
+            ParameterError, match=r"^environment.scene: .* is not a regular file"
+        ):
             MovingScene(odd, "tool", PERIOD, "environment")
     with open(tmp_path / "huge.xml", "wb") as file:
         file.truncate(10_000_000_000)
     with pytest.raises(
-        ParameterError, match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64"
+        ParameterError,
+        match=r"^environment.scene: \S*huge.xml has 10000 MB, more than 64",
     ):
         MovingScene(tmp_path / "huge.xml", "tool", PERIOD, "environment")
     with pytest.raises(ParameterError, match="at most 1000; raise option timestep"):
@@ -194,12 +223,17 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(
     scenario: str, moved: str, tmp_path: Path
 ) -> None:
     """The recorded forces move the scene the same way again: there is no other input."""
-    figures = launch_json(tmp_path, scenario, "pace:=lockstep", "duration:=1.6", "apply:=next_tick")
+    figures = launch_json(
+        tmp_path, scenario, "pace:=lockstep", "duration:=1.6", "apply:=next_tick"
+    )
     recording = Recording(tmp_path / figures["recording"])
     states, proxies = recording.messages(DEVICE_STATE), recording.messages(PROXY)
     parameters = launch_file.read(scenario, {}).nodes["environment"].parameters
     again = MovingScene(Path(parameters["scene"]), "tool", PERIOD, "environment")
-    before = np.array(again.data.body(moved).xpos), np.array(again.data.body(moved).xquat)
+    before = (
+        np.array(again.data.body(moved).xpos),
+        np.array(again.data.body(moved).xquat),
+    )
     again.begin(states[0].position)
     for state, proxy in zip(states, proxies, strict=False):
         if state.seq:
@@ -208,9 +242,15 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(
         assert again.tool_position == proxy.proxy
     # And it was moved: by more than a centimetre, or by more than a quarter of a radian.
     way = np.linalg.norm(again.data.body(moved).xpos - before[0])
-    turn = 2.0 * np.arccos(min(1.0, abs(float(again.data.body(moved).xquat @ before[1]))))
+    turn = 2.0 * np.arccos(
+        min(1.0, abs(float(again.data.body(moved).xquat @ before[1])))
+    )
     assert way > 0.01 or turn > 0.25
-    certain = [one.reason for one in recording.messages(event("coupling")) if one.kind == "world"]
+    certain = [
+        one.reason
+        for one in recording.messages(event("coupling"))
+        if one.kind == "world"
+    ]
     assert len(certain) == 2
     # Its mass certifies a known hand; any hand takes damping or more mass.
     known, any_hand = sorted(certain, key=lambda one: "not certified" in one)
@@ -219,9 +259,13 @@ def test_a_launch_repeats_to_the_bit_from_its_recording(
     assert "it takes damping of the tool of at least" in any_hand
     assert "or a mass of the tool of at least" in any_hand
     told = next(
-        one.reason for one in recording.messages(event("environment")) if one.kind == "bodies"
+        one.reason
+        for one in recording.messages(event("environment"))
+        if one.kind == "bodies"
     )
-    assert re.search(r"weighs 0.05 kg .* contacts, measured: \w+(, \w+)* 2.94e\+03 N/m", told)
+    assert re.search(
+        r"weighs 0.05 kg .* contacts, measured: \w+(, \w+)* 2.94e\+03 N/m", told
+    )
 
 
 @pytest.mark.parametrize(
@@ -238,7 +282,13 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
     def radius(stiffness: float) -> float:
         # The force is held during a tick: of the deflection now and of the one before.
         pull = np.array(
-            [-(stiffness + GAIN / PERIOD), 0.0, stiffness + GAIN / PERIOD, 0.0, -GAIN / PERIOD]
+            [
+                -(stiffness + GAIN / PERIOD),
+                0.0,
+                stiffness + GAIN / PERIOD,
+                0.0,
+                -GAIN / PERIOD,
+            ]
         )
         whole = tick[:, :4] @ np.eye(4, 5) + np.outer(tick[:, 4], pull)
         whole[4] = (-1.0, 0.0, 1.0, 0.0, 0.0)
@@ -253,7 +303,10 @@ def test_the_figures_know_the_tool(mass: float, tool: float, damping: float) -> 
     law = CompiledLaw((GAIN / PERIOD, -GAIN / PERIOD))
     alone, seen = (
         k_max(law, plant).h1_max_n_per_m
-        for plant in (Plant(PERIOD, mass, damping), Plant(PERIOD, mass, damping).with_tool(tool))
+        for plant in (
+            Plant(PERIOD, mass, damping),
+            Plant(PERIOD, mass, damping).with_tool(tool),
+        )
     )
     assert alone is not None
     assert seen is not None
@@ -289,10 +342,13 @@ def test_a_running_scene_is_reset_and_its_actuators_controlled(tmp_path: Path) -
         one = ("topic", "pub", "/external/controls", "--once")
         assert "published 1" in typed(launch, *one, "{elbow: 0.4}").stdout
         assert "published 1" in typed(launch, *one, "[0.4]").stdout
-        assert "no actuator 'elbo'" in typed(launch, *one, "{elbo: 0.4}", code=None).stderr
+        assert (
+            "no actuator 'elbo'" in typed(launch, *one, "{elbo: 0.4}", code=None).stderr
+        )
         launch.interrupt()
     (recording,) = tmp_path.glob("recordings/own*.mcap")
     told = [one.reason for one in Recording(recording).messages(event("environment"))]
     assert any(
-        "the scene was reset on request; the tool restarts at the device" in one for one in told
+        "the scene was reset on request; the tool restarts at the device" in one
+        for one in told
     )

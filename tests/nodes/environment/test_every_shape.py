@@ -19,11 +19,25 @@ RADIUS = 0.01
 EXAMPLES: dict[str, dict[str, Any]] = {
     "oriented_plane": {"position": [0.0, 0.01, 0.0], "normal": [0.1, 0.2, 1.0]},
     "sphere": {"position": [0.0, 0.002, 0.0], "radius": RADIUS},
-    "box": {"position": [0.0, 0.0, 0.001], "size": [0.02, 0.016, 0.012], "rotation": [0.3, 0.2, 1]},
-    "capsule": {"start": [-0.01, 0.0, 0.0], "end": [0.012, 0.004, 0.0], "radius": RADIUS},
-    "cylinder": {"start": [-0.01, 0.0, 0.0], "end": [0.012, 0.004, 0.0], "radius": RADIUS},
+    "box": {
+        "position": [0.0, 0.0, 0.001],
+        "size": [0.02, 0.016, 0.012],
+        "rotation": [0.3, 0.2, 1],
+    },
+    "capsule": {
+        "start": [-0.01, 0.0, 0.0],
+        "end": [0.012, 0.004, 0.0],
+        "radius": RADIUS,
+    },
+    "cylinder": {
+        "start": [-0.01, 0.0, 0.0],
+        "end": [0.012, 0.004, 0.0],
+        "radius": RADIUS,
+    },
 }
-OF_TRIANGLES = {"mesh"}  # no distance of its own: tests/nodes/environment/test_meshes.py
+OF_TRIANGLES = {
+    "mesh"
+}  # no distance of its own: tests/nodes/environment/test_meshes.py
 POINTS = np.random.default_rng(5).uniform(-0.025, 0.025, (60, 3))
 # The drawing is a polyhedron within round parts: its greatest distance below the surface [m].
 SAGITTA = RADIUS * (1.0 - np.cos(np.pi / AROUND) * np.cos(0.5 * np.pi / ACROSS))
@@ -39,7 +53,9 @@ def distance(kind: str, point: Any) -> tuple[float, Any]:
 
 
 def test_every_registered_shape_has_an_example() -> None:
-    shapes = {name for name in SURFACES.names() if issubclass(SURFACES.load(name), Shape)}
+    shapes = {
+        name for name in SURFACES.names() if issubclass(SURFACES.load(name), Shape)
+    }
     assert shapes == EXAMPLES.keys() | OF_TRIANGLES
 
 
@@ -48,7 +64,9 @@ def test_a_shape_is_drawn_where_it_is_felt(kind: str) -> None:
     drawn = shape_of({"surface": {"kind": kind, **EXAMPLES[kind]}})["triangles"]
     corners = np.array(drawn).reshape(-1, 3, 3)
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    corners = corners[sides.min(axis=1) > 1e-9]  # at a pole two corners of a triangle are one
+    corners = corners[
+        sides.min(axis=1) > 1e-9
+    ]  # at a pole two corners of a triangle are one
     for point in POINTS:
         away, _ = distance(kind, point)
         seen = np.linalg.norm(point - nearest_on(corners, point), axis=1).min()
@@ -62,7 +80,10 @@ def test_the_normal_is_the_gradient_of_the_distance(kind: str) -> None:
     for point in POINTS:
         away, normal = distance(kind, point)
         sides = [
-            (distance(kind, point + step * axis)[0] - distance(kind, point - step * axis)[0])
+            (
+                distance(kind, point + step * axis)[0]
+                - distance(kind, point - step * axis)[0]
+            )
             / (2.0 * step)
             for axis in np.eye(3)
         ]

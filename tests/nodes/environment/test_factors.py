@@ -37,7 +37,9 @@ def renderer(law: CompiledLaw) -> Renderer:
 
 # taps, and one section with its poles inside the unit circle
 LAWS = st.builds(
-    lambda taps, b0, b1, r, c: CompiledLaw(tuple(taps), ((b0, b1, -2.0 * r * c, r * r),)),
+    lambda taps, b0, b1, r, c: CompiledLaw(
+        tuple(taps), ((b0, b1, -2.0 * r * c, r * r),)
+    ),
     st.lists(FINITE, min_size=1, max_size=6),
     FINITE,
     FINITE,
@@ -46,7 +48,12 @@ LAWS = st.builds(
 )
 
 
-@given(LAWS, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.lists(FINITE, min_size=1, max_size=20))
+@given(
+    LAWS,
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.lists(FINITE, min_size=1, max_size=20),
+)
 def test_the_law_that_is_judged_is_the_one_that_renders(
     law: CompiledLaw, stiffness: float, damping: float, path: list[float]
 ) -> None:
@@ -65,7 +72,9 @@ def test_the_law_that_is_judged_is_the_one_that_renders(
         two = same.render(Proxy(proxy=(0.0, 0.0, 0.0), **place))
         # H(1) of a section near z = 1 is large; all sums have below 100 terms.
         size = 1.0 + sum(map(abs, law.taps)) + abs(law.h1) + max(map(abs, two))
-        assert one == pytest.approx(two, abs=100 * size * 5.0 * np.finfo(float).eps * 100)
+        assert one == pytest.approx(
+            two, abs=100 * size * 5.0 * np.finfo(float).eps * 100
+        )
 
 
 @given(LAWS, st.floats(1e-4, 0.05))
@@ -85,7 +94,11 @@ def test_a_law_behind_a_trailing_proxy_has_the_product_of_both_responses(
 def test_a_viscous_region_renders_the_damping_that_is_told() -> None:
     """At a steady speed the proxy trails by `time` times the speed; outside it does not."""
     felt = Touched(
-        {"kind": "viscosity", "within": {"kind": "sphere", "radius": 0.05}, "time": 0.01}
+        {
+            "kind": "viscosity",
+            "within": {"kind": "sphere", "radius": 0.05},
+            "time": 0.01,
+        }
     )
     speed, before = 0.1, felt.at((-0.06, 0.0, 0.0))
     assert not before[1]
@@ -100,7 +113,12 @@ def test_a_viscous_region_renders_the_damping_that_is_told() -> None:
             assert not is_felt
     # No step is larger than its share of the way: it grows and fades within the band.
     (effect,) = surface_effects(
-        {"kind": "viscosity", "within": {"kind": "sphere", "radius": 0.05}, "time": 0.01}, "s"
+        {
+            "kind": "viscosity",
+            "within": {"kind": "sphere", "radius": 0.05},
+            "time": 0.01,
+        },
+        "s",
     )
     assert effect == Effect(name="s", lag=0.01)
 
@@ -110,7 +128,12 @@ def test_a_viscous_region_renders_the_damping_that_is_told() -> None:
 def test_a_line_attracts_as_a_spring_as_far_as_half_its_reach(
     away: float, angle: float, strength: float
 ) -> None:
-    line = {"kind": "magnetic_line", "start": [-1, 0, 0], "end": [1, 0, 0], "reach": 0.01}
+    line = {
+        "kind": "magnetic_line",
+        "start": [-1, 0, 0],
+        "end": [1, 0, 0],
+        "reach": 0.01,
+    }
     felt = Touched({**line, "stiffness": strength})
     place = (0.3, away * math.cos(angle), away * math.sin(angle))
     deflection, is_felt = felt.at(place)
@@ -179,7 +202,9 @@ def test_factors_are_those_of_the_contacts_and_do_not_jump() -> None:
 PLANT = {"mass": 0.05, "damping": 0.05, "delay": 1.0}
 
 
-def judged(law: dict[str, Any], effects: list[Effect]) -> tuple[Judgement, CouplingParameters]:
+def judged(
+    law: dict[str, Any], effects: list[Effect]
+) -> tuple[Judgement, CouplingParameters]:
     parameters = convert(
         {"law": "one", "laws": {"one": law}, "plant": PLANT, "stability": "refuse"},
         CouplingParameters,
@@ -202,10 +227,14 @@ def test_a_law_is_judged_as_it_is_felt() -> None:
         assert text.startswith(f"{effect.name}: the law is felt with K ")
     assert (
         "K 240 N/m, B 0.9 N s/m"
-        in judged(law, [Effect(name="a", stiffness=0.3, damping=0.3)])[0].of_effects(parameters)[0]
+        in judged(law, [Effect(name="a", stiffness=0.3, damping=0.3)])[0].of_effects(
+            parameters
+        )[0]
     )
     assert "K 0 N/m, B 1.6 N s/m" in text
-    judgement, parameters = judged(law, [Effect(name="s[3]", stiffness=1.0, damping=0.05)])
+    judgement, parameters = judged(
+        law, [Effect(name="s[3]", stiffness=1.0, damping=0.05)]
+    )
     with pytest.raises(
         ParameterError, match=r"pole radius 1\.0.*as it is felt at s\[3\].*law itself"
     ):
@@ -225,7 +254,9 @@ def test_regions_that_overlap_are_judged_together() -> None:
     surface = {"kind": "union", "shapes": [*lines, ball]}
     effects = surface_effects(surface, "s")
     assert effects[4:] == [
-        Effect(name="s.shapes[0] with s.shapes[1]", stiffness=2.0, damping=2.0, line=True),
+        Effect(
+            name="s.shapes[0] with s.shapes[1]", stiffness=2.0, damping=2.0, line=True
+        ),
         Effect(name="s.shapes[0] with s.shapes[3]", lag=0.01, line=True),
     ]
     # It is what a device feels: above the crossing, both pull it down.
@@ -249,7 +280,10 @@ def test_no_place_has_more_than_the_regions_that_are_judged_together(seed: int) 
     shapes: list[dict[str, Any]] = []
     for _ in range(int(random.integers(2, 9))):
         a, b = random.uniform(-0.05, 0.05, (2, 3)).tolist()
-        turn, size = random.uniform(-3.0, 3.0, 3).tolist(), random.uniform(0.01, 0.06, 3).tolist()
+        turn, size = (
+            random.uniform(-3.0, 3.0, 3).tolist(),
+            random.uniform(0.01, 0.06, 3).tolist(),
+        )
         within: dict[str, Any] = [
             {"kind": "sphere", "position": a, "radius": size[0]},
             {"kind": "box", "position": a, "size": size, "rotation": turn},
@@ -265,13 +299,16 @@ def test_no_place_has_more_than_the_regions_that_are_judged_together(seed: int) 
     most = max(one.lag for one in parsed.effects("s"))
     for place in random.uniform(-0.08, 0.08, (20, 3)).tolist():
         acting = sum(
-            gap(numbers.table, ROWS + ROW * n, *place)[0] < -1e-9 for n in range(len(shapes))
+            gap(numbers.table, ROWS + ROW * n, *place)[0] < -1e-9
+            for n in range(len(shapes))
         )
         assert 0.01 * acting <= most + 1e-12
 
 
 @given(st.floats(0.05, 1.0), st.floats(0.05, 1.0))
-def test_factors_of_a_plain_law_without_delay_stay_within_its_bound(a: float, b: float) -> None:
+def test_factors_of_a_plain_law_without_delay_stay_within_its_bound(
+    a: float, b: float
+) -> None:
     """Colgate and Schenkel: b > K T/2 + |B| holds for every part of a law that satisfies it."""
     from nodes.stability.judge import judge
     from nodes.stability.plant import Plant
@@ -295,9 +332,18 @@ def test_factors_of_a_plain_law_without_delay_stay_within_its_bound(a: float, b:
         ({**BOX, "stiffness": 1.2}, "stiffness"),
         ({**BOX, "damping": -0.1}, "damping"),
         ({"kind": "viscosity", "within": {"kind": "free"}, "time": 1.0}, "within.kind"),
-        ({"kind": "viscosity", "within": {**BOX, "friction": {}}, "time": 1.0}, "within.friction"),
-        ({"kind": "magnetic_line", "start": [0, 0, 0], "end": [1, 0, 0], "reach": 0}, "reach"),
-        ({"kind": "union", "shapes": [{"kind": "union", "shapes": [BOX]}]}, "no shape that can be"),
+        (
+            {"kind": "viscosity", "within": {**BOX, "friction": {}}, "time": 1.0},
+            "within.friction",
+        ),
+        (
+            {"kind": "magnetic_line", "start": [0, 0, 0], "end": [1, 0, 0], "reach": 0},
+            "reach",
+        ),
+        (
+            {"kind": "union", "shapes": [{"kind": "union", "shapes": [BOX]}]},
+            "no shape that can be",
+        ),
     ],
 )
 def test_what_cannot_be_felt_is_refused(surface: dict[str, Any], why: str) -> None:

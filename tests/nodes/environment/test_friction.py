@@ -11,7 +11,15 @@ import pytest
 from nodes.environment.node import Environment
 from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
-from nodes.environment.shapes.scene import Friction, Solid, box, capsule, mesh, plane, sphere
+from nodes.environment.shapes.scene import (
+    Friction,
+    Solid,
+    box,
+    capsule,
+    mesh,
+    plane,
+    sphere,
+)
 from nodes.environment.shapes.tables import SKIN
 from sim.lab.proxies import icosphere
 from sim.play.touch import Touched, touch
@@ -49,13 +57,17 @@ SURFACES: dict[str, Solid] = {
 def test_the_cone_is_kept(kind: str, tool: float) -> None:
     """After every call on a random path; some calls stick, some slide."""
     friction = Friction(0.5, 0.4)
-    path = wander(np.random.default_rng(2), 400, 1e-3, (0.01, 0.01, 0.004), (0.0, 0.0, 0.003))
+    path = wander(
+        np.random.default_rng(2), 400, 1e-3, (0.01, 0.01, 0.004), (0.0, 0.0, 0.003)
+    )
     found = led([SURFACES[kind]._replace(friction=friction)], path, tool)
     normal, along = parts(found)
     assert len(normal) > 100
     assert (along <= 0.5 * normal * (1.0 + CONE) + 1e-13).all()
     on_it = np.abs(along - 0.4 * normal) <= CONE * normal + 1e-13
-    stuck = np.linalg.norm(np.diff(found.proxy, axis=0), axis=1)[found.contact[1:]] == 0.0
+    stuck = (
+        np.linalg.norm(np.diff(found.proxy, axis=0), axis=1)[found.contact[1:]] == 0.0
+    )
     assert on_it.sum() > 20
     assert stuck.sum() > 20
 
@@ -64,7 +76,9 @@ def test_it_sticks_up_to_the_static_coefficient_and_slides_at_the_dynamic_one() 
     """Pressed 1 mm deep and drawn by 10 µm steps: breaks away at 0.6 mm, then trails 0.3 mm."""
     depth = 1e-3 + SKIN
     path = np.array([[0.0, 0.0, 0.01], *([1e-5 * k, 0.0, -1e-3] for k in range(120))])
-    at = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.6, 0.3))], path).proxy[1:, 0]
+    at = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.6, 0.3))], path).proxy[
+        1:, 0
+    ]
     # The straight way down leads from 0 to 0; then it is stuck until 0.6 depths.
     away = next(k for k in range(120) if at[k] > 0.0)
     assert away == math.floor(0.6 * depth / 1e-5) + 1
@@ -74,8 +88,12 @@ def test_it_sticks_up_to_the_static_coefficient_and_slides_at_the_dynamic_one() 
 def test_a_viscous_surface_makes_it_trail_by_its_speed() -> None:
     """Drawn at v, the proxy lags by v times the given time in steady state."""
     speed, trails, period = 0.05, 0.008, 1e-3
-    path = np.array([[0.0, 0.0, 0.01], *([speed * period * k, 0.0, -1e-3] for k in range(200))])
-    found = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.0, 0.0, trails))], path)
+    path = np.array(
+        [[0.0, 0.0, 0.01], *([speed * period * k, 0.0, -1e-3] for k in range(200))]
+    )
+    found = led(
+        [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), Friction(0.0, 0.0, trails))], path
+    )
     # It approaches by 1/(1 + T/τ) a tick: after 200 ticks nothing is left of the beginning.
     assert path[-1, 0] - found.proxy[-1, 0] == pytest.approx(speed * trails, rel=1e-9)
 
@@ -104,10 +122,14 @@ def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_i
         "friction": {"static": 0.8},
     }
     surface, path = (
-        (ball, "") if kind == "sphere" else ({"kind": "union", "shapes": [ball]}, ".shapes[0]")
+        (ball, "")
+        if kind == "sphere"
+        else ({"kind": "union", "shapes": [ball]}, ".shapes[0]")
     )
     node = Environment(
-        setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface})
+        setup_of(
+            name="environment", axes=["x", "y", "z"], parameters={"surface": surface}
+        )
     )
     node.configure()
     for place in ((0.0, 0.0, 0.01), (0.0, 0.0, -1e-3), (4e-4, 0.0, -1e-3)):
@@ -130,14 +152,20 @@ def test_friction_that_is_set_while_the_surface_is_touched_moves_no_proxy_that_i
     sets(radius=0.0201, friction={"static": 1.5})
     carried = node._meet((4e-4, 0.0, -1e-3))[0]
     assert carried[0] == pytest.approx(slid, rel=0.01)
-    assert math.dist(carried, (0.0, 0.0, -0.02)) == pytest.approx(0.0201 + TOOL_RADIUS, abs=1e-9)
+    assert math.dist(carried, (0.0, 0.0, -0.02)) == pytest.approx(
+        0.0201 + TOOL_RADIUS, abs=1e-9
+    )
 
 
 def test_what_is_asked_again_is_not_answered_by_another_proxy() -> None:
     """Repeating a position changes nothing: a proxy is at rest after one call."""
     for kind, solid in SURFACES.items():
-        path = wander(np.random.default_rng(4), 60, 2e-3, (0.01, 0.01, 0.004), (0.0, 0.0, 0.003))
+        path = wander(
+            np.random.default_rng(4), 60, 2e-3, (0.01, 0.01, 0.004), (0.0, 0.0, 0.003)
+        )
         once = led([solid._replace(friction=Friction(0.4, 0.2))], path)
-        twice = led([solid._replace(friction=Friction(0.4, 0.2))], np.repeat(path, 2, axis=0))
+        twice = led(
+            [solid._replace(friction=Friction(0.4, 0.2))], np.repeat(path, 2, axis=0)
+        )
         assert np.abs(twice.proxy[1::2] - twice.proxy[::2]).max() < 1e-12, kind
         assert np.abs(twice.proxy[::2] - once.proxy).max() < 1e-4, kind

@@ -43,7 +43,11 @@ BALL: dict[str, Any] = {"kind": "sphere", "radius": 0.03}
 
 def environment(surface: dict[str, Any], **given: Any) -> Environment:
     node = Environment(
-        setup_of(name="environment", axes=["x", "y", "z"], parameters={"surface": surface, **given})
+        setup_of(
+            name="environment",
+            axes=["x", "y", "z"],
+            parameters={"surface": surface, **given},
+        )
     )
     node.configure()
     return node
@@ -69,12 +73,16 @@ def at(*places: Vector, first: int = 0, rebased: int = 0) -> list[DeviceState]:
 
 @pytest.mark.process
 @pytest.mark.parametrize("tick", ["plain", "compiled"])
-def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_path: Path) -> None:
+def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(
+    tick: str, tmp_path: Path
+) -> None:
     """A hand presses with 2.3 N when it comes 10 mm nearer, which asked for 52 N at once."""
     scene = str(FIXTURES / "press_hold.yaml")
     with running(tmp_path, scene, "pace:=lockstep", f"--tick={tick}") as launch:
         launch.wait_ticks(500)
-        told = typed(launch, "param", "set", "environment", "surface.position", "0.010").stdout
+        told = typed(
+            launch, "param", "set", "environment", "surface.position", "0.010"
+        ).stdout
         launch.wait_ticks(500)
         launch.interrupt()
     recording = Recording(next(tmp_path.rglob("*.mcap")))
@@ -89,14 +97,18 @@ def test_a_wall_that_is_moved_live_has_the_bits_of_one_process(tick: str, tmp_pa
         ticks=ticks,
         instead=Instead(environment=[(jump, {"surface": moved})]),
     )
-    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
-        map(tuple, played.measured.tolist())
-    )
+    assert [
+        state.position for state in recording.messages(DEVICE_STATE)[:ticks]
+    ] == list(map(tuple, played.measured.tolist()))
     felt = forces[jump - 1].force[0]
     step = np.abs(np.diff([force.force[0] for force in forces[jump - 1 : ticks]]))
     # 10 N come in 75 ticks; the hand gives way meanwhile, at well under 0.05 m/s.
     assert step.max() < 10.0 / 75.0 + 1000.0 * PERIOD * 0.05 + 8.0 * 0.05
-    (reason,) = [one.reason for one in recording.messages(event("coupling")) if one.kind == "eased"]
+    (reason,) = [
+        one.reason
+        for one in recording.messages(event("coupling"))
+        if one.kind == "eased"
+    ]
     assert f"tick {jump}:" in reason
     # 2.3 N were felt, and of the 12.3 N that are asked the driver hands over 7.9 N.
     assert f"a force step of {7.9 + felt:.4g} N, eased over 0.15 s" in reason
@@ -113,7 +125,9 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
         launch.wait_ticks(500)
         shapes = parsed(scene)["shapes"]
         shapes[1]["radius"] = 0.032
-        typed(launch, "param", "set", "environment", "surface.shapes", json.dumps(shapes))
+        typed(
+            launch, "param", "set", "environment", "surface.shapes", json.dumps(shapes)
+        )
         launch.wait_ticks(300)
         launch.interrupt()
     recording = Recording(next(tmp_path.rglob("*.mcap")))
@@ -126,11 +140,17 @@ def test_shapes_that_are_begun_in_and_changed_live_have_the_bits_of_one_process(
         ticks=ticks,
         instead=Instead(environment=[(jump, {"surface": grown})]),
     )
-    assert [state.position for state in recording.messages(DEVICE_STATE)[:ticks]] == list(
-        map(tuple, played.measured.tolist())
+    assert [
+        state.position for state in recording.messages(DEVICE_STATE)[:ticks]
+    ] == list(map(tuple, played.measured.tolist()))
+    assert [proxy.proxy for proxy in proxies[:ticks]] == list(
+        map(tuple, played.proxy.tolist())
     )
-    assert [proxy.proxy for proxy in proxies[:ticks]] == list(map(tuple, played.proxy.tolist()))
-    told = [one.reason for one in recording.messages(event("environment")) if one.kind == "inside"]
+    told = [
+        one.reason
+        for one in recording.messages(event("environment"))
+        if one.kind == "inside"
+    ]
     assert len(told) == 3
     assert told[0].startswith("the tool begins inside")
     assert told[1].startswith("the tool has come outside")
@@ -210,21 +230,33 @@ def test_a_sample_that_is_lost_for_one_tick_frees_nobody() -> None:
 
 
 @pytest.mark.parametrize("deep", [0.02, 4e-4])
-def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(deep: float) -> None:
+def test_a_solid_that_grows_carries_its_proxy_and_one_that_comes_does_not(
+    deep: float,
+) -> None:
     """The pressed ball keeps its proxy; deep inside a new ball the proxy is free."""
-    place = TouchedSurface(parse_surface({"kind": "union", "shapes": [BALL]}, "surface"), PERIOD)
+    place = TouchedSurface(
+        parse_surface({"kind": "union", "shapes": [BALL]}, "surface"), PERIOD
+    )
     place.meet((0.0, 0.0, 0.04))
     place.meet((0.0, 0.0, 0.028))
     grown = {**BALL, "radius": 0.03 + deep}
-    came = {"kind": "box", "position": [0.0, 0.0, 0.05 + deep - 0.02], "size": [0.1, 0.1, 0.04]}
+    came = {
+        "kind": "box",
+        "position": [0.0, 0.0, 0.05 + deep - 0.02],
+        "size": [0.1, 0.1, 0.04],
+    }
     assert place.take(
-        TouchedSurface(parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD)
+        TouchedSurface(
+            parse_surface({"kind": "union", "shapes": [grown]}, "surface"), PERIOD
+        )
     )
     proxy, _, _, contact = place.meet((0.0, 0.0, 0.028))
     assert contact
     assert proxy[2] == pytest.approx(0.03 + deep + TOOL_RADIUS, abs=1e-9)
     free = TouchedSurface(parse_surface({"kind": "free"}, "surface"), PERIOD)
-    other = TouchedSurface(parse_surface({"kind": "union", "shapes": [came]}, "surface"), PERIOD)
+    other = TouchedSurface(
+        parse_surface({"kind": "union", "shapes": [came]}, "surface"), PERIOD
+    )
     free.take(other)
     free.meet((0.0, 0.0, 0.05))
     assert free.inside == (1 if deep > 5e-4 else 0)
@@ -244,7 +276,9 @@ def box(z: float, x: float = 0.0, **given: Any) -> dict[str, Any]:
     ("before", "after"),
     [
         pytest.param(
-            [box(0.0), box(0.0, 0.2)], [box(0.0, 0.2), box(0.02)], id="listed the other way round"
+            [box(0.0), box(0.0, 0.2)],
+            [box(0.0, 0.2), box(0.02)],
+            id="listed the other way round",
         ),
         pytest.param(
             [box(0.0, 0.2), box(0.0)],
@@ -357,7 +391,9 @@ def test_a_tool_that_is_left_behind_is_put_back_to_the_device() -> None:
     del mujoco
     from nodes.environment.bodies.moving_scene import MovingScene
 
-    scene = MovingScene(FIXTURES / "inside.xml", "tool", PERIOD, "environment", lost=0.25)
+    scene = MovingScene(
+        FIXTURES / "inside.xml", "tool", PERIOD, "environment", lost=0.25
+    )
     assert scene.follow(0, (0.2, 0.0, 0.0), (0.0, 0.0, 0.0), -1, 0.0, True)
     assert not scene.inside
     scene.data.qvel[:3] = (200.0, 0.0, 0.0)

@@ -74,7 +74,9 @@ def test_a_corner_is_read_in_its_unit(
     # glTF has single precision.
     size = np.ptp(found.corners.reshape(-1, 3), axis=0)
     assert size / size.max() == pytest.approx(np.array([2.0, 3.0, 1.0]) / 3.0, rel=1e-7)
-    numbers = parse_surface({"kind": "mesh", "file": str(file), **given}, "s").numbers(1e-3)
+    numbers = parse_surface({"kind": "mesh", "file": str(file), **given}, "s").numbers(
+        1e-3
+    )
     assert numbers is not None
     assert how in numbers.widths[0]
     assert f"{1e3 * width:.4g} mm wide" in numbers.widths[0]
@@ -90,9 +92,16 @@ def test_hostile_files_of_a_library_are_refused(
     with pytest.raises(ParameterError, match="unpacks to 3 MB, more than 2"):
         read_mesh(bomb, "file")
     named = tmp_path / "other.gltf"
-    named.write_text('{"asset":{"version":"2.0"},"buffers":[{"uri":"/etc/passwd","byteLength":9}]}')
+    named.write_text(
+        '{"asset":{"version":"2.0"},"buffers":[{"uri":"/etc/passwd","byteLength":9}]}'
+    )
     whole = {".3mf": archive(tmp_path), ".glb": binary(tmp_path)}
-    for kind, data in ((".gltf", b""), (".glb", b"glTF"), (".3mf", b"PK"), (".gltf", b"{}")):
+    for kind, data in (
+        (".gltf", b""),
+        (".glb", b"glTF"),
+        (".3mf", b"PK"),
+        (".gltf", b"{}"),
+    ):
         file = tmp_path / f"bad{kind}"
         file.write_bytes(data)
         with pytest.raises(ParameterError, match="file: "):

@@ -37,7 +37,9 @@ FIXTURES = ROOT / "tests/fixtures/begin"
 def winding(corners: Array, places: Array) -> Array:
     """Return libigl's winding number of triangles about places."""
     ids = np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
-    found: Any = igl.winding_number(corners.reshape(-1, 3), ids, np.ascontiguousarray(places))
+    found: Any = igl.winding_number(
+        corners.reshape(-1, 3), ids, np.ascontiguousarray(places)
+    )
     return np.asarray(found, dtype=np.float64)
 
 
@@ -45,19 +47,26 @@ def written(corners: Array) -> str:
     """Return OBJ text with corners of their own for every triangle."""
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.reshape(-1, 3).tolist()]
     return "\n".join(
-        [*lines, *(f"f {3 * n + 1} {3 * n + 2} {3 * n + 3}" for n in range(len(corners)))]
+        [
+            *lines,
+            *(f"f {3 * n + 1} {3 * n + 2} {3 * n + 3}" for n in range(len(corners))),
+        ]
     )
 
 
 def prism(outline: Array, height: float) -> tuple[Array, dict[int, Any]]:
     """Return corners and faces of a prism whose two caps are one face each."""
     count = len(outline)
-    points = np.concatenate([np.column_stack([outline, np.full(count, z)]) for z in (0.0, height)])
+    points = np.concatenate(
+        [np.column_stack([outline, np.full(count, z)]) for z in (0.0, height)]
+    )
     here = np.arange(count)
     there = np.roll(here, -1)
     walls = np.column_stack([here, there, there + count, here + count])
     caps = np.array([here[::-1], here + count])
-    return points, {4: walls, count: caps} if count != 4 else {4: np.concatenate([walls, caps])}
+    return points, {4: walls, count: caps} if count != 4 else {
+        4: np.concatenate([walls, caps])
+    }
 
 
 def in_outline(outline: Array, places: Array) -> Any:
@@ -74,28 +83,38 @@ def in_outline(outline: Array, places: Array) -> Any:
 def test_the_winding_number_is_that_of_libigl() -> None:
     places = np.random.default_rng(0).uniform(-0.03, 0.03, (200, 3))
     corners = np.concatenate([icosphere(2, 0.02), CUBE])
-    assert np.abs(winding_number(corners, places) - winding(corners, places)).max() < 1e-12
+    assert (
+        np.abs(winding_number(corners, places) - winding(corners, places)).max() < 1e-12
+    )
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(4, 14))
-def test_a_face_of_many_corners_is_cut_within_its_outline(seed: int, count: int) -> None:
+def test_a_face_of_many_corners_is_cut_within_its_outline(
+    seed: int, count: int
+) -> None:
     """Star-shaped outlines, concave in general, with corners on straight edges too."""
     rng = np.random.default_rng(seed)
     angle = 2.0 * np.pi * (np.arange(count) + rng.uniform(0.0, 0.6, count)) / count
-    outline = rng.uniform(0.005, 0.03, (count, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
+    outline = rng.uniform(0.005, 0.03, (count, 1)) * np.column_stack(
+        [np.cos(angle), np.sin(angle)]
+    )
     if seed % 2:
         outline = np.insert(outline, 1, 0.5 * (outline[0] + outline[1]), axis=0)
     points, groups = prism(outline, 0.02)
     corners = turned(points[cut_faces(points, groups)[0]], 0.3, -0.4, 0.5)
     prepared = prepare_mesh(corners, False, "file")
     places = rng.uniform((-0.03, -0.03, -0.01), (0.03, 0.03, 0.03), (150, 3))
-    expected = in_outline(outline, places) & (places[:, 2] > 0.0) & (places[:, 2] < 0.02)
+    expected = (
+        in_outline(outline, places) & (places[:, 2] > 0.0) & (places[:, 2] < 0.02)
+    )
     found = winding(prepared.corners, turned(places[:, None], 0.3, -0.4, 0.5)[:, 0])
     assert np.abs(found - expected).max() < 1e-6
     # Nothing lies over a notch: the faces have the area of the prism, by the shoelace formula.
     following = np.roll(outline, -1, axis=0)
-    cap = 0.5 * np.abs((outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]).sum())
+    cap = 0.5 * np.abs(
+        (outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]).sum()
+    )
     walls = 0.02 * np.linalg.norm(following - outline, axis=1).sum()
     edges = prepared.corners[:, 1:] - prepared.corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
@@ -128,11 +147,15 @@ def solid(rng: np.random.Generator) -> tuple[Array, Callable[[Array], Any]]:
                 made = icosphere(2, half)
                 normals = np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0])
                 heights = np.einsum("ij,ij->i", normals, made[:, 0])
-                tests.append((sign, centre, partial(in_ball, normals=normals, heights=heights)))
+                tests.append(
+                    (sign, centre, partial(in_ball, normals=normals, heights=heights))
+                )
             parts.append((made + centre)[:, ::sign])
 
     def inside(places: Array) -> Any:
-        return sum(sign * test(places - centre).astype(int) for sign, centre, test in tests)
+        return sum(
+            sign * test(places - centre).astype(int) for sign, centre, test in tests
+        )
 
     return np.concatenate(parts), inside
 
@@ -147,7 +170,9 @@ def test_a_damaged_solid_is_repaired_to_what_it_was(seed: int) -> None:
     if rng.integers(0, 2):  # an edge split on one side only: a T-joint
         one = corners[:1]
         middle = 0.5 * (one[:, 0] + one[:, 1])
-        halves = np.array([[one[0, 0], middle[0], one[0, 2]], [middle[0], one[0, 1], one[0, 2]]])
+        halves = np.array(
+            [[one[0, 0], middle[0], one[0, 2]], [middle[0], one[0, 1], one[0, 2]]]
+        )
         corners = np.concatenate([corners[1:], halves])
     if rng.integers(0, 2):  # a copy, a pair back to back, a triangle without area
         corners = np.concatenate([corners, corners[3:4], corners[5:7, [0, 0, 1]]])
@@ -157,9 +182,13 @@ def test_a_damaged_solid_is_repaired_to_what_it_was(seed: int) -> None:
     corners = np.where(flip[:, None, None], corners[:, ::-1], corners)
     corners = corners[rng.permutation(len(corners))]
     # Within the join, with room for the two ends: ±0.2e-7 of the width.
-    corners = corners + rng.uniform(-2e-8, 2e-8, corners.shape) * width * rng.integers(0, 2)
+    corners = corners + rng.uniform(-2e-8, 2e-8, corners.shape) * width * rng.integers(
+        0, 2
+    )
     prepared = prepare_mesh(corners, False, "file")
-    places = rng.uniform(-0.02, 0.02, (200, 3)) + [0.06, 0.0, 0.0] * rng.integers(0, 3, (200, 1))
+    places = rng.uniform(-0.02, 0.02, (200, 3)) + [0.06, 0.0, 0.0] * rng.integers(
+        0, 3, (200, 1)
+    )
     found = winding(prepared.corners, places)
     assert np.abs(found - np.rint(found)).max() < 1e-9  # closed
     # Turned faces lose the file's own orientation of a cavity to its shell.
@@ -170,7 +199,9 @@ def test_a_damaged_solid_is_repaired_to_what_it_was(seed: int) -> None:
     for k in range(3):
         other = prepared.corners[prepared.neighbours[:, k]]
         for corner in (prepared.corners[:, k], prepared.corners[:, (k + 1) % 3]):
-            assert (np.abs(other - corner[:, None]).max(axis=2).min(axis=1) == 0.0).all()
+            assert (
+                np.abs(other - corner[:, None]).max(axis=2).min(axis=1) == 0.0
+            ).all()
 
 
 @pytest.mark.parametrize(
@@ -178,12 +209,18 @@ def test_a_damaged_solid_is_repaired_to_what_it_was(seed: int) -> None:
     [
         (np.concatenate([CUBE[:1, ::-1], CUBE[1:]]), "1 faces turned to agree"),
         (np.concatenate([CUBE, CUBE]), "12 repeated triangles left out"),
-        (np.concatenate([CUBE, CUBE[:1], CUBE[:1, ::-1]]), "2 repeated triangles left out"),
+        (
+            np.concatenate([CUBE, CUBE[:1], CUBE[:1, ::-1]]),
+            "2 repeated triangles left out",
+        ),
         (
             np.concatenate([CUBE, CUBE[:1] + 0.05, CUBE[:1, ::-1] + 0.05]),
             "2 triangles back to back with another left out",
         ),
-        (np.concatenate([CUBE, CUBE[:, ::-1] + [0.05, 0.0, 0.0]]), "1 of 2 shells pointed inwards"),
+        (
+            np.concatenate([CUBE, CUBE[:, ::-1] + [0.05, 0.0, 0.0]]),
+            "1 of 2 shells pointed inwards",
+        ),
     ],
 )
 def test_each_repair_is_named(triangles: Array, told: str) -> None:
@@ -196,7 +233,9 @@ def test_each_repair_is_named(triangles: Array, told: str) -> None:
 def test_two_cubes_that_share_an_edge_are_divided_by_angle() -> None:
     both = np.concatenate([CUBE, CUBE + np.array([0.02, 0.02, 0.0])])
     prepared = prepare_mesh(both, False, "file")
-    assert prepared.repairs == ("file: 1 edges of more than two triangles divided by angle",)
+    assert prepared.repairs == (
+        "file: 1 edges of more than two triangles divided by angle",
+    )
     assert repair(both).closed.tolist() == [True, True]
 
 
@@ -224,18 +263,24 @@ def test_a_strip_of_one_side_is_no_solid_but_a_sheet() -> None:
     strip = np.concatenate(
         [np.stack([a[:-1], a[1:], b[:-1]], 1), np.stack([b[:-1], a[1:], b[1:]], 1)]
     )
-    with pytest.raises(ParameterError, match=r"one side only, as a Möbius strip.*sides: both"):
+    with pytest.raises(
+        ParameterError, match=r"one side only, as a Möbius strip.*sides: both"
+    ):
         prepare_mesh(strip, False, "file")
     assert len(prepare_mesh(strip, True, "file").corners) == 2 * len(strip)
 
 
-def test_more_shells_than_can_be_compared_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_shells_than_can_be_compared_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Only where some look inwards; others need no comparison."""
     monkeypatch.setattr(mesh_shells, "MOST_SHELLS", 2)
     three = np.concatenate([CUBE + np.array([0.03 * n, 0.0, 0.0]) for n in range(3)])
     assert prepare_mesh(three, False, "file").repairs == ()
     three[:12] = three[:12, ::-1]
-    with pytest.raises(ParameterError, match=r"file: the mesh has 3 shells.*at most 2 can be"):
+    with pytest.raises(
+        ParameterError, match=r"file: the mesh has 3 shells.*at most 2 can be"
+    ):
         prepare_mesh(three, False, "file")
 
 
@@ -291,14 +336,19 @@ def off() -> str:
         ("utf16_without_mark.obj", PLAIN.encode("utf-16-be")),
         ("continued.obj", PLAIN.replace("\nf 1 ", "\nf \\\r\n 1 ").encode()),
         ("dos.obj", PLAIN.replace("\n", "\r\n").encode()),
-        ("faces_first.obj", "\n".join(sorted(PLAIN.splitlines(), key=lambda t: t[0])).encode()),
+        (
+            "faces_first.obj",
+            "\n".join(sorted(PLAIN.splitlines(), key=lambda t: t[0])).encode(),
+        ),
         ("ascii.ply", ply("ascii")),
         ("little.ply", ply("binary_little_endian")),
         ("big.PLY", ply("binary_big_endian")),
         ("cube.off", off().encode()),
     ],
 )
-def test_the_same_mesh_in_other_writings(name: str, data: bytes, tmp_path: Path) -> None:
+def test_the_same_mesh_in_other_writings(
+    name: str, data: bytes, tmp_path: Path
+) -> None:
     (tmp_path / name).write_bytes(data)
     assert np.array_equal(read_triangles(tmp_path / name, "file"), CUBE)
 
@@ -330,7 +380,9 @@ def test_a_mesh_has_the_size_that_the_scene_says(
     """A box 100 units wide; nothing is converted that the launch file does not say."""
     file = tmp_path / "box.obj"
     write_mesh(
-        file, box_triangles((100.0, 50.0, 20.0)).reshape(-1, 3), np.arange(36).reshape(-1, 3)
+        file,
+        box_triangles((100.0, 50.0, 20.0)).reshape(-1, 3),
+        np.arange(36).reshape(-1, 3),
     )
     data = {"kind": "mesh", "file": str(file), **given}
     if width is None:
@@ -364,7 +416,9 @@ def test_a_tool_that_begins_in_overlapping_shells_is_inside() -> None:
         table = scene_table([mesh(made)], 0.0, 1e-3)
         places = rng.uniform(-0.05, 0.05, (60, 3))
         # also where rays meet corners and edges
-        places = np.concatenate([places, rng.choice(made.corners.reshape(-1, 3), 10) * 0.9])
+        places = np.concatenate(
+            [places, rng.choice(made.corners.reshape(-1, 3), 10) * 0.9]
+        )
         truth = np.rint(winding(made.corners, places)).astype(int)
         for place, inside in zip(places.tolist(), truth.tolist(), strict=True):
             assert mesh_winding(table, t.ROWS, *place) == inside

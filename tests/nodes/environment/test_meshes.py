@@ -24,8 +24,15 @@ CUBE = box_triangles((0.02, 0.02, 0.02))
 
 
 def binary_stl(triangles: Array) -> bytes:
-    records = [struct.pack("<12fH", 0.0, 0.0, 0.0, *triangle.ravel(), 0) for triangle in triangles]
-    return b"solid in name only".ljust(80) + struct.pack("<I", len(triangles)) + b"".join(records)
+    records = [
+        struct.pack("<12fH", 0.0, 0.0, 0.0, *triangle.ravel(), 0)
+        for triangle in triangles
+    ]
+    return (
+        b"solid in name only".ljust(80)
+        + struct.pack("<I", len(triangles))
+        + b"".join(records)
+    )
 
 
 def text_stl(triangles: Array) -> bytes:
@@ -55,7 +62,9 @@ def obj(triangles: Array) -> bytes:
     ("name", "written"),
     [("a.stl", binary_stl(CUBE)), ("b.STL", text_stl(CUBE)), ("c.obj", obj(CUBE))],
 )
-def test_each_format_gives_the_triangles(name: str, written: bytes, tmp_path: Path) -> None:
+def test_each_format_gives_the_triangles(
+    name: str, written: bytes, tmp_path: Path
+) -> None:
     (tmp_path / name).write_bytes(written)
     found = read_triangles(tmp_path / name, "surface.file")
     # Binary STL is single precision.
@@ -75,7 +84,11 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "written", "told"),
     [
-        ("a.3ds", b"MM", "is neither an .stl, .obj, .ply nor .off file, nor .3mf, .glb or .gltf; "),
+        (
+            "a.3ds",
+            b"MM",
+            "is neither an .stl, .obj, .ply nor .off file, nor .3mf, .glb or .gltf; ",
+        ),
         ("a.ply", b"ply", "is no PLY file"),
         (
             "a.ply",
@@ -93,7 +106,11 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
         ("a.stl", b"\x00" * 84, "has no triangles: its header says 0"),
         ("a.stl", b"solid nothing\nendsolid nothing\n", "has no triangles"),
         ("a.obj", b"v 0 0 0\nf 1 2 3\n", "line 2: corner 3, but the file has 1"),
-        ("a.obj", b"v 0 0 0\nf -1 -2 -3\n", "line 2: corner -2, but 1 are known so far"),
+        (
+            "a.obj",
+            b"v 0 0 0\nf -1 -2 -3\n",
+            "line 2: corner -2, but 1 are known so far",
+        ),
         ("a.obj", b"v 0,5 1,0 2,0\n", "line 1: .*; write decimals with a point"),
         ("a.obj", b"v 0 0 0\nf 1 x 3\n", "line 2: 'x' names no corner"),
         ("a.obj", b"v 0 0 0\n", "has no triangles"),
@@ -161,9 +178,9 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
     prepared = prepare_mesh(icosphere(3, 0.05), False, "file")
     count, leaves = len(prepared.corners), prepared.leaves
     for leaf in range(leaves):
-        mine = prepared.corners[leaf * count // leaves : (leaf + 1) * count // leaves].reshape(
-            -1, 3
-        )
+        mine = prepared.corners[
+            leaf * count // leaves : (leaf + 1) * count // leaves
+        ].reshape(-1, 3)
         node = leaves + leaf
         while node:
             assert (prepared.boxes[node, :3] <= mine.min(axis=0)).all()
@@ -172,14 +189,19 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
     for k in range(3):
         across = prepared.corners[prepared.neighbours[:, k]]
         for corner in (prepared.corners[:, k], prepared.corners[:, (k + 1) % 3]):
-            assert (np.abs(across - corner[:, None]).max(axis=2).min(axis=1) == 0.0).all()
+            assert (
+                np.abs(across - corner[:, None]).max(axis=2).min(axis=1) == 0.0
+            ).all()
 
 
 @pytest.mark.parametrize(
     ("data", "told"),
     [
         ({"kind": "sphere"}, "surface.radius: is missing"),
-        ({"kind": "sphere", "radius": -1.0}, "surface.radius: expected a number above 0, got -1.0"),
+        (
+            {"kind": "sphere", "radius": -1.0},
+            "surface.radius: expected a number above 0, got -1.0",
+        ),
         ({"kind": "box", "size": [0.1, 0.1]}, "surface.size"),
         (
             {"kind": "oriented_plane", "normal": [0.0, 0.0, 0.0]},
@@ -190,10 +212,17 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
             "surface.end.*has no direction",
         ),
         (
-            {"kind": "sphere", "radius": 0.1, "friction": {"static": 0.1, "dynamic": 0.2}},
+            {
+                "kind": "sphere",
+                "radius": 0.1,
+                "friction": {"static": 0.1, "dynamic": 0.2},
+            },
             "dynamic is 0.2, expected at most",
         ),
-        ({"kind": "union", "shapes": []}, "surface.shapes: expected a list of length at least 1"),
+        (
+            {"kind": "union", "shapes": []},
+            "surface.shapes: expected a list of length at least 1",
+        ),
         (
             {"kind": "union", "shapes": [{"kind": "anchor"}]},
             r"surface.shapes\[0\].kind: 'anchor' is no shape",
@@ -203,10 +232,16 @@ def test_every_triangle_is_in_its_boxes_and_knows_its_neighbours() -> None:
             r"surface.shapes\[0\].radius: is missing",
         ),
         (
-            {"kind": "union", "shapes": [{"kind": "sphere", "radius": 0.1, "tool_radius": 0.01}]},
+            {
+                "kind": "union",
+                "shapes": [{"kind": "sphere", "radius": 0.1, "tool_radius": 0.01}],
+            },
             r"shapes\[0\].tool_radius",
         ),
-        ({"kind": "mesh", "file": "nowhere.obj"}, "surface.file: nowhere.obj cannot be read"),
+        (
+            {"kind": "mesh", "file": "nowhere.obj"},
+            "surface.file: nowhere.obj cannot be read",
+        ),
     ],
 )
 def test_a_surface_that_cannot_be_is_refused_by_its_path(
@@ -218,7 +253,9 @@ def test_a_surface_that_cannot_be_is_refused_by_its_path(
 
 @pytest.mark.parametrize("tool", [0.0, 1e-3])
 @pytest.mark.parametrize("triangles", [CUBE, icosphere(1, 0.02)])
-def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: float) -> None:
+def test_a_device_on_a_corner_an_edge_or_a_face_is_met(
+    triangles: Array, tool: float
+) -> None:
     """Directly on the surface, and within rounding of a face along a step."""
     rng = np.random.default_rng(0)
     marks = np.concatenate(
@@ -238,7 +275,9 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
     prepared = solids[0].mesh
     assert prepared is not None
     above = np.einsum(
-        "tij,ij->ti", found.proxy[:, None] - prepared.corners[None, :, 0], prepared.normals
+        "tij,ij->ti",
+        found.proxy[:, None] - prepared.corners[None, :, 0],
+        prepared.normals,
     ).max(axis=1)
     assert above.min() > 0.0
 
@@ -247,16 +286,26 @@ def test_a_device_on_a_corner_an_edge_or_a_face_is_met(triangles: Array, tool: f
 def test_a_launch_tells_what_was_repaired(tmp_path: Path) -> None:
     """On the terminal and in the recording: the felt mesh differs from the file."""
     ball = icosphere(2, 0.035)[:, ::-1]
-    (tmp_path / "ball.stl").write_bytes(binary_stl(np.concatenate([ball, ball[:1, [0, 0, 1]]])))
+    (tmp_path / "ball.stl").write_bytes(
+        binary_stl(np.concatenate([ball, ball[:1, [0, 0, 1]]]))
+    )
     (tmp_path / "given.yaml").write_text(
-        f"environment: {{surface: {{kind: mesh, file: {tmp_path}/ball.stl}}}}", encoding="utf-8"
+        f"environment: {{surface: {{kind: mesh, file: {tmp_path}/ball.stl}}}}",
+        encoding="utf-8",
     )
     figures = launch_json(
-        tmp_path, "sphere_feel", "pace:=lockstep", "duration:=0.1", "--params", "given.yaml"
+        tmp_path,
+        "sphere_feel",
+        "pace:=lockstep",
+        "duration:=0.1",
+        "--params",
+        "given.yaml",
     )
     (told,) = [
         one
-        for one in Recording(tmp_path / figures["recording"]).messages(event("environment"))
+        for one in Recording(tmp_path / figures["recording"]).messages(
+            event("environment")
+        )
         if one.kind == "mesh"
     ]
     assert "1 triangles of fewer than three corners left out" in told.reason

@@ -67,7 +67,9 @@ def test_silence_lets_the_device_go_at_its_limit_and_not_before() -> None:
     assert presented(partner, 0.0, limit) == 0.002
     assert partner.state == HEARD
     # as above
-    assert presented(partner, 0.0, limit + 1) == pytest.approx(0.002 - LIMITS.align * T, abs=1e-15)
+    assert presented(partner, 0.0, limit + 1) == pytest.approx(
+        0.002 - LIMITS.align * T, abs=1e-15
+    )
     assert partner.state == SILENT
     for k in range(2, 12):
         presented(partner, 0.0, limit + k)
@@ -104,7 +106,9 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
     # Both move by at most 2 mm a tick, 1 m/s: motion. A jump is of 1 m, far beyond `fastest`.
     theirs, mine, before = 0.0, 0.0, 0.0
     seq = tick = 0
-    last: tuple[int, float] | None = None  # what counted last: the partner's tick, and where it was
+    last: tuple[int, float] | None = (
+        None  # what counted last: the partner's tick, and where it was
+    )
     for what, a, b in steps:
         for _ in range(1 + (lost if what == "lose" else 0)):
             tick, seq = tick + 1, 0 if what == "restart" else seq + 1
@@ -134,7 +138,9 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
                         moved = 0.0  # a jump: none of it may show
                 last = (seq, theirs)
             # Sums of some hundred steps of up to 1 m: epsilon times that.
-            assert abs(where - before) <= moved + abs(stepped) + LIMITS.align * T + 1e-12
+            assert (
+                abs(where - before) <= moved + abs(stepped) + LIMITS.align * T + 1e-12
+            )
             before = where
 
 
@@ -151,14 +157,18 @@ def test_two_chains_feel_each_other_over_a_bad_network(tmp_path: Path) -> None:
 
 
 def test_lockstep_is_refused_with_the_way_out(tmp_path: Path) -> None:
-    told = typed_in(tmp_path, "launch", "hands_apart", "run.pace:=lockstep", code=2).stderr
+    told = typed_in(
+        tmp_path, "launch", "hands_apart", "run.pace:=lockstep", code=2
+    ).stderr
     assert "run.pace is lockstep" in told
     assert "haptic study hands" in told
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_guards_at_both_ends_hold_hands_that_a_network_would_set_swinging(tmp_path: Path) -> None:
+def test_guards_at_both_ends_hold_hands_that_a_network_would_set_swinging(
+    tmp_path: Path,
+) -> None:
     # 800 N/m over 60 ms there and back: ten times what any two hands bear (haptic study hands).
     words = ("stiffness:=800", "delay:=0.03", "duration:=3.0")
     unrest = {}

@@ -25,7 +25,14 @@ from nodes.environment.shapes.tables import INSIDE, SKIN
 from sim.lab.proxies import icosphere, ideal_proxy
 from sim.play.touch import Touched, touch
 from tests.support import slowly
-from tests.support.shapes import Array, box_triangles, distance_to, out_of_balance, turned, wander
+from tests.support.shapes import (
+    Array,
+    box_triangles,
+    distance_to,
+    out_of_balance,
+    turned,
+    wander,
+)
 
 # The first run on a machine compiles the geometry: some 25 s of one processor.
 
@@ -40,12 +47,15 @@ def led(solids: list[Solid], path: Array, tool: float = 0.0) -> Touched:
     return touch(solids, path, tool, interpreted=len(path) < 2500)
 
 
-def around(depth: float, ticks: int = 400, speed: float = 0.2, period: float = 1e-3) -> Array:
+def around(
+    depth: float, ticks: int = 400, speed: float = 0.2, period: float = 1e-3
+) -> Array:
     """Enter a sphere of 50 mm and circle in it, in an oblique plane."""
     within = RADIUS - depth
     angle = np.arange(ticks) * speed * period / within
     ring = within * np.stack(
-        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1
+        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)],
+        axis=1,
     )
     return np.concatenate([np.linspace([RADIUS + 0.002, 0.0, 0.0], ring[0], 20), ring])
 
@@ -55,7 +65,11 @@ def around(depth: float, ticks: int = 400, speed: float = 0.2, period: float = 1
 def test_on_a_sphere_it_is_the_radial_projection(depth: float, tool: float) -> None:
     found = led([sphere((0.0, 0.0, 0.0), RADIUS)], around(depth), tool)
     touching = found.path[found.contact]
-    ideal = (RADIUS + tool + SKIN) * touching / np.linalg.norm(touching, axis=1, keepdims=True)
+    ideal = (
+        (RADIUS + tool + SKIN)
+        * touching
+        / np.linalg.norm(touching, axis=1, keepdims=True)
+    )
     assert np.abs(found.proxy[found.contact] - ideal).max() < EXACT
     assert found.contact[-400:].all()
 
@@ -81,7 +95,9 @@ def test_on_a_capsule_and_a_cylinder_it_is_the_nearest_point(tool: float) -> Non
 
 
 def test_an_oblique_plane_is_a_plane_across_an_axis_turned() -> None:
-    path = wander(np.random.default_rng(1), 500, 1e-3, (0.01, 0.01, 0.01), (0.0, 0.0, 0.005))
+    path = wander(
+        np.random.default_rng(1), 500, 1e-3, (0.01, 0.01, 0.01), (0.0, 0.0, 0.005)
+    )
     normal = np.array((1.0, 2.0, 3.0)) / math.sqrt(14.0)
     found = led([plane((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))], path)
     depth = np.minimum(path @ normal - SKIN, 0.0)
@@ -114,7 +130,8 @@ def test_in_a_groove_it_rests_on_the_edge(opening: float) -> None:
     """Two planes that meet along y, from sharp to almost flat [rad]."""
     half = 0.5 * opening
     walls = [
-        plane((0.0, 0.0, 0.0), (side * math.cos(half), 0.0, math.sin(half))) for side in (1.0, -1.0)
+        plane((0.0, 0.0, 0.0), (side * math.cos(half), 0.0, math.sin(half)))
+        for side in (1.0, -1.0)
     ]
     path = np.array([[0.0, 0.0, 0.05], [0.0, 0.01, -0.002], [1e-5, -0.01, -0.002]])
     found = led(walls, path)
@@ -155,7 +172,9 @@ PLATE = (0.2, 0.2, 2e-4)
 PLATES: dict[str, Solid] = {
     "box": box((0.0, 0.0, 0.0), PLATE),
     "mesh": mesh(prepare_mesh(box_triangles(PLATE), False, "plate")),
-    "sheet": mesh(prepare_mesh(box_triangles(PLATE)[[10, 11]] * (1.0, 1.0, 0.0), True, "sheet")),
+    "sheet": mesh(
+        prepare_mesh(box_triangles(PLATE)[[10, 11]] * (1.0, 1.0, 0.0), True, "sheet")
+    ),
 }
 
 
@@ -163,7 +182,9 @@ PLATES: dict[str, Solid] = {
 @pytest.mark.parametrize("kind", PLATES)
 def test_a_thin_plate_is_never_passed(kind: str, tool: float) -> None:
     """100 000 steps of up to 2 mm through a plate of 0.2 mm, and a sheet without thickness."""
-    path = wander(np.random.default_rng(5), 100_000, 2e-3, (0.03, 0.03, 0.004), (0.0, 0.0, 0.002))
+    path = wander(
+        np.random.default_rng(5), 100_000, 2e-3, (0.03, 0.03, 0.004), (0.0, 0.0, 0.002)
+    )
     found = led([PLATES[kind]], path, tool)
     top = (0.0 if kind == "sheet" else 1e-4) + tool + SKIN
     assert 0.4 < found.contact.mean() < 0.6 + 50.0 * tool
@@ -201,7 +222,9 @@ SCENES = scenes()
 
 @pytest.mark.parametrize("tool", slowly([0.0, 1e-3], but=[1e-3]))
 @pytest.mark.parametrize("name", SCENES)
-def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: float) -> None:
+def test_at_rest_the_deflection_is_carried_by_what_is_touched(
+    name: str, tool: float
+) -> None:
     """Karush–Kuhn–Tucker with textbook distances and gradients, on a random path."""
     solids = SCENES[name]
     path = wander(
@@ -227,16 +250,22 @@ def test_at_rest_the_deflection_is_carried_by_what_is_touched(name: str, tool: f
 @given(
     seed=st.integers(0, 2**32 - 1),
     tool=st.sampled_from([0.0, 2e-4, 2e-3]),
-    friction=st.sampled_from([Friction(), Friction(0.5, 0.3), Friction(0.2, 0.2, 0.01)]),
+    friction=st.sampled_from(
+        [Friction(), Friction(0.5, 0.3), Friction(0.2, 0.2, 0.01)]
+    ),
 )
 def test_compiled_and_interpreted_give_the_same_bits(
     seed: int, tool: float, friction: Friction
 ) -> None:
     rng = np.random.default_rng(seed)
-    solids = [solid._replace(friction=friction) for solid in SCENES[str(rng.choice(list(SCENES)))]]
+    solids = [
+        solid._replace(friction=friction)
+        for solid in SCENES[str(rng.choice(list(SCENES)))]
+    ]
     path = wander(rng, 40, 4e-3, (0.015, 0.015, 0.015), rng.uniform(-0.015, 0.015, 3))
     plain, fast = (
-        touch(solids, path, tool, interpreted=interpreted) for interpreted in (True, False)
+        touch(solids, path, tool, interpreted=interpreted)
+        for interpreted in (True, False)
     )
     for one, other in zip(plain, fast, strict=True):
         assert np.array_equal(np.asarray(one), np.asarray(other))
@@ -245,7 +274,9 @@ def test_compiled_and_interpreted_give_the_same_bits(
 @pytest.mark.parametrize("tool", [0.0, 1e-3])
 def test_a_frictionless_loop_has_no_drag(tool: float) -> None:
     """There and back in a mesh of 20 480 triangles, 4 mm deep: no energy lost, to 1e-6."""
-    faces = mesh(prepare_mesh(turned(icosphere(5, RADIUS), 0.1, 0.2, 0.3), False, "ball"))
+    faces = mesh(
+        prepare_mesh(turned(icosphere(5, RADIUS), 0.1, 0.2, 0.3), False, "ball")
+    )
     there = around(4e-3, 3000)[20:]
     path = np.concatenate([around(4e-3, 1)[:20], there, there[::-1]])
     found = led([faces], path, tool)
@@ -258,9 +289,13 @@ def test_a_frictionless_loop_has_no_drag(tool: float) -> None:
     assert np.abs(found.proxy[20:] - found.proxy[20:][::-1]).max() < 1e-9
 
 
-@pytest.mark.parametrize("friction", [Friction(), Friction(0.3, 0.2)], ids=["slippery", "rough"])
+@pytest.mark.parametrize(
+    "friction", [Friction(), Friction(0.3, 0.2)], ids=["slippery", "rough"]
+)
 @pytest.mark.parametrize("name", SCENES)
-def test_a_closed_way_gives_out_no_energy_but_by_sampling(name: str, friction: Friction) -> None:
+def test_a_closed_way_gives_out_no_energy_but_by_sampling(
+    name: str, friction: Friction
+) -> None:
     """A closed path from outside through a scene, with 1 N/m between device and proxy.
 
     Within a tick the force changes between two values: the sum of their means is right to half of
@@ -280,9 +315,12 @@ def test_a_closed_way_gives_out_no_energy_but_by_sampling(name: str, friction: F
         stretch = np.where(found.contact[:, None], found.proxy - path, 0.0)
         assert not stretch[0].any()
         step = np.diff(path, axis=0)
-        given_out = float(np.einsum("ij,ij->", 0.5 * (stretch[1:] + stretch[:-1]), step))
+        given_out = float(
+            np.einsum("ij,ij->", 0.5 * (stretch[1:] + stretch[:-1]), step)
+        )
         unknown = 0.5 * float(
-            np.linalg.norm(np.diff(stretch, axis=0), axis=1) @ np.linalg.norm(step, axis=1)
+            np.linalg.norm(np.diff(stretch, axis=0), axis=1)
+            @ np.linalg.norm(step, axis=1)
         )
         # Rough rods may hold the proxy on their far side: then some of the energy is still in the
         # spring.
@@ -326,17 +364,22 @@ def test_a_ball_that_is_larger_than_the_triangles_comes_to_rest_in_few_rounds(
     angle = 0.23e-3 / 0.035 * np.arange(600)
     deep = tool * (0.35 - 0.35 * np.cos(7.0 * angle))
     ring = np.stack(
-        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)], axis=1
+        [np.cos(angle), np.sin(angle) * math.cos(0.3), np.sin(angle) * math.sin(0.3)],
+        axis=1,
     )
     found = led(
-        [mesh(prepare_mesh(triangles, False, "ball"))], (0.035 + tool - deep)[:, None] * ring, tool
+        [mesh(prepare_mesh(triangles, False, "ball"))],
+        (0.035 + tool - deep)[:, None] * ring,
+        tool,
     )
     assert found.contact.mean() > 0.9
     worst = 0.0
     for k in np.flatnonzero(found.contact)[::6]:
         # It is within the tool's radius, on a triangle with edges below 3 mm: no other needs to be
         # looked at.
-        near = triangles[np.linalg.norm(triangles[:, 0] - found.path[k], axis=1) < tool + 3e-3]
+        near = triangles[
+            np.linalg.norm(triangles[:, 0] - found.path[k], axis=1) < tool + 3e-3
+        ]
         ideal = ideal_proxy(near, found.path[k], tool, inside=False)
         worst = max(worst, float(np.linalg.norm(found.proxy[k] - ideal)))
     assert worst < EXACT
@@ -349,18 +392,23 @@ def test_the_distance_from_outside_is_that_of_the_textbook() -> None:
         for tool in (0.0, 1e-3):
             path = rng.uniform(-0.04, 0.04, (40, 3))
             path = path[
-                [min(distance_to(solid, point) for solid in solids) > tool + 1e-6 for point in path]
+                [
+                    min(distance_to(solid, point) for solid in solids) > tool + 1e-6
+                    for point in path
+                ]
             ]
             for point in path:
                 # Each from free space, as a new proxy.
                 found = led(solids, point[None], tool)
                 distance = min(distance_to(solid, point) for solid in solids)
                 if not found.contact[0] and not found.memory[INSIDE]:
-                    assert found.distance[0] == pytest.approx(distance - tool - SKIN, abs=EXACT)
-                    nearer = point - 1e-7 * found.normal[0]
-                    assert min(distance_to(solid, nearer) for solid in solids) == pytest.approx(
-                        distance - 1e-7, abs=1e-11
+                    assert found.distance[0] == pytest.approx(
+                        distance - tool - SKIN, abs=EXACT
                     )
+                    nearer = point - 1e-7 * found.normal[0]
+                    assert min(
+                        distance_to(solid, nearer) for solid in solids
+                    ) == pytest.approx(distance - 1e-7, abs=1e-11)
 
 
 def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
@@ -378,14 +426,17 @@ def test_a_position_beyond_all_reason_leaves_no_trace() -> None:
         found, calm = led(solids, wild), led(solids, wild[3:])
         assert np.array_equal(found.proxy[3:], calm.proxy)
         assert np.array_equal(
-            found.proxy[:3], np.where(found.contact[:3, None], found.proxy[:3], wild[:3])
+            found.proxy[:3],
+            np.where(found.contact[:3, None], found.proxy[:3], wild[:3]),
         )
         assert not found.contact[1:3].any()
         assert np.isfinite(found.distance).all()
 
 
 @pytest.mark.parametrize("depth", [4e-4, 6e-4])
-def test_a_device_that_begins_deep_inside_feels_a_solid_once_it_is_outside(depth: float) -> None:
+def test_a_device_that_begins_deep_inside_feels_a_solid_once_it_is_outside(
+    depth: float,
+) -> None:
     """Up to 0.5 mm deep it starts on the surface; deeper it is free until outside."""
     for solid in (
         box((0.0, 0.0, 0.0), (0.02, 0.02, 0.02)),
@@ -393,7 +444,12 @@ def test_a_device_that_begins_deep_inside_feels_a_solid_once_it_is_outside(depth
     ):
         within = 0.01 - depth
         path = np.array(
-            [[0.0, within, 0.0], [0.0, 0.0, within], [0.0, 0.0, 0.0115], [0.0, 0.0, 0.009]]
+            [
+                [0.0, within, 0.0],
+                [0.0, 0.0, within],
+                [0.0, 0.0, 0.0115],
+                [0.0, 0.0, 0.009],
+            ]
         )
         found = led([solid], path, 1e-3)
         assert list(found.contact) == [depth < 5e-4, depth < 5e-4, False, True]
@@ -405,5 +461,7 @@ def test_a_device_that_begins_deep_inside_feels_a_solid_once_it_is_outside(depth
 
 
 def test_a_half_space_pushes_a_device_out_that_begins_behind_it() -> None:
-    found = led([plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], np.array([[0.0, 0.0, -0.02]]))
+    found = led(
+        [plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))], np.array([[0.0, 0.0, -0.02]])
+    )
     assert found.proxy[0, 2] == pytest.approx(SKIN, abs=EXACT)

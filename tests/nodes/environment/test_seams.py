@@ -32,12 +32,18 @@ def flush(kind: str, turn: Array, at: Array, friction: Friction) -> list[Solid]:
     solids, shells = [], []
     for x in (-0.5 * WIDTH, 0.5 * WIDTH):
         middle = np.array([x, 0.0, -0.005])
-        size = (WIDTH, WIDTH + 0.3 * x, 0.01)  # of two widths: no corner of one is one of the other
+        size = (
+            WIDTH,
+            WIDTH + 0.3 * x,
+            0.01,
+        )  # of two widths: no corner of one is one of the other
         a, b, c = (at + turn @ middle).tolist()
         solids.append(box((a, b, c), size, angles, friction))
         corners = (np.asarray(box_triangles(size)) + middle) @ turn.T + at
         shells.append(
-            corners.astype(np.float32).astype(np.float64) if "single" in kind else corners
+            corners.astype(np.float32).astype(np.float64)
+            if "single" in kind
+            else corners
         )
     if kind == "boxes":
         return solids
@@ -50,7 +56,9 @@ def lag(kind: str, tool: float, coefficient: float, seed: int) -> float:
     """Drag a pressed device over the seam; return the proxy's lag beyond friction's part [m]."""
     rng = np.random.default_rng(seed)
     turn, at = (
-        np.array(rotation((rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-1, 1)))),
+        np.array(
+            rotation((rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-1, 1)))
+        ),
         rng.uniform(-0.05, 0.05, 3),
     )
     way = np.array([1.0, rng.uniform(-0.4, 0.4), 0.0]) * rng.choice([-1.0, 1.0])
@@ -62,10 +70,14 @@ def lag(kind: str, tool: float, coefficient: float, seed: int) -> float:
     )
     path = np.concatenate([path[:1] + np.array([0.0, 0.0, depth + 2e-3]), path])
     found = touch(
-        flush(kind, turn, at, Friction(coefficient, coefficient)), path @ turn.T + at, tool
+        flush(kind, turn, at, Friction(coefficient, coefficient)),
+        path @ turn.T + at,
+        tool,
     )
     beside = ((found.proxy - at) @ turn - path)[20:]
-    return float(np.linalg.norm(beside[:, :2], axis=1).max() - coefficient * (depth + tool))
+    return float(
+        np.linalg.norm(beside[:, :2], axis=1).max() - coefficient * (depth + tool)
+    )
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.4])
@@ -82,7 +94,11 @@ def test_a_seam_is_not_felt_by_the_usual_tool(kind: str, coefficient: float) -> 
 def test_an_exact_seam_is_not_felt_by_a_point(kind: str) -> None:
     """A hidden side reached 1 nm above its edge, the proxy 0.1 nm: caught 240 of 240 times."""
     assert (
-        max(lag(kind, 0.0, coefficient, seed) for seed in range(25) for coefficient in (0.0, 0.4))
+        max(
+            lag(kind, 0.0, coefficient, seed)
+            for seed in range(25)
+            for coefficient in (0.0, 0.4)
+        )
         < 1e-9
     )
 
@@ -91,7 +107,9 @@ def test_an_exact_seam_is_not_felt_by_a_point(kind: str) -> None:
 def test_the_seam_of_a_file_is_not_felt(tool: float) -> None:
     """Two solids of a file in millimetres, flush at z = 3 mm, overlapping for x 22 to 80 mm."""
     solids = [mesh(prepare_mesh(1e-3 * read_triangles(FLUSH, "file"), False, "file"))]
-    path = np.stack([np.linspace(0.023, 0.07, 400), np.zeros(400), np.full(400, 0.001)], axis=1)
+    path = np.stack(
+        [np.linspace(0.023, 0.07, 400), np.zeros(400), np.full(400, 0.001)], axis=1
+    )
     path = np.concatenate([path[:1] + np.array([0.0, 0.0, 0.004]), path])
     found = touch(solids, path, tool)
     assert np.abs((found.proxy - path)[1:, 0]).max() < 1e-9

@@ -31,15 +31,20 @@ pytest.importorskip(
 )
 
 T = 0.002
-SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+SLIDES = "".join(
+    f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1")
+)
 
 
 def scene(
-    folder: Path, bodies: str, option: str = 'timestep="0.0005" integrator="implicitfast"'
+    folder: Path,
+    bodies: str,
+    option: str = 'timestep="0.0005" integrator="implicitfast"',
 ) -> Path:
     path = folder / "scene.xml"
     path.write_text(
-        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii"
+        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>",
+        encoding="ascii",
     )
     return path
 
@@ -59,16 +64,20 @@ def test_the_answer_of_a_tool_is_measured(
 ) -> None:
     """Lag 1 − 1/(2n) ticks with n Euler steps, 1 with a fourth-order step."""
     floor = '<geom type="plane" size="1 1 1"/>'
-    bodies = (
-        f'{floor}<body name="tool" pos="0 0 0.004">{SLIDES}<geom size="0.005" mass="0.05"/></body>'
-    )
+    ball = '<geom size="0.005" mass="0.05"/>'
+    bodies = f'{floor}<body name="tool" pos="0 0 0.004">{SLIDES}{ball}</body>'
     found = MovingScene(
-        scene(tmp_path, bodies, option), ToolParameters(damping=damping), T, "environment"
+        scene(tmp_path, bodies, option),
+        ToolParameters(damping=damping),
+        T,
+        "environment",
     ).response()
     assert found.mass == pytest.approx(0.05, rel=1e-6)
     assert found.damping == pytest.approx(damping, rel=1e-6)
     # An implicit damper slows the first step by up to b T/m, which reads as so many ticks of lag.
-    assert found.lag == pytest.approx(lag, abs=1e-6 if damping == 0.0 else damping * T / 0.05)
+    assert found.lag == pytest.approx(
+        lag, abs=1e-6 if damping == 0.0 else damping * T / 0.05
+    )
     assert ("no law is provably" in response_text(found)) == (damping == 0.0)
 
 
@@ -82,20 +91,24 @@ def test_the_axis_with_least_damping_counts_and_a_damper_between_bodies_does_not
         '<body name="other" pos="1 0 0"><joint type="slide" axis="1 0 0"/><geom size="0.01"'
         ' mass="50"/><site name="b"/></body>'
     )
-    bodies = (
-        f'<body name="tool">{some}<geom size="0.005" mass="0.05"/><site name="a"/></body>{other}'
-    )
+    tool = f'{some}<geom size="0.005" mass="0.05"/><site name="a"/>'
+    bodies = f'<body name="tool">{tool}</body>{other}'
     path = scene(tmp_path, bodies)
-    assert MovingScene(path, "tool", T, "environment").response().damping == 0.0  # along y
+    assert (
+        MovingScene(path, "tool", T, "environment").response().damping == 0.0
+    )  # along y
     damped = ToolParameters(damping=0.4)
-    assert MovingScene(path, damped, T, "environment").response().damping == pytest.approx(
-        0.4, rel=1e-6
-    )
+    assert MovingScene(
+        path, damped, T, "environment"
+    ).response().damping == pytest.approx(0.4, rel=1e-6)
     between = '<tendon><spatial damping="3"><site site="a"/><site site="b"/></spatial></tendon>'
     path.write_text(
-        path.read_text().replace("</worldbody>", f"</worldbody>{between}"), encoding="ascii"
+        path.read_text().replace("</worldbody>", f"</worldbody>{between}"),
+        encoding="ascii",
     )
-    assert MovingScene(path, damped, T, "environment").response().damping <= 0.4 * (1.0 + 1e-6)
+    assert MovingScene(path, damped, T, "environment").response().damping <= 0.4 * (
+        1.0 + 1e-6
+    )
     assert MovingScene(path, "tool", T, "environment").response().damping == 0.0
 
 
@@ -103,7 +116,12 @@ def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
     path = scene(tmp_path, '<geom name="floor" type="plane" size="1 1 1"/>')
     added = {
         "scene": str(path),
-        "tool": {"mass": 0.02, "radius": 0.004, "position": [0.0, 0.01, 0.1], "damping": 0.5},
+        "tool": {
+            "mass": 0.02,
+            "radius": 0.004,
+            "position": [0.0, 0.01, 0.1],
+            "damping": 0.5,
+        },
     }
     parameters = convert(added, MujocoParameters, "environment")
     assert isinstance(parameters.tool, ToolParameters)
@@ -131,7 +149,8 @@ def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
     ):
         MovingScene(path, "tool", T, "environment")
     with pytest.raises(
-        ParameterError, match=r"environment.tool.mass: the scene has a body 'tool' already"
+        ParameterError,
+        match=r"environment.tool.mass: the scene has a body 'tool' already",
     ):
         MovingScene(
             scene(tmp_path, f'<body name="tool">{SLIDES}<geom size="0.01"/></body>'),
@@ -155,7 +174,8 @@ def test_geoms_with_equal_contacts_are_pressed_once(
     monkeypatch.setattr(contacts, "_press", counted)
     soft = "".join(f'<geom name="s{i}" pos="{i} 0 -1" size="0.1"/>' for i in range(30))
     hard = "".join(
-        f'<geom name="h{i}" pos="{i} 0 -2" size="0.1" solref="-20000 -200"/>' for i in range(10)
+        f'<geom name="h{i}" pos="{i} 0 -2" size="0.1" solref="-20000 -200"/>'
+        for i in range(10)
     )
     ringing = (
         '<geom name="bell" pos="0 0 -3" size="0.1" priority="1" solref="-3000 0" solimp="0.99 0.99'
@@ -193,22 +213,22 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
             10.0 ** rng.uniform(1.0, 4.0) * (rng.random() < 0.8),
         )
         damping = 10.0 ** rng.uniform(-2.0, 1.0) * (rng.random() < 0.5)
-        rest += (
-            f'<body><joint type="slide" axis="1 0 0" stiffness="{stiffness}" damping="{damping}"/>'
-        )
+        spring = f'stiffness="{stiffness}" damping="{damping}"'
+        rest += f'<body><joint type="slide" axis="1 0 0" {spring}/>'
         rest += f'<geom size="0.001" mass="{mass}" contype="0" conaffinity="0"/>'
         depth += 1
         if rng.random() < 0.5:
             rest, depth = f"{rest}</body>", depth - 1
     rest += depth * "</body>"
-    ball = (
-        f'<geom size="0.005" mass="{10.0 ** rng.uniform(-3.0, -1.0)}" contype="0" conaffinity="0"/>'
-    )
+    mass = 10.0 ** rng.uniform(-3.0, -1.0)
+    ball = f'<geom size="0.005" mass="{mass}" contype="0" conaffinity="0"/>'
     option = 'timestep="0.0005" integrator="implicitfast" gravity="0 0 0"'
     return scene(folder, f'<body name="tool">{SLIDES}{ball}{rest}</body>', option)
 
 
-def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: int = 1200) -> float:
+def growth(
+    path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: int = 1200
+) -> float:
     """Return the growth per tick of a pushed device's deflection on a scene's tool."""
     world, delay = (
         MovingScene(path, ToolParameters(damping=damping), T, "environment"),
@@ -223,8 +243,14 @@ def growth(path: Path, damping: float, law: CompiledLaw, plant: Plant, ticks: in
             world.hand_over((sent[0], 0.0, 0.0), tick - 1, float(delay))
             world.advance(tick)
         history = [world.tool_position[0] - x, *history[:-1]]
-        sent = [sum(tap * value for tap, value in zip(law.taps, history, strict=True)), *sent[:-1]]
-        x, v = a11 * x + a12 * v + g1 * sent[delay], a21 * x + a22 * v + g2 * sent[delay]
+        sent = [
+            sum(tap * value for tap, value in zip(law.taps, history, strict=True)),
+            *sent[:-1],
+        ]
+        x, v = (
+            a11 * x + a12 * v + g1 * sent[delay],
+            a21 * x + a22 * v + g2 * sent[delay],
+        )
         seen.append(abs(history[0]))
         if seen[-1] > 1e3 or world.diverged():
             return math.inf
@@ -249,12 +275,15 @@ def unstable(folder: Path, count: int, parts: tuple[float, ...]) -> list[int]:
         path = random_scene(folder, rng)
         for n, part in enumerate(parts):
             found[n] += (
-                growth(path, damping, with_spring(derivative, part * edge), plant) > 1.0 + 1e-6
+                growth(path, damping, with_spring(derivative, part * edge), plant)
+                > 1.0 + 1e-6
             )
     return found
 
 
-def test_what_hangs_on_a_damped_tool_does_not_swing_below_its_figure(tmp_path: Path) -> None:
+def test_what_hangs_on_a_damped_tool_does_not_swing_below_its_figure(
+    tmp_path: Path,
+) -> None:
     """Five random worlds: none unstable at 0.99 of the certified stiffness, some at 3 times."""
     below, above = unstable(tmp_path, 5, (0.99, 3.0))
     assert below == 0
@@ -280,7 +309,9 @@ def test_a_coupling_to_a_tool_tells_what_is_certain_and_what_would_make_it_so() 
     judgement = Judgement("coupling", T, LawBook("coupling", T))
     # Its weight is enough, in four steps a tick; without it nothing is certain.
     for text in judgement.of_moving_world(parameters, 0.0):
-        assert text.startswith("coupling.laws.pd: certified with a tool of at least 0.05 kg, 4 st")
+        assert text.startswith(
+            "coupling.laws.pd: certified with a tool of at least 0.05 kg, 4 st"
+        )
     del given["plant"]["tool_step"]
     parameters = convert(given, CouplingParameters, "coupling")
     known, any_hand = judgement.of_moving_world(parameters, 0.0)
@@ -307,7 +338,11 @@ def test_a_coupling_to_a_tool_tells_what_is_certain_and_what_would_make_it_so() 
         one = needed_tool_mass(law, device, any_hand_too)
         assert mass is not None
         for factor in (1.001, 0.999):
-            plant = {**given["plant"], "tool_mass": factor * mass, "tool_step": T / steps}
+            plant = {
+                **given["plant"],
+                "tool_mass": factor * mass,
+                "tool_step": T / steps,
+            }
             light = convert({**given, "plant": plant}, CouplingParameters, "coupling")
             told = judgement.of_moving_world(light, 0.0)[any_hand_too]
             assert ("pd: certified with a tool of" in told) is (factor > 1.0)
@@ -327,17 +362,25 @@ def test_a_constraint_is_passive_within_its_step_or_it_is_not() -> None:
     seen = set()
     for _ in range(300):
         step, most = float(10.0 ** rng.uniform(-4, -2)), float(rng.uniform(0.5, 0.99))
-        stiff, loss = (10.0 ** rng.uniform(-1, 1)) / step**2, (10.0 ** rng.uniform(-2, 0.5)) / step
+        stiff, loss = (
+            (10.0 ** rng.uniform(-1, 1)) / step**2,
+            (10.0 ** rng.uniform(-2, 0.5)) / step,
+        )
         ref = np.array([[-stiff * most**2, -loss * most]])
         # force = (−b v − k r − (v⁺ − v)/h)/R on v⁺, r = h Σ v.
         real = ((1.0 - w) / step + loss * w + stiff * step * w / (1.0 - w)).real
         if abs(real.min()) > 1e-3 * loss:
-            passive = bool(passive_within(ref, np.array([[0.1, most, 0.0, 0.0, 0.0]]), step)[0])
+            passive = bool(
+                passive_within(ref, np.array([[0.1, most, 0.0, 0.0, 0.0]]), step)[0]
+            )
             assert passive is bool(real.min() > 0.0)
             seen.add(passive)
     assert seen == {True, False}
     # A time constant and a damping ratio are the same in other words; too short a one is raised.
-    usual, imp = np.array([[0.02, 1.0], [1e-9, 1.0], [0.02, 1e-3]]), np.full((3, 5), 0.95)
+    usual, imp = (
+        np.array([[0.02, 1.0], [1e-9, 1.0], [0.02, 1e-3]]),
+        np.full((3, 5), 0.95),
+    )
     assert passive_within(usual, imp, 0.002).tolist() == [True, True, False]
 
 
@@ -361,12 +404,18 @@ def test_a_scene_tells_whether_all_behind_its_tool_is_solved_within_a_step(
     parameters = convert({"scene": str(path)}, MujocoParameters, "environment")
     world = MovingScene(path, "tool", T, "environment")
     assert world.euler_step == step
-    assert ("no law is provably stable" in response_text(world.response(), step)) is (step is None)
-    facts = MujocoEnvironment.plant({"scene": str(path)}, "environment", ("x", "y", "z"))
+    assert ("no law is provably stable" in response_text(world.response(), step)) is (
+        step is None
+    )
+    facts = MujocoEnvironment.plant(
+        {"scene": str(path)}, "environment", ("x", "y", "z")
+    )
     assert facts.get("tool_step") == step
     assert parameters.tool == "tool"
     # An undamped contact gives out energy in steps.
-    path.write_text(path.read_text().replace('size="0.1"', 'size="0.1" solref="-3000 0"'))
+    path.write_text(
+        path.read_text().replace('size="0.1"', 'size="0.1" solref="-3000 0"')
+    )
     assert MovingScene(path, "tool", T, "environment").euler_step is None
 
 
@@ -375,7 +424,9 @@ def tied_scene(folder: Path, rng: np.random.Generator, mass: float, steps: int) 
     names = ["t", *(f"b{i}" for i in range(rng.integers(1, 3)))]
     slides = SLIDES.replace('axis="1 0 0"', 'axis="1 0 0" name="t"')
     quiet = 'contype="0" conaffinity="0"'
-    bodies = f'<body name="tool">{slides}<geom size="0.005" mass="{mass}" {quiet}/></body>'
+    bodies = (
+        f'<body name="tool">{slides}<geom size="0.005" mass="{mass}" {quiet}/></body>'
+    )
     for name in names[1:]:
         joint = f'<joint type="slide" axis="1 0 0" name="{name}"/>'
         weight = 10.0 ** rng.uniform(-4, 0)
@@ -392,7 +443,9 @@ def tied_scene(folder: Path, rng: np.random.Generator, mass: float, steps: int) 
             )
     option = f'timestep="{T / steps}" integrator="implicitfast" gravity="0 0 0"'
     path = scene(folder, bodies, option)
-    path.write_text(path.read_text().replace("</mujoco>", f"<equality>{ties}</equality></mujoco>"))
+    path.write_text(
+        path.read_text().replace("</mujoco>", f"<equality>{ties}</equality></mujoco>")
+    )
     return path
 
 
@@ -435,7 +488,9 @@ KEYS = """<actuator><motor name="motor" joint="hinge" ctrlrange="-1 1"/></actuat
 
 def arm(folder: Path, keyframe: str | int | None, held: bool = False) -> MovingScene:
     path = scene(folder, ARM)
-    path.write_text(path.read_text().replace("</mujoco>", f"{KEYS}</mujoco>"), encoding="ascii")
+    path.write_text(
+        path.read_text().replace("</mujoco>", f"{KEYS}</mujoco>"), encoding="ascii"
+    )
     tool = ToolParameters(mass=0.05)
     return MovingScene(path, tool, T, "environment", held, keyframe=keyframe)
 
@@ -450,7 +505,9 @@ def test_a_scene_begins_at_its_keyframe_and_is_reset_to_it(tmp_path: Path) -> No
         qpos = found.data.qpos
         assert (qpos[2], qpos[7], found.data.ctrl[0]) == (height, angle, control)
         for tick in range(5):
-            found.follow(tick, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), tick - 1, 1.0, tick == 0)
+            found.follow(
+                tick, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0), tick - 1, 1.0, tick == 0
+            )
         assert found.data.qpos[2] != height
         found.reset_due = True
         why = found.follow(5, (0.1, 0.0, 0.2), (0.0, 0.0, 0.0), 4, 1.0, False)
@@ -465,7 +522,9 @@ def test_a_scene_begins_at_its_keyframe_and_is_reset_to_it(tmp_path: Path) -> No
     assert still.data.body("ball").xpos == pytest.approx([0.0, 0.5, 0.3], abs=1e-15)
     tip = [0.1 * np.cos(0.3), 0.2, -0.1 * np.sin(0.3)]
     assert still.data.body("arm").xipos == pytest.approx(tip, abs=1e-12)
-    with pytest.raises(ParameterError, match=r"environment.keyframe: no keyframe 'hime'; .*home"):
+    with pytest.raises(
+        ParameterError, match=r"environment.keyframe: no keyframe 'hime'; .*home"
+    ):
         arm(tmp_path, "hime")
 
 

@@ -32,7 +32,9 @@ pytest.importorskip(
 )
 
 T = 0.002
-SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+SLIDES = "".join(
+    f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1")
+)
 SLIPPERY = 'friction="0.05 0.005 0.0001"'
 HEIGHTS = {"box": 1.0, "cylinder": 1.0, "sphere": 0.0, "capsule": 1.0}
 PHASE = 400  # ticks of a push
@@ -55,7 +57,9 @@ class Case(NamedTuple):
     def edge(self) -> float:
         """Return the stiffness certified with this tool, whatever hangs on it [N/m]."""
         derivative = self.law(0.0)
-        found = world_k_max(derivative, self.plant, SteppedTool(self.damping)).k_max_n_per_m
+        found = world_k_max(
+            derivative, self.plant, SteppedTool(self.damping)
+        ).k_max_n_per_m
         assert found is not None
         return found
 
@@ -103,14 +107,19 @@ def draw(folder: Path, i: int, rng: np.random.Generator) -> Case:
     )
     path = folder / f"contacts{i}.xml"
     path.write_text(
-        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>", encoding="ascii"
+        f"<mujoco><option {option}/><worldbody>{bodies}</worldbody></mujoco>",
+        encoding="ascii",
     )
     press = 10.0 ** rng.uniform(-0.5, 0.5)
     # The last one is straight down: along a slide the hand would go on giving energy.
-    aside = rng.uniform(-0.5, 0.5, (4, 2)) * press * np.array([[1.0], [1.0], [1.0], [0.0]])
+    aside = (
+        rng.uniform(-0.5, 0.5, (4, 2)) * press * np.array([[1.0], [1.0], [1.0], [0.0]])
+    )
     pushes = np.column_stack([aside, press * np.array([-1.0, -1.0, 0.2, -1.0])])
     plant = Plant(T, 0.1, 1.0, float(i % 2))
-    return Case(path, above, plant, (0.0, 0.3)[(i // 2) % 2], (0.5, 1.5, 5.0)[i % 3], pushes)
+    return Case(
+        path, above, plant, (0.0, 0.3)[(i // 2) % 2], (0.5, 1.5, 5.0)[i % 3], pushes
+    )
 
 
 def comes_to_rest(case: Case, share: float) -> bool:
@@ -119,7 +128,9 @@ def comes_to_rest(case: Case, share: float) -> bool:
     The law has this share of the certified stiffness. A ball that rolls may be hit long after the
     pushes, so a swing is waited for; one that the loop feeds does not end.
     """
-    world = MovingScene(case.path, ToolParameters(damping=case.damping), T, "environment")
+    world = MovingScene(
+        case.path, ToolParameters(damping=case.damping), T, "environment"
+    )
     delay, law = int(case.plant.delay), case.law(share * case.edge)
     world.begin((0.0, 0.0, case.above))
     _, (a11, a12, a21, a22), (g1, g2), _ = held_step(case.plant)
@@ -132,7 +143,9 @@ def comes_to_rest(case: Case, share: float) -> bool:
             world.hand_over((fx, fy, fz), tick - 1, float(delay))
             world.advance(tick)
         history = [np.array(world.tool_position) - x, *history[:-1]]
-        force = sum((tap * value for tap, value in zip(law.taps, history, strict=True)), 0.0 * x)
+        force = sum(
+            (tap * value for tap, value in zip(law.taps, history, strict=True)), 0.0 * x
+        )
         sent = [force, *sent[:-1]]
         acting = sent[delay] + case.pushes[min(tick // PHASE, len(case.pushes) - 1)]
         x, v = a11 * x + a12 * v + g1 * acting, a21 * x + a22 * v + g2 * acting
@@ -160,7 +173,9 @@ def said_at_start(case: Case, stiffness: float) -> str:
     return judgement.of_moving_world(parameters, case.plant.delay)[0]
 
 
-def swinging(folder: Path, count: int, shares: tuple[float, ...], seed: int = 5) -> list[int]:
+def swinging(
+    folder: Path, count: int, shares: tuple[float, ...], seed: int = 5
+) -> list[int]:
     """Count the scenes that never rest at these shares, and last those said to bounce alone.
 
     Where no contact is said to bounce, none that is certified may swing.
@@ -168,13 +183,20 @@ def swinging(folder: Path, count: int, shares: tuple[float, ...], seed: int = 5)
     rng, found = np.random.default_rng(seed), [0] * (len(shares) + 1)
     for i in range(count):
         case = draw(folder, i, rng)
-        world = MovingScene(case.path, ToolParameters(damping=case.damping), T, "environment")
+        world = MovingScene(
+            case.path, ToolParameters(damping=case.damping), T, "environment"
+        )
         alone = not any(pair.bounces for pair in world.stiffness())
         found[-1] += not alone
         for n, share in enumerate(shares):
-            said, rests = said_at_start(case, share * case.edge), comes_to_rest(case, share)
+            said, rests = (
+                said_at_start(case, share * case.edge),
+                comes_to_rest(case, share),
+            )
             certified = said.startswith("coupling.laws.pd: certified with a ")
-            assert certified or said.startswith("coupling.laws.pd: not certified with a stepped")
+            assert certified or said.startswith(
+                "coupling.laws.pd: not certified with a stepped"
+            )
             assert certified or share > 1.0
             if certified and alone:
                 assert rests, f"scene {i} of seed {seed} at {share}: {said}"
@@ -182,7 +204,9 @@ def swinging(folder: Path, count: int, shares: tuple[float, ...], seed: int = 5)
     return found
 
 
-def test_a_tool_that_bounces_by_itself_is_told_with_the_step_that_mends_it(tmp_path: Path) -> None:
+def test_a_tool_that_bounces_by_itself_is_told_with_the_step_that_mends_it(
+    tmp_path: Path,
+) -> None:
     """0.6 g and 0.5 N s/m in steps of 2 ms: played alone under a constant press."""
     for steps, bounces in ((1, True), (8, False)):
         path = tmp_path / "light.xml"
@@ -240,7 +264,9 @@ HEAP = f"""<mujoco><option timestep="0.001" integrator="implicitfast" gravity="9
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize(("share", "rests"), [(0.97, True), (8.0, False)])
-def test_a_launch_says_what_the_scene_then_does(share: float, rests: bool, tmp_path: Path) -> None:
+def test_a_launch_says_what_the_scene_then_does(
+    share: float, rests: bool, tmp_path: Path
+) -> None:
     """A box between tool and floor: certified and at rest, or neither."""
     (tmp_path / "heap.xml").write_text(HEAP, encoding="ascii")
     plant = Plant(T, 0.15, 3.0, 1.0, 150.0)  # next_tick is one tick late
@@ -264,13 +290,24 @@ def test_a_launch_says_what_the_scene_then_does(share: float, rests: bool, tmp_p
         del scenario["arguments"][name]
     (tmp_path / "heap.yaml").write_text(yaml.safe_dump(scenario), encoding="utf-8")
     figures = launch_json(
-        tmp_path, str(tmp_path / "heap.yaml"), "pace:=lockstep", "duration:=6", "apply:=next_tick"
+        tmp_path,
+        str(tmp_path / "heap.yaml"),
+        "pace:=lockstep",
+        "duration:=6",
+        "apply:=next_tick",
     )
     recording = Recording(tmp_path / figures["recording"])
-    said = [one.reason for one in recording.messages(event("coupling")) if one.kind == "world"]
+    said = [
+        one.reason
+        for one in recording.messages(event("coupling"))
+        if one.kind == "world"
+    ]
     (known,) = [one for one in said if "150 N/m" in one]
-    assert known.startswith(f"coupling.laws.pd: {'' if rests else 'not '}certified with a step")
+    assert known.startswith(
+        f"coupling.laws.pd: {'' if rests else 'not '}certified with a step"
+    )
     deflections = [
-        proxy.proxy[0] - proxy.position[0] for proxy in recording.messages(PROXY)[-BLOCK:]
+        proxy.proxy[0] - proxy.position[0]
+        for proxy in recording.messages(PROXY)[-BLOCK:]
     ]
     assert bool(np.ptp(deflections) < STILL) is rests

@@ -37,7 +37,10 @@ EPS = np.finfo(float).eps
 
 
 def moved(
-    integrator: str, body: tuple[float, float, float], forces: np.ndarray, steps: int = 1
+    integrator: str,
+    body: tuple[float, float, float],
+    forces: np.ndarray,
+    steps: int = 1,
 ) -> np.ndarray:
     """Return positions of a body under forces of the device, same tick included [m]."""
     motion: BodyMotion = INTEGRATORS[integrator](body, PERIOD, steps, (0.0, 0.0))
@@ -52,7 +55,13 @@ def moved(
 
 @pytest.mark.parametrize(
     "body",
-    [(0.01, 0.3, 400.0), (0.2, 0.0, 0.0), (0.0, 2.0, 500.0), (0.0, 3.0, 0.0), (0.05, 0.0, 900.0)],
+    [
+        (0.01, 0.3, 400.0),
+        (0.2, 0.0, 0.0),
+        (0.0, 2.0, 500.0),
+        (0.0, 3.0, 0.0),
+        (0.05, 0.0, 900.0),
+    ],
 )
 def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
     body: tuple[float, float, float],
@@ -66,7 +75,9 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
         top, below = top[:-1], below[:-1]
     below = np.trim_zeros(np.array(below), "f").tolist()
     if len(top) <= len(below):
-        tops, belows, _ = cont2discrete((np.array(top), np.array(below)), PERIOD, "bilinear")
+        tops, belows, _ = cont2discrete(
+            (np.array(top), np.array(below)), PERIOD, "bilinear"
+        )
         speed = lfilter(np.ravel(tops), belows, -forces)
     else:  # a damped spring: improper, its rule written out
         s = np.array([2.0 / PERIOD, -2.0 / PERIOD])
@@ -88,7 +99,9 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
 
 
 @pytest.mark.parametrize("part", [0.0, 0.3, 1.0, 1.6])
-def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(part: float) -> None:
+def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(
+    part: float,
+) -> None:
     """Forces `part` of a tick late, against scipy's expm over the pieces between."""
     mass, damping, stiffness = 0.03, 0.4, 700.0
     motion = INTEGRATORS["exact"]((mass, damping, stiffness), PERIOD, 1, (0.0, 0.0))
@@ -113,9 +126,17 @@ def test_an_exact_body_is_the_matrix_exponential_of_the_force_that_is_held(part:
 
 @pytest.mark.parametrize(
     ("integrator", "steps"),
-    [("implicit", 1), ("lossless", 1), ("semi_implicit", 1), ("semi_implicit", 4), ("exact", 1)],
+    [
+        ("implicit", 1),
+        ("lossless", 1),
+        ("semi_implicit", 1),
+        ("semi_implicit", 4),
+        ("exact", 1),
+    ],
 )
-def test_the_lag_that_is_named_is_the_one_of_a_free_mass(integrator: str, steps: int) -> None:
+def test_the_lag_that_is_named_is_the_one_of_a_free_mass(
+    integrator: str, steps: int
+) -> None:
     """A pushed trapezoidal mass is at T² (k + ½)/m; others lag by the named ticks."""
     mass = 0.05
     way = -moved(integrator, (mass, 0.0, 0.0), np.array([1.0] + 9 * [0.0]), steps)
@@ -123,13 +144,18 @@ def test_the_lag_that_is_named_is_the_one_of_a_free_mass(integrator: str, steps:
     assert lag == pytest.approx(lag_of(integrator, steps), abs=1e-9)
 
 
-bodies = st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4)).filter(
-    lambda b: max(b) > 1e-3
-)
+bodies = st.tuples(
+    st.floats(0.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 1e4)
+).filter(lambda b: max(b) > 1e-3)
 
 
 @settings(max_examples=60, deadline=None)
-@given(bodies, st.sampled_from(["implicit", "lossless"]), st.integers(0, 2**32 - 1), st.booleans())
+@given(
+    bodies,
+    st.sampled_from(["implicit", "lossless"]),
+    st.integers(0, 2**32 - 1),
+    st.booleans(),
+)
 def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
     body: tuple[float, float, float], integrator: str, seed: int, resonant: bool
 ) -> None:
@@ -139,10 +165,14 @@ def test_a_body_that_answers_in_the_same_tick_never_gives_out_energy(
     if resonant:
         # Pushed against its own motion, as far as it is known before the tick: what draws most from
         # it.
-        forces = np.sin(rng.uniform(0.0, math.pi) * np.arange(200)) * np.sign(rng.normal())
+        forces = np.sin(rng.uniform(0.0, math.pi) * np.arange(200)) * np.sign(
+            rng.normal()
+        )
     y = moved(integrator, body, forces)
     works = forces * -np.diff(y, prepend=0.0)
-    assert np.all(np.cumsum(works) >= -200 * EPS * (np.cumsum(np.abs(forces)) * np.abs(y).max()))
+    assert np.all(
+        np.cumsum(works) >= -200 * EPS * (np.cumsum(np.abs(forces)) * np.abs(y).max())
+    )
 
 
 @pytest.mark.parametrize("integrator", ["semi_implicit", "exact"])
@@ -159,7 +189,10 @@ def simulated(
     device = launch.nodes["driver"].parameters["device"]
     mass, damping = float(device["mass"]), float(device["damping"])
     tick = expm(
-        PERIOD * np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
+        PERIOD
+        * np.array(
+            [[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]]
+        )
     )
     top, below = world[0] / world[1][0], world[1] / world[1][0]
     state, found = np.array([0.0, float(device["velocity"])]), []
@@ -210,7 +243,9 @@ def test_the_loop_solves_for_the_force_of_the_same_tick(
         "filtered": {"kind": "pd_filtered", "cutoff": 80.0},
         "multi_term": {"kind": "paper_optimum"},
     }
-    compiled = compile_law(parse_law({**kind[law], "stiffness": 600.0, "damping": 0.5}), PERIOD)
+    compiled = compile_law(
+        parse_law({**kind[law], "stiffness": 600.0, "damping": 0.5}), PERIOD
+    )
     assert (law == "filtered") == bool(compiled.sections)
     d = np.array([1.0, -1.0])
     if integrator == "implicit":
@@ -250,7 +285,8 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
     worst = {"body_stiffness": 1843.766, "integrator": "lossless"}
     for part, swings in ((0.995, False), (1.005, True)):
         found = growth(
-            launch_file.read("world_edge", {"stiffness": part * 2244.217, **worst}), 4000
+            launch_file.read("world_edge", {"stiffness": part * 2244.217, **worst}),
+            4000,
         )
         # 0.5 % from the edge the pole is 8e-5 from the circle; a swing that is read off peaks is
         # known to 1e-5.
@@ -258,12 +294,20 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
     # A wall holds that stiffness, by far; so does a static spring above 1.6 times the edge, and not
     # at 3400 N/m.
     assert (
-        growth(launch_file.read("world_edge", {"stiffness": 3400.0, "body_stiffness": 1e9}), 4000)
+        growth(
+            launch_file.read(
+                "world_edge", {"stiffness": 3400.0, "body_stiffness": 1e9}
+            ),
+            4000,
+        )
         < 0.9999
     )
     assert (
         growth(
-            launch_file.read("world_edge", {"stiffness": 3400.0, "body_stiffness": 5400.0}), 4000
+            launch_file.read(
+                "world_edge", {"stiffness": 3400.0, "body_stiffness": 5400.0}
+            ),
+            4000,
         )
         > 1.0001
     )
@@ -274,8 +318,14 @@ def test_the_worst_world_of_pd_swings_above_the_edge_and_rests_below() -> None:
     ("words", "tick"),
     [
         (("integrator:=lossless", "law:=filtered", "apply:=next_tick"), "compiled"),
-        pytest.param(("integrator:=implicit", "law:=multi_term"), "plain", marks=pytest.mark.slow),
-        pytest.param(("integrator:=semi_implicit", "steps:=3"), "compiled", marks=pytest.mark.slow),
+        pytest.param(
+            ("integrator:=implicit", "law:=multi_term"), "plain", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            ("integrator:=semi_implicit", "steps:=3"),
+            "compiled",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             ("integrator:=exact", "law:=pd_alpha", "apply:=next_tick"),
             "compiled",
@@ -287,13 +337,23 @@ def test_a_launch_gives_the_bits_of_one_process(
     words: tuple[str, ...], tick: str, tmp_path: Path
 ) -> None:
     figures = launch_json(
-        tmp_path, "world_feel", "pace:=lockstep", "duration:=1.2", *words, "--tick", tick
+        tmp_path,
+        "world_feel",
+        "pace:=lockstep",
+        "duration:=1.2",
+        *words,
+        "--tick",
+        tick,
     )
     assert figures["tick_by_node"]["coupling"] == tick
     recording = Recording(tmp_path / figures["recording"])
-    states, proxies, forces = (recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE))
+    states, proxies, forces = (
+        recording.messages(topic) for topic in (DEVICE_STATE, PROXY, FORCE)
+    )
     alone = play(
-        launch_file.read("world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])),
+        launch_file.read(
+            "world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])
+        ),
         ticks=figures["ticks"],
     )
     assert np.array_equal(alone.measured, [state.position for state in states[:-1]])
@@ -320,17 +380,26 @@ def test_a_launch_gives_the_bits_of_one_process(
         ),
     ],
 )
-def test_a_body_that_cannot_be_moved_is_refused(fields: dict[str, Any], told: str) -> None:
+def test_a_body_that_cannot_be_moved_is_refused(
+    fields: dict[str, Any], told: str
+) -> None:
     with pytest.raises(ParameterError, match=told):
         check_world(WorldParameters(**fields), PERIOD, "environment")
 
 
 def test_the_sub_steps_that_a_refusal_asks_for_are_enough_and_one_less_is_not() -> None:
     """A pushed body stays bounded with 4 sub-steps, and grows with 3."""
-    body: dict[str, Any] = {"mass": 0.001, "stiffness": 1e4, "integrator": "semi_implicit"}
+    body: dict[str, Any] = {
+        "mass": 0.001,
+        "stiffness": 1e4,
+        "integrator": "semi_implicit",
+    }
     check_world(WorldParameters(**body, steps=4), PERIOD, "environment")
     push = np.array([1.0] + 20 * [0.0])
-    far = [np.abs(moved("semi_implicit", (0.001, 0.0, 1e4), push, steps)).max() for steps in (4, 3)]
+    far = [
+        np.abs(moved("semi_implicit", (0.001, 0.0, 1e4), push, steps)).max()
+        for steps in (4, 3)
+    ]
     assert far[0] < 1e-3
     assert far[1] > 1e3 * far[0]
 
@@ -362,7 +431,9 @@ def test_other_parameters_leave_the_body_where_it_is_and_ticks_that_were_lost_ar
         assert at_once.proxy[0] == pytest.approx(at.proxy[0], rel=1e-9)
         # After a second without a state it goes on for a tenth of it.
         gone = FeltWorld(
-            WorldParameters(**{**fields, "stiffness": 0.0, "damping": 1e-9}), PERIOD, ["x"]
+            WorldParameters(**{**fields, "stiffness": 0.0, "damping": 1e-9}),
+            PERIOD,
+            ["x"],
         )
         gone.follow(0, zero, zero, -1, 0.0)
         gone.follow(1, zero, (1.0, 0.0, 0.0), 0, 0.0)
@@ -381,7 +452,9 @@ def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
         "damping": 0.0,
     }
     launch = launch_file.read("world_edge", words)
-    coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
+    coupling = convert(
+        launch.nodes["coupling"].parameters, CouplingParameters, "coupling"
+    )
     assert coupling.plant is not None
     radius = pole_radius(CompiledLaw((300.0,)), coupling.plant.at(PERIOD, 0.0))
     assert radius > 1.01
@@ -397,14 +470,18 @@ def test_a_launch_is_judged_on_the_body_that_it_couples_to() -> None:
     )
     # A body that answers in the same tick is one of all of them; on a wall the same law is stable.
     launch = launch_file.read("world_edge", {"stiffness": 2244.0})
-    coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
+    coupling = convert(
+        launch.nodes["coupling"].parameters, CouplingParameters, "coupling"
+    )
     assert coupling.plant is not None
     assert coupling.plant.at(PERIOD, 0.0).partner is None
     assert judgement.of_moving_world(coupling, 0.0)[0].startswith(
         "coupling.laws.pd: certified with any passive world"
     )
     launch = launch_file.read("world_edge", {"stiffness": 2245.0})
-    coupling = convert(launch.nodes["coupling"].parameters, CouplingParameters, "coupling")
+    coupling = convert(
+        launch.nodes["coupling"].parameters, CouplingParameters, "coupling"
+    )
     assert judgement.of_moving_world(coupling, 0.0)[0].startswith(
         "coupling.laws.pd: not certified with any passive world"
     )
@@ -433,10 +510,16 @@ def test_real_launches_swing_one_percent_above_the_edge_and_rest_one_percent_bel
 ) -> None:
     """The worst body for worlds answering in the same tick, on real nodes."""
     derivative = without_spring(parse_law(LAWS[law]), PERIOD)
-    worst = worst_world(derivative, Plant(PERIOD, 0.1, 1.0, float(apply == "next_tick")))
+    worst = worst_world(
+        derivative, Plant(PERIOD, 0.1, 1.0, float(apply == "next_tick"))
+    )
     assert worst is not None
     assert worst.stiffness_n_per_m is not None
-    body = f"body_stiffness:={worst.stiffness_n_per_m!r}", "integrator:=lossless", f"apply:={apply}"
+    body = (
+        f"body_stiffness:={worst.stiffness_n_per_m!r}",
+        "integrator:=lossless",
+        f"apply:={apply}",
+    )
     found = []
     for part in (0.99, 1.01):
         stiffness = part * worst.k_max_n_per_m
@@ -454,8 +537,12 @@ def test_real_launches_swing_one_percent_above_the_edge_and_rest_one_percent_bel
         figures = launch_json(
             tmp_path, "world_edge", "pace:=lockstep", "duration:=12", *body, *words
         )
-        states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)[1:6001]
-        swing = np.abs([state.position[0] for state in states]).reshape(4, -1).max(axis=1)
+        states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)[
+            1:6001
+        ]
+        swing = (
+            np.abs([state.position[0] for state in states]).reshape(4, -1).max(axis=1)
+        )
         found.append(float((swing[3] / swing[1]) ** (1.0 / 3000)))
         if law == "pd_alpha":
             assert compile_law(

@@ -40,9 +40,16 @@ def test_axes_are_taken_from_the_surface(tmp_path: Path) -> None:
         ("{kind: free}", ["z"]),
         ("{kind: anchor, position: [0.0, 0.01, 0.0]}", ["y"]),
     ):
-        assert launch_file.read(str(tmp_path / written(tmp_path, surface)), {}).run.axes == axes
-    with pytest.raises(ParameterError, match=r"run\.axes: \[z, z\]: an axis is given twice"):
-        launch_file.read(str(tmp_path / written(tmp_path, "{kind: free}", "[z, z]")), {})
+        assert (
+            launch_file.read(str(tmp_path / written(tmp_path, surface)), {}).run.axes
+            == axes
+        )
+    with pytest.raises(
+        ParameterError, match=r"run\.axes: \[z, z\]: an axis is given twice"
+    ):
+        launch_file.read(
+            str(tmp_path / written(tmp_path, "{kind: free}", "[z, z]")), {}
+        )
 
 
 @pytest.mark.process
@@ -69,7 +76,10 @@ def test_a_wall_across_x_without_axes_is_felt(tmp_path: Path) -> None:
 def test_a_scene_whose_parts_do_not_meet_is_refused(
     surface: str, axes: str, told: str, tmp_path: Path
 ) -> None:
-    assert told in typed_in(tmp_path, "launch", written(tmp_path, surface, axes), code=2).stderr
+    assert (
+        told
+        in typed_in(tmp_path, "launch", written(tmp_path, surface, axes), code=2).stderr
+    )
 
 
 SLOPE = '''
@@ -89,7 +99,9 @@ class Slope(Surface, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 @pytest.mark.process
-def test_a_surface_of_another_package_that_pushes_elsewhere_is_told(tmp_path: Path) -> None:
+def test_a_surface_of_another_package_that_pushes_elsewhere_is_told(
+    tmp_path: Path,
+) -> None:
     info = tmp_path / "site" / "slopes-1.0.dist-info"
     info.mkdir(parents=True)
     (info.parent / "slopes.py").write_text(SLOPE, encoding="utf-8")
@@ -103,7 +115,9 @@ def test_a_surface_of_another_package_that_pushes_elsewhere_is_told(tmp_path: Pa
         **os.environ,
         "PYTHONPATH": f"{info.parent}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
     }
-    done = haptic(tmp_path, "launch", written(tmp_path, "{kind: slope}"), environment=environment)
+    done = haptic(
+        tmp_path, "launch", written(tmp_path, "{kind: slope}"), environment=environment
+    )
     assert (
         "[environment] axes: the surface pushes along x, but run.axes is [z]: no force there"
         in done.stderr

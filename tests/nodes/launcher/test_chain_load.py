@@ -45,9 +45,12 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def several(folder: Path, chains: int, **run: Any) -> Launch:
     path = folder / f"several_{chains}.yaml"
     included = [
-        {"launch": "floor_drop", "namespace": f"c{i}", "without": ["logger"]} for i in range(chains)
+        {"launch": "floor_drop", "namespace": f"c{i}", "without": ["logger"]}
+        for i in range(chains)
     ]
-    path.write_text(json.dumps({"summary": "s", "run": run, "include": included}), encoding="utf-8")
+    path.write_text(
+        json.dumps({"summary": "s", "run": run, "include": included}), encoding="utf-8"
+    )
     return launch_file.read(str(path), {})
 
 
@@ -66,10 +69,13 @@ def test_an_overload_is_told_before_the_start_by_what_ticks_cost_here(
         " µs a tick)"
     )
     assert (
-        f"this machine carries about {int(CARRIED / (150e-6 * 500.0))} chains of that kind" in told
+        f"this machine carries about {int(CARRIED / (150e-6 * 500.0))} chains of that kind"
+        in told
     )
     assert warning(launch, chains, "compiled", 2) == ""
-    assert warning(launch, chains, "plain", 1) == ""  # another tick costs something else
+    assert (
+        warning(launch, chains, "plain", 1) == ""
+    )  # another tick costs something else
     assert warning(several(tmp_path, 16, pace="lockstep"), chains, "compiled", 1) == ""
 
 
@@ -78,19 +84,26 @@ def test_costs_are_kept_by_kind_and_whatever_else_is_there_counts_as_nothing(
 ) -> None:
     launch = several(tmp_path, 2)
     assert kind_of_chain(launch, "c0", "plain") == kind_of_chain(launch, "c1", "plain")
-    assert kind_of_chain(launch, "c0", "plain") != kind_of_chain(launch, "c0", "compiled")
+    assert kind_of_chain(launch, "c0", "plain") != kind_of_chain(
+        launch, "c0", "compiled"
+    )
     keep_costs({"a": 1e-4, "b": 2e-4})
     keep_costs({"a": 3e-4})
     # Four times as often finds warmer caches; nearly as often does not.
-    assert kind_of_chain(several(tmp_path, 2, rate=2000.0), "c0", "plain") != kind_of_chain(
-        launch, "c0", "plain"
-    )
-    assert kind_of_chain(several(tmp_path, 2, rate=550.0), "c0", "plain") == kind_of_chain(
-        launch, "c0", "plain"
-    )
+    assert kind_of_chain(
+        several(tmp_path, 2, rate=2000.0), "c0", "plain"
+    ) != kind_of_chain(launch, "c0", "plain")
+    assert kind_of_chain(
+        several(tmp_path, 2, rate=550.0), "c0", "plain"
+    ) == kind_of_chain(launch, "c0", "plain")
     assert known_costs() == {"b": 2e-4, "a": 3e-4}
     (place,) = cache.rglob("chain_costs.json")
-    for content in ("", "[]", '{"costs": {"a": "x"}}', '{"costs": {"a": -1.0, "b": 1e9}}'):
+    for content in (
+        "",
+        "[]",
+        '{"costs": {"a": "x"}}',
+        '{"costs": {"a": -1.0, "b": 1e9}}',
+    ):
         place.write_text(content, encoding="utf-8")
         assert known_costs() == {}
     place.unlink()
@@ -100,22 +113,32 @@ def test_costs_are_kept_by_kind_and_whatever_else_is_there_counts_as_nothing(
 
 
 @given(
-    st.dictionaries(st.text("abc", min_size=1), st.floats(0.0, 2.0), min_size=1, max_size=12),
+    st.dictionaries(
+        st.text("abc", min_size=1), st.floats(0.0, 2.0), min_size=1, max_size=12
+    ),
     st.integers(2, 6),
 )
-def test_chains_are_spread_over_the_processors(shares: dict[str, float], processors: int) -> None:
+def test_chains_are_spread_over_the_processors(
+    shares: dict[str, float], processors: int
+) -> None:
     cores = list(range(processors))
     found = spread(shares, cores, shares)
     assert list(found) == list(shares)
-    taken = [sum(shares[chain] for chain, core in found.items() if core == one) for one in cores]
+    taken = [
+        sum(shares[chain] for chain, core in found.items() if core == one)
+        for one in cores
+    ]
     # One processor is left to the listeners as long as the others carry all chains.
     if taken[-1] > 0.0:
         assert any(
-            sum(taken) > CARRIED * (processors - 1) or share > CARRIED - max(shares.values())
+            sum(taken) > CARRIED * (processors - 1)
+            or share > CARRIED - max(shares.values())
             for share in taken
         )
     # No processor has more than its part by more than a chain.
-    assert max(taken) <= max(CARRIED, sum(taken) / processors + max(shares.values()) + 0.25)
+    assert max(taken) <= max(
+        CARRIED, sum(taken) / processors + max(shares.values()) + 0.25
+    )
 
 
 def test_a_launch_of_many_chains_uses_all_processors_and_each_goes_before_the_next(
@@ -130,7 +153,9 @@ def test_a_launch_of_many_chains_uses_all_processors_and_each_goes_before_the_ne
     keep_costs({kind_of_chain(launch, "c0", launch.run.tick): 400e-6})  # a fifth each
     setups = wire(launch, "r", tmp_path, {})
     on = {
-        core: [name for name, setup in setups.items() if setup.scheduling.cpus == [core]]
+        core: [
+            name for name, setup in setups.items() if setup.scheduling.cpus == [core]
+        ]
         for core in (0, 1)
     }
     assert {core: len(names) for core, names in on.items()} == {0: 15, 1: 9}
@@ -150,11 +175,14 @@ def test_a_launch_of_many_chains_uses_all_processors_and_each_goes_before_the_ne
             )
 
 
-def used(launch: Launch, had: float, waited: float, lost: float, ticks: int = 1000) -> Load | None:
+def used(
+    launch: Launch, had: float, waited: float, lost: float, ticks: int = 1000
+) -> Load | None:
     """Return the load of a run whose chains took shares of a processor, and lost ticks."""
     chains = chains_of(launch)
     reports = {
-        chain: {"ticks": ticks, "missed": round(lost * ticks), "overruns": 0} for chain in chains
+        chain: {"ticks": ticks, "missed": round(lost * ticks), "overruns": 0}
+        for chain in chains
     }
     return load_of(launch, had * ticks / launch.run.rate, waited, reports, 1)
 
@@ -187,7 +215,9 @@ def test_the_reason_of_lost_ticks_is_named_where_it_is_known(tmp_path: Path) -> 
     assert carried(100e-6, 500.0, 2) == 2 * int(CARRIED / 0.05)
 
 
-def test_the_meter_counts_the_processor_time_of_a_process_and_how_long_it_waits() -> None:
+def test_the_meter_counts_the_processor_time_of_a_process_and_how_long_it_waits() -> (
+    None
+):
     gone = 2**22 + 1
     meter = Meter({"a": os.getpid(), "gone": gone})
     begun = time.process_time()
@@ -207,9 +237,17 @@ def test_the_meter_counts_the_processor_time_of_a_process_and_how_long_it_waits(
 
 
 @pytest.mark.process
-def test_a_run_says_what_it_took_and_keeps_it_for_the_next(tmp_path: Path, cache: Path) -> None:
+def test_a_run_says_what_it_took_and_keeps_it_for_the_next(
+    tmp_path: Path, cache: Path
+) -> None:
     figures = launch_json(
-        tmp_path, "floor_drop", "duration:=1.5", "--without", "logger", "--tick", "plain"
+        tmp_path,
+        "floor_drop",
+        "duration:=1.5",
+        "--without",
+        "logger",
+        "--tick",
+        "plain",
     )
     load = figures["load"]
     assert load["chains"] == 1
@@ -238,6 +276,8 @@ def test_a_loop_too_fast_for_its_machine_ends_with_a_code_of_its_own(
         load = figures["load"]
         # Beside busy processes without FIFO the loop may not even get the processor that it asks
         # for.
-        assert launch.process.returncode == (OVERLOADED if load["cause"] == "chains" else 0)
+        assert launch.process.returncode == (
+            OVERLOADED if load["cause"] == "chains" else 0
+        )
         assert load["lost"] >= LATE
         assert load["cause"]

@@ -80,7 +80,11 @@ def odd_node(context: Context, **answers: object) -> Iterator[Setup]:
                 while not over.is_set():
                     with contextlib.suppress(zmq.Again):
                         op = decode_request(inbox.receive()).op
-                        inbox.answer(msgspec.msgpack.encode(Reply(op in answers, answers.get(op))))
+                        inbox.answer(
+                            msgspec.msgpack.encode(
+                                Reply(op in answers, answers.get(op))
+                            )
+                        )
 
         thread = threading.Thread(target=serve)
         thread.start()
@@ -131,18 +135,24 @@ def test_a_node_that_reports_no_status_has_the_last_one(context: Context) -> Non
         child.start(Path(setup.run_dir))
         try:
             wait_for(lambda: child.code is not None, "the end of the node")
-            assert child.report(Path(setup.run_dir)) == {"status": FINISHED, "tick": "plain"}
+            assert child.report(Path(setup.run_dir)) == {
+                "status": FINISHED,
+                "tick": "plain",
+            }
         finally:
             child.release()
 
 
-def test_times_of_a_device_that_are_none_are_told_with_their_node(context: Context) -> None:
+def test_times_of_a_device_that_are_none_are_told_with_their_node(
+    context: Context,
+) -> None:
     with odd_node(context, device={"opening_s": "soon"}) as setup:
         supervisor = Supervisor(launch_file.read("floor_drop", {}), lambda _: None)
         supervisor.context.term()
         supervisor.context = context
         with pytest.raises(
-            LaunchFailedError, match=r"driver: answers device with {'opening_s': 'soon'}"
+            LaunchFailedError,
+            match=r"driver: answers device with {'opening_s': 'soon'}",
         ):
             supervisor._note_ready(Child(setup, 0, 0.5, True))
 
@@ -162,7 +172,9 @@ def test_a_node_started_by_hand_that_dies_is_lost(tmp_path: Path) -> None:
             node.send_signal(signal.SIGKILL)
             node.wait()
             figures = launch.finish(code=1)
-            assert figures["exit_reason"].startswith("coupling: ended with no answer for 5 s")
+            assert figures["exit_reason"].startswith(
+                "coupling: ended with no answer for 5 s"
+            )
             # The watchdog had the device at zero force long before.
             assert figures["final"]["force_n"] == 0.0
         finally:
@@ -184,7 +196,9 @@ def test_a_node_started_by_hand_ends_without_its_launcher(tmp_path: Path) -> Non
 
 
 @pytest.mark.process
-def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(tmp_path: Path) -> None:
+def test_a_node_that_somebody_has_started_already_is_refused_and_goes_on(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, scene(tmp_path), ready=False) as launch:
         node = start(launch)
         try:
@@ -208,7 +222,9 @@ def test_only_nodes_that_are_waited_for_are_started_by_hand(tmp_path: Path) -> N
         assert "by_hand: true" in told
     assert (
         "HOST:PORT"
-        in typed_in(tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2).stderr
+        in typed_in(
+            tmp_path, "node", "start", "coupling", "--bind", "nowhere", code=2
+        ).stderr
     )
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "none")}
     told = typed_in(

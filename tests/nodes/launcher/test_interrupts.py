@@ -12,7 +12,9 @@ from nodes.launcher import launch_file
 from nodes.launcher.supervisor import Supervisor
 
 
-def test_a_node_that_fails_is_no_user_who_asks(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_node_that_fails_is_no_user_who_asks(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """The first Ctrl-C after a failed node counted as the second: loggers had only 0.3 s."""
     supervisor = Supervisor(launch_file.read("floor_drop", {}), print)
     supervisor.stop("driver: ended with exit code 1")

@@ -59,7 +59,9 @@ sys.exit(3 if socket.poll(1500) else 0)
 class Waiting:
     """A ``haptic node start NAME --bind`` that waits for its launcher."""
 
-    def __init__(self, folder: Path, runtime: Path, me: Identity, name: str, *words: str) -> None:
+    def __init__(
+        self, folder: Path, runtime: Path, me: Identity, name: str, *words: str
+    ) -> None:
         port = free_ports(2)
         self.name, self.folder = name, folder
         self.publish = f"tcp://127.0.0.1:{port}#{me.public}"
@@ -120,7 +122,8 @@ def evil(tmp_path: Path) -> tuple[Path, Path]:
     mark = tmp_path / "executed"
     (folder / "evil.c").write_text(EVIL.format(mark=mark))
     subprocess.run(
-        [compiler, "-shared", "-fPIC", "-o", folder / "evil.so", folder / "evil.c"], check=True
+        [compiler, "-shared", "-fPIC", "-o", folder / "evil.so", folder / "evil.c"],
+        check=True,
     )
     return folder / "evil.so", mark
 
@@ -171,13 +174,17 @@ def test_a_library_from_the_wire_is_loaded_only_where_the_command_line_allows_it
     library, mark = evil
     node = waiting("driver", "--kind", "touch_driver")
     setup = node.setup("touch_driver", touch={"library": str(library)})
-    setup["sources"] = {"/coupling/force": f"tcp://127.0.0.1:{free_ports(1)}#{'ab' * 32}"}
+    setup["sources"] = {
+        "/coupling/force": f"tcp://127.0.0.1:{free_ports(1)}#{'ab' * 32}"
+    }
     with pytest.raises(ControlError, match=f"--allow-path {library.parent}"):
         call(context, node.control, "configure", DEADLINE, setup=setup)
     assert not mark.exists()
     assert call(context, node.control, "status")["state"] == "unconfigured"
     # The same setup where it is allowed: what was refused above would have been executed.
-    node = waiting("driver", "--kind", "touch_driver", "--allow-path", str(library.parent))
+    node = waiting(
+        "driver", "--kind", "touch_driver", "--allow-path", str(library.parent)
+    )
     setup |= {"publish": node.publish, "control": node.control}
     call(context, node.control, "configure", DEADLINE, setup=setup)
     wait_for(mark.exists, "the library is loaded")
@@ -206,8 +213,12 @@ def test_a_file_of_mine_is_not_overwritten_from_the_wire(
     assert precious.read_text() == "mine"
 
 
-def test_a_name_that_is_no_kind_says_which_there_are(tmp_path: Path, me: Identity) -> None:
-    told = typed_in(tmp_path, "node", "start", "driver", "--bind", "127.0.0.1:5790", code=2).stderr
+def test_a_name_that_is_no_kind_says_which_there_are(
+    tmp_path: Path, me: Identity
+) -> None:
+    told = typed_in(
+        tmp_path, "node", "start", "driver", "--bind", "127.0.0.1:5790", code=2
+    ).stderr
     assert "--kind" in told
     assert "sim_driver" in told
 
@@ -235,7 +246,10 @@ class _Third(msgspec.Struct, frozen=True, kw_only=True):
     ],
 )
 def test_paths_in_parameters(
-    parameters: msgspec.Struct, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    parameters: msgspec.Struct,
+    fits: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "allowed").mkdir()
@@ -281,9 +295,13 @@ def test_a_running_node_takes_no_path_from_the_wire_either(tmp_path: Path) -> No
     setup = setup_of(name="n", kind="k", allow_paths=[str(tmp_path)])
     node = _Kind(setup)
     with pytest.raises(ParameterError, match="--allow-path /etc"):
-        node.changes.change(lambda: node.store.changed({"path": "/etc/passwd"}), node.prepare)
+        node.changes.change(
+            lambda: node.store.changed({"path": "/etc/passwd"}), node.prepare
+        )
     with pytest.raises(ParameterError, match="fixed while it runs"):
-        node.changes.change(lambda: node.store.changed({"path": f"{tmp_path}/x"}), node.prepare)
+        node.changes.change(
+            lambda: node.store.changed({"path": f"{tmp_path}/x"}), node.prepare
+        )
 
 
 # -- without keys
@@ -301,7 +319,9 @@ nodes:
 
 
 @pytest.mark.process
-def test_who_has_no_keys_is_told_the_one_command_that_is_missing(tmp_path: Path) -> None:
+def test_who_has_no_keys_is_told_the_one_command_that_is_missing(
+    tmp_path: Path,
+) -> None:
     environment = {**os.environ, "HAPTIC_KEYS": str(tmp_path / "k")}
     (tmp_path / "scene.yaml").write_text(SCENE)
     for asked in (
@@ -314,11 +334,19 @@ def test_who_has_no_keys_is_told_the_one_command_that_is_missing(tmp_path: Path)
     haptic(tmp_path, "keys", "new", environment=environment)
     # With it the node starts and waits.
     with private_runtime_dir() as runtime, open(tmp_path / "err", "wb") as errors:
-        words = [*HAPTIC, "node", "start", "coupling", "--bind", f"127.0.0.1:{free_ports(2)}"]
+        words = [
+            *HAPTIC,
+            "node",
+            "start",
+            "coupling",
+            "--bind",
+            f"127.0.0.1:{free_ports(2)}",
+        ]
         environment["HAPTIC_RUNTIME_DIR"] = str(runtime)
         node = subprocess.Popen(words, env=environment, cwd=tmp_path, stderr=errors)
         wait_for(
-            lambda: "waiting for its launcher" in (tmp_path / "err").read_text(), "the node waits"
+            lambda: "waiting for its launcher" in (tmp_path / "err").read_text(),
+            "the node waits",
         )
         node.terminate()
         assert node.wait(DEADLINE) == 130

@@ -64,7 +64,10 @@ def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
 @pytest.mark.smoke("floor_drop", "wall_press", "touch_wall")
 @pytest.mark.parametrize(
     "scenario",
-    [*slowly(sorted(IN_LOCKSTEP)), *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP)],
+    [
+        *slowly(sorted(IN_LOCKSTEP)),
+        *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP),
+    ],
 )
 def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None:
     _, arguments = launch_file.read_arguments(launch_file.find(scenario))
@@ -81,22 +84,31 @@ def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None
     # What the driver itself could not sample is counted as an overrun; nothing else may be missing
     # from the record. A machine that is busy leaves out the first ticks, too: no gap, for nothing
     # stands before it.
-    assert counts[DEVICE_STATE].gaps + counts[DEVICE_STATE].first_seq == figures["overruns"]
+    assert (
+        counts[DEVICE_STATE].gaps + counts[DEVICE_STATE].first_seq
+        == figures["overruns"]
+    )
     states = recording.messages(DEVICE_STATE)
     assert states[-1].seq == ticks
     assert states[-1].missed == figures["missed"]
     if "chains" not in figures:
         assert_summary_is_true(figures, states)
     if scenario == "free_space":
-        assert {message.force for message in recording.messages(FORCE)} == {(0.0, 0.0, 0.0)}
+        assert {message.force for message in recording.messages(FORCE)} == {
+            (0.0, 0.0, 0.0)
+        }
 
 
 @pytest.mark.process
 def test_floor_drop_settles_at_weight_over_stiffness(tmp_path: Path) -> None:
-    figures = launch_json(tmp_path, "floor_drop", "stiffness:=800", "mass:=0.08", "pace:=lockstep")
+    figures = launch_json(
+        tmp_path, "floor_drop", "stiffness:=800", "mass:=0.08", "pace:=lockstep"
+    )
     # 3 s are 60 time constants 2m/(b+B) = 50 ms: what is left of the bounce is below the rounding
     # of a micrometre.
-    assert figures["final"]["position_m"] == pytest.approx(-0.08 * 9.81 / 800.0, rel=1e-9)
+    assert figures["final"]["position_m"] == pytest.approx(
+        -0.08 * 9.81 / 800.0, rel=1e-9
+    )
     assert figures["final"]["force_n"] == pytest.approx(0.08 * 9.81, rel=1e-9)
     recording = Recording(tmp_path / figures["recording"])
     for topic in (DEVICE_STATE, PROXY, FORCE):
@@ -118,9 +130,15 @@ def test_wall_press_reaches_the_balance_of_hand_and_wall(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("flor_drop",), "no launch file is named 'flor_drop'; available: box_edges, floor"),
+        (
+            ("flor_drop",),
+            "no launch file is named 'flor_drop'; available: box_edges, floor",
+        ),
         (("floor_drop", "stifness:=3"), "no argument 'stifness'; available: rate"),
-        (("floor_swap", "fifo:=0"), "no argument 'fifo'; run.fifo:=0 sets it in any launch file"),
+        (
+            ("floor_swap", "fifo:=0"),
+            "no argument 'fifo'; run.fifo:=0 sets it in any launch file",
+        ),
         (
             ("floor_drop", "stiffness:=soft"),
             "arguments.stiffness: expected a number, got 'soft' (given as stiffness:=soft)",
@@ -175,7 +193,9 @@ def test_mistakes_are_told_before_anything_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    done = haptic(tmp_path, "launch", "floor_drop", "mass:=-1", "--tick", "compiled", code=2)
+    done = haptic(
+        tmp_path, "launch", "floor_drop", "mass:=-1", "--tick", "compiled", code=2
+    )
     assert "driver.device.mass: expected a number above 0, got -1.0" in done.stderr
     assert not (tmp_path / "cache").exists()
 
@@ -185,7 +205,10 @@ def test_launch_files_are_checked_completely(
 ) -> None:
     good = launch_file.find("floor_drop").read_text(encoding="utf-8")
     broken = {
-        "kind: sim_driver": ("kind: robot", "nodes.driver.kind: 'robot' is not installed"),
+        "kind: sim_driver": (
+            "kind: robot",
+            "nodes.driver.kind: 'robot' is not installed",
+        ),
         "kind: plane": (
             "kind: cone",
             "environment.surface.kind: 'cone' is not an installed surface",
@@ -213,7 +236,9 @@ def test_arguments_keep_the_type_of_their_default() -> None:
         launch_file.read("floor_drop", {"stiffness": True})
 
 
-def test_listing_and_arguments_for_people_and_machines(capsys: pytest.CaptureFixture[str]) -> None:
+def test_listing_and_arguments_for_people_and_machines(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main.main(["launch", "--list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert set(listed["scenarios"]) == set(launch_file.scenarios())
@@ -237,15 +262,15 @@ def test_a_publisher_waits_for_every_subscription_of_the_launch(tmp_path: Path) 
     setups = wire(launch_file.read("two_loggers", {}), "r", tmp_path, {})
     # One by the next hop, one by the logger of everything, three by the logger of the loop's
     # topics.
-    assert {name: setups[name].listeners for name in ("driver", "environment", "coupling")} == {
-        "driver": 5,
-        "environment": 5,
-        "coupling": 5,
-    }
+    assert {
+        name: setups[name].listeners for name in ("driver", "environment", "coupling")
+    } == {"driver": 5, "environment": 5, "coupling": 5}
     assert setups["logger"].listeners == 3
 
 
-def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path) -> None:
+def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(
+    tmp_path: Path,
+) -> None:
     """A virtual device cannot break, and its page may go past the limit."""
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
     content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
@@ -257,9 +282,9 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
     (tmp_path / "real.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
 
     def wired(scenario: str, stiffness: float) -> bool:
-        return wire(launch_file.read(scenario, {"stiffness": stiffness}), "r", tmp_path, {})[
-            "coupling"
-        ].virtual
+        return wire(
+            launch_file.read(scenario, {"stiffness": stiffness}), "r", tmp_path, {}
+        )["coupling"].virtual
 
     real = str(tmp_path / "real.yaml")
     assert not wired(real, 1000.0)
@@ -272,11 +297,14 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_files_of_the_user_beside_the_recording_are_not_imported(tmp_path: Path) -> None:
+def test_files_of_the_user_beside_the_recording_are_not_imported(
+    tmp_path: Path,
+) -> None:
     """A user's scripts must not replace modules that a node imports."""
     for name in ("sim", "messages", "nodes", "yaml", "zmq", "selectors"):
         (tmp_path / f"{name}.py").write_text(
-            f"raise SystemExit('{name}.py of the user was imported')\n", encoding="utf-8"
+            f"raise SystemExit('{name}.py of the user was imported')\n",
+            encoding="utf-8",
         )
     with private_runtime_dir() as runtime_dir:
         done = subprocess.run(
@@ -322,28 +350,39 @@ def test_launches_at_once_keep_apart_and_safe(tmp_path: Path) -> None:
                 "--json",
                 "--no-plot",
             )
-            (folder / "limits.yaml").write_text(f"driver: {{safety: {{peak_force: {peak}}}}}\n")
+            (folder / "limits.yaml").write_text(
+                f"driver: {{safety: {{peak_force: {peak}}}}}\n"
+            )
             command = [*HAPTIC, "launch", *words, "--params", "limits.yaml"]
             with (
                 open(folder / "stdout.txt", "wb") as out,
                 open(folder / "stderr.txt", "wb") as told,
             ):
                 processes.append(
-                    subprocess.Popen(command, cwd=folder, env=environment, stdout=out, stderr=told)
+                    subprocess.Popen(
+                        command, cwd=folder, env=environment, stdout=out, stderr=told
+                    )
                 )
         codes = [process.wait(3.0 * DEADLINE) for process in processes]
         assert_nothing_left(runtime)
-    errors = [(tmp_path / str(number) / "stderr.txt").read_text() for number in range(LAUNCHES)]
+    errors = [
+        (tmp_path / str(number) / "stderr.txt").read_text()
+        for number in range(LAUNCHES)
+    ]
     assert codes == [0] * LAUNCHES, errors
     runs = set()
     for number in range(LAUNCHES):
-        figures = json.loads((tmp_path / str(number) / "stdout.txt").read_text().splitlines()[-1])
+        figures = json.loads(
+            (tmp_path / str(number) / "stdout.txt").read_text().splitlines()[-1]
+        )
         recording = Recording(tmp_path / str(number) / figures["recording"])
         runs.add(recording.manifest["run"])
         assert str(float(400 + 50 * number)) in recording.manifest["arguments"]
         states = recording.messages(DEVICE_STATE)
         assert states
-        assert max(abs(part) for state in states for part in state.force) <= peak * (1.0 + 1e-15)
+        assert max(abs(part) for state in states for part in state.force) <= peak * (
+            1.0 + 1e-15
+        )
         # A machine that is too slow for all of them lets ticks go, and old forces with them; what
         # swings so late is stopped.
         assert {state.safety for state in states} <= {

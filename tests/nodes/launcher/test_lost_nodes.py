@@ -33,7 +33,10 @@ def test_respawn_keeps_delay_and_maximum(
         "parameters": {"after": 3, "diary": str(diary)},
     }
     with running(
-        tmp_path, scenario(tmp_path, crasher=crasher), environment=odd_nodes, ready=False
+        tmp_path,
+        scenario(tmp_path, crasher=crasher),
+        environment=odd_nodes,
+        ready=False,
     ) as launch:
         if required:
             figures = launch.finish(code=1)
@@ -89,10 +92,14 @@ def test_the_loop_resumes_by_itself_when_a_killed_node_is_respawned(
     if node != "driver":
         # The driver said so on its topic, and in the summary.
         events = [
-            event.reason for event in recording.messages("/driver/event") if event.kind == "safety"
+            event.reason
+            for event in recording.messages("/driver/event")
+            if event.kind == "safety"
         ]
         assert [reason for reason in events if reason.startswith("active → damping")]
-        assert figures["safety"]["reasons"] == events[-len(figures["safety"]["reasons"]) :]
+        assert (
+            figures["safety"]["reasons"] == events[-len(figures["safety"]["reasons"]) :]
+        )
         assert figures["safety"]["entered"]["damping"] >= 1
     states = recording.messages("/device/state")
     # Ticks go on counting, whoever was killed.
@@ -134,13 +141,17 @@ def test_a_logger_that_is_not_required_may_be_killed(tmp_path: Path) -> None:
 
 
 @pytest.mark.process
-def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(tmp_path: Path) -> None:
+def test_a_loop_that_hears_nothing_takes_changes_and_ends_when_asked(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
         launch.wait_ticks(10)
         os.kill(launch.pid("driver"), signal.SIGSTOP)
         # stable at 4 ticks of delay too, which a busy machine may measure
         for stiffness in (300.0, 350.0):
-            receipt = launch.call("coupling", "param.set", values={"laws.pd.stiffness": stiffness})
+            receipt = launch.call(
+                "coupling", "param.set", values={"laws.pd.stiffness": stiffness}
+            )
             assert receipt["action"] == "set"
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == 350.0
         for node in ("environment", "coupling"):

@@ -46,7 +46,9 @@ NODES: dict[str, dict[str, Any]] = {
     },
     "environment": {
         "kind": "environment",
-        "parameters": {"surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}},
+        "parameters": {
+            "surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}
+        },
     },
     "coupling": {
         "kind": "coupling",
@@ -75,7 +77,11 @@ def scene(far: str, run: Mapping[str, Any], spec: Mapping[str, Any]) -> str:
     nodes = {**NODES, far: {**NODES[far], "host": "10.77.0.2", **spec}}
     rate = {"rate": 100.0, "duration": 1.5, "host": "10.77.0.1"}
     return json.dumps(
-        {"summary": f"The {far} on another machine", "run": {**rate, **run}, "nodes": nodes}
+        {
+            "summary": f"The {far} on another machine",
+            "run": {**rate, **run},
+            "nodes": nodes,
+        }
     )
 
 
@@ -91,7 +97,9 @@ def test_the_shortest_round_trip_tells_the_offset() -> None:
 
 
 @pytest.mark.parametrize(("gap", "newer"), [(280.0, False), (300.0, True)])
-def test_an_old_measurement_loses_worth_at_the_rate_of_drift(gap: float, newer: bool) -> None:
+def test_an_old_measurement_loses_worth_at_the_rate_of_drift(
+    gap: float, newer: bool
+) -> None:
     clock = ClockOffset()
     clock.add(10.000, 15.001, 10.002)
     # 31 ms, nearly all of it on the way there: off by 14.5 ms, within its bound of 15.5 ms. It is
@@ -112,7 +120,9 @@ def test_a_clock_that_went_backwards_is_not_believed() -> None:
 class Pair:
     """Two machines that know each other's keys."""
 
-    def __init__(self, near: Host, far: Host, cable: Cable, folder: Path, runtime: Path) -> None:
+    def __init__(
+        self, near: Host, far: Host, cable: Cable, folder: Path, runtime: Path
+    ) -> None:
         self.near, self.far, self.cable, self.folder = near, far, cable, folder
         self.environments = []
         made = []
@@ -181,10 +191,14 @@ class Launched:
     def start_node(self) -> subprocess.Popen[bytes]:
         """Start the node on the far machine with the printed command."""
         wait_for(
-            lambda: "haptic node start" in self.errors or self.launcher.poll() is not None,
+            lambda: (
+                "haptic node start" in self.errors or self.launcher.poll() is not None
+            ),
             "the command",
         )
-        line = next(line for line in self.errors.splitlines() if "haptic node start" in line)
+        line = next(
+            line for line in self.errors.splitlines() if "haptic node start" in line
+        )
         where, _, command = line.partition(": haptic ")
         assert where.endswith("on 10.77.0.2")
         self.started.append(self.pair.start(1, *command.split()))
@@ -198,10 +212,15 @@ class Launched:
     def told(self, text: str, host: int = 0, times: int = 1) -> None:
         """Wait for a text on standard error."""
         wait_for(
-            lambda: self.pair.errors(host).count(text) >= times or self.launcher.poll() is not None,
+            lambda: (
+                self.pair.errors(host).count(text) >= times
+                or self.launcher.poll() is not None
+            ),
             f"{text!r} to be told",
         )
-        assert self.pair.errors(host).count(text) >= times, self.errors + self.pair.errors(1)
+        assert self.pair.errors(host).count(text) >= times, (
+            self.errors + self.pair.errors(1)
+        )
 
     def near(self, *words: str) -> str:
         """Run another command on the near machine; return its output."""
@@ -213,13 +232,21 @@ class Launched:
     def ask(self, op: str, node: str = "driver") -> dict[str, Any]:
         """Ask a node on its own machine; empty while it does not answer."""
         self.told(": connected")
-        found = next(Path(self.pair.environments[0]["HAPTIC_RUNTIME_DIR"]).glob("runs/*/run.json"))
-        control = msgspec.json.decode(found.read_bytes(), type=RunInfo).nodes[node].control
+        found = next(
+            Path(self.pair.environments[0]["HAPTIC_RUNTIME_DIR"]).glob(
+                "runs/*/run.json"
+            )
+        )
+        control = (
+            msgspec.json.decode(found.read_bytes(), type=RunInfo).nodes[node].control
+        )
         host = int(node == self.node)
         words = [sys.executable, "-c", ASK, control, op]
         with open(self.pair.folder / "asked", "wb") as out:
             machine = (self.pair.near, self.pair.far)[host]
-            asked = machine.popen(words, self.pair.environments[host], self.pair.folder, out, out)
+            asked = machine.popen(
+                words, self.pair.environments[host], self.pair.folder, out, out
+            )
             asked.wait(DEADLINE)
         answer: dict[str, Any] = {}
         if asked.returncode == 0:
@@ -256,7 +283,10 @@ class Launched:
 
 @contextlib.contextmanager
 def launched(
-    pair: Pair, node: str = "coupling", run: Mapping[str, Any] | None = None, **spec: object
+    pair: Pair,
+    node: str = "coupling",
+    run: Mapping[str, Any] | None = None,
+    **spec: object,
 ) -> Iterator[Launched]:
     """Start a launch with a node on the far machine, and that node."""
     launch = Launched(pair, node, run or {}, spec)
@@ -267,7 +297,9 @@ def launched(
         launch.close()
 
 
-def launch(pair: Pair, node: str = "coupling", **run: object) -> tuple[dict[str, Any], str]:
+def launch(
+    pair: Pair, node: str = "coupling", **run: object
+) -> tuple[dict[str, Any], str]:
     """Run a launch to its end; assert all exit codes."""
     with launched(pair, node, run) as found:
         figures = found.finish()
@@ -311,7 +343,9 @@ def test_a_coupling_on_another_machine_over_a_slow_lossy_cable(pair: Pair) -> No
     recording = Recording(str(pair.folder / "near" / "far.mcap"))
     stamps: dict[str, dict[int, float]] = {}
     for topic in ("/device/state", "/coupling/force"):
-        stamps[topic] = {message.seq: message.stamp for message in recording.messages(topic)}
+        stamps[topic] = {
+            message.seq: message.stamp for message in recording.messages(topic)
+        }
     common = stamps["/device/state"].keys() & stamps["/coupling/force"].keys()
     assert len(common) > 100
     for seq in common:
@@ -339,9 +373,13 @@ def test_any_other_node_alone_on_another_machine(pair: Pair, node: str) -> None:
     assert figures["missed"] < 0.9 * figures["ticks"]
     assert figures["safety"]["soft_stop_ticks"] > 0
     assert figures["recording"] == (
-        "10.77.0.2:" + str(pair.folder / "far/far.mcap") if node == "logger" else "far.mcap"
+        "10.77.0.2:" + str(pair.folder / "far/far.mcap")
+        if node == "logger"
+        else "far.mcap"
     )
-    recording = Recording(pair.folder / ("far" if node == "logger" else "near") / "far.mcap")
+    recording = Recording(
+        pair.folder / ("far" if node == "logger" else "near") / "far.mcap"
+    )
     assert_all_recorded(figures, recording)
     assert_one_time(recording, node, pair.far.ahead)
 
@@ -351,7 +389,9 @@ def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
     found = clocks(recording)
     if node != "logger":
         assert abs(found[node].offset + ahead) <= found[node].error < 0.5
-    assert not any(clock.error or clock.offset for name, clock in found.items() if name != node)
+    assert not any(
+        clock.error or clock.offset for name, clock in found.items() if name != node
+    )
     # A logger does not hear itself; half a second is much for a cable of 3 ms, and nothing beside
     # the difference.
     error = found[node].error if node in found else 0.5
@@ -361,7 +401,9 @@ def assert_one_time(recording: Recording, node: str, ahead: float) -> None:
 
 def assert_clock_told(text: str, ahead: float) -> None:
     """Assert that a text names the remote clock's offset within its stated bound."""
-    told = re.search(r"clock ([+-][\d.]+) s from the launcher's, known to ±(\d+) µs", text)
+    told = re.search(
+        r"clock ([+-][\d.]+) s from the launcher's, known to ±(\d+) µs", text
+    )
     assert told is not None, text
     # One microsecond for the rounding of both.
     assert abs(float(told[1]) - ahead) <= (int(told[2]) + 1) * 1e-6
@@ -383,7 +425,9 @@ def test_a_killed_node_is_taken_back_by_the_same_command(pair: Pair, node: str) 
         told = launch.near("node", "info", node)
         assert ", denied 0\n" in told
         assert_clock_told(told, pair.far.ahead)
-        status = json.loads(launch.near("node", "info", node, "--json").splitlines()[-1])["status"]
+        status = json.loads(
+            launch.near("node", "info", node, "--json").splitlines()[-1]
+        )["status"]
         assert abs(status["clock_offset"] + pair.far.ahead) <= status["clock_error"]
         launch.launcher.send_signal(signal.SIGINT)
         figures = launch.finish()
@@ -413,7 +457,9 @@ def test_a_cut_cable_leaves_the_device_safe_and_ends_what_is_behind_it(
         pair.cable.cut = True
         assert launch.await_safety("zero")["force_n"] == [0.0, 0.0, 0.0]
         figures = launch.finish(code=1)
-        assert figures["exit_reason"].startswith(f"{node}: ended with no answer for 5 s")
+        assert figures["exit_reason"].startswith(
+            f"{node}: ended with no answer for 5 s"
+        )
         assert launch.started[0].returncode == 0
         assert "launcher lost: no request for 6 s" in pair.errors(1)
     pair.assert_nothing_left()
@@ -441,7 +487,9 @@ def test_a_cable_cut_for_a_moment_costs_forces_but_no_node(pair: Pair) -> None:
 
 
 @pytest.mark.slow
-def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair) -> None:
+def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(
+    pair: Pair,
+) -> None:
     pair.cable.delay, pair.cable.jitter, pair.cable.loss = 0.03, 0.005, 0.01
     figures, _ = launch(pair)
     assert figures["exit_reason"] == "done"
@@ -455,7 +503,9 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(pair: Pair)
     assert_one_time(recording, "coupling", pair.far.ahead)
     # The driver tells it as delay: a sample's force took effect six periods later or more.
     told = [
-        state.delay for state in recording.messages(topics.DEVICE_STATE) if state.force_seq >= 0
+        state.delay
+        for state in recording.messages(topics.DEVICE_STATE)
+        if state.force_seq >= 0
     ]
     assert max(told) >= 6.0
 
@@ -486,11 +536,19 @@ def test_a_launch_starts_over_a_cable_with_a_long_round_trip(
 @pytest.mark.slow
 def test_two_hands_on_two_machines_feel_each_other_over_the_cable(pair: Pair) -> None:
     pair.cable.delay, pair.cable.jitter, pair.cable.loss = 0.01, 0.003, 0.01
-    whole = yaml.safe_load((ROOT / "launch" / "hands_apart.yaml").read_text(encoding="utf-8"))
-    nodes = {name: spec for name, spec in whole["nodes"].items() if not name.endswith("/network")}
+    whole = yaml.safe_load(
+        (ROOT / "launch" / "hands_apart.yaml").read_text(encoding="utf-8")
+    )
+    nodes = {
+        name: spec
+        for name, spec in whole["nodes"].items()
+        if not name.endswith("/network")
+    }
     for side, other in (("left", "right"), ("right", "left")):
         # Straight from the other driver: the cable is the network.
-        nodes[f"{side}/environment"]["remap"] = {"/partner/state": f"/{other}/device/state"}
+        nodes[f"{side}/environment"]["remap"] = {
+            "/partner/state": f"/{other}/device/state"
+        }
     far = ["right/driver", "right/environment", "right/coupling"]
     for name in far:
         nodes[name] |= {"host": pair.far.address}
@@ -502,7 +560,9 @@ def test_two_hands_on_two_machines_feel_each_other_over_the_cable(pair: Pair) ->
         "nodes": nodes,
     }
     (pair.folder / "apart.yaml").write_text(yaml.safe_dump(apart), encoding="utf-8")
-    launcher = pair.start(0, "launch", str(pair.folder / "apart.yaml"), "--json", "--no-plot")
+    launcher = pair.start(
+        0, "launch", str(pair.folder / "apart.yaml"), "--json", "--no-plot"
+    )
     started: list[subprocess.Popen[bytes]] = []
     try:
 
@@ -519,7 +579,9 @@ def test_two_hands_on_two_machines_feel_each_other_over_the_cable(pair: Pair) ->
         )
         started = [pair.start(1, *command.split()) for command in commands()]
         assert launcher.wait(DEADLINE) == 0, pair.errors(0) + pair.errors(1)
-        assert [process.wait(DEADLINE) for process in started] == [0, 0, 0], pair.errors(1)
+        assert [process.wait(DEADLINE) for process in started] == [0, 0, 0], (
+            pair.errors(1)
+        )
     finally:
         for process in (launcher, *started):
             if process.poll() is None:

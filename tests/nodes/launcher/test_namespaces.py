@@ -38,7 +38,9 @@ def test_a_full_name_is_taken_apart_as_it_was_put_together() -> None:
 def unclocked(messages: list[Any]) -> list[Any]:
     """Return figures without response times."""
     return [
-        msgspec.structs.replace(one, response=0.0) if isinstance(one, DeviceState) else one
+        msgspec.structs.replace(one, response=0.0)
+        if isinstance(one, DeviceState)
+        else one
         for one in messages
     ]
 
@@ -49,7 +51,9 @@ def test_two_chains_do_what_each_does_alone(tmp_path: Path) -> None:
     figures = launch_json(
         tmp_path, "two_hands", "pace:=lockstep", "duration:=0.4", "stiffness:=800"
     )
-    alone = launch_json(tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.4", "stiffness:=800")
+    alone = launch_json(
+        tmp_path, "floor_drop", "pace:=lockstep", "duration:=0.4", "stiffness:=800"
+    )
     left, right = (Recording(tmp_path / path) for path in figures["recordings"])
     assert (left.namespace, right.namespace) == ("left", "right")
     assert set(figures["chains"]) == {"left", "right"}
@@ -58,7 +62,9 @@ def test_two_chains_do_what_each_does_alone(tmp_path: Path) -> None:
     for topic in topics.LOOP:
         # Bit for bit: lockstep is deterministic, and a namespace is a name.
         assert unclocked(left.messages(topic)) == unclocked(before.messages(topic))
-    assert len(right.messages(topics.DEVICE_STATE)) == len(before.messages(topics.DEVICE_STATE))
+    assert len(right.messages(topics.DEVICE_STATE)) == len(
+        before.messages(topics.DEVICE_STATE)
+    )
     assert right.manifest["axes"] == "x"
     assert left.manifest["axes"] == "z"
 
@@ -72,10 +78,14 @@ def two_hands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 @pytest.mark.process
 def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) -> None:
     found = json.loads(typed(two_hands, "topic", "list", "--json").stdout)["topics"]
-    assert {"/left/device/state", "/right/coupling/force", "/left/driver/status"} <= set(found)
-    assert typed(two_hands, "topic", "echo", "/right/device/state", "--once").stdout.startswith(
-        "seq: "
-    )
+    assert {
+        "/left/device/state",
+        "/right/coupling/force",
+        "/left/driver/status",
+    } <= set(found)
+    assert typed(
+        two_hands, "topic", "echo", "/right/device/state", "--once"
+    ).stdout.startswith("seq: ")
     assert typed(two_hands, "param", "get", "left/coupling", "usual.stiffness").stdout
     refused = typed(two_hands, "law", "switch", "pd_alpha", code=2).stderr
     assert "left/coupling, right/coupling" in refused
@@ -85,12 +95,14 @@ def test_verbs_name_nodes_and_topics_with_their_namespace(two_hands: Running) ->
 @pytest.mark.process
 def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     run = ("--run", "two_hands/left")
-    found = json.loads(typed(two_hands, "topic", "list", "--json", *run).stdout)["topics"]
+    found = json.loads(typed(two_hands, "topic", "list", "--json", *run).stdout)[
+        "topics"
+    ]
     assert set(topics.LOOP) <= set(found)
     assert not any("left" in topic or "right" in topic for topic in found)
-    assert typed(two_hands, "topic", "echo", "/device/state", "--once", *run).stdout.startswith(
-        "seq: "
-    )
+    assert typed(
+        two_hands, "topic", "echo", "/device/state", "--once", *run
+    ).stdout.startswith("seq: ")
     # Forced: late ticks of a busy machine count as delay, and what is unstable at that is refused.
     typed(two_hands, "law", "switch", "pd_alpha", "--force", "--run", "/left")
     told = [
@@ -140,9 +152,14 @@ nodes:
     )
     figures = launch_json(tmp_path, str(file))
     recording = Recording(tmp_path / figures["recording"])
-    own, shadow = recording.messages(topics.FORCE), recording.messages("/shadow/coupling/force")
+    own, shadow = (
+        recording.messages(topics.FORCE),
+        recording.messages("/shadow/coupling/force"),
+    )
     assert len(shadow) > 90
-    assert [force.force for force in shadow] == [force.force for force in own][: len(shadow)]
+    assert [force.force for force in shadow] == [force.force for force in own][
+        : len(shadow)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -164,9 +181,18 @@ nodes:
             "include:\n  - {launch: floor_drop, namespace: abcdefghijklmnopqrstuvwxyz}\n",
             "longer than 32 letters",
         ),
-        (f"include:\n  - {{launch: floor_drop, namespace: {'a' * 33}}}\n", "at most 32"),
-        ("nodes:\n  run: {kind: sim_driver}\n", "'run' is reserved for the list of a run's nodes"),
-        ('nodes:\n  "driver\\n": {kind: sim_driver}\n', "a node's name has lower-case letters"),
+        (
+            f"include:\n  - {{launch: floor_drop, namespace: {'a' * 33}}}\n",
+            "at most 32",
+        ),
+        (
+            "nodes:\n  run: {kind: sim_driver}\n",
+            "'run' is reserved for the list of a run's nodes",
+        ),
+        (
+            'nodes:\n  "driver\\n": {kind: sim_driver}\n',
+            "a node's name has lower-case letters",
+        ),
         ("include:\n  - {launch: floor_dorp}\n", "floor_drop"),
         ("include:\n  - {launch: floor_drop, arguments: {stifness: 1}}\n", "stiffness"),
         ("include:\n  - {launch: floor_drop, without: [loger]}\n", "logger"),
@@ -178,20 +204,25 @@ nodes:
         ),
     ],
 )
-def test_what_cannot_be_included_is_refused(tmp_path: Path, text: str, told: str) -> None:
+def test_what_cannot_be_included_is_refused(
+    tmp_path: Path, text: str, told: str
+) -> None:
     with pytest.raises(ParameterError, match=r"mine\.yaml") as refused:
         read(tmp_path, text)
     assert told in str(refused.value)
 
 
-def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: Path) -> None:
+def test_files_that_include_one_another_for_ever_are_refused_at_once(
+    tmp_path: Path,
+) -> None:
     """Thirty files that include the next twice are a billion; cycles have no end."""
     for i in range(30):
-        entries = (
-            f"  - {{launch: f{i + 1}.yaml}}\n  - {{launch: f{i + 1}.yaml, without: [driver]}}\n"
-        )
+        entry = f"launch: f{i + 1}.yaml"
+        entries = f"  - {{{entry}}}\n  - {{{entry}, without: [driver]}}\n"
         (tmp_path / f"f{i}.yaml").write_text(f"{HEAD}include:\n{entries}")
-    (tmp_path / "f30.yaml").write_text(f"{HEAD}nodes:\n  driver: {{kind: sim_driver}}\n")
+    (tmp_path / "f30.yaml").write_text(
+        f"{HEAD}nodes:\n  driver: {{kind: sim_driver}}\n"
+    )
     with pytest.raises(ParameterError, match="more than 256 included launch files"):
         launch_file.read(str(tmp_path / "f0.yaml"), {})
     (tmp_path / "a.yaml").write_text(f"{HEAD}include:\n  - {{launch: b.yaml}}\n")
@@ -202,7 +233,9 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(tmp_path: P
 
 
 @pytest.mark.parametrize("written", ["x$(var a)$(var a)", "$(dirname)" * 1000])
-def test_text_that_grows_when_it_is_filled_in_is_bounded(tmp_path: Path, written: str) -> None:
+def test_text_that_grows_when_it_is_filled_in_is_bounded(
+    tmp_path: Path, written: str
+) -> None:
     """A kilobyte of arguments in a text could become gigabytes."""
     text = (
         f"arguments: {{a: {{default: {'z' * 2500}}}}}\nnodes:\n  driver: {{kind: sim_driver, watch:"
@@ -227,7 +260,9 @@ def test_arguments_reach_the_included_file(tmp_path: Path) -> None:
 
 
 def test_run_is_set_without_an_argument_for_it() -> None:
-    launch = launch_file.read("floor_drop", {"run.axes": ["z"], "run.fifo": 0, "run.rate": 700})
+    launch = launch_file.read(
+        "floor_drop", {"run.axes": ["z"], "run.fifo": 0, "run.rate": 700}
+    )
     assert (launch.run.fifo, launch.run.rate) == (0, 700.0)
     with pytest.raises(ParameterError, match=r"run.*fifoo"):
         launch_file.read("floor_drop", {"run.fifoo": 0})

@@ -38,32 +38,61 @@ def test_a_parameter_replaces_that_of_the_file_and_leaves_the_rest() -> None:
 def test_the_plant_that_laws_are_judged_on_follows_the_device() -> None:
     assert parameters("coupling", driver__device__mass=0.2)["plant"]["mass"] == 0.2
     # of an argument and a parameter for the same place, the parameter
-    assert parameters("coupling", mass=0.3, driver__device__mass=0.2)["plant"]["mass"] == 0.2
+    assert (
+        parameters("coupling", mass=0.3, driver__device__mass=0.2)["plant"]["mass"]
+        == 0.2
+    )
 
 
-def test_the_file_s_check_refuses_a_plant_that_contradicts_the_device(tmp_path: Path) -> None:
+def test_the_file_s_check_refuses_a_plant_that_contradicts_the_device(
+    tmp_path: Path,
+) -> None:
     # Twice the mass looks more stable than the device is.
     words = ("launch", "floor_drop", "coupling.plant.mass:=0.2")
     told = typed_in(tmp_path, *words, code=2).stderr
-    assert re.search(r"floor_drop\.yaml:\d+: coupling\.plant\.mass: 0\.2 kg, but .* 0\.1 kg", told)
+    assert re.search(
+        r"floor_drop\.yaml:\d+: coupling\.plant\.mass: 0\.2 kg, but .* 0\.1 kg", told
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
         ("drver.device.mass", 1, r"no node 'drver'; .*did you mean driver\?"),
-        ("driver.device.maas", 1, r"driver\.device\.maas: no such .*did you mean mass\?"),
-        ("driver.device.mass", -1, r"driver\.device\.mass: expected a number above 0, got -1"),
-        ("driver.device.mass.x", 1, r"driver\.device\.mass is 0\.1, which has no names below"),
+        (
+            "driver.device.maas",
+            1,
+            r"driver\.device\.maas: no such .*did you mean mass\?",
+        ),
+        (
+            "driver.device.mass",
+            -1,
+            r"driver\.device\.mass: expected a number above 0, got -1",
+        ),
+        (
+            "driver.device.mass.x",
+            1,
+            r"driver\.device\.mass is 0\.1, which has no names below",
+        ),
         ("driver.safety.workspace[7]", 1, r"has 3 entries; give it as a whole"),
         ("driver.device[0]", 1, r"driver\.device is no list here"),
         ("driver.", 1, r"is not a parameter's name"),
         ("driver.device..mass", 1, r"is not a parameter's name"),
-        ("coupling.laws.pd.stiffness", -1, r"coupling\.laws\.pd\.stiffness: .*above 0, got -1"),
-        ("environment.surface", {"kind": "sphere"}, r"environment\.surface\.radius: is missing"),
+        (
+            "coupling.laws.pd.stiffness",
+            -1,
+            r"coupling\.laws\.pd\.stiffness: .*above 0, got -1",
+        ),
+        (
+            "environment.surface",
+            {"kind": "sphere"},
+            r"environment\.surface\.radius: is missing",
+        ),
     ],
 )
-def test_what_does_not_fit_is_refused_by_place(name: str, value: Any, text: str) -> None:
+def test_what_does_not_fit_is_refused_by_place(
+    name: str, value: Any, text: str
+) -> None:
     with pytest.raises(ParameterError, match=text) as raised:
         haptic.play("floor_drop", params={name: value})
     if "no node" not in text:  # a node that is not there has no line
@@ -72,11 +101,17 @@ def test_what_does_not_fit_is_refused_by_place(name: str, value: Any, text: str)
 
 
 names = st.text("abc", min_size=1, max_size=3)
-trees = st.recursive(st.integers(), lambda inner: st.dictionaries(names, inner, max_size=3))
+trees = st.recursive(
+    st.integers(), lambda inner: st.dictionaries(names, inner, max_size=3)
+)
 
 
-@given(st.dictionaries(names, trees, max_size=3), st.lists(names, min_size=1, max_size=4))
-def test_only_the_place_that_is_given_changes(tree: dict[str, Any], steps: list[str]) -> None:
+@given(
+    st.dictionaries(names, trees, max_size=3), st.lists(names, min_size=1, max_size=4)
+)
+def test_only_the_place_that_is_given_changes(
+    tree: dict[str, Any], steps: list[str]
+) -> None:
     spec = NodeSpec(kind="any", parameters=tree)
     place = "node." + ".".join(steps)
     branch: Any = tree
@@ -97,14 +132,22 @@ def test_only_the_place_that_is_given_changes(tree: dict[str, Any], steps: list[
             for inner, value in flat(below, (*path, key)).items()
         }
 
-    wanted = {path: value for path, value in flat(tree).items() if path[: len(steps)] != (*steps,)}
+    wanted = {
+        path: value
+        for path, value in flat(tree).items()
+        if path[: len(steps)] != (*steps,)
+    }
     assert flat(changed) == {**wanted, tuple(steps): "new"}
     assert spec.parameters == tree  # the file's own is left alone
 
 
 def test_a_law_of_a_preset_s_name_takes_parameters() -> None:
-    nodes = {"c": NodeSpec(kind="coupling", parameters={"laws": {"best": "paper_optimum"}})}
-    found = with_parameters(nodes, {"c.laws.best.stiffness": 800.0}, "file")["c"].parameters
+    nodes = {
+        "c": NodeSpec(kind="coupling", parameters={"laws": {"best": "paper_optimum"}})
+    }
+    found = with_parameters(nodes, {"c.laws.best.stiffness": 800.0}, "file")[
+        "c"
+    ].parameters
     assert found["laws"]["best"] == {"kind": "paper_optimum", "stiffness": 800.0}
 
 

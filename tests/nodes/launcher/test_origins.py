@@ -24,7 +24,11 @@ from tests.support.launching import typed_in
             "gravity: soft",
             "driver.device.gravity: expected a number or nothing, got 'soft'",
         ),
-        ("axis: z", "axis: w", "environment.surface.axis: expected one of x, y, z, got 'w'"),
+        (
+            "axis: z",
+            "axis: w",
+            "environment.surface.axis: expected one of x, y, z, got 'w'",
+        ),
         (
             "apply: on_arrival",
             "apply: later",
@@ -45,7 +49,11 @@ from tests.support.launching import typed_in
 def test_a_mistake_in_a_launch_file_is_told_with_its_line(
     before: str, after: str, told: str, tmp_path: Path
 ) -> None:
-    text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace(before, after, 1)
+    text = (
+        launch_file.find("floor_drop")
+        .read_text(encoding="utf-8")
+        .replace(before, after, 1)
+    )
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
     line = next(i for i, words in enumerate(text.splitlines(), 1) if after in words)
     assert (
@@ -55,7 +63,11 @@ def test_a_mistake_in_a_launch_file_is_told_with_its_line(
 
 
 def test_what_was_probably_meant(tmp_path: Path) -> None:
-    text = launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", "gravty:")
+    text = (
+        launch_file.find("floor_drop")
+        .read_text(encoding="utf-8")
+        .replace("gravity:", "gravty:")
+    )
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
     for words, meant in (
         (("launch", "./mine.yaml"), "gravity"),
@@ -69,14 +81,20 @@ def test_what_was_probably_meant(tmp_path: Path) -> None:
         (("study", "kmax", "--gan", "3"), "--gain"),
         (("param", "gett", "coupling", "law"), "get"),
     ):
-        assert f"did you mean {meant}?" in typed_in(tmp_path, *words, code=2).stderr, words
+        assert f"did you mean {meant}?" in typed_in(tmp_path, *words, code=2).stderr, (
+            words
+        )
 
 
 def test_an_argument_is_blamed_as_it_was_written(tmp_path: Path) -> None:
     text = launch_file.find("floor_drop").read_text(encoding="utf-8").splitlines()
-    line = 1 + next(i for i, words in enumerate(text) if words.strip().startswith("pd: {kind"))
+    line = 1 + next(
+        i for i, words in enumerate(text) if words.strip().startswith("pd: {kind")
+    )
     told = typed_in(tmp_path, "launch", "floor_drop", "stiffness:=-1500", code=2).stderr
-    assert told.startswith(f"haptic: floor_drop.yaml:{line}: coupling.laws.pd.stiffness: ")
+    assert told.startswith(
+        f"haptic: floor_drop.yaml:{line}: coupling.laws.pd.stiffness: "
+    )
     assert told.rstrip().endswith("(given as stiffness:=-1500)")
 
 
@@ -84,7 +102,9 @@ def test_a_file_of_parameters_is_blamed_by_its_own_line(tmp_path: Path) -> None:
     (tmp_path / "over.yaml").write_text(
         "coupling:\n  laws:\n    pd:\n      stiffness: -5.0\n", encoding="utf-8"
     )
-    told = typed_in(tmp_path, "launch", "floor_drop", "--params", "over.yaml", code=2).stderr
+    told = typed_in(
+        tmp_path, "launch", "floor_drop", "--params", "over.yaml", code=2
+    ).stderr
     assert told.startswith("haptic: over.yaml:4: coupling.laws.pd.stiffness: ")
     assert "given as" not in told
 
@@ -109,7 +129,9 @@ def test_an_unknown_option_shows_the_usage_of_its_own_verb(tmp_path: Path) -> No
     ).stderr.startswith("usage: haptic param set")
 
 
-@pytest.mark.parametrize("name", ["run.", "run..", "run.[", "run.a]", "run.rate.", "run.[0]"])
+@pytest.mark.parametrize(
+    "name", ["run.", "run..", "run.[", "run.a]", "run.rate.", "run.[0]"]
+)
 def test_a_name_of_run_without_a_name_is_refused(name: str) -> None:
     with pytest.raises(ParameterError, match=r"run\..*no such parameter"):
         launch_file.read("floor_drop", {name: 3})
@@ -118,7 +140,9 @@ def test_a_name_of_run_without_a_name_is_refused(name: str) -> None:
 @pytest.mark.parametrize("name", ["", ".", "a.", "[", "a]"])
 def test_a_parameter_without_a_name_is_refused(name: str, tmp_path: Path) -> None:
     text = (
-        launch_file.find("floor_drop").read_text(encoding="utf-8").replace("gravity:", f"'{name}':")
+        launch_file.find("floor_drop")
+        .read_text(encoding="utf-8")
+        .replace("gravity:", f"'{name}':")
     )
     (tmp_path / "mine.yaml").write_text(text, encoding="utf-8")
     told = typed_in(tmp_path, "launch", "./mine.yaml", code=2).stderr
@@ -143,4 +167,7 @@ def test_a_run_ends_within_what_a_counter_holds() -> None:
         ParameterError, match=r"run\.duration: expected a number of at most 1000000000"
     ):
         launch_file.read("floor_drop", {"duration": 1e300})
-    assert launch_file.read("floor_drop", {"duration": 1e9, "rate": 20000.0}).run.ticks < 2**53
+    assert (
+        launch_file.read("floor_drop", {"duration": 1e9, "rate": 20000.0}).run.ticks
+        < 2**53
+    )

@@ -16,7 +16,13 @@ import pytest
 from nodes.launcher import reaper, runs
 from nodes.launcher.runs import RunInfo, alive, started_at
 from tests.support import slowly
-from tests.support.launching import haptic, private_runtime_dir, processes_of, running, wait_for
+from tests.support.launching import (
+    haptic,
+    private_runtime_dir,
+    processes_of,
+    running,
+    wait_for,
+)
 
 
 @pytest.mark.process
@@ -25,14 +31,18 @@ def test_launcher_and_reaper_killed_during_the_start_leave_nobody(
     tmp_path: Path, after: int
 ) -> None:
     with running(tmp_path, "wall_press", "duration:=0", ready=False) as launch:
-        wait_for(lambda: len(processes_of(launch.runtime_dir)) >= after, f"{after} processes")
+        wait_for(
+            lambda: len(processes_of(launch.runtime_dir)) >= after, f"{after} processes"
+        )
         for number, line in processes_of(launch.runtime_dir).items():
             if "reaper.py" in line:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(number, signal.SIGKILL)
         launch.process.kill()
         launch.process.wait()
-        wait_for(lambda: not processes_of(launch.runtime_dir), "its nodes end by themselves")
+        wait_for(
+            lambda: not processes_of(launch.runtime_dir), "its nodes end by themselves"
+        )
         for path in launch.runtime_dir.rglob("*"):
             # What is left is the next launch's to sweep, when it is a minute old.
             if path.is_dir():
@@ -103,7 +113,11 @@ def test_a_number_that_another_process_has_now_is_no_launcher(
         for name, started in (("now", own), ("then", own - 1)):
             path = runs.new_run_dir(name)
             info = RunInfo(
-                run=name, scenario="s", launcher=os.getpid(), launcher_started=started, nodes={}
+                run=name,
+                scenario="s",
+                launcher=os.getpid(),
+                launcher_started=started,
+                nodes={},
             )
             (path / "run.json").write_bytes(msgspec.json.encode(info))
         assert list(runs.runs()) == ["now"]

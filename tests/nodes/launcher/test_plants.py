@@ -49,10 +49,15 @@ def written(
         "summary": "s",
         "run": {"axes": ["x"]},
         "nodes": {
-            "driver": {"kind": "sim_driver", "parameters": {"device": device or DEVICE}},
+            "driver": {
+                "kind": "sim_driver",
+                "parameters": {"device": device or DEVICE},
+            },
             "environment": {
                 "kind": "environment",
-                "parameters": {"surface": {"kind": "plane", "axis": "x", "position": 0.02}},
+                "parameters": {
+                    "surface": {"kind": "plane", "axis": "x", "position": 0.02}
+                },
             },
             "coupling": {
                 "kind": "coupling",
@@ -69,7 +74,9 @@ def written(
 
 
 def plant_of(path: str, **arguments: Any) -> dict[str, Any]:
-    found: dict[str, Any] = launch_file.read(path, arguments).nodes["coupling"].parameters["plant"]
+    found: dict[str, Any] = (
+        launch_file.read(path, arguments).nodes["coupling"].parameters["plant"]
+    )
     return found
 
 
@@ -83,8 +90,16 @@ def test_a_launch_file_names_its_device_once(tmp_path: Path) -> None:
     }
     # An arm that is heavier further out, and an axis that is another device: the worst of each
     # value.
-    arm = {**DEVICE, "mass_by_position": [[0.0, 0.05], [0.1, 0.3]], "axes": {"x": {"damping": 0.5}}}
-    assert plant_of(written(tmp_path, device=arm)) == {**WHOLE, "heaviest": 0.4, "damping": 2.5}
+    arm = {
+        **DEVICE,
+        "mass_by_position": [[0.0, 0.05], [0.1, 0.3]],
+        "axes": {"x": {"damping": 0.5}},
+    }
+    assert plant_of(written(tmp_path, device=arm)) == {
+        **WHOLE,
+        "heaviest": 0.4,
+        "damping": 2.5,
+    }
     assert plant_of(written(tmp_path), device="touch_x")["mass"] == pytest.approx(
         0.035 + 0.1, rel=1e-11
     )
@@ -106,7 +121,9 @@ def test_what_an_including_file_changes_is_what_is_judged(tmp_path: Path) -> Non
         "namespace": "a",
         "parameters": {"driver": {"device": {"mass": 0.2}}},
     }
-    outer.write_text(json.dumps({"summary": "s", "include": [included]}), encoding="utf-8")
+    outer.write_text(
+        json.dumps({"summary": "s", "include": [included]}), encoding="utf-8"
+    )
     launch = launch_file.read(str(outer), {})
     assert launch.nodes["a/coupling"].parameters["plant"] == {**WHOLE, "mass": 0.3}
     assert wire(launch, "r", tmp_path, {})["a/coupling"].plant["mass"] == 0.3
@@ -145,8 +162,16 @@ def test_the_tool_of_a_scene_is_weighed_before_the_start(tmp_path: Path) -> None
         ({"mass": 0.15 * 1.011}, "mass", "0.15165 kg, but the device has 0.15 kg"),
         ({"damping": 3.1}, "damping", "3.1 N s/m, but the device has 3 N s/m"),
         ({"stiffness": 0.0}, "stiffness", "0 N/m, but the device has 200 N/m"),
-        ({"device_delay": 0.0}, "device_delay", "0 ticks, but the device has 0.5 ticks"),
-        ({"mass": 0.1, "heaviest": 0.14}, "heaviest", "0.14 kg, but the device has 0.15 kg"),
+        (
+            {"device_delay": 0.0},
+            "device_delay",
+            "0 ticks, but the device has 0.5 ticks",
+        ),
+        (
+            {"mass": 0.1, "heaviest": 0.14},
+            "heaviest",
+            "0.14 kg, but the device has 0.15 kg",
+        ),
     ],
 )
 def test_a_plant_that_flatters_the_device_is_refused(
@@ -162,7 +187,16 @@ def test_a_plant_that_flatters_the_device_is_refused(
     for policy in ("warn", "off"):
         start({"plant": plant, "stability": policy})
     # The same numbers a little to the worse side are a device that a user may ask for.
-    start({"plant": {"mass": 0.15 * 0.99, "damping": 2.9, "stiffness": 201.0, "device_delay": 0.6}})
+    start(
+        {
+            "plant": {
+                "mass": 0.15 * 0.99,
+                "damping": 2.9,
+                "stiffness": 201.0,
+                "device_delay": 0.6,
+            }
+        }
+    )
 
 
 def test_a_device_drawn_larger_is_lighter_to_the_law() -> None:
@@ -177,7 +211,10 @@ def test_a_device_drawn_larger_is_lighter_to_the_law() -> None:
 
 
 def test_the_scale_of_a_real_device_reaches_the_judge(tmp_path: Path) -> None:
-    driver = {"kind": "force_dimension_driver", "parameters": {"mapping": {"scale": 10.0}}}
+    driver = {
+        "kind": "force_dimension_driver",
+        "parameters": {"mapping": {"scale": 10.0}},
+    }
     assert plant_of(written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver)) == {
         "mass": 0.2,
         "scale": 10.0,
@@ -185,7 +222,9 @@ def test_the_scale_of_a_real_device_reaches_the_judge(tmp_path: Path) -> None:
     # 500 N/m on 0.2 kg are stable, 50 000 N/m as the device feels it are not.
     with pytest.raises(ParameterError, match=r"mass 0\.002 kg.* the loop is unstable"):
         wire(
-            launch_file.read(written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver), {}),
+            launch_file.read(
+                written(tmp_path, {"plant": {"mass": 0.2}}, driver=driver), {}
+            ),
             "r",
             tmp_path,
             {},
@@ -194,9 +233,12 @@ def test_the_scale_of_a_real_device_reaches_the_judge(tmp_path: Path) -> None:
 
 def test_what_nobody_judges_is_named(tmp_path: Path) -> None:
     def why(coupling: dict[str, Any], **nodes: Any) -> str:
-        setup = wire(launch_file.read(written(tmp_path, coupling, **nodes), {}), "r", tmp_path, {})[
-            "coupling"
-        ]
+        setup = wire(
+            launch_file.read(written(tmp_path, coupling, **nodes), {}),
+            "r",
+            tmp_path,
+            {},
+        )["coupling"]
         return load(setup.factory).unjudged(setup)
 
     assert why({}) == ""
@@ -208,14 +250,20 @@ def test_what_nobody_judges_is_named(tmp_path: Path) -> None:
     )
     knock = {
         "law": "excitation",
-        "laws": {"excitation": {"kind": "excitation", "amplitude": 0.1, "duration": 1.0}},
+        "laws": {
+            "excitation": {"kind": "excitation", "amplitude": 0.1, "duration": 1.0}
+        },
     }
-    assert why(knock) == "coupling.laws.excitation has code of its own, which has no poles"
+    assert (
+        why(knock) == "coupling.laws.excitation has code of its own, which has no poles"
+    )
 
 
 def test_a_virtual_device_has_limits_unless_it_is_to_have_none() -> None:
     def safety(**given: Any) -> Any:
-        return convert({"device": DEVICE, "safety": given}, SimDriverParameters, "driver").safety
+        return convert(
+            {"device": DEVICE, "safety": given}, SimDriverParameters, "driver"
+        ).safety
 
     usual = safety()
     assert (usual.peak_force, usual.slew) == (PEAK, SLEW)
@@ -230,7 +278,12 @@ def test_a_virtual_device_has_limits_unless_it_is_to_have_none() -> None:
 
 def coupling(**more: Any) -> Coupling:
     laws = {"pd": PD, "aside": {**PD, "stiffness": 600.0}}
-    parameters = {"law": "pd", "laws": laws, "plant": {"mass": 0.1, "damping": 1.0}, **more}
+    parameters = {
+        "law": "pd",
+        "laws": laws,
+        "plant": {"mass": 0.1, "damping": 1.0},
+        **more,
+    }
     node = Coupling(
         setup_of(
             name="coupling",
@@ -255,9 +308,9 @@ def test_a_law_that_does_not_render_is_judged_when_it_is_set() -> None:
     assert receipt["stability"]["stable"]
     assert 0.0 < receipt["stability"]["was_pole_radius"] < 1.0
     assert (
-        node.prepare_forced(node.store.changed({"laws.aside.stiffness": 80_000.0}))(1)["stability"][
-            "stable"
-        ]
+        node.prepare_forced(node.store.changed({"laws.aside.stiffness": 80_000.0}))(1)[
+            "stability"
+        ]["stable"]
         is False
     )
 
@@ -265,7 +318,8 @@ def test_a_law_that_does_not_render_is_judged_when_it_is_set() -> None:
 def test_a_plant_that_flatters_the_device_is_refused_while_it_runs() -> None:
     node = coupling()
     with pytest.raises(
-        ParameterError, match=r"coupling\.plant\.mass: 10 kg, but the device has 0\.1 kg"
+        ParameterError,
+        match=r"coupling\.plant\.mass: 10 kg, but the device has 0\.1 kg",
     ):
         node.prepare(node.store.changed({"plant.mass": 10.0}))
     node.prepare_forced(node.store.changed({"plant.mass": 10.0}))
@@ -276,7 +330,9 @@ def test_a_plant_that_flatters_the_device_is_refused_while_it_runs() -> None:
 def test_what_was_before_is_judged_on_the_plant_of_before() -> None:
     def told(change: dict[str, Any]) -> dict[str, Any]:
         node = coupling()
-        found: dict[str, Any] = node.prepare_forced(node.store.changed(change))(0)["stability"]
+        found: dict[str, Any] = node.prepare_forced(node.store.changed(change))(0)[
+            "stability"
+        ]
         return found
 
     # Of a change of the law alone the plant of before is that of now.

@@ -38,7 +38,9 @@ def wake_latency() -> int:
     not os.access(realtime.WAKE_LATENCY, os.R_OK | os.W_OK),
     reason=f"no rights to {realtime.WAKE_LATENCY}",
 )
-@pytest.mark.parametrize("number", slowly([signal.SIGINT, signal.SIGKILL], but=[signal.SIGKILL]))
+@pytest.mark.parametrize(
+    "number", slowly([signal.SIGINT, signal.SIGKILL], but=[signal.SIGKILL])
+)
 def test_a_fast_loop_keeps_processors_awake_until_its_end_whatever_ends_it(
     tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -62,7 +64,8 @@ def test_where_processors_cannot_be_kept_awake_the_reason_is_told(
 
 @pytest.mark.process
 @pytest.mark.skipif(
-    len(os.sched_getaffinity(0)) < 2, reason="one processor: nobody can leave it to the loop"
+    len(os.sched_getaffinity(0)) < 2,
+    reason="one processor: nobody can leave it to the loop",
 )
 def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -> None:
     with running(tmp_path, "floor_drop", "duration:=0") as launch:
@@ -75,9 +78,12 @@ def test_whoever_is_not_in_the_loop_leaves_its_processor_alone(tmp_path: Path) -
             # One that is listed may have ended.
             with contextlib.suppress(OSError):
                 if (task / "comm").read_text().strip().endswith("IO/1"):
-                    assert not chain & os.sched_getaffinity(int(task.name)), "what serves listeners"
+                    assert not chain & os.sched_getaffinity(int(task.name)), (
+                        "what serves listeners"
+                    )
                     assert (
-                        urgency == 0 or os.sched_getparam(int(task.name)).sched_priority < urgency
+                        urgency == 0
+                        or os.sched_getparam(int(task.name)).sched_priority < urgency
                     )
         for task in Path(f"/proc/{launch.pid('logger')}/task").iterdir():
             assert os.sched_getaffinity(int(task.name)) - chain, (

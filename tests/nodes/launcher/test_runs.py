@@ -25,7 +25,13 @@ from nodes.launcher.runs import (
     write_run,
 )
 from tests.support import ROOT
-from tests.support.launching import haptic, launch_json, private_runtime_dir, running, typed
+from tests.support.launching import (
+    haptic,
+    launch_json,
+    private_runtime_dir,
+    running,
+    typed,
+)
 
 LONG_AGO = 3600.0
 """Age at which a directory cannot belong to a starting launch [s]."""
@@ -56,7 +62,9 @@ def test_a_launch_leaves_what_it_did_not_make(tmp_path: Path, home: Path) -> Non
     (home / "runs").mkdir(mode=0o700)
     kept = [filled(home / name) for name in (".ssh", "Documents", "runs/photos")]
     stale = aged(new_run_dir("stale"))
-    haptic(tmp_path, "launch", "free_space", "pace:=lockstep", "duration:=0.1", "--no-plot")
+    haptic(
+        tmp_path, "launch", "free_space", "pace:=lockstep", "duration:=0.1", "--no-plot"
+    )
     assert [path.read_text() for path in kept] == ["mine"] * 3
     assert not stale.exists(), "what a killed launch left is removed by the next one"
     assert sorted(path.name for path in home.iterdir()) == [".ssh", "Documents", "runs"]
@@ -80,7 +88,14 @@ def test_the_sweep_takes_only_what_bears_the_mark(home: Path) -> None:
     assert is_marked(mine)
     assert sweep() == ["mine"]
     assert (outside / "precious").exists()
-    left = {"link", "young", "empty-mark", "no-mark", "mark-is-a-folder", "mark-is-a-link"}
+    left = {
+        "link",
+        "young",
+        "empty-mark",
+        "no-mark",
+        "mark-is-a-folder",
+        "mark-is-a-link",
+    }
     assert {path.name for path in runs_dir().iterdir()} == left
 
 
@@ -104,7 +119,9 @@ def test_sweeps_at_once_take_each_directory_once(home: Path) -> None:
     assert sorted(name for each in swept for name in each.result()) == sorted(names)
 
 
-@pytest.mark.skipif(os.getuid() != 0, reason="only root can make what belongs to somebody else")
+@pytest.mark.skipif(
+    os.getuid() != 0, reason="only root can make what belongs to somebody else"
+)
 def test_the_sweep_leaves_what_belongs_to_somebody_else(home: Path) -> None:
     path = aged(new_run_dir("theirs"))
     os.chown(path, 65534, 65534)
@@ -162,7 +179,8 @@ def test_a_run_in_a_short_directory_is_stopped_by_its_name(tmp_path: Path) -> No
     """With a shortened directory, `haptic stop` sent no signal and gave up."""
     file = tmp_path / f"{'a' * 64}.yaml"
     file.write_text(
-        (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8"
+        (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"),
+        encoding="utf-8",
     )
     with running(tmp_path, str(file), "duration:=600") as run:
         assert run.run_dir.name != run.run.run
@@ -197,7 +215,8 @@ def test_a_run_s_name_is_one_that_files_and_endpoints_bear(scenario: str) -> Non
 def test_a_launch_file_of_an_odd_long_name_runs(tmp_path: Path) -> None:
     file = tmp_path / f"wall #1, it's {'ü' * 110}.yaml"
     file.write_text(
-        (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"), encoding="utf-8"
+        (ROOT / "launch" / "free_space.yaml").read_text(encoding="utf-8"),
+        encoding="utf-8",
     )
     figures = launch_json(tmp_path, str(file), "pace:=lockstep", "duration:=0.1")
     assert (figures["ticks"], figures["scenario"]) == (50, file.stem)
@@ -218,6 +237,8 @@ def test_nobody_is_told_to_remove_the_directory_of_another_user(
 ) -> None:
     owner = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-    with pytest.raises(RunError, match="set HAPTIC_RUNTIME_DIR to one of your own") as refused:
+    with pytest.raises(
+        RunError, match="set HAPTIC_RUNTIME_DIR to one of your own"
+    ) as refused:
         runs_dir()
     assert "remove" not in str(refused.value)

@@ -41,7 +41,9 @@ from tests.support.odd_nodes import scenario
 
 def reapers(launch: Running) -> list[int]:
     return [
-        number for number, line in processes_of(launch.runtime_dir).items() if "reaper.py" in line
+        number
+        for number, line in processes_of(launch.runtime_dir).items()
+        if "reaper.py" in line
     ]
 
 
@@ -70,7 +72,9 @@ def reaper(launch: Running) -> int:
 def test_signals_end_a_launch_in_order(
     tmp_path: Path, number: signal.Signals, to_group: bool, code: int
 ) -> None:
-    with running(tmp_path, scenario(tmp_path, duration=600.0 if code else 0.0)) as launch:
+    with running(
+        tmp_path, scenario(tmp_path, duration=600.0 if code else 0.0)
+    ) as launch:
         if to_group:
             os.killpg(launch.process.pid, number)
         figures = launch.finish(None if to_group else number, code=code)
@@ -104,16 +108,23 @@ def test_a_full_disk_at_the_end_does_not_keep_the_nodes_from_ending_in_order(
 
 
 @pytest.mark.process
-def test_an_interrupt_during_the_start_ends_it_without_a_traceback(tmp_path: Path) -> None:
+def test_an_interrupt_during_the_start_ends_it_without_a_traceback(
+    tmp_path: Path,
+) -> None:
     with running(tmp_path, scenario(tmp_path, duration=600.0), ready=False) as launch:
-        wait_for(lambda: len(processes_of(launch.runtime_dir)) >= 3, "a node is being started")
+        wait_for(
+            lambda: len(processes_of(launch.runtime_dir)) >= 3,
+            "a node is being started",
+        )
         launch.finish(signal.SIGINT, code=130)
         assert "Traceback" not in launch.errors
 
 
 @pytest.mark.process
 @pytest.mark.smoke("victims0")
-@pytest.mark.parametrize("victims", [("launcher",), ("reaper", "launcher"), ("launcher", "logger")])
+@pytest.mark.parametrize(
+    "victims", [("launcher",), ("reaper", "launcher"), ("launcher", "logger")]
+)
 def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         if "reaper" in victims:
@@ -121,7 +132,9 @@ def test_killed_launcher(tmp_path: Path, victims: tuple[str, ...]) -> None:
             os.kill(first, signal.SIGKILL)
             # A launcher that has lost its reaper starts another.
             wait_for(lambda: not alive(first), "the first reaper ends")
-            wait_for(lambda: "starting another" in launch.errors, "the launcher notices")
+            wait_for(
+                lambda: "starting another" in launch.errors, "the launcher notices"
+            )
             assert reaper(launch) != first
         if "logger" in victims:
             # A stopped node cannot end by itself.
@@ -143,7 +156,8 @@ def test_reaper_and_launcher_killed_at_once_leave_it_to_the_kernel_and_the_next_
         launch.process.kill()
         launch.process.wait()
         wait_for(
-            lambda: not processes_of(launch.runtime_dir), "the parent-death signal ends the nodes"
+            lambda: not processes_of(launch.runtime_dir),
+            "the parent-death signal ends the nodes",
         )
         assert stale.exists()
         # The next launch sweeps up what is older than a minute: here it is made to look so.
@@ -179,7 +193,9 @@ def test_what_does_not_end_is_killed_in_the_end_and_sooner_when_asked_twice(
     with running(tmp_path, path, environment=odd_nodes) as launch:
         begun = time.monotonic()
         launch.process.send_signal(signal.SIGINT)
-        wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
+        wait_for(
+            lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends"
+        )
         figures = launch.finish(signal.SIGINT, code=1)
         assert figures["failures"] == ["deaf: ended with SIGKILL"]
         # Asked once, the launcher would wait for each of the TIMEOUTS before it kills.
@@ -198,7 +214,8 @@ def starved(pid: int, threads: str = "") -> Iterator[None]:
     """
     processor = min(os.sched_getaffinity(0))
     spin = (
-        f"import os\nos.sched_setaffinity(0, {{{processor}}})\nprint(flush=True)\nwhile True: pass"
+        f"import os\nos.sched_setaffinity(0, {{{processor}}})\n"
+        "print(flush=True)\nwhile True: pass"
     )
     with contextlib.ExitStack() as stack:
         for _ in range(4):
@@ -217,17 +234,24 @@ def starved(pid: int, threads: str = "") -> Iterator[None]:
 
 
 @pytest.mark.process
-def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(tmp_path: Path) -> None:
+def test_a_logger_that_stops_waits_for_what_its_own_transport_still_holds(
+    tmp_path: Path,
+) -> None:
     """Silence counted as the end, even if its I/O thread held all messages."""
     with running(tmp_path, scenario(tmp_path)) as launch:
         logger = launch.pid("logger")
         with starved(logger, "ZMQbg/IO"):
             launch.process.send_signal(signal.SIGINT)
-            wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
+            wait_for(
+                lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends"
+            )
             # Longer than any while that it may take for the end.
             time.sleep(5 * QUIET_MS / 1e3)
         figures = launch.finish()
-    assert Recording(tmp_path / "run.mcap").topics["/device/state"].messages == figures["ticks"] + 1
+    assert (
+        Recording(tmp_path / "run.mcap").topics["/device/state"].messages
+        == figures["ticks"] + 1
+    )
 
 
 @pytest.mark.slow
@@ -246,12 +270,13 @@ def test_what_others_keep_from_running_is_waited_for(tmp_path: Path) -> None:
                 lambda: waits["logger"].update(logger) > TIMEOUTS[signal.SIGINT],
                 "the logger waits for a processor",
             )
-            assert waits["reaper"].update(pids["reaper"]) < 0.5 * TIMEOUTS[signal.SIGINT], (
-                "it waits for the launcher, not for a processor"
-            )
+            assert (
+                waits["reaper"].update(pids["reaper"]) < 0.5 * TIMEOUTS[signal.SIGINT]
+            ), "it waits for the launcher, not for a processor"
             # The launcher comes to the logger when all others have ended.
             wait_for(
-                lambda: "logger: does not get its turn" in launch.errors, "the launcher says so"
+                lambda: "logger: does not get its turn" in launch.errors,
+                "the launcher says so",
             )
             # It once lost most of a recording.
             assert "does not end" not in launch.errors
@@ -277,12 +302,16 @@ def ice() -> Iterator[Path]:
 
 
 @pytest.mark.slow
-def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(tmp_path: Path, ice: Path) -> None:
+def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(
+    tmp_path: Path, ice: Path
+) -> None:
     with running(tmp_path, scenario(tmp_path)) as launch:
         (ice / "cgroup.procs").write_text(str(launch.pid("logger")))
         (ice / "freezer.state").write_text("FROZEN")
         launch.process.send_signal(signal.SIGINT)
-        wait_for(lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends")
+        wait_for(
+            lambda: not (launch.run_dir / "driver.pub").exists(), "the driver ends"
+        )
         launch.process.send_signal(signal.SIGINT)
         # It once waited for ever.
         assert launch.process.wait(DEADLINE) == 1
@@ -291,7 +320,9 @@ def test_what_not_even_sigkill_ends_does_not_hold_up_the_end(tmp_path: Path, ice
         )
         assert launch.figures["nodes"]["driver"]["state"] == "finished"
         (ice / "freezer.state").write_text("THAWED")
-        wait_for(lambda: not (ice / "cgroup.procs").read_text(), "the killed process ends")
+        wait_for(
+            lambda: not (ice / "cgroup.procs").read_text(), "the killed process ends"
+        )
 
 
 @pytest.mark.process
@@ -302,7 +333,8 @@ def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
 ) -> None:
     diary = tmp_path / "diary"
     path = scenario(
-        tmp_path, arm={"kind": "arms", "parameters": {"diary": str(diary), "fails": fails}}
+        tmp_path,
+        arm={"kind": "arms", "parameters": {"diary": str(diary), "fails": fails}},
     )
     content = msgspec.json.decode(Path(path).read_bytes())
     del content["nodes"]["driver"]
@@ -310,11 +342,15 @@ def test_on_every_way_out_the_force_goes_down_to_zero_and_the_device_is_closed(
     with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
         if fails == "signal":
             wait_for(
-                lambda: diary.exists() and diary.read_text().count("\n") > 100, "forces are written"
+                lambda: diary.exists() and diary.read_text().count("\n") > 100,
+                "forces are written",
             )
             os.kill(launch.pid("arm"), signal.SIGTERM)
         launch.finish(code=0 if fails == "signal" else 1)
-        assert fails != "device" or "[arm] ended: the cable is out; plug it in" in launch.errors
+        assert (
+            fails != "device"
+            or "[arm] ended: the cable is out; plug it in" in launch.errors
+        )
     first, *forces, last = diary.read_text().split()
     assert (first, last) == ("open", "close")
     pressed = [float(force) for force in forces]
@@ -338,7 +374,10 @@ def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(
     path = scenario(tmp_path, sensor={"kind": "broken"})
     with running(tmp_path, path, environment=odd_nodes, ready=False) as launch:
         figures = launch.finish(code=1)
-        assert "[sensor] cannot start: the sensor is not there; plug it in" in launch.errors
+        assert (
+            "[sensor] cannot start: the sensor is not there; plug it in"
+            in launch.errors
+        )
         assert figures["exit_reason"] == "sensor: ended during start with exit code 1"
         assert figures["ticks"] == 0
 
@@ -347,12 +386,17 @@ def test_a_node_that_cannot_start_fails_the_launch_with_its_reason(
 def test_a_driver_that_a_library_ends_in_mid_run_is_not_done(
     tmp_path: Path, odd_nodes: dict[str, str]
 ) -> None:
-    driver = {"kind": "arms", "parameters": {"diary": str(tmp_path / "diary"), "fails": "exit"}}
+    driver = {
+        "kind": "arms",
+        "parameters": {"diary": str(tmp_path / "diary"), "fails": "exit"},
+    }
     with running(
         tmp_path, scenario(tmp_path, driver=driver), environment=odd_nodes, ready=False
     ) as launch:
         figures = launch.finish(code=1)
-        assert figures["exit_reason"].startswith("driver: ended with exit code 0 in mid-run")
+        assert figures["exit_reason"].startswith(
+            "driver: ended with exit code 0 in mid-run"
+        )
 
 
 @pytest.mark.process
@@ -364,7 +408,9 @@ def test_a_stopped_reaper_does_not_hold_up_the_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.process
-def test_a_process_of_its_own_is_what_strangers_listen_to_and_it_comes_back(tmp_path: Path) -> None:
+def test_a_process_of_its_own_is_what_strangers_listen_to_and_it_comes_back(
+    tmp_path: Path,
+) -> None:
     port = free_ports(1)
     path = scenario(tmp_path)
     content = msgspec.json.decode(Path(path).read_bytes())
@@ -381,26 +427,36 @@ def test_a_process_of_its_own_is_what_strangers_listen_to_and_it_comes_back(tmp_
             driver, forwarder = launch.pid("driver"), launch.pid("forwarder")
             limits = Path(f"/proc/{driver}/limits").read_text()
             assert (
-                next(line for line in limits.splitlines() if "open files" in line).split()[3:5]
+                next(
+                    line for line in limits.splitlines() if "open files" in line
+                ).split()[3:5]
                 == [str(hard)] * 2
             )
             inodes = {
-                os.readlink(one) for one in Path(f"/proc/{driver}/fd").glob("*") if one.exists()
+                os.readlink(one)
+                for one in Path(f"/proc/{driver}/fd").glob("*")
+                if one.exists()
             }
             tables = [Path(f"/proc/net/{name}").read_text() for name in ("tcp", "tcp6")]
-            listening = [line.split() for table in tables for line in table.splitlines()[1:]]
+            listening = [
+                line.split() for table in tables for line in table.splitlines()[1:]
+            ]
             place = next(
                 words[9]
                 for words in listening
                 if words[1].endswith(f":{port:04X}") and words[3] == "0A"
             )
-            assert f"socket:[{place}]" not in inodes, "the driver listens to no stranger"
+            assert f"socket:[{place}]" not in inodes, (
+                "the driver listens to no stranger"
+            )
             stranger.linger = 0
             stranger.connect(f"tcp://127.0.0.1:{port}")
             stranger.subscribe("/device/state")
             assert stranger.poll(20_000)
             os.kill(forwarder, signal.SIGKILL)
-            wait_for(lambda: "forwarder: started again (1)" in launch.errors, "another one")
+            wait_for(
+                lambda: "forwarder: started again (1)" in launch.errors, "another one"
+            )
             while stranger.poll(0):
                 stranger.recv_multipart()
             assert stranger.poll(20_000)

@@ -16,17 +16,26 @@ NODES = "nodes: {driver: {kind: sim_driver}}\n"
 
 def written(folder: Path, arguments: str, run: str = "") -> str:
     path = folder / "own.yaml"
-    path.write_text(f"summary: s\narguments: {{{arguments}}}\n{run}{NODES}", encoding="utf-8")
+    path.write_text(
+        f"summary: s\narguments: {{{arguments}}}\n{run}{NODES}", encoding="utf-8"
+    )
     return str(path)
 
 
 def test_a_default_alone_is_the_argument_written_out(tmp_path: Path) -> None:
-    short = written(tmp_path, "rate: 250.0, pace: lockstep, apply: next_tick, duration: 2.0")
+    short = written(
+        tmp_path, "rate: 250.0, pace: lockstep, apply: next_tick, duration: 2.0"
+    )
     _, arguments = launch_file.read_arguments(Path(short))
     assert arguments["rate"].unit == "Hz"
     assert arguments["pace"].choices == ["realtime", "lockstep"]
     run = launch_file.read(short, {}).run
-    assert (run.rate, run.pace, run.apply, run.duration) == (250.0, "lockstep", "next_tick", 2.0)
+    assert (run.rate, run.pace, run.apply, run.duration) == (
+        250.0,
+        "lockstep",
+        "next_tick",
+        2.0,
+    )
     assert launch_file.read(short, {"rate": 1000.0}).run.rate == 1000.0
 
 

@@ -52,7 +52,15 @@ def orders_of(kind: str) -> st.SearchStrategy[float]:
 
 
 def test_all_families_of_the_field_are_registered() -> None:
-    families = {"gl", "gl_leak_corrected", *BDF, "l1", *RECURSIVE, "exponentials", "log_binned"}
+    families = {
+        "gl",
+        "gl_leak_corrected",
+        *BDF,
+        "l1",
+        *RECURSIVE,
+        "exponentials",
+        "log_binned",
+    }
     assert families <= set(KINDS)
 
 
@@ -62,7 +70,9 @@ def test_loop_renders_what_taps_and_sections_say(kind: str, order: float) -> Non
     samples = np.random.default_rng(1).normal(size=300)
     # Rounding only: each of at most 300 terms per sum is off by half an ulp of the largest product.
     tolerance = 300 * EPS * size(law) * float(np.max(np.abs(samples)))
-    assert np.max(np.abs(apply(law, samples) - loop(law, samples.tolist()))) <= tolerance
+    assert (
+        np.max(np.abs(apply(law, samples) - loop(law, samples.tolist()))) <= tolerance
+    )
     assert largest_pole(law) < 1.0
     assert law.stable_sections()
 
@@ -70,9 +80,14 @@ def test_loop_renders_what_taps_and_sections_say(kind: str, order: float) -> Non
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=15)
 @given(
-    data=st.data(), left=st.floats(-2.0, 2.0), right=st.floats(-2.0, 2.0), seed=st.integers(0, 99)
+    data=st.data(),
+    left=st.floats(-2.0, 2.0),
+    right=st.floats(-2.0, 2.0),
+    seed=st.integers(0, 99),
 )
-def test_linear(kind: str, data: st.DataObject, left: float, right: float, seed: int) -> None:
+def test_linear(
+    kind: str, data: st.DataObject, left: float, right: float, seed: int
+) -> None:
     law = realise(kind, data.draw(orders_of(kind)), LENGTH[kind], T)
     first, second = np.random.default_rng(seed).uniform(-1.0, 1.0, size=(2, 40))
     both = loop(law, (left * first + right * second).tolist())
@@ -80,7 +95,9 @@ def test_linear(kind: str, data: st.DataObject, left: float, right: float, seed:
         loop(law, second.tolist())
     )
     # Two evaluations, each rounded 40 times over terms of at most size * (|left| + |right|).
-    assert np.max(np.abs(parts - both)) <= 100 * EPS * size(law) * (abs(left) + abs(right) + EPS)
+    assert np.max(np.abs(parts - both)) <= 100 * EPS * size(law) * (
+        abs(left) + abs(right) + EPS
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -90,12 +107,22 @@ def test_gain_goes_as_period_to_the_minus_order(
     kind: str, data: st.DataObject, period: float
 ) -> None:
     order = data.draw(orders_of(kind))
-    law, unit = realise(kind, order, LENGTH[kind], period), realise(kind, order, LENGTH[kind], 1.0)
+    law, unit = (
+        realise(kind, order, LENGTH[kind], period),
+        realise(kind, order, LENGTH[kind], 1.0),
+    )
     scale = period**-order
     # The same numbers up to the rounding of T^−α, relative to the largest of them.
-    largest = scale * max([*map(abs, unit.taps), *(abs(b) for s in unit.sections for b in s[:2])])
-    assert np.max(np.abs(np.array(law.taps) - scale * np.array(unit.taps))) <= 64 * EPS * largest
-    for (b0, b1, a1, a2), (u0, u1, c1, c2) in zip(law.sections, unit.sections, strict=True):
+    largest = scale * max(
+        [*map(abs, unit.taps), *(abs(b) for s in unit.sections for b in s[:2])]
+    )
+    assert (
+        np.max(np.abs(np.array(law.taps) - scale * np.array(unit.taps)))
+        <= 64 * EPS * largest
+    )
+    for (b0, b1, a1, a2), (u0, u1, c1, c2) in zip(
+        law.sections, unit.sections, strict=True
+    ):
         assert abs(b0 - scale * u0) <= 64 * EPS * largest
         assert abs(b1 - scale * u1) <= 64 * EPS * largest
         # Oustaloup's poles are mapped through a product with T, which may round them by an ulp.
@@ -111,7 +138,9 @@ def test_gain_goes_as_period_to_the_minus_order(
 )
 @example(kind="tustin_cfe", order=2.0 - 2 * EPS, taps=4, period=0.03125)
 @example(kind="al_alaoui_cfe", order=2.0 - 2 * EPS, taps=3, period=0.03125)
-def test_either_runs_or_says_why_not(kind: str, order: float, taps: int, period: float) -> None:
+def test_either_runs_or_says_why_not(
+    kind: str, order: float, taps: int, period: float
+) -> None:
     refusal, law = "", None
     try:
         law = realise(kind, order, taps, period)
@@ -145,7 +174,9 @@ def test_whole_orders_differentiate_powers_exactly(kind: str, whole: int) -> Non
         for kind in KINDS
         for near in (1.0 - 1e-9, 1.0 + 1e-9, 2.0 - 1e-9, 2.0 + 1e-9)
         # Refused above 2; and x[k] − x[k−n] for β → 0, see test_l1_just_above_a_whole_order.
-        if not ((kind == "log_binned" and near > 2.0) or (kind == "l1" and near % 1.0 < 0.5))
+        if not (
+            (kind == "log_binned" and near > 2.0) or (kind == "l1" and near % 1.0 < 0.5)
+        )
     ],
 )
 def test_order_goes_over_into_whole_orders(kind: str, near: float) -> None:
@@ -161,7 +192,9 @@ def test_l1_just_above_a_whole_order_subtracts_the_oldest_sample() -> None:
     taps = realise("l1", 1.0 + 1e-12, 10, 1.0).taps
     # (1 − w)(1 − w⁸): one difference, and eight intervals. b_m = (m+1)^{1−β} − m^{1−β} → 1 but for
     # β ln(m).
-    assert taps == pytest.approx([1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 1.0], abs=1e-11)
+    assert taps == pytest.approx(
+        [1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 1.0], abs=1e-11
+    )
 
 
 REFUSED = [
@@ -223,12 +256,16 @@ def test_periods_are_refused(period: float) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_overflow_is_refused(kind: str) -> None:
     # T^−α beyond 1.8e308.
-    with pytest.raises(ValueError, match=r"^period = 1e-200 s at order = 1.9: .*overflow"):
+    with pytest.raises(
+        ValueError, match=r"^period = 1e-200 s at order = 1.9: .*overflow"
+    ):
         realise(kind, 1.9, LENGTH[kind], 1e-200)
 
 
 def test_unknown_realisation_names_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"derivative = 'crone' is not .*exponentials, gl, "):
+    with pytest.raises(
+        ValueError, match=r"derivative = 'crone' is not .*exponentials, gl, "
+    ):
         realise("crone", 0.5, 10, T)
 
 
@@ -267,7 +304,9 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
     # the loop's own kernels and the state matrix agree about the law.
     assert pole_radius(compiled, Plant(T, 0.1, 3.0)) < 1.0
     device = DeviceModel(mass=0.1, damping=3.0, position=0.005)
-    scene = Scene(device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False)
+    scene = Scene(
+        device=device, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False
+    )
     trace = run(scene, compiled, 600, interpreted=True)
     state = state_matrix(compiled, Plant(T, 0.1, 3.0))
     x = np.zeros(len(state))
@@ -275,7 +314,9 @@ def test_every_realisation_works_in_the_loop_as_a_law(kind: str, order: float) -
     # The loop begins at rest where the device is: history and sections are those of a deflection
     # that has always been there.
     past = slice(2, len(x) - 1)
-    x[past] = np.linalg.solve(np.eye(len(x) - 3) - state[past, past], state[past, 0] * 0.005)
+    x[past] = np.linalg.solve(
+        np.eye(len(x) - 3) - state[past, past], state[past, 0] * 0.005
+    )
     for k in range(600):
         # Two orders of the same sums, 600 times over, relative to the 5 mm that it starts with.
         assert trace.position[k] == pytest.approx(x[0], abs=1e-9 * 0.005)
@@ -292,7 +333,9 @@ def test_a_realisation_from_another_package_works_by_being_installed(
     )
     info = tmp_path / "elsewhere-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n"
+    )
     (info / "entry_points.txt").write_text(
         "[haptic.derivatives]\nforward_of_elsewhere = elsewhere:forward\n"
     )
@@ -301,6 +344,7 @@ def test_a_realisation_from_another_package_works_by_being_installed(
     assert realise("forward_of_elsewhere", 0.5, 2, 0.5).taps == (2.0, -2.0)
     # What it returns is checked as ours is: a pole at 1.5 is refused.
     with pytest.raises(
-        ValueError, match=r"'forward_of_elsewhere' has a pole on or outside the unit circle"
+        ValueError,
+        match=r"'forward_of_elsewhere' has a pole on or outside the unit circle",
     ):
         realise("forward_of_elsewhere", 1.5, 2, 0.5)

@@ -24,7 +24,9 @@ from tests.support.realisations import EPS, T, apply, at, size
 @pytest.mark.parametrize("order", [0.3, 0.8, 1.5, 2.7, 3.47])
 def test_gl_has_the_delay_of_half_alpha(order: float) -> None:
     angles = np.geomspace(0.05, 2.5, 50)
-    relative = response(realise("gl", order, 4000, 1.0), angles) / (1j * angles) ** order
+    relative = (
+        response(realise("gl", order, 4000, 1.0), angles) / (1j * angles) ** order
+    )
     # Exact for infinite memory; the cut adds |c_n|/sin(θ/2) at most, 4000^−1.3/0.025 = 1e−3 of θ^α
     # for α = 0.3.
     assert best_delay(relative, angles) == pytest.approx(0.5 * order, abs=0.01)
@@ -33,7 +35,9 @@ def test_gl_has_the_delay_of_half_alpha(order: float) -> None:
 @pytest.mark.parametrize("fraction", [0.02, 0.2, 0.7])
 @pytest.mark.parametrize("order", [0.3, 0.9, 1.5, 3.47])
 @pytest.mark.parametrize("degree", [2, 3, 4, 5, 6])
-def test_bdf_is_the_power_of_its_polynomial(degree: int, order: float, fraction: float) -> None:
+def test_bdf_is_the_power_of_its_polynomial(
+    degree: int, order: float, fraction: float
+) -> None:
     law = lubich(order, 3000, 1.0, degree)
     w = cmath.exp(-1j * math.pi * fraction)
     symbol = sum((1.0 - w) ** j / j for j in range(1, degree + 1)) ** order
@@ -44,7 +48,9 @@ def test_bdf_is_the_power_of_its_polynomial(degree: int, order: float, fraction:
 
 @pytest.mark.parametrize("degree", [1, 4, 9])
 @pytest.mark.parametrize("order", [0.3, 0.9, 1.5, 3.47])
-@pytest.mark.parametrize(("kind", "left"), [("tustin_cfe", 1.0), ("al_alaoui_cfe", 1.0 / 7.0)])
+@pytest.mark.parametrize(
+    ("kind", "left"), [("tustin_cfe", 1.0), ("al_alaoui_cfe", 1.0 / 7.0)]
+)
 def test_continued_fraction_is_the_pade_approximant(
     kind: str, left: float, order: float, degree: int
 ) -> None:
@@ -69,7 +75,9 @@ def test_continued_fraction_is_the_pade_approximant(
             exact *= ((1 + a) / T) ** beta * ((1 - w) / T) ** whole
             # (1 − w)^k cancels k digits' worth of the sections' rounding at low frequency.
             rounding = 1e3 * EPS * size(law)
-            assert abs(at(law, angle) - complex(exact)) <= rounding + 1e-9 * abs(complex(exact))
+            assert abs(at(law, angle) - complex(exact)) <= rounding + 1e-9 * abs(
+                complex(exact)
+            )
 
 
 def test_tustin_gain_at_nyquist_grows_as_n_to_two_beta() -> None:
@@ -96,7 +104,9 @@ def test_oustaloup_against_zeros_and_poles(kind: str, order: float) -> None:
 
     def exact(angle: float) -> complex:
         z = cmath.exp(1j * angle)
-        return complex(np.prod((z - zeros) / (z - poles))) * ((1.0 - 1.0 / z) / T) ** whole
+        return (
+            complex(np.prod((z - zeros) / (z - poles))) * ((1.0 - 1.0 / z) / T) ** whole
+        )
 
     middle = math.sqrt(low * high) * T
     gain = (middle / T) ** fraction / abs(
@@ -104,10 +114,14 @@ def test_oustaloup_against_zeros_and_poles(kind: str, order: float) -> None:
     )
     for angle in (0.002, 0.05, 0.5, 3.0):
         # Partial fractions and product differ by rounding, of the size of the largest gain.
-        assert abs(at(law, angle / math.pi) - gain * exact(angle)) <= 1e3 * EPS * size(law)
+        assert abs(at(law, angle / math.pi) - gain * exact(angle)) <= 1e3 * EPS * size(
+            law
+        )
     # The band reaches from Nyquist down half a decade per pair: in its middle the slope is right
     # within its ripple.
-    assert abs(at(law, middle / math.pi)) == pytest.approx((middle / T) ** order, rel=1e-3)
+    assert abs(at(law, middle / math.pi)) == pytest.approx(
+        (middle / T) ** order, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("order", [0.2, 0.5, 0.9])
@@ -116,7 +130,9 @@ def test_exponentials_keep_the_weights_of_gl(order: float, memory: int) -> None:
     law = exponentials(order, memory, 1.0)
     impulse = np.eye(1, memory)[0]
     weights = np.cumsum(apply(law, impulse))
-    exact = [float(mpmath.rf(1 - order, m) / mpmath.factorial(m)) for m in range(memory)]
+    exact = [
+        float(mpmath.rf(1 - order, m) / mpmath.factorial(m)) for m in range(memory)
+    ]
     # The first four are kept; h = 0.9 and all rates below 0.05/N on one pole leave 1 % of the
     # weight itself at age N.
     assert weights[:4] == pytest.approx(exact[:4], rel=1e-9)

@@ -18,7 +18,9 @@ from tests.support.realisations import BDF, KINDS, apply, ticks
 
 
 def power(order: float, time: float) -> float:
-    return float(mpmath.gamma(3) * mpmath.rgamma(3 - order) * math.pow(time, 2.0 - order))
+    return float(
+        mpmath.gamma(3) * mpmath.rgamma(3 - order) * math.pow(time, 2.0 - order)
+    )
 
 
 def exponential(order: float, time: float) -> float:
@@ -34,7 +36,9 @@ def sine(order: float, time: float) -> float:
 
 
 def cosine(order: float, time: float) -> float:
-    return math.pow(time, -order) * float(mittag_leffler(2.0, 1.0 - order, -64.0 * time * time))
+    return math.pow(time, -order) * float(
+        mittag_leffler(2.0, 1.0 - order, -64.0 * time * time)
+    )
 
 
 def mittag_leffler(a: float, b: float, argument: float) -> mpmath.mpf:
@@ -42,7 +46,8 @@ def mittag_leffler(a: float, b: float, argument: float) -> mpmath.mpf:
     with mpmath.workdps(60):
         return mpmath.nsum(
             lambda j: (
-                mpmath.mpf(argument) ** int(j) * mpmath.rgamma(mpmath.mpf(a) * j + mpmath.mpf(b))
+                mpmath.mpf(argument) ** int(j)
+                * mpmath.rgamma(mpmath.mpf(a) * j + mpmath.mpf(b))
             ),
             [0, mpmath.inf],
             method="direct",
@@ -52,7 +57,9 @@ def mittag_leffler(a: float, b: float, argument: float) -> mpmath.mpf:
 SIGNALS: dict[
     str,
     tuple[
-        Callable[[NDArray[np.float64]], NDArray[np.float64]], Callable[[float, float], float], float
+        Callable[[NDArray[np.float64]], NDArray[np.float64]],
+        Callable[[float, float], float],
+        float,
     ],
 ]
 SIGNALS = {
@@ -113,14 +120,20 @@ APPROXIMATION = {
         and not (kind == "tustin_cfe" and (signal != "power" or order > 2.0))
     ],
 )
-def test_follows_the_fractional_derivative(kind: str, signal: str, order: float) -> None:
+def test_follows_the_fractional_derivative(
+    kind: str, signal: str, order: float
+) -> None:
     function, oracle, jump = SIGNALS[signal]
     step = 1.0 / TICKS
-    output = apply(realise(kind, order, LONG[kind], step), function(ticks(TICKS + 1, step)))[-1]
+    output = apply(
+        realise(kind, order, LONG[kind], step), function(ticks(TICKS + 1, step))
+    )[-1]
     exact, slope, curvature = (oracle(order + i, 1.0) for i in range(3))
     # First-order terms are known: the realisation's lag, and the jump at 0, which samples see half
     # a tick early.
-    predicted = exact - lag(kind, order) * step * slope + 0.5 * step * jump / math.gamma(-order)
+    predicted = (
+        exact - lag(kind, order) * step * slope + 0.5 * step * jump / math.gamma(-order)
+    )
     # Second order: a symbol's next term is at most α/3 (BDF2) or (α/2)²/2 + α/24 (GL) times T²
     # D^{α+2}.
     tolerance = step**2 * (abs(curvature) * (order / 3.0 + order**2 / 8.0) + 1.0)
@@ -130,14 +143,18 @@ def test_follows_the_fractional_derivative(kind: str, signal: str, order: float)
         whole = math.floor(order)
         tolerance += 0.6 * step ** (2.0 - order + whole) * max(8.0 ** (2 + whole), 2.0)
     scale = abs(exact) + jump / abs(math.gamma(1.0 - order)) + 1.0
-    assert output == pytest.approx(predicted, abs=tolerance + APPROXIMATION[kind] * scale)
+    assert output == pytest.approx(
+        predicted, abs=tolerance + APPROXIMATION[kind] * scale
+    )
 
 
 @pytest.mark.parametrize("order", [0.2, 0.5, 1.2, 1.5, 1.8])
 @pytest.mark.parametrize("count", [100, 1000])
 def test_full_memory_gl_on_a_parabola(order: float, count: int) -> None:
     step = 1.0 / count
-    output = apply(realise("gl", order, count + 1, step), ticks(count + 1, step) ** 2)[-1]
+    output = apply(realise("gl", order, count + 1, step), ticks(count + 1, step) ** 2)[
+        -1
+    ]
     relative = output / power(order, 1.0) - 1.0
     # Leading order (THEORY.md §7); the next term is T² times a polynomial in α that stays below 1
     # for α < 2.

@@ -28,12 +28,15 @@ def test_gl_leaks_as_the_binomial_sum(order: float, taps: int) -> None:
     if taps == 1000:
         # (nT)^−α/Γ(1−α), in units of T^−α, with corrections of order α(α+1)/n.
         assert exact == pytest.approx(
-            float((taps - 1) ** -order * mpmath.rgamma(1 - order)), rel=order * (order + 1.0) / 1000
+            float((taps - 1) ** -order * mpmath.rgamma(1 - order)),
+            rel=order * (order + 1.0) / 1000,
         )
         assert (exact > 0.0) == (order < 1.0 or 2.0 < order < 3.0)
 
 
-@pytest.mark.parametrize("kind", ["gl_leak_corrected", "l1", "exponentials", "least_squares"])
+@pytest.mark.parametrize(
+    "kind", ["gl_leak_corrected", "l1", "exponentials", "least_squares"]
+)
 @pytest.mark.parametrize("order", [0.3, 0.9, 1.5, 3.47])
 def test_leak_free_laws_give_nothing_for_a_constant(kind: str, order: float) -> None:
     law = realise(kind, order, LENGTH[kind], 1.0)
@@ -76,7 +79,9 @@ def test_held_offset_decays_as_a_power(order: float) -> None:
 # --------------------------------------------------------------------------------------
 
 
-def fraction_response(zeros: list[complex], poles: list[complex], z: complex) -> complex:
+def fraction_response(
+    zeros: list[complex], poles: list[complex], z: complex
+) -> complex:
     return math.prod((z - a for a in zeros), start=1.0 + 0j) / math.prod(
         (z - p for p in poles), start=1.0 + 0j
     )
@@ -84,7 +89,9 @@ def fraction_response(zeros: list[complex], poles: list[complex], z: complex) ->
 
 @pytest.mark.parametrize("order", [1.2, 1.5, 1.9, 2.5])
 @pytest.mark.parametrize("degree", [1, 3, 9])
-def test_tustin_expanded_for_the_whole_order_is_unstable(order: float, degree: int) -> None:
+def test_tustin_expanded_for_the_whole_order_is_unstable(
+    order: float, degree: int
+) -> None:
     _, poles = whole_order(order, degree, 1.0)
     assert max(map(abs, poles)) > 1.0
     assert largest_pole(realise("tustin_cfe", order, degree + 1, T)) < 1.0
@@ -92,7 +99,9 @@ def test_tustin_expanded_for_the_whole_order_is_unstable(order: float, degree: i
     zeros, poles = whole_order(order - math.floor(order), degree, 1.0)
     assert max(map(abs, poles)) < 1.0
     z = cmath.exp(0.3j)
-    expanded = fraction_response(zeros, poles, z) * (2.0 / T) ** (order - math.floor(order))
+    expanded = fraction_response(zeros, poles, z) * (2.0 / T) ** (
+        order - math.floor(order)
+    )
     assert at(
         realise("tustin_cfe", order - math.floor(order), degree + 1, T), 0.3 / math.pi
     ) == pytest.approx(expanded, rel=1e-9)
@@ -107,8 +116,12 @@ def test_al_alaoui_expanded_for_the_whole_order_is_stable_but_wrong_at_low_frequ
     assert max(map(abs, poles)) < 1.0
     z = cmath.exp(1j * angle)
     wanted = (1j * angle) ** order
-    whole = abs(fraction_response(zeros, poles, z) * (8.0 / 7.0) ** order / wanted - 1.0)
-    split = abs(at(realise("al_alaoui_cfe", order, degree + 1, 1.0), 0.002) / wanted - 1.0)
+    whole = abs(
+        fraction_response(zeros, poles, z) * (8.0 / 7.0) ** order / wanted - 1.0
+    )
+    split = abs(
+        at(realise("al_alaoui_cfe", order, degree + 1, 1.0), 0.002) / wanted - 1.0
+    )
     assert whole > 1.0
     assert split < 0.6 * whole
     assert abs(fraction_response(zeros, poles, 1.0)) > 1e-4
@@ -119,7 +132,9 @@ def test_al_alaoui_expanded_for_the_whole_order_is_stable_but_wrong_at_low_frequ
 def test_accuracy_near_nyquist_is_paid_with_gain_there(order: float) -> None:
     figures = [analyse(kind, order, 2000, T) for kind in ("gl", *BDF)]
     error = [
-        abs(at(realise(kind, order, 2000, T), 0.3) / (0.3j * math.pi / T) ** order - 1.0)
+        abs(
+            at(realise(kind, order, 2000, T), 0.3) / (0.3j * math.pi / T) ** order - 1.0
+        )
         for kind in ("gl", *BDF)
     ]
     assert error == sorted(error, reverse=True)

@@ -40,7 +40,9 @@ def test_a_description_names_every_parameter_with_its_meaning(kind: str) -> None
     for one in found["parameters"]:
         assert one["meaning"], one
         assert one["required"] == next(
-            field.required for field in msgspec.structs.fields(law) if field.name == one["name"]
+            field.required
+            for field in msgspec.structs.fields(law)
+            if field.name == one["name"]
         )
     assert found["judged_by"] == (
         "poles"
@@ -56,12 +58,20 @@ def test_a_limit_is_the_one_that_is_enforced(kind: str) -> None:
         for end, beyond in (("minimum", -1), ("maximum", 1)):
             if (limit := one[end]) is None:
                 continue
-            step = beyond if one["type"] == "integer" else beyond * (abs(limit) + 1.0) * 1e-9
-            with pytest.raises(LawRefusedError, match=rf"law\.{one['name']}: expected a"):
+            step = (
+                beyond
+                if one["type"] == "integer"
+                else beyond * (abs(limit) + 1.0) * 1e-9
+            )
+            with pytest.raises(
+                LawRefusedError, match=rf"law\.{one['name']}: expected a"
+            ):
                 parse_law({**found["example"], one["name"]: limit + step})
             edge = {**found["example"], one["name"]: limit}
             if one[f"{end}_excluded"]:
-                with pytest.raises(LawRefusedError, match=rf"law\.{one['name']}: expected a"):
+                with pytest.raises(
+                    LawRefusedError, match=rf"law\.{one['name']}: expected a"
+                ):
                     parse_law(edge)
             else:
                 parse_law(edge)
@@ -86,10 +96,14 @@ def test_a_class_stands_for_its_kind_in_python(kind: str) -> None:
     if kind in public_kinds() and law.__module__.startswith("nodes."):
         assert law.__name__ in haptic.__all__
     if required:
-        with pytest.raises(ParameterError, match=rf"^{kind}\.{required[0]}: is missing") as raised:
+        with pytest.raises(
+            ParameterError, match=rf"^{kind}\.{required[0]}: is missing"
+        ) as raised:
             made()
         assert all(name in str(raised.value) for name in required)
-        with pytest.raises(LawRefusedError, match=rf"law\.{required[0]}: is missing") as refused:
+        with pytest.raises(
+            LawRefusedError, match=rf"law\.{required[0]}: is missing"
+        ) as refused:
             parse_law({"kind": kind})
         assert all(name in str(refused.value) for name in required)
     with pytest.raises(ParameterError, match=rf"{kind}\.nonsense: no such parameter"):
@@ -123,13 +137,18 @@ def test_gain_is_the_damping_of_a_law(kind: str) -> None:
     law = law_kinds()[kind]
     values = {key: value for key, value in law.example.items() if key != "damping"}
     assert law(**values, gain=2.5) == law(**values, damping=2.5)
-    assert haptic.law(kind, **values, gain=2.5) == haptic.law(kind, **values, damping=2.5)
+    assert haptic.law(kind, **values, gain=2.5) == haptic.law(
+        kind, **values, damping=2.5
+    )
     with pytest.raises(ParameterError, match="gain"):
         law(**values, gain=2.5, damping=2.5)
 
 
 def test_lists_leave_out_what_only_programs_use() -> None:
-    assert {kind for kind, law in law_kinds().items() if law.internal} == {"excitation", "knock"}
+    assert {kind for kind, law in law_kinds().items() if law.internal} == {
+        "excitation",
+        "knock",
+    }
     assert haptic.laws() == [*public_kinds(), *preset_names()]
     assert not {"excitation", "knock"} & set(haptic.laws())
 
@@ -137,10 +156,18 @@ def test_lists_leave_out_what_only_programs_use() -> None:
 def test_the_command_line_describes_laws_without_a_launch(tmp_path: Path) -> None:
     every = json.loads(typed_in(tmp_path, "law", "describe", "--json").stdout)["laws"]
     assert [one["kind"] for one in every] == public_kinds()
-    (one,) = json.loads(typed_in(tmp_path, "law", "describe", "pd_alpha", "--json").stdout)["laws"]
+    (one,) = json.loads(
+        typed_in(tmp_path, "law", "describe", "pd_alpha", "--json").stdout
+    )["laws"]
     assert one == describe_law("pd_alpha")
     told = typed_in(tmp_path, "law", "describe", "pd_alpha").stdout
-    for text in ("F = K x + B_α D^α x", "N s^α/m", "> 0, < 4", "gains unlimited", "haptic.PDAlpha"):
+    for text in (
+        "F = K x + B_α D^α x",
+        "N s^α/m",
+        "> 0, < 4",
+        "gains unlimited",
+        "haptic.PDAlpha",
+    ):
         assert text in told
     assert "paper_optimum" in typed_in(tmp_path, "law", "describe", "multi_term").stdout
     told = typed_in(tmp_path, "law", "describe", "pdd", code=2).stderr
@@ -176,17 +203,27 @@ def test_a_law_given_without_a_name_gets_a_free_one() -> None:
 )
 def test_a_scene_is_played_with_any_law(law: Any) -> None:
     wanted = haptic.play("floor_drop", stiffness=1500, duration=0.1).position_m
-    assert np.array_equal(haptic.play("floor_drop", law=law, duration=0.1).position_m, wanted)
+    assert np.array_equal(
+        haptic.play("floor_drop", law=law, duration=0.1).position_m, wanted
+    )
 
 
 def test_a_refused_law_names_its_place(tmp_path: Path) -> None:
-    with pytest.raises(LawRefusedError, match=r"law\.stiffness: expected a number above 0, got -1"):
+    with pytest.raises(
+        LawRefusedError, match=r"law\.stiffness: expected a number above 0, got -1"
+    ):
         haptic.play("floor_drop", law={"kind": "pd", "stiffness": -1})
     words = ("launch", "floor_drop", "--law", "{kind: pd, stiffness: 9, dampig: 3}")
     told = typed_in(tmp_path, *words, code=2).stderr
-    assert re.search(r"floor_drop\.yaml:\d+: coupling\.law\.dampig: .*given as law:=", told)
-    told = typed_in(tmp_path, "launch", "floor_drop", "law:={stiffness: 9}", code=2).stderr
-    assert re.search(r"floor_drop\.yaml:\d+: arguments\.law: expected text, got a mapping", told)
+    assert re.search(
+        r"floor_drop\.yaml:\d+: coupling\.law\.dampig: .*given as law:=", told
+    )
+    told = typed_in(
+        tmp_path, "launch", "floor_drop", "law:={stiffness: 9}", code=2
+    ).stderr
+    assert re.search(
+        r"floor_drop\.yaml:\d+: arguments\.law: expected text, got a mapping", told
+    )
 
 
 def test_every_preset_describes_its_kind() -> None:

@@ -39,17 +39,24 @@ def test_a_high_cutoff_is_pd_and_a_low_one_costs_stiffness() -> None:
     device = Plant(T, 0.1, 1.0, 1.0)
 
     def limit(cutoff: float) -> float:
-        derivative = without_spring(PDFiltered(stiffness=1.0, damping=3.0, cutoff=cutoff), T)
+        derivative = without_spring(
+            PDFiltered(stiffness=1.0, damping=3.0, cutoff=cutoff), T
+        )
         found = k_max(derivative, device).k_max_n_per_m
         assert found is not None
         # Just inside and just outside.
         for share, stable in ((0.999, True), (1.001, False)):
             assert (
-                pole_radius(with_spring(derivative, share * found), Plant(T, 0.1, 1.0, 1.0)) < 1.0
+                pole_radius(
+                    with_spring(derivative, share * found), Plant(T, 0.1, 1.0, 1.0)
+                )
+                < 1.0
             ) == stable
         return found
 
-    plain = k_max(without_spring(PD(stiffness=1.0, damping=3.0), T), device).k_max_n_per_m
+    plain = k_max(
+        without_spring(PD(stiffness=1.0, damping=3.0), T), device
+    ).k_max_n_per_m
     assert limit(1e4) == pytest.approx(plain, rel=1e-9)
     assert limit(100.0) > limit(30.0) > limit(10.0)
     # What it buys: less of the encoder's noise.
@@ -69,7 +76,9 @@ def test_window_is_long_on_a_line_and_short_at_a_corner() -> None:
     read = [round(x / STEP) * STEP for x in line]
     # Encoder steps on a straight motion: the whole window fits, its ends are wrong by half a step
     # each.
-    assert windowed_slope(ring(read), 0, STEP, 20) == pytest.approx(0.3 * STEP, abs=STEP / 20)
+    assert windowed_slope(ring(read), 0, STEP, 20) == pytest.approx(
+        0.3 * STEP, abs=STEP / 20
+    )
     # The backward difference of the same is 0 or a whole step.
     assert abs(read[-1] - read[-2]) in (0.0, pytest.approx(STEP))
     corner = [0.0] * 30 + [k * 5.0 * STEP for k in range(1, 4)]
@@ -82,9 +91,13 @@ def test_window_is_long_on_a_line_and_short_at_a_corner() -> None:
 
 
 def test_a_window_of_one_tick_is_pd_bit_for_bit() -> None:
-    scene = drop_scene(DeviceModel(mass=0.1, damping=1.0, resolution=STEP), T, False, True)
+    scene = drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, resolution=STEP), T, False, True
+    )
     windowed = run(
-        scene, PDWindowed(stiffness=900.0, damping=2.0, resolution=STEP, window=1).compile(T), 800
+        scene,
+        PDWindowed(stiffness=900.0, damping=2.0, resolution=STEP, window=1).compile(T),
+        800,
     )
     plain = run(scene, PD(stiffness=900.0, damping=2.0).compile(T), 800)
     # (K + B/T) x − B/T x₋₁ against K x + B/T (x − x₋₁): roundings of 1000 N/m on 5 mm.
@@ -94,7 +107,10 @@ def test_a_window_of_one_tick_is_pd_bit_for_bit() -> None:
 def test_windowed_drop_settles_inside_and_not_outside() -> None:
     """K_max by simulation: the same drop and rule, an order of magnitude apart."""
     scene = drop_scene(
-        DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06), T, False, True
+        DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06),
+        T,
+        False,
+        True,
     )
     laws = [
         PDWindowed(stiffness=k, damping=3.0, resolution=STEP, window=15).compile(T)
@@ -109,16 +125,25 @@ def test_windowed_drop_settles_inside_and_not_outside() -> None:
     ["{kind: pd_filtered, stiffness: 900, damping: 3, cutoff: 60}",
      "{kind: pd_windowed, stiffness: 900, damping: 3, resolution: 2.3e-5}"],
 )  # fmt: skip
-def test_a_launch_in_lockstep_gives_the_bits_of_one_process(tmp_path: Path, law: str) -> None:
+def test_a_launch_in_lockstep_gives_the_bits_of_one_process(
+    tmp_path: Path, law: str
+) -> None:
     from nodes.parameters.yaml_io import parse_yaml
 
     chosen = tmp_path / "law.yaml"
     chosen.write_text(f"coupling: {{law: mine, laws: {{mine: {law}}}}}")
     figures = launch_json(
-        tmp_path, "floor_buzz", "pace:=lockstep", "duration:=0.6", "--params", str(chosen)
+        tmp_path,
+        "floor_buzz",
+        "pace:=lockstep",
+        "duration:=0.6",
+        "--params",
+        str(chosen),
     )
     state = Recording(tmp_path / figures["recording"]).arrays("/device/state")
-    model = DeviceModel(mass=0.1, damping=1.0, resolution=STEP, friction=0.06, gravity=9.81)
+    model = DeviceModel(
+        mass=0.1, damping=1.0, resolution=STEP, friction=0.06, gravity=9.81
+    )
     compiled = compile_law(parse_law(parse_yaml(law, "law")), T)
     trace = run(drop_scene(model, T, False, True), compiled, 300)
     assert np.array_equal(state["position"][:-1, 2], trace.measured)
@@ -127,7 +152,9 @@ def test_a_launch_in_lockstep_gives_the_bits_of_one_process(tmp_path: Path, law:
 
 def test_bad_values_are_refused() -> None:
     with pytest.raises(LawRefusedError, match=r"law\.cutoff: .* above 0, got 0\.0"):
-        parse_law({"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 0.0})
+        parse_law(
+            {"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 0.0}
+        )
     with pytest.raises(LawRefusedError, match=r"law\.window: .* at most 64, got 65"):
         parse_law(
             {

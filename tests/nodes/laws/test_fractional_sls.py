@@ -24,7 +24,9 @@ def test_without_relaxation_it_is_kelvin_and_voigts() -> None:
     solid = FractionalSLS(
         stiffness=900.0, damping=0.5, order=0.6, relaxation=T * 1e-10, taps=12
     ).compile(T)
-    known = PDAlpha(stiffness=900.0, damping=0.5, order=0.6, taps=12, gains="physical").compile(T)
+    known = PDAlpha(
+        stiffness=900.0, damping=0.5, order=0.6, taps=12, gains="physical"
+    ).compile(T)
     assert solid.taps == pytest.approx(known.taps, rel=2e-6)
 
 
@@ -54,7 +56,9 @@ def test_the_arm_keeps_its_equation(order: float) -> None:
     x = np.random.default_rng(1).normal(size=60)
     force = np.convolve(x, law.taps)[:60]
     left = force + 3.0**order * np.convolve(force, weights)[:60]
-    assert left == pytest.approx(2.0 * T**-order * np.convolve(x, weights)[:60], rel=1e-9)
+    assert left == pytest.approx(
+        2.0 * T**-order * np.convolve(x, weights)[:60], rel=1e-9
+    )
 
 
 ORDERS = st.floats(0.05, 1.0)
@@ -77,8 +81,14 @@ def test_with_its_whole_memory_it_is_the_fraction_and_relaxes(
     law = FractionalSLS(
         stiffness=stiffness, damping=2.0, order=order, relaxation=relaxation
     ).compile(T)
-    z = np.exp(1j * np.concatenate([np.geomspace(1e-4, 0.1, 40), np.linspace(0.1, np.pi, 80)]))
-    spring, share, g = 2.0 / relaxation**order, (relaxation / T) ** order, (1.0 - 1.0 / z) ** order
+    z = np.exp(
+        1j * np.concatenate([np.geomspace(1e-4, 0.1, 40), np.linspace(0.1, np.pi, 80)])
+    )
+    spring, share, g = (
+        2.0 / relaxation**order,
+        (relaxation / T) ** order,
+        (1.0 - 1.0 / z) ** order,
+    )
     exact = stiffness + spring * share * g / (1.0 + share * g)
     # Two exponentials in each cell of 1.8 of ln s leave at most 0.6 % of the arm's own stiffness
     # (tried at 40 pairs).
@@ -102,7 +112,9 @@ def test_the_exponentials_are_positive_and_sum_to_the_first_answer(
 
 def test_a_maxwell_element_lets_go() -> None:
     """0.1 s, order 1, one section: after 1 s e^−10 is left, exactly p^501 of its first answer."""
-    law = FractionalSLS(stiffness=0.0, damping=50.0, order=1.0, relaxation=0.1).compile(T)
+    law = FractionalSLS(stiffness=0.0, damping=50.0, order=1.0, relaxation=0.1).compile(
+        T
+    )
     assert len(law.sections) == 1
     ((b0, b1, a1, a2),) = law.sections
     force, before, held = 0.0, 0.0, []
@@ -114,12 +126,14 @@ def test_a_maxwell_element_lets_go() -> None:
     assert held[500] == pytest.approx(500.0 * pole**501, rel=1e-9)
 
 
-def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_delay() -> None:
+def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_delay() -> (
+    None
+):
     """Each exponential's share of f, (t − cos θ)/(1 − 2 t cos θ + t²), rises up to ω_N."""
     for order in (0.3, 0.6, 0.9, 1.0):
-        law = FractionalSLS(stiffness=400.0, damping=0.4, order=order, relaxation=2.0 * T).compile(
-            T
-        )
+        law = FractionalSLS(
+            stiffness=400.0, damping=0.4, order=order, relaxation=2.0 * T
+        ).compile(T)
         at_nyquist = 0.5 * T * law.h_nyquist
         # `damping_needed` ends at the largest of a grid that is refined to 1e-9; the exact first
         # answers move it by their fit.
@@ -129,9 +143,9 @@ def test_the_condition_at_nyquist_is_passivity_with_the_whole_memory_and_no_dela
 
 def test_a_short_memory_needs_more_than_the_condition_at_nyquist() -> None:
     """A case over 10 % above it, below ω_N: K 0, relaxation 3.4 ticks, three taps."""
-    law = FractionalSLS(stiffness=0.0, damping=1.0, order=1.0, relaxation=3.4 * T, taps=3).compile(
-        T
-    )
+    law = FractionalSLS(
+        stiffness=0.0, damping=1.0, order=1.0, relaxation=3.4 * T, taps=3
+    ).compile(T)
     at_nyquist = 0.5 * T * law.h_nyquist
     theta = np.linspace(1e-3, np.pi, 20001)
     z = np.exp(1j * theta)

@@ -13,7 +13,9 @@ from nodes.laws.presets import PRESETS
 T = 0.002
 
 
-def pd_alpha(order: float, taps: int = 12, gains: str = "physical", **more: float) -> CompiledLaw:
+def pd_alpha(
+    order: float, taps: int = 12, gains: str = "physical", **more: float
+) -> CompiledLaw:
     values = {"stiffness": 1e6, "damping": 1.0, **more}
     return parse_law(
         {"kind": "pd_alpha", "order": order, "taps": taps, "gains": gains, **values}
@@ -82,14 +84,20 @@ def test_paper_gain_is_f_at_nyquist_of_the_sum_that_renders(
 
 @pytest.mark.parametrize("damping", [1.0, 3.0])
 def test_paper_optimum_has_the_sum_of_its_gains_at_nyquist(damping: float) -> None:
-    law = parse_law({"kind": "paper_optimum", "damping": damping, "stiffness": 700.0}).compile(T)
+    law = parse_law(
+        {"kind": "paper_optimum", "damping": damping, "stiffness": 700.0}
+    ).compile(T)
     # A few roundings of H(−1), some 1e4 N/m.
-    assert 0.5 * T * (law.h_nyquist - 700.0) == pytest.approx(damping * (1.69 + 1.32), rel=1e-13)
+    assert 0.5 * T * (law.h_nyquist - 700.0) == pytest.approx(
+        damping * (1.69 + 1.32), rel=1e-13
+    )
 
 
 @pytest.mark.parametrize("order", [0.25, 0.75, 1.5, 2.5, 3.75])
 @pytest.mark.parametrize("period", [0.00025, 0.002, 0.004])
-def test_unlimited_gain_is_f_at_nyquist_of_unlimited_memory(order: float, period: float) -> None:
+def test_unlimited_gain_is_f_at_nyquist_of_unlimited_memory(
+    order: float, period: float
+) -> None:
     data = {
         "kind": "pd_alpha",
         "stiffness": 1.0,
@@ -107,9 +115,16 @@ def test_unlimited_gain_is_f_at_nyquist_of_unlimited_memory(order: float, period
 
 def test_unlimited_is_the_same_as_measuring_time_so_that_the_period_is_two() -> None:
     """The paper's T is 2 ms; in milliseconds T = 2 (THEORY.md §2)."""
-    preset = {**PRESETS["paper_optimum"], "stiffness": 1.0, "damping": 1.0, "gains": "unlimited"}
+    preset = {
+        **PRESETS["paper_optimum"],
+        "stiffness": 1.0,
+        "damping": 1.0,
+        "gains": "unlimited",
+    }
     ours = np.array(parse_law(preset).compile(T).taps)
-    milliseconds = np.array(parse_law({**preset, "gains": "physical"}).compile(2.0).taps)
+    milliseconds = np.array(
+        parse_law({**preset, "gains": "physical"}).compile(2.0).taps
+    )
     ours[0] -= 1.0
     milliseconds[0] -= 1.0
     # A few roundings of T^-α and of the power of T/2.
@@ -118,12 +133,23 @@ def test_unlimited_is_the_same_as_measuring_time_so_that_the_period_is_two() -> 
 
 @pytest.mark.parametrize(
     ("order", "taps", "low", "high"),
-    [(0.3, 4, 1.0, 1.05), (1.7, 4, 0.98, 1.01), (3.47, 4, 0.97, 1.0), (3.47, 2, 0.3, 0.5)],
+    [
+        (0.3, 4, 1.0, 1.05),
+        (1.7, 4, 0.98, 1.01),
+        (3.47, 4, 0.97, 1.0),
+        (3.47, 2, 0.3, 0.5),
+    ],
 )
 def test_paper_and_unlimited_differ_by_what_the_memory_lacks(
     order: float, taps: int, low: float, high: float
 ) -> None:
-    data = {"kind": "pd_alpha", "stiffness": 1.0, "damping": 3.0, "order": order, "taps": taps}
+    data = {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "damping": 3.0,
+        "order": order,
+        "taps": taps,
+    }
     paper, unlimited = (
         parse_law({**data, "gains": unit}).compile(T).h_nyquist - 1.0
         for unit in ("paper", "unlimited")
@@ -133,7 +159,15 @@ def test_paper_and_unlimited_differ_by_what_the_memory_lacks(
 
 def test_gains_must_be_said() -> None:
     with pytest.raises(LawRefusedError, match=r"^law\.gains: is missing"):
-        parse_law({"kind": "pd_alpha", "stiffness": 1.0, "damping": 1.0, "order": 0.5, "taps": 4})
+        parse_law(
+            {
+                "kind": "pd_alpha",
+                "stiffness": 1.0,
+                "damping": 1.0,
+                "order": 0.5,
+                "taps": 4,
+            }
+        )
 
 
 def test_paper_optimum_is_what_the_paper_prints() -> None:

@@ -26,7 +26,9 @@ def test_units_limits_and_choices_are_those_of_the_type() -> None:
     assert (found["order"]["gt"], found["order"]["lt"]) == (0.0, 4.0)
     assert (found["taps"]["type"], found["taps"]["ge"]) == ("integer", 2)
     assert "gl" in found["derivative"]["choices"]
-    terms = {field["name"]: field for field in law_fields(law_kinds()["multi_term"])}["terms"]
+    terms = {field["name"]: field for field in law_fields(law_kinds()["multi_term"])}[
+        "terms"
+    ]
     assert [inner["name"] for inner in terms["fields"]] == ["gain", "order"]
 
 

@@ -29,7 +29,13 @@ T = 0.002
 
 EXAMPLES: dict[str, dict[str, Any]] = {
     "pd": {"stiffness": 1200.0, "damping": 3.0},
-    "pd_alpha": {"stiffness": 1200.0, "damping": 0.7, "order": 1.3, "taps": 12, "gains": "paper"},
+    "pd_alpha": {
+        "stiffness": 1200.0,
+        "damping": 0.7,
+        "order": 1.3,
+        "taps": 12,
+        "gains": "paper",
+    },
     "multi_term": {
         "stiffness": 1200.0,
         "damping": 2.0,
@@ -50,12 +56,24 @@ EXAMPLES: dict[str, dict[str, Any]] = {
         "taps": 16,
     },
     "pd_filtered": {"stiffness": 1200.0, "damping": 3.0, "cutoff": 30.0},
-    "pd_windowed": {"stiffness": 1200.0, "damping": 3.0, "resolution": 2.3e-5, "window": 9},
+    "pd_windowed": {
+        "stiffness": 1200.0,
+        "damping": 3.0,
+        "resolution": 2.3e-5,
+        "window": 9,
+    },
     "excitation": {"amplitude": 0.5, "stiffness": 30.0, "damping": 0.2},
-    "knock": {"taps": [5000.0, -3000.0, 500.0], "step": 1e-4, "stiffness": 30.0, "damping": 0.2},
+    "knock": {
+        "taps": [5000.0, -3000.0, 500.0],
+        "step": 1e-4,
+        "stiffness": 30.0,
+        "damping": 0.2,
+    },
 }
 
-CASES = [pytest.param({"kind": kind, **values}, id=kind) for kind, values in EXAMPLES.items()]
+CASES = [
+    pytest.param({"kind": kind, **values}, id=kind) for kind, values in EXAMPLES.items()
+]
 CASES += [pytest.param({"kind": name}, id=name) for name in preset_names()]
 
 
@@ -86,7 +104,9 @@ def expected(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.f
 
 def size(law: CompiledLaw) -> float:
     """Return the scale of rounding: taps, and sections over their memory."""
-    return sum(map(abs, law.taps)) + 50.0 * sum(abs(b0) + abs(b1) for b0, b1, _, _ in law.sections)
+    return sum(map(abs, law.taps)) + 50.0 * sum(
+        abs(b0) + abs(b1) for b0, b1, _, _ in law.sections
+    )
 
 
 def settling(law: CompiledLaw) -> int:
@@ -153,7 +173,9 @@ def test_alternating_deflection_gives_the_nyquist_gain(case: dict[str, Any]) -> 
 
 
 @every_law
-def test_dump_and_load_give_the_same_law_and_the_same_bits(case: dict[str, Any]) -> None:
+def test_dump_and_load_give_the_same_law_and_the_same_bits(
+    case: dict[str, Any],
+) -> None:
     law = parse_law(case)
     dumped = yaml.safe_dump(law_to_dict(law))
     again = parse_law(yaml.safe_load(dumped))
@@ -165,12 +187,16 @@ def test_dump_and_load_give_the_same_law_and_the_same_bits(case: dict[str, Any])
 
 
 @every_law
-def test_swap_at_rest_between_equal_h1_steps_by_rounding_only(case: dict[str, Any]) -> None:
+def test_swap_at_rest_between_equal_h1_steps_by_rounding_only(
+    case: dict[str, Any],
+) -> None:
     law = compile_law(parse_law(case), T)
     spring = compile_law(parse_law({"kind": "fir", "taps": [law.h1]}), T)
     length = max(len(law.taps), 1)
     history, head = [1e-3] * (2 * length), 0
-    step = arithmetic.fir(law.taps, history, head) - arithmetic.fir(spring.taps, history, head)
+    step = arithmetic.fir(law.taps, history, head) - arithmetic.fir(
+        spring.taps, history, head
+    )
     assert abs(step) <= 64 * 2.0**-52 * 1e-3 * size(law)
 
 
@@ -206,13 +232,22 @@ def test_preset_values_can_be_replaced() -> None:
             {"kind": "pd", "stiffness": 1.0, "damping": -1e-9},
             r"^laws\.a\.damping: .*of at least 0, got -1e-09",
         ),
-        ({"kind": "pd", "stiffness": math.nan}, r"^laws\.a\.stiffness: nan is not a finite"),
-        ({"kind": "pd", "stiffness": math.inf}, r"^laws\.a\.stiffness: inf is not a finite"),
+        (
+            {"kind": "pd", "stiffness": math.nan},
+            r"^laws\.a\.stiffness: nan is not a finite",
+        ),
+        (
+            {"kind": "pd", "stiffness": math.inf},
+            r"^laws\.a\.stiffness: inf is not a finite",
+        ),
         (
             {"kind": "pd", "stiffness": "1000"},
             r"^laws\.a\.stiffness: expected a number, got '1000'",
         ),
-        ({"kind": "pd", "stiffness": True}, r"^laws\.a\.stiffness: expected a number, got True"),
+        (
+            {"kind": "pd", "stiffness": True},
+            r"^laws\.a\.stiffness: expected a number, got True",
+        ),
         (
             {"kind": "pd", "stifness": 1.0},
             r"^laws\.a\.stifness: law kind pd has no such .* stiffness, damping",
@@ -223,7 +258,10 @@ def test_preset_values_can_be_replaced() -> None:
             rf"^laws\.a\.taps: .*of length at most {MAX_TAPS}",
         ),
         ({"kind": "fir", "taps": [1.0, math.inf]}, r"^laws\.a\.taps\[1\]: inf"),
-        ({"kind": "paper_optimum", "terms": []}, r"^laws\.a\.terms: .*a list of length at least 1"),
+        (
+            {"kind": "paper_optimum", "terms": []},
+            r"^laws\.a\.terms: .*a list of length at least 1",
+        ),
         (
             {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 4.0}]},
             r"^laws\.a\.terms\[0\]\.order: .*below 4, got 4",
@@ -232,7 +270,10 @@ def test_preset_values_can_be_replaced() -> None:
             {"kind": "paper_optimum", "terms": [{"gain": 1.0, "order": 0.0}]},
             r"^laws\.a\.terms\[0\]\.order: .*above 0, got 0",
         ),
-        ({"kind": "paper_optimum", "taps": 1}, r"^laws\.a\.taps: .*of at least 2, got 1"),
+        (
+            {"kind": "paper_optimum", "taps": 1},
+            r"^laws\.a\.taps: .*of at least 2, got 1",
+        ),
         ({"kind": "paper_optimum", "gains": "SI"}, r"^laws\.a\.gains: "),
     ],
 )
@@ -250,15 +291,23 @@ def test_refusals_name_path_value_and_limit(data: object, message: str) -> None:
             {"kind": "pd", "stiffness": 1e308, "damping": 1e308},
             r"^laws\.a: taps or their sum are not finite",
         ),
-        ({"kind": "fir", "taps": [1e308, 1e308]}, r"^laws\.a: taps or their sum are not finite"),
+        (
+            {"kind": "fir", "taps": [1e308, 1e308]},
+            r"^laws\.a: taps or their sum are not finite",
+        ),
         (
             {"kind": "fir", "taps": [1.0], "period": 0.001},
             r"^laws\.a\.period: .*T = 0\.001 s .*T = 0\.002 s",
         ),
-        ({"kind": "paper_optimum", "derivative": "none"}, r"^laws\.a.*derivative = 'none'"),
+        (
+            {"kind": "paper_optimum", "derivative": "none"},
+            r"^laws\.a.*derivative = 'none'",
+        ),
     ],
 )
-def test_compiling_refuses_what_must_not_be_rendered(data: object, message: str) -> None:
+def test_compiling_refuses_what_must_not_be_rendered(
+    data: object, message: str
+) -> None:
     with pytest.raises(LawRefusedError, match=message):
         compile_law(parse_law(data, "laws.a"), T, "laws.a")
 
@@ -266,7 +315,13 @@ def test_compiling_refuses_what_must_not_be_rendered(data: object, message: str)
 def test_just_inside_and_just_outside_a_positive_h1() -> None:
     """GL of order 1.5 with 4 taps leaks −B·T^−α·|C(0.5, 3)|: above that K is felt."""
     leak = T**-1.5 * abs(float(special.binom(0.5, 3)))
-    data = {"kind": "pd_alpha", "damping": 1.0, "order": 1.5, "taps": 4, "gains": "physical"}
+    data = {
+        "kind": "pd_alpha",
+        "damping": 1.0,
+        "order": 1.5,
+        "taps": 4,
+        "gains": "physical",
+    }
     inside = compile_law(parse_law({**data, "stiffness": leak * (1.0 + 1e-9)}), T)
     assert 0.0 < inside.h1 < 1e-5
     with pytest.raises(LawRefusedError, match=r"H\(1\) = -"):
@@ -278,13 +333,21 @@ def test_a_sum_of_taps_within_its_rounding_is_no_stiffness() -> None:
     taps = [0.1, 0.2, -0.3]
     rounding = 2.0**-52 * sum(map(abs, taps))
     assert 0.0 < sum(taps) < rounding
-    with pytest.raises(LawRefusedError, match=r"H\(1\) = 2\.77556e-17 N/m .*limit: > 1\.3e-16"):
+    with pytest.raises(
+        LawRefusedError, match=r"H\(1\) = 2\.77556e-17 N/m .*limit: > 1\.3e-16"
+    ):
         compile_law(parse_law({"kind": "fir", "taps": taps}), T)
     taps[2] += 2.0 * rounding
-    assert rounding < compile_law(parse_law({"kind": "fir", "taps": taps}), T).h1 < 4.0 * rounding
+    assert (
+        rounding
+        < compile_law(parse_law({"kind": "fir", "taps": taps}), T).h1
+        < 4.0 * rounding
+    )
 
 
-def test_sections_that_do_not_decay_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sections_that_do_not_decay_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Ringing(Law, frozen=True, kw_only=True):
         a2: float = 1.0
 
@@ -321,15 +384,25 @@ def edges(of: inspect.Type) -> list[Any]:
     least = least if of.ge is None else of.ge
     most = 1e300 if of.lt is None else math.nextafter(of.lt, -math.inf)
     most = most if of.le is None else of.le
-    near = [math.nextafter(at, to) for at in (least, most, 1.0, 2.0) for to in (-math.inf, at + 1)]
-    return [value for value in (least, most, 1.0, 1e-300, 1e300, *near) if least <= value <= most]
+    near = [
+        math.nextafter(at, to)
+        for at in (least, most, 1.0, 2.0)
+        for to in (-math.inf, at + 1)
+    ]
+    return [
+        value
+        for value in (least, most, 1.0, 1e-300, 1e300, *near)
+        if least <= value <= most
+    ]
 
 
 @pytest.mark.parametrize("kind", sorted(EXAMPLES))
 def test_two_parameters_at_their_edges_compile_or_are_refused(kind: str) -> None:
     """Anything but a law, a ValueError or an overflow is an error of ours."""
     law = law_kinds()[kind]
-    fields = {f.encode_name: edges(f.type) for f in cast(Any, inspect.type_info(law)).fields}
+    fields = {
+        f.encode_name: edges(f.type) for f in cast(Any, inspect.type_info(law)).fields
+    }
     tried = 0
     for one, other in itertools.combinations_with_replacement(fields, 2):
         for pair in itertools.product(fields[one], fields[other]):
@@ -374,7 +447,9 @@ def test_a_law_of_another_package_works_by_being_installed(
     )
     info = tmp_path / "elsewhere-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: elsewhere\nVersion: 1.0\n"
+    )
     (info / "entry_points.txt").write_text("[haptic.laws]\nsoft = elsewhere_law:Soft\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     assert compile_law(parse_law({"kind": "soft", "stiffness": 5.0}), T).taps == (5.0,)
@@ -389,19 +464,25 @@ def test_laws_are_parsed_without_numpy() -> None:
         "sys.exit(','.join({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
     )
     assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr.strip()
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True
+        ).stderr.strip()
         == ""
     )
 
 
 finite = st.floats(1e-3, 1e5)
 terms = st.lists(
-    st.fixed_dictionaries({"gain": st.floats(-10, 10), "order": st.floats(1e-6, 3.999)}),
+    st.fixed_dictionaries(
+        {"gain": st.floats(-10, 10), "order": st.floats(1e-6, 3.999)}
+    ),
     min_size=1,
     max_size=5,
 )
 laws = st.one_of(
-    st.fixed_dictionaries({"kind": st.just("pd"), "stiffness": finite, "damping": finite}),
+    st.fixed_dictionaries(
+        {"kind": st.just("pd"), "stiffness": finite, "damping": finite}
+    ),
     st.fixed_dictionaries(
         {
             "kind": st.just("multi_term"),
@@ -413,7 +494,10 @@ laws = st.one_of(
         }
     ),
     st.fixed_dictionaries(
-        {"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40)}
+        {
+            "kind": st.just("fir"),
+            "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40),
+        }
     ),
 )
 
@@ -462,4 +546,6 @@ def test_a_swap_over_the_shared_history_has_no_start_up(
             fresh, start = [0.0] * (2 * length), 0
             for older in x[: k + 1].tolist():
                 start = arithmetic.push(fresh, start, length, older)
-            assert arithmetic.fir(b.taps, history, head) == arithmetic.fir(b.taps, fresh, start)
+            assert arithmetic.fir(b.taps, history, head) == arithmetic.fir(
+                b.taps, fresh, start
+            )

@@ -15,7 +15,9 @@ from tests.support import ROOT
 PAGE = (ROOT / "nodes" / "laws" / "README.md").read_text(encoding="utf-8")
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 LAWS = {
-    name: kind for name, kind in law_kinds().items() if kind.__module__.startswith("nodes.laws.")
+    name: kind
+    for name, kind in law_kinds().items()
+    if kind.__module__.startswith("nodes.laws.")
 }
 
 
@@ -48,7 +50,11 @@ def test_parameters_are_those_of_the_law(name: str) -> None:
 
 
 def test_every_choice_of_gains_and_every_preset_is_explained() -> None:
-    (gains,) = (field for field in law_fields(LAWS["pd_alpha"]) if field["name"] == "gains")
-    assert set(gains["choices"]) == set(re.findall(r"^\| `(\w+)` \| N s", PAGE, re.MULTILINE)[:3])
+    (gains,) = (
+        field for field in law_fields(LAWS["pd_alpha"]) if field["name"] == "gains"
+    )
+    assert set(gains["choices"]) == set(
+        re.findall(r"^\| `(\w+)` \| N s", PAGE, re.MULTILINE)[:3]
+    )
     for preset in PRESETS:
         assert preset in PAGE or f"{preset.partition('_d')[0]}_*" in PAGE

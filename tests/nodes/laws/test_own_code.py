@@ -55,12 +55,17 @@ def test_code_that_remembers_begins_anew_on_each_axis_and_after_each_swap() -> N
     renderer = Renderer([0, 2], 16)
     plain, counting = CompiledLaw((0.0,)), CompiledLaw((0.0,), evaluate=Counting())
     renderer.law = renderer.fallback = ActiveLaw("plain", "", plain, renderer.histories)
-    proxy = Proxy(seq=0, stamp=0.0, position=(0.0, 0.0, 0.0), proxy=(0.0, 0.0, 0.0), contact=True)
+    proxy = Proxy(
+        seq=0, stamp=0.0, position=(0.0, 0.0, 0.0), proxy=(0.0, 0.0, 0.0), contact=True
+    )
     for _ in range(2):
         # The trial run before the swap, and the force step that it tells, are no ticks.
         step = renderer.swap(ActiveLaw("counting", "", counting, renderer.histories), 0)
         assert step == pytest.approx(math.hypot(1.0, 11.0), rel=1e-15)
-        assert [renderer.render(proxy) for _ in range(2)] == [(1.0, 0.0, 11.0), (2.0, 0.0, 12.0)]
+        assert [renderer.render(proxy) for _ in range(2)] == [
+            (1.0, 0.0, 11.0),
+            (2.0, 0.0, 12.0),
+        ]
         renderer.swap(ActiveLaw("plain", "", plain, renderer.histories), 0)
         renderer.render(proxy)
 
@@ -93,7 +98,9 @@ def test_own_code_reads_no_further_than_its_taps_or_is_refused(
     def own(ring: Any, head: int) -> float:
         if ring[head] <= 0.0:
             return 0.0  # at rest it reads nothing else
-        return float(ring[head + far] if how == "index" else ring[head + far : head + far + 1][0])
+        return float(
+            ring[head + far] if how == "index" else ring[head + far : head + far + 1][0]
+        )
 
     class Far(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
         kind: ClassVar[str] = "far"
@@ -105,5 +112,7 @@ def test_own_code_reads_no_further_than_its_taps_or_is_refused(
         assert compile_law(Far(), 0.002).evaluate is own
         return
     place = f"ring[head {'+' if far > 0 else '-'} {abs(far)}]"
-    with pytest.raises(LawRefusedError, match=re.escape(f"law: its own code reads {place}, but")):
+    with pytest.raises(
+        LawRefusedError, match=re.escape(f"law: its own code reads {place}, but")
+    ):
         compile_law(Far(), 0.002)

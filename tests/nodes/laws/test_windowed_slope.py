@@ -12,7 +12,9 @@ STEP = 2.3e-5
 
 
 @given(st.lists(st.integers(-40, 40), min_size=22, max_size=22), st.integers(1, 20))
-def test_the_slope_of_a_mirrored_motion_is_mirrored(counts: list[int], window: int) -> None:
+def test_the_slope_of_a_mirrored_motion_is_mirrored(
+    counts: list[int], window: int
+) -> None:
     ring = [STEP * count for count in counts]
     mirrored = windowed_slope([-x for x in ring], 0, STEP, window)
     # The same operations with the other sign: the same bits.

@@ -69,9 +69,15 @@ def example(info: inspect.Type) -> Any:
     if isinstance(info, inspect.Metadata):
         return example(info.type)
     if isinstance(info, inspect.UnionType):
-        return example(next(one for one in info.types if not isinstance(one, inspect.NoneType)))
+        return example(
+            next(one for one in info.types if not isinstance(one, inspect.NoneType))
+        )
     if isinstance(info, inspect.StructType):
-        return {field.encode_name: example(field.type) for field in info.fields if field.required}
+        return {
+            field.encode_name: example(field.type)
+            for field in info.fields
+            if field.required
+        }
     if isinstance(info, inspect.TupleType):
         return [example(one) for one in info.item_types]
     if isinstance(info, inspect.CollectionType):
@@ -96,13 +102,19 @@ def put(tree: Any, info: inspect.Type, way: tuple[str | int, ...], value: Any) -
         return value
     if isinstance(info, inspect.UnionType):
         # The alternative that has such a number.
-        inner = next(one for one in info.types if any(found == way for found, _ in numbers(one)))
+        inner = next(
+            one for one in info.types if any(found == way for found, _ in numbers(one))
+        )
         return put(tree, inner, way, value)
     tree = copy.deepcopy(tree) if tree else example(info)
     if isinstance(info, inspect.StructType):
         field = next(field for field in info.fields if field.encode_name == way[0])
         return {**tree, way[0]: put(tree.get(way[0]), field.type, way[1:], value)}
-    inner = info.item_types[int(way[0])] if isinstance(info, inspect.TupleType) else info.item_type  # type: ignore[attr-defined]
+    inner = (
+        info.item_types[int(way[0])]
+        if isinstance(info, inspect.TupleType)
+        else info.item_type
+    )  # type: ignore[attr-defined]
     tree[way[0]] = put(tree[int(way[0])], inner, way[1:], value)
     return tree
 
@@ -111,7 +123,9 @@ PD = {"kind": "pd", "stiffness": 500.0, "damping": 3.0}
 LEAST: dict[str, dict[str, Any]] = {  # parameters that a node cannot be made without
     "coupling": {"law": "pd", "laws": {"pd": PD}},
     "environment": {"surface": {"kind": "plane", "position": 0.0}},
-    "sim_driver": {"device": {"mass": 0.1, "hand": {"stiffness": 100.0, "path": [[0.0, 0.0]]}}},
+    "sim_driver": {
+        "device": {"mass": 0.1, "hand": {"stiffness": 100.0, "path": [[0.0, 0.0]]}}
+    },
 }
 
 
@@ -139,14 +153,19 @@ def use_surface(kind: str, parameters: dict[str, Any]) -> None:
     use_node("environment", {"surface": {"kind": kind, **parameters}})
 
 
-def tried() -> Iterator[tuple[str, Any, tuple[str | int, ...], type, dict[str, Any], Any]]:
+def tried() -> Iterator[
+    tuple[str, Any, tuple[str | int, ...], type, dict[str, Any], Any]
+]:
     """Yield all numbers to try."""
     kinds = {name: load(factory) for name, factory in node_kinds().items()}
     groups = [
-        (name, kind.Parameters, LEAST.get(name, {}), use_node) for name, kind in kinds.items()
+        (name, kind.Parameters, LEAST.get(name, {}), use_node)
+        for name, kind in kinds.items()
     ]
     groups += [(name, load_law(name), {}, use_law) for name in law_names()]
-    groups += [(name, SURFACES.load(name), {}, use_surface) for name in SURFACES.names()]
+    groups += [
+        (name, SURFACES.load(name), {}, use_surface) for name in SURFACES.names()
+    ]
     for name, struct, least, use in groups:
         info = inspect.type_info(struct)
         for way, kind in numbers(info):
@@ -157,7 +176,9 @@ def try_all() -> None:
     """Try each number at both ends, in a process that the kernel ends beyond its limits."""
     taken = refused = 0
     for name, info, way, kind, least, use in tried():
-        for value in (int(HUGE), 2**53, 2**70) if kind is int else (HUGE, 1e300, 5e-324):
+        for value in (
+            (int(HUGE), 2**53, 2**70) if kind is int else (HUGE, 1e300, 5e-324)
+        ):
             print(name, *way, value, file=sys.stderr, flush=True)
             try:
                 use(name, put(least, info, way, value))
@@ -185,7 +206,11 @@ def bounded() -> None:
 def test_every_registered_number_is_used_or_refused_within_bounds() -> None:
     code = "import tests.nodes.parameters.test_limits as limits; limits.bounded()"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=ROOT
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     taken, refused = map(int, done.stdout.split())
@@ -218,7 +243,9 @@ def test_what_is_beyond_a_limit_is_refused_with_path_value_and_limit(
         convert({"law": "pd", **data}, CouplingParameters, "coupling")
     assert (
         convert(
-            {"law": "pd", "plant": {"mass": 0.1, "delay": 100.0}}, CouplingParameters, "coupling"
+            {"law": "pd", "plant": {"mass": 0.1, "delay": 100.0}},
+            CouplingParameters,
+            "coupling",
         ).plant.delay
         == 100.0
     )
@@ -230,5 +257,7 @@ def test_a_plant_of_python_and_a_run_of_one_process_have_limits_too() -> None:
         Plant(0.002, 0.1, 1.0, MAX_DELAY * (1.0 + 2.0**-52))
     with pytest.raises(ValueError, match="ticks is 1000000000000, expected at most"):
         drop(
-            {"kind": "pd", "stiffness": 500.0, "damping": 3.0}, Plant(0.002, 0.1, 1.0), ticks=10**12
+            {"kind": "pd", "stiffness": 500.0, "damping": 3.0},
+            Plant(0.002, 0.1, 1.0),
+            ticks=10**12,
         )

@@ -12,7 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nodes.coupling.parameters import CouplingParameters
-from nodes.parameters.store import ParameterError, ParameterStore, convert, merge, of_node
+from nodes.parameters.store import (
+    ParameterError,
+    ParameterStore,
+    convert,
+    merge,
+    of_node,
+)
 from nodes.parameters.yaml_io import (
     MAX_CHARACTERS,
     MAX_DEPTH,
@@ -102,8 +108,12 @@ def test_limits_themselves_are_accepted() -> None:
     assert parse_yaml(" " * MAX_CHARACTERS, "test") is None
 
 
-@pytest.mark.parametrize(("content", "told"), [(b"a: \xff", "not UTF-8"), (None, "No such file")])
-def test_unreadable_files_are_told(tmp_path: Path, content: bytes | None, told: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "told"), [(b"a: \xff", "not UTF-8"), (None, "No such file")]
+)
+def test_unreadable_files_are_told(
+    tmp_path: Path, content: bytes | None, told: str
+) -> None:
     path = tmp_path / "scene.yaml"
     if content is not None:
         path.write_bytes(content)
@@ -140,7 +150,9 @@ scalars = (
 names = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 trees = st.recursive(
     scalars,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(names, inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(names, inner, max_size=4)
+    ),
     max_leaves=20,
 )
 
@@ -163,7 +175,10 @@ def test_what_is_written_reads_back_to_the_bit(tree: Any) -> None:
 
 def test_repeated_objects_are_written_out() -> None:
     taps = [1.0, 2.0]
-    assert parse_yaml(write_yaml({"a": taps, "b": taps}), "test") == {"a": taps, "b": taps}
+    assert parse_yaml(write_yaml({"a": taps, "b": taps}), "test") == {
+        "a": taps,
+        "b": taps,
+    }
 
 
 # -- types, paths, limits
@@ -192,9 +207,18 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     [
         ({"count": 6}, "node.count: expected a whole number of at most 5, got 6"),
         ({"count": 2.5}, "node.count: expected a whole number, got 2.5"),
-        ({"inner": {"gain": -0.5}}, "node.inner.gain: expected a number of at least 0, got -0.5"),
-        ({"inner": {"gain": "strong"}}, "node.inner.gain: expected a number, got 'strong'"),
-        ({"inner": {"gain": float("nan")}}, "node.inner.gain: nan is not a finite number"),
+        (
+            {"inner": {"gain": -0.5}},
+            "node.inner.gain: expected a number of at least 0, got -0.5",
+        ),
+        (
+            {"inner": {"gain": "strong"}},
+            "node.inner.gain: expected a number, got 'strong'",
+        ),
+        (
+            {"inner": {"gain": float("nan")}},
+            "node.inner.gain: nan is not a finite number",
+        ),
         (
             {"inner": {"points": [[0.0, 1.0], [2.0, float("inf")]]}},
             "node.inner.points[1][1]: inf is not a finite number",
@@ -207,7 +231,10 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             {"inner": {"gian": 1.0}},
             "node.inner.gian: no such parameter; available: gain, points; did you mean gain?",
         ),
-        ({"free": {"deep": {"x": float("nan")}}}, "node.free.deep.x: nan is not a finite number"),
+        (
+            {"free": {"deep": {"x": float("nan")}}},
+            "node.free.deep.x: nan is not a finite number",
+        ),
         ({"free": {"A": 1}}, "node.free: expected a name that matches '^[a-z]+$'"),
         ({"inner": {"gain": 10**400}}, "node.inner.gain"),
         ([], "node: expected a mapping, got a list"),
@@ -222,9 +249,18 @@ def test_refusals_name_path_value_and_limit(data: Any, told: str) -> None:
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"cuont": 1}, "node.cuont: no such parameter; available: name, count, inner, maybe, free"),
-        ({"inner.gian": 1.0}, "node.inner.gian: no such parameter; available: gain, points"),
-        ({"inner.gain.x": 1.0}, "node.inner.gain.x: no such parameter; it has no names below"),
+        (
+            {"cuont": 1},
+            "node.cuont: no such parameter; available: name, count, inner, maybe, free",
+        ),
+        (
+            {"inner.gian": 1.0},
+            "node.inner.gian: no such parameter; available: gain, points",
+        ),
+        (
+            {"inner.gain.x": 1.0},
+            "node.inner.gain.x: no such parameter; it has no names below",
+        ),
         (
             {"maybe.gain": 1.0},
             "node.maybe.gain: no such parameter; it has nothing below it; set it as a whole",
@@ -260,7 +296,13 @@ def test_names_are_free_in_mappings_only() -> None:
         "node", Outer, {"free": {"a": {"x": 1}}, "inner": {"points": [[1.0, 2.0]]}}
     )
     made = store.changed(
-        {"free.b": 5, "free.a.y": 2, "inner.points[0][1]": 7, "count": 4, "maybe": {"gain": 2}}
+        {
+            "free.b": 5,
+            "free.a.y": 2,
+            "inner.points[0][1]": 7,
+            "count": 4,
+            "maybe": {"gain": 2},
+        }
     )
     assert made.free == {"a": {"x": 1, "y": 2}, "b": 5}
     assert made.inner.points == [[1.0, 7.0]]
@@ -281,7 +323,10 @@ def test_get_reads_values_branches_and_entries() -> None:
 def test_merging_lays_over_and_another_kind_replaces() -> None:
     base = {
         "law": "pd",
-        "laws": {"pd": {"kind": "pd", "stiffness": 1.0, "damping": 2.0}, "old": {"kind": "fir"}},
+        "laws": {
+            "pd": {"kind": "pd", "stiffness": 1.0, "damping": 2.0},
+            "old": {"kind": "fir"},
+        },
     }
     over = {
         "laws": {
@@ -318,7 +363,10 @@ some_laws = st.dictionaries(
     law_names,
     st.fixed_dictionaries({"kind": st.just("pd"), "stiffness": gains, "damping": gains})
     | st.fixed_dictionaries(
-        {"kind": st.just("fir"), "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=5)}
+        {
+            "kind": st.just("fir"),
+            "taps": st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=5),
+        }
     )
     | st.just("paper_optimum"),
     min_size=1,
@@ -330,7 +378,11 @@ some_laws = st.dictionaries(
 def couplings(draw: st.DrawFn) -> dict[str, Any]:
     laws = draw(some_laws)
     swaps = st.fixed_dictionaries(
-        {"at": st.floats(0, 1e3), "law": st.sampled_from(sorted(laws)), "ramp": st.integers(0, 9)}
+        {
+            "at": st.floats(0, 1e3),
+            "law": st.sampled_from(sorted(laws)),
+            "ramp": st.integers(0, 9),
+        }
     )
     return {
         "law": draw(st.sampled_from(sorted(laws))),
@@ -342,14 +394,18 @@ def couplings(draw: st.DrawFn) -> dict[str, Any]:
         "stability": draw(st.sampled_from(["warn", "refuse", "off"])),
         "plant": draw(
             st.none()
-            | st.fixed_dictionaries({"mass": gains, "delay": st.none() | st.floats(0.0, 100.0)})
+            | st.fixed_dictionaries(
+                {"mass": gains, "delay": st.none() | st.floats(0.0, 100.0)}
+            )
         ),
     }
 
 
 @given(couplings(), couplings())
 @settings(max_examples=60)
-def test_dump_then_load_is_the_identity(one: dict[str, Any], other: dict[str, Any]) -> None:
+def test_dump_then_load_is_the_identity(
+    one: dict[str, Any], other: dict[str, Any]
+) -> None:
     store = ParameterStore("coupling", CouplingParameters, one)
     dumped = parse_yaml(write_yaml({"coupling": store.dump()}), "dump")
     assert store.merged(dumped) == store.current

@@ -50,18 +50,24 @@ class Tree(msgspec.Struct):
     anything: Any = None
 
 
-scalars = st.sampled_from([None, True, 0, 1, 6, -1, 0.5, 2.0, "auto", "any", "off", "a", "Abcd"])
+scalars = st.sampled_from(
+    [None, True, 0, 1, 6, -1, 0.5, 2.0, "auto", "any", "off", "a", "Abcd"]
+)
 names = st.sampled_from([*Tree.__struct_fields__, *Leaf.__struct_fields__, "a", "B"])
 trees = st.recursive(
     scalars,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(names, inner, max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(names, inner, max_size=4)
+    ),
     max_leaves=12,
 )
 
 
 def place(refusal: str) -> str:
     """Return the path in a sentence of msgspec's, with `[...]` for the key of a mapping."""
-    found = re.search(r" - at (?:`key(?:\[\.\.\.\])?` in )?`\$(.*)`$", refusal, re.DOTALL)
+    found = re.search(
+        r" - at (?:`key(?:\[\.\.\.\])?` in )?`\$(.*)`$", refusal, re.DOTALL
+    )
     return found[1] if found else ""
 
 
@@ -78,7 +84,10 @@ def refusal(data: Any, target: Any) -> str | None:
     return None
 
 
-@given(st.fixed_dictionaries({}, optional=dict.fromkeys(Tree.__struct_fields__, trees)) | trees)
+@given(
+    st.fixed_dictionaries({}, optional=dict.fromkeys(Tree.__struct_fields__, trees))
+    | trees
+)
 @example({"leaf": {"gain": 1.0, "count": 2}})
 @example({"leaves": [{"gain": 1.0}, {"gain": 1.0, "mode": "of"}]})
 @example({"by_name": {"a": {"gain": 1.0}, "B": {"gain": 1.0}}})
@@ -99,9 +108,13 @@ def test_a_misfit_is_found_where_msgspec_finds_it(data: Any) -> None:
         assert hidden_keys(misfit.path) == place(told)
 
 
-@pytest.mark.parametrize("target", [CouplingParameters, SimDriverParameters, NodeSpec, RunSpec])
+@pytest.mark.parametrize(
+    "target", [CouplingParameters, SimDriverParameters, NodeSpec, RunSpec]
+)
 @given(data=st.data())
-def test_nodes_accept_what_has_no_misfit(target: type[msgspec.Struct], data: st.DataObject) -> None:
+def test_nodes_accept_what_has_no_misfit(
+    target: type[msgspec.Struct], data: st.DataObject
+) -> None:
     values = data.draw(
         st.dictionaries(st.sampled_from(target.__struct_fields__), trees, max_size=3)
     )
@@ -111,15 +124,36 @@ def test_nodes_accept_what_has_no_misfit(target: type[msgspec.Struct], data: st.
 @pytest.mark.parametrize(
     ("data", "told"),
     [
-        ({"cpu": "fast"}, "node.cpu: expected a whole number or any or auto, got 'fast'"),
-        ({"awake": "aut"}, "node.awake: expected true or false or auto, got 'aut'; did you mean"),
-        ({"leaf": {"gain": 1.0, "mode": "of"}}, "expected one of auto, off, got 'of'; did you"),
-        ({"by_name": {"a": {"gain": 0.0}}}, "node.by_name.a.gain: expected a number above 0, got"),
+        (
+            {"cpu": "fast"},
+            "node.cpu: expected a whole number or any or auto, got 'fast'",
+        ),
+        (
+            {"awake": "aut"},
+            "node.awake: expected true or false or auto, got 'aut'; did you mean",
+        ),
+        (
+            {"leaf": {"gain": 1.0, "mode": "of"}},
+            "expected one of auto, off, got 'of'; did you",
+        ),
+        (
+            {"by_name": {"a": {"gain": 0.0}}},
+            "node.by_name.a.gain: expected a number above 0, got",
+        ),
         ({"leaf": {"gain": 1.0, "count": 2}}, "node.leaf: count is above gain"),
-        ({"leaf": {"gain": 10**400}}, "node.leaf.gain: expected a number of at most 1.797"),
+        (
+            {"leaf": {"gain": 10**400}},
+            "node.leaf.gain: expected a number of at most 1.797",
+        ),
         ({"leaf": {}}, "node.leaf.gain: is missing, and has no default"),
-        ({"point": [0.0]}, "node.point: expected a list of length 2, got a list of length 1"),
-        ({"taps": []}, "node.taps: expected a list of length at least 1, got a list of length 0"),
+        (
+            {"point": [0.0]},
+            "node.point: expected a list of length 2, got a list of length 1",
+        ),
+        (
+            {"taps": []},
+            "node.taps: expected a list of length at least 1, got a list of length 0",
+        ),
     ],
 )
 def test_a_misfit_names_path_value_and_limit(data: Any, told: str) -> None:

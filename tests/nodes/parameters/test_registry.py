@@ -30,9 +30,14 @@ def broken(tmp_path: Path) -> dict[str, str]:
     (info / "METADATA").write_text(
         "Metadata-Version: 2.1\nName: half-finished\nVersion: 0.1\n", encoding="utf-8"
     )
-    points = "".join(f"[haptic.{group}]\nhalf = half_finished:Half\n" for group in GROUPS)
+    points = "".join(
+        f"[haptic.{group}]\nhalf = half_finished:Half\n" for group in GROUPS
+    )
     (info / "entry_points.txt").write_text(points, encoding="utf-8")
-    return {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    return {
+        **os.environ,
+        "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
+    }
 
 
 @pytest.mark.slow
@@ -45,12 +50,14 @@ def test_what_does_not_import_leaves_everything_else_alone(
         haptic(tmp_path, *words, environment=environment)
     haptic(tmp_path, "study", "kmax", "--law", "pd", "--gain", "3", environment=broken)
     assert "half" in haptic(tmp_path, environment=broken, code=2).stdout
-    checks = json.loads(haptic(tmp_path, "doctor", "--json", environment=broken, code=None).stdout)[
-        "checks"
-    ]
+    checks = json.loads(
+        haptic(tmp_path, "doctor", "--json", environment=broken, code=None).stdout
+    )["checks"]
     found = next(check for check in checks if check["name"] == "other packages")
     assert found["state"] == "limited"
-    assert all(f"'half': the {group} cannot be imported" in found["found"] for group in GROUPS)
+    assert all(
+        f"'half': the {group} cannot be imported" in found["found"] for group in GROUPS
+    )
     assert "of the package half-finished" in found["found"]
 
 
@@ -80,7 +87,10 @@ def test_who_asks_for_it_is_told_what_is_wrong_and_whose_it_is(
     )
     with private_runtime_dir() as runtime_dir:
         told = haptic(
-            tmp_path, *words, environment={**broken, "HAPTIC_RUNTIME_DIR": str(runtime_dir)}, code=2
+            tmp_path,
+            *words,
+            environment={**broken, "HAPTIC_RUNTIME_DIR": str(runtime_dir)},
+            code=2,
         ).stderr
     assert "Traceback" not in told
     assert "SystemExit: no licence server" in told
@@ -142,7 +152,9 @@ def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> 
     (info / "entry_points.txt").write_text(
         "[haptic.laws]\nsoft = soft_laws:Soft\n", encoding="utf-8"
     )
-    environment = {"PYTHONPATH": f"{info.parent}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    environment = {
+        "PYTHONPATH": f"{info.parent}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    }
     figures = launch_json(
         tmp_path,
         "floor_drop",
@@ -154,8 +166,12 @@ def test_an_installed_law_is_taken_by_name_in_every_scenario(tmp_path: Path) -> 
     )
     # m g / K with the scenario's K; the device's own damper less K T/2, 0.5 N s/m, leaves e^-25 of
     # the bounce after 10 s.
-    assert figures["final"]["position_m"] == pytest.approx(-0.1 * 9.81 / 500.0, rel=1e-5)
-    with running(tmp_path, "wall_press", "duration:=0", environment=environment) as launch:
+    assert figures["final"]["position_m"] == pytest.approx(
+        -0.1 * 9.81 / 500.0, rel=1e-5
+    )
+    with running(
+        tmp_path, "wall_press", "duration:=0", environment=environment
+    ) as launch:
         assert "soft" in launch.call("coupling", "law.list")["laws"]
         assert launch.call("coupling", "law.show", law="soft")["h1_n_per_m"] == 1000.0
 
@@ -167,11 +183,16 @@ def test_a_sub_verb_that_does_not_import_leaves_those_beside_it_alone(
 ) -> None:
     points = tmp_path / "site" / "half_finished-0.1.dist-info" / "entry_points.txt"
     points.write_text(
-        points.read_text(encoding="utf-8") + "bag.half = half_finished\n", encoding="utf-8"
+        points.read_text(encoding="utf-8") + "bag.half = half_finished\n",
+        encoding="utf-8",
     )
-    told = haptic(tmp_path, "bag", "info", "absent.mcap", environment=broken, code=2).stderr
+    told = haptic(
+        tmp_path, "bag", "info", "absent.mcap", environment=broken, code=2
+    ).stderr
     assert told == "haptic: absent.mcap: no such file\n"
-    told = haptic(tmp_path, "bag", "half", "a.mcap", "--more", environment=broken, code=2).stderr
+    told = haptic(
+        tmp_path, "bag", "half", "a.mcap", "--more", environment=broken, code=2
+    ).stderr
     assert told.startswith(
         "haptic: 'bag.half': the verb cannot be imported: SystemExit: no licence server"
     )
@@ -179,7 +200,9 @@ def test_a_sub_verb_that_does_not_import_leaves_those_beside_it_alone(
 
 @pytest.mark.process
 @pytest.mark.parametrize("verb", ["bag", "law", "study"])
-def test_one_module_is_a_sub_verb_of_any_verb_that_has_some(verb: str, tmp_path: Path) -> None:
+def test_one_module_is_a_sub_verb_of_any_verb_that_has_some(
+    verb: str, tmp_path: Path
+) -> None:
     """The same module works as a verb, and as a sub-verb of `bag` and `law`."""
     folder = tmp_path / "site"
     info = folder / "counted-0.1.dist-info"
@@ -201,7 +224,9 @@ def test_one_module_is_a_sub_verb_of_any_verb_that_has_some(verb: str, tmp_path:
         **os.environ,
         "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
     }
-    told = haptic(tmp_path, verb, "count", "a", "b", "--json", environment=environment).stdout
+    told = haptic(
+        tmp_path, verb, "count", "a", "b", "--json", environment=environment
+    ).stdout
     assert json.loads(told) == {"words": 2}
     assert (
         "Count 100 % of the words."

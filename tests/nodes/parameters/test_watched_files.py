@@ -122,7 +122,9 @@ for k in range(1, count + 1):
 
 @pytest.mark.process
 @pytest.mark.usefixtures("sigio_ignored")
-def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(tmp_path: Path) -> None:
+def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(
+    tmp_path: Path,
+) -> None:
     # The writer opens the file anew as soon as it has closed it, so leases are broken all the time;
     # without SIGIO ignored the first broken one would end this process.
     path = tmp_path / "busy.yaml"
@@ -138,7 +140,9 @@ def test_a_reader_beside_a_busy_writer_sees_whole_documents_only(tmp_path: Path)
 
 
 @pytest.mark.process
-def test_a_lease_that_is_broken_is_survived_by_a_node_that_ignores_sigio(tmp_path: Path) -> None:
+def test_a_lease_that_is_broken_is_survived_by_a_node_that_ignores_sigio(
+    tmp_path: Path,
+) -> None:
     code = (
         "import signal, fcntl, os, sys\nsignal.signal(signal.SIGIO, signal.SIG_IGN if sys.argv[2]"
         " == 'ignored' else signal.SIG_DFL)\nfile = open(sys.argv[1]); fcntl.fcntl(file,"

@@ -23,7 +23,8 @@ from nodes.view.comparison import PLAYERS
 from tests.support.launching import exit_code
 
 REGISTRIES = {
-    registry.group: registry for registry in (LAWS, DERIVATIVES, SURFACES, NODES, VERBS, PLAYERS)
+    registry.group: registry
+    for registry in (LAWS, DERIVATIVES, SURFACES, NODES, VERBS, PLAYERS)
 }
 
 WRONG = """
@@ -63,10 +64,11 @@ def wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (info / "METADATA").write_text(
         "Metadata-Version: 2.1\nName: wrong-things\nVersion: 1.0\n", encoding="utf-8"
     )
-    points = "".join(f"[{group}]\nnumber_there = wrong_things:number\n" for group in REGISTRIES)
-    points += (
-        "[haptic.laws]\nplain_there = wrong_things:Plain\nmisnamed_there = wrong_things:Misnamed\n"
+    points = "".join(
+        f"[{group}]\nnumber_there = wrong_things:number\n" for group in REGISTRIES
     )
+    points += "[haptic.laws]\nplain_there = wrong_things:Plain\n"
+    points += "misnamed_there = wrong_things:Misnamed\n"
     points += "raises = wrong_things:Raises\nunwritable = wrong_things:Unwritable\n"
     points += "[haptic.surfaces]\nmisplaced_there = wrong_things:Misnamed\n"
     points += (
@@ -89,7 +91,12 @@ def test_a_number_is_of_no_kind(wrong: Path, group: str) -> None:
     found, broken = registry.all()
     assert "number_there" in broken
     assert set(found) | set(broken) == set(registry.names())
-    assert set(broken) <= {"number_there", "plain_there", "misnamed_there", "misplaced_there"}
+    assert set(broken) <= {
+        "number_there",
+        "plain_there",
+        "misnamed_there",
+        "misplaced_there",
+    }
 
 
 @pytest.mark.parametrize("name", [[], {}, 5, None, "x" * 10_000])
@@ -110,15 +117,20 @@ def test_laws_are_listed_but_for_the_wrong_ones(wrong: Path) -> None:
         {"law": "pd", "laws": laws, "usual": usual}, CouplingParameters, "coupling"
     )
     book = LawBook("coupling", 0.002)
-    listed = {name: book.description(parameters, name) for name in book.names(parameters)}
+    listed = {
+        name: book.description(parameters, name) for name in book.names(parameters)
+    }
     assert {"pd", "designed_d0"} <= set(listed)
     assert not {"plain_there", "misnamed_there", "raises", "unwritable"} & set(listed)
     for name in ("plain_there", "misnamed_there", "number_there"):
-        with pytest.raises(LawRefusedError, match=rf"law.kind: '{name}': .*wrong-things"):
+        with pytest.raises(
+            LawRefusedError, match=rf"law.kind: '{name}': .*wrong-things"
+        ):
             parse_law({"kind": name})
         assert name not in law_kinds()
     with pytest.raises(
-        LawRefusedError, match=r"law: cannot be made: KeyError: 'no licence' \(law kind raises\)"
+        LawRefusedError,
+        match=r"law: cannot be made: KeyError: 'no licence' \(law kind raises\)",
     ):
         parse_law({"kind": "raises"})
     assert "number_there" not in derivative_kinds()
@@ -131,12 +143,21 @@ def test_verbs_scenarios_and_the_doctor_go_on(
     assert exit_code("bag", "info", "absent.mcap") == 2
     assert capsys.readouterr().err == "haptic: absent.mcap: no such file\n"
     assert exit_code("bag", "raising", "a") == 2
-    assert "cannot declare its arguments: RuntimeError('half an update')" in capsys.readouterr().err
+    assert (
+        "cannot declare its arguments: RuntimeError('half an update')"
+        in capsys.readouterr().err
+    )
     assert exit_code("number_there") == 2
     assert "has no add(parser)" in capsys.readouterr().err
     found = CHECKS["other packages"]()
     assert found.state == "limited"
-    for name in ("number_there", "plain_there", "misnamed_there", "misplaced_there", "more"):
+    for name in (
+        "number_there",
+        "plain_there",
+        "misnamed_there",
+        "misplaced_there",
+        "more",
+    ):
         assert f"'{name}'" in found.found
 
 

@@ -45,7 +45,9 @@ def ticks(
     for node in sent:
         name = within(chain, f"/{node}")[1:]
         yield told(
-            node, event(node), Event(seq=0, stamp=BEGUN - 1.0, node=name, kind="x", reason="y")
+            node,
+            event(node),
+            Event(seq=0, stamp=BEGUN - 1.0, node=name, kind="x", reason="y"),
         )
     for seq in range(count):
         yield told("driver", DEVICE_STATE, state(seq))
@@ -59,7 +61,13 @@ def ticks(
             for node in sent:
                 name, at = within(chain, f"/{node}")[1:], BEGUN + seq * PERIOD
                 message = NodeStatus(
-                    seq=seq, stamp=at, node=name, kind=node, state="running", pid=1, sent=sent[node]
+                    seq=seq,
+                    stamp=at,
+                    node=name,
+                    kind=node,
+                    state="running",
+                    pid=1,
+                    sent=sent[node],
                 )
                 yield told(node, status(node), message)
 
@@ -72,14 +80,19 @@ def recorded(
         for chain in chains
         for node, topic in (("driver", DEVICE_STATE), ("environment", PROXY))
     }
-    with RecordWriter(path, {"publishes": json.dumps(publishes)}, overwrite=True) as writer:
+    with RecordWriter(
+        path, {"publishes": json.dumps(publishes)}, overwrite=True
+    ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp)
     return path
 
 
 def lost(path: Path) -> dict[str, int]:
-    return {node: account.lost for node, account in completeness(Recording(path)).nodes.items()}
+    return {
+        node: account.lost
+        for node, account in completeness(Recording(path)).nodes.items()
+    }
 
 
 # -- losses
@@ -90,12 +103,16 @@ def test_what_a_node_skipped_before_and_while_a_late_logger_listened_is_not_lost
     tmp_path: Path,
 ) -> None:
     late = [
-        (topic, message) for topic, message in ticks(skipped=(60, 150, 151)) if message.seq >= 40
+        (topic, message)
+        for topic, message in ticks(skipped=(60, 150, 151))
+        if message.seq >= 40
     ]
     assert lost(recorded(tmp_path / "r.mcap", late)) == {"driver": 0, "environment": 0}
     # What was sent and did not come is.
     gone = [
-        (topic, message) for topic, message in late if not (topic == PROXY and message.seq == 200)
+        (topic, message)
+        for topic, message in late
+        if not (topic == PROXY and message.seq == 200)
     ]
     assert lost(recorded(tmp_path / "r.mcap", gone)) == {"driver": 0, "environment": 1}
 
@@ -107,14 +124,20 @@ def test_several_chains_are_judged_each_by_its_own_beginning(tmp_path: Path) -> 
         both = [*ticks("left", skipped=(250,)), *ticks("right")]
         since = {"left": left, "right": right}
         kept = [
-            (topic, message) for topic, message in both if message.seq >= since[topic.split("/")[1]]
+            (topic, message)
+            for topic, message in both
+            if message.seq >= since[topic.split("/")[1]]
         ]
         return sorted(kept, key=lambda one: one[1].seq)
 
     for since in ((0, 0), (120, 130), (0, 130)):
-        verdict = completeness(Recording(recorded(tmp_path / "r.mcap", sent(*since), chains)))
+        verdict = completeness(
+            Recording(recorded(tmp_path / "r.mcap", sent(*since), chains))
+        )
         assert verdict.text == "complete, nothing lost"
-        assert [verdict.nodes[f"{chain}/driver"].since for chain in chains] == list(since)
+        assert [verdict.nodes[f"{chain}/driver"].since for chain in chains] == list(
+            since
+        )
         assert verdict.left_out == 0
 
 
@@ -139,11 +162,15 @@ def test_what_was_cut_is_not_lost(
     assert main(["bag", words[0], str(path), *words[1:], "--out", str(part)]) == 0
     assert main(["bag", "cut", str(part), "--to", "0.3", "--out", str(again)]) == 0
     wanted = [
-        within(chain, f"/{node}")[1:] for chain in chains for node in ("driver", "environment")
+        within(chain, f"/{node}")[1:]
+        for chain in chains
+        for node in ("driver", "environment")
     ]
     for file in (part, again):
         # Of a node without all its topics there is nothing to compare.
-        left = [node for node in wanted if words[0] == "cut" or not node.endswith("driver")]
+        left = [
+            node for node in wanted if words[0] == "cut" or not node.endswith("driver")
+        ]
         assert lost(file) == dict.fromkeys(left, 0)
     assert reader.EXTRACT in Recording(again).metadata
 
@@ -153,7 +180,13 @@ def test_a_recording_of_some_topics_accounts_for_the_nodes_that_are_there_whole(
 ) -> None:
     path, chosen = (
         tmp_path / "r.mcap",
-        [DEVICE_STATE, status("driver"), PROXY, status("environment"), event("environment")],
+        [
+            DEVICE_STATE,
+            status("driver"),
+            PROXY,
+            status("environment"),
+            event("environment"),
+        ],
     )
     publishes = json.dumps({"driver": [DEVICE_STATE], "environment": [PROXY]})
     with open_writer(str(path), {"publishes": publishes}, False, chosen) as writer:
@@ -163,15 +196,22 @@ def test_a_recording_of_some_topics_accounts_for_the_nodes_that_are_there_whole(
     assert lost(path) == {"environment": 0}
 
 
-def test_a_cut_recording_of_several_chains_tells_the_ticks_after_its_end(tmp_path: Path) -> None:
+def test_a_cut_recording_of_several_chains_tells_the_ticks_after_its_end(
+    tmp_path: Path,
+) -> None:
     sent = sorted(
-        (one for chain in ("left", "right") for one in ticks(chain)), key=lambda one: one[1].stamp
+        (one for chain in ("left", "right") for one in ticks(chain)),
+        key=lambda one: one[1].stamp,
     )
     path = recorded(tmp_path / "r.mcap", sent, ("left", "right"))
     path.write_bytes(path.read_bytes()[:-100])
     write_ended(path, Ended(400, "ended with SIGKILL"))
     verdict = completeness(Recording(path))
-    assert verdict.missing_ticks == 400 - Recording(path).topics["/left/device/state"].last_seq > 0
+    assert (
+        verdict.missing_ticks
+        == 400 - Recording(path).topics["/left/device/state"].last_seq
+        > 0
+    )
 
 
 # -- a driver that was started again
@@ -180,29 +220,45 @@ def test_a_cut_recording_of_several_chains_tells_the_ticks_after_its_end(tmp_pat
 
 def test_a_driver_that_was_started_again_counts_on(tmp_path: Path) -> None:
     first = [
-        state(seq, missed=seq // 10, overruns=seq // 50, response=1e-4) for seq in range(20, 200)
+        state(seq, missed=seq // 10, overruns=seq // 50, response=1e-4)
+        for seq in range(20, 200)
     ]
-    second = [state(seq, BEGUN + 1.0, missed=seq // 20, response=1e-4) for seq in range(60)]
+    second = [
+        state(seq, BEGUN + 1.0, missed=seq // 20, response=1e-4) for seq in range(60)
+    ]
     # A later one left out its first ticks, too, which no gap shows.
     third = [
         state(seq, BEGUN + 2.0, missed=4, overruns=3 + (seq > 20), response=1e-4)
         for seq in range(3, 40)
     ]
-    path = recorded(tmp_path / "r.mcap", [(DEVICE_STATE, one) for one in (*first, *second, *third)])
+    path = recorded(
+        tmp_path / "r.mcap", [(DEVICE_STATE, one) for one in (*first, *second, *third)]
+    )
     recording = Recording(path)
     summary = summarise(recording)
     # In real time it goes on with the ticks, and counts what it leaves out anew.
-    follows = [state(seq, overruns=(seq > 280) + (seq > 290)) for seq in range(260, 300)]
+    follows = [
+        state(seq, overruns=(seq > 280) + (seq > 290)) for seq in range(260, 300)
+    ]
     live = Recording(
-        recorded(tmp_path / "live.mcap", [(DEVICE_STATE, one) for one in (*first, *follows)])
+        recorded(
+            tmp_path / "live.mcap", [(DEVICE_STATE, one) for one in (*first, *follows)]
+        )
     )
     assert summarise(live).overruns == overruns(live) == 3 + 2
     assert (summary.ticks, summary.missed) == (179 + 59 + 36, 17 + 2 + 0)
-    assert summary.overruns == overruns(recording) == completeness(recording).left_out == 3 + 0 + 1
+    assert (
+        summary.overruns
+        == overruns(recording)
+        == completeness(recording).left_out
+        == 3 + 0 + 1
+    )
     # While a driver ticked, at 500 Hz; from the first state to the last. Stamps are rounded to
     # 2^-50 s.
     assert summary.rate_hz == pytest.approx(1.0 / PERIOD, rel=1e-9)
-    assert summary.duration_s == pytest.approx(2.0 + 39 * PERIOD - 20 * PERIOD, abs=1e-8)
+    assert summary.duration_s == pytest.approx(
+        2.0 + 39 * PERIOD - 20 * PERIOD, abs=1e-8
+    )
 
 
 # -- what is not known
@@ -212,14 +268,25 @@ def test_a_driver_that_was_started_again_counts_on(tmp_path: Path) -> None:
 def test_without_states_nothing_is_told_of_ticks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = recorded(tmp_path / "r.mcap", [one for one in ticks() if one[0] != DEVICE_STATE])
+    path = recorded(
+        tmp_path / "r.mcap", [one for one in ticks() if one[0] != DEVICE_STATE]
+    )
     summary = summarise(Recording(path))
-    assert (summary.missed, summary.overruns, summary.age_ticks_max) == (None, None, None)
+    assert (summary.missed, summary.overruns, summary.age_ticks_max) == (
+        None,
+        None,
+        None,
+    )
     assert main(["bag", "info", str(path), "--json"]) == 0
-    assert msgspec.json.decode(capsys.readouterr().out.splitlines()[-1])["overruns"] is None
+    assert (
+        msgspec.json.decode(capsys.readouterr().out.splitlines()[-1])["overruns"]
+        is None
+    )
 
 
-def test_damaged_metadata_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_metadata_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "r.mcap"
     with RecordWriter(path, {"publishes": '{"driver": 1}'}) as writer:
         for topic, message in ticks():
@@ -228,7 +295,9 @@ def test_damaged_metadata_are_told(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "r.mcap: damaged metadata manifest.publishes" in capsys.readouterr().err
 
 
-def test_a_recording_is_gone_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_is_gone_through_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = recorded(tmp_path / "r.mcap", [one for one in ticks() if one[1].seq >= 40])
     passes: list[Recording] = []
     raw = Recording.raw

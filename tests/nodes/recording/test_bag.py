@@ -32,7 +32,9 @@ MISSED = (40, 41, 150)
 
 def write(path: Path, sent: list[tuple[str, Message]], **manifest: str) -> None:
     with RecordWriter(
-        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
+        path,
+        {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES}
+        | manifest,
     ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
@@ -54,13 +56,17 @@ def cut(bag: Path) -> Path:
     return path
 
 
-def haptic(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+def haptic(
+    capsys: pytest.CaptureFixture[str], *arguments: str | Path
+) -> tuple[int, str, str]:
     code = main.main(["bag", *map(str, arguments)])
     out, err = capsys.readouterr()
     return code, out, err
 
 
-def answered(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> dict[str, Any]:
+def answered(
+    capsys: pytest.CaptureFixture[str], *arguments: str | Path
+) -> dict[str, Any]:
     code, out, err = haptic(capsys, *arguments, "--json")
     assert code == 0, err
     found: dict[str, Any] = json.loads(out.splitlines()[-1])
@@ -78,7 +84,8 @@ def test_info(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # From the first tick's stamp to the last one's; recorded to the nanosecond.
     assert told["duration_s"] == pytest.approx(299 * 0.002, abs=1e-9)
     assert {
-        topic: (figures["messages"], figures["gaps"]) for topic, figures in told["topics"].items()
+        topic: (figures["messages"], figures["gaps"])
+        for topic, figures in told["topics"].items()
     } == {
         topics.DEVICE_STATE: (300, 0),
         topics.PROXY: (300, 0),
@@ -94,7 +101,9 @@ def test_info(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "driver: sent 300, recorded 300: all there" in out
 
 
-def test_info_and_recover_of_a_cut_file(cut: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_and_recover_of_a_cut_file(
+    cut: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = answered(capsys, "info", cut)
     assert before["recovered"] is True
     assert before["complete"] is False
@@ -119,14 +128,18 @@ def test_info_and_recover_of_a_cut_file(cut: Path, capsys: pytest.CaptureFixture
     assert haptic(capsys, "recover", cut, "--force")[0] == 0
 
 
-def test_recover_of_a_sound_file_says_so(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_of_a_sound_file_says_so(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     code, out, _ = haptic(capsys, "recover", bag)
     assert code == 0
     assert "nothing was lost" in out
 
 
 @pytest.mark.parametrize("verb", ["info", "play", "recover", "export", "plot"])
-def test_bad_files(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+def test_bad_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
     code, _, err = haptic(capsys, verb, tmp_path / "nothing.mcap")
     assert (code, err) == (2, f"haptic: {tmp_path}/nothing.mcap: no such file\n")
     bad = tmp_path / "bad.mcap"
@@ -135,7 +148,9 @@ def test_bad_files(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
     assert (code, out) == (1, "")
     assert err.startswith(f"haptic: {bad}: ")
     assert err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == [bad], "nothing is written for a file that cannot be read"
+    assert list(tmp_path.iterdir()) == [bad], (
+        "nothing is written for a file that cannot be read"
+    )
 
 
 def test_record_without_a_launch(
@@ -160,7 +175,11 @@ def test_topics_of_a_file_choose_no_path() -> None:
 
 @pytest.mark.parametrize(
     ("verb", "made"),
-    [(["export"], "drop_csv"), (["plot"], "drop.png"), (["plot", "--xy"], "drop_xy.png")],
+    [
+        (["export"], "drop_csv"),
+        (["plot"], "drop.png"),
+        (["plot", "--xy"], "drop_xy.png"),
+    ],
 )
 def test_nothing_is_overwritten_unasked(
     bag: Path, capsys: pytest.CaptureFixture[str], verb: list[str], made: str
@@ -173,7 +192,9 @@ def test_nothing_is_overwritten_unasked(
     assert haptic(capsys, *verb, bag, "--force")[0] == 0
     other = bag.with_name("other")
     assert haptic(capsys, *verb, bag, "--out", other)[0] == 0
-    assert sorted(path.name for path in bag.parent.iterdir()) == sorted([bag.name, made, "other"])
+    assert sorted(path.name for path in bag.parent.iterdir()) == sorted(
+        [bag.name, made, "other"]
+    )
 
 
 def test_exports_tell_a_place_that_cannot_be_written(
@@ -210,7 +231,9 @@ def pair(tmp_path: Path) -> Iterator[tuple[OpenPort, Subscription]]:
     context.term()
 
 
-def test_play_publishes_what_was_recorded(bag: Path, pair: tuple[OpenPort, Subscription]) -> None:
+def test_play_publishes_what_was_recorded(
+    bag: Path, pair: tuple[OpenPort, Subscription]
+) -> None:
     publisher, inbox = pair
     for entry in play(Recording(bag), publisher, rate=float("inf")):
         frames = inbox.receive(5000)
@@ -236,7 +259,8 @@ def test_play_keeps_the_pace(
     clock = [1000.0]
     monkeypatch.setattr("nodes.recording.play.time.monotonic", lambda: clock[0])
     monkeypatch.setattr(
-        "nodes.recording.play.time.sleep", lambda wait: clock.__setitem__(0, clock[0] + wait)
+        "nodes.recording.play.time.sleep",
+        lambda wait: clock.__setitem__(0, clock[0] + wait),
     )
     at = [clock[0] - 1000.0 for _ in play(Recording(path), publisher, rate=2.0)]
     # Receipts are kept to the nanosecond, the clock's doubles near 1000 to 1e-13.
@@ -295,7 +319,9 @@ def test_play_refuses_endpoints(
     assert told in err
 
 
-def test_a_chunk_made_to_fill_the_memory_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+def test_a_chunk_made_to_fill_the_memory_is_refused_before_it_is_unpacked(
+    tmp_path: Path,
+) -> None:
     packed = zstandard.compress(bytes(6 << 20))
     head = (
         mcap_walk.CHUNK_HEAD.pack(0, 0, 6 << 20, 0)
@@ -312,8 +338,12 @@ def test_what_a_file_says_does_not_command_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "r.mcap"
-    with RecordWriter(path, {"scenario": "\x1b]0;owned\x07\x1b[2J", "run": "r"}) as writer:
-        writer.write("/a/event", Event(seq=0, stamp=0.0, node="a", kind="b", reason=""), 100.0)
+    with RecordWriter(
+        path, {"scenario": "\x1b]0;owned\x07\x1b[2J", "run": "r"}
+    ) as writer:
+        writer.write(
+            "/a/event", Event(seq=0, stamp=0.0, node="a", kind="b", reason=""), 100.0
+        )
     assert main.main(["bag", "info", str(path)]) == 0
     told = capsys.readouterr().out
     assert "owned" in told

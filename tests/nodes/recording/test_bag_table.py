@@ -40,14 +40,20 @@ def vector(kind: str, x: float, y: float, z: float) -> Any:
 def pose(at: int, x: float) -> Any:
     kinds = STORE.types
     turn = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-    place = kinds["geometry_msgs/msg/Pose"](position=vector("Point", x, 2 * x, 0), orientation=turn)
+    place = kinds["geometry_msgs/msg/Pose"](
+        position=vector("Point", x, 2 * x, 0), orientation=turn
+    )
     return kinds["geometry_msgs/msg/PoseStamped"](header=stamp(at), pose=place)
 
 
 def wrench(at: int, x: float) -> Any:
     none = vector("Vector3", 0.0, 0.0, 0.0)
-    pushed = STORE.types["geometry_msgs/msg/Wrench"](force=vector("Vector3", x, 0, -x), torque=none)
-    return STORE.types["geometry_msgs/msg/WrenchStamped"](header=stamp(at), wrench=pushed)
+    pushed = STORE.types["geometry_msgs/msg/Wrench"](
+        force=vector("Vector3", x, 0, -x), torque=none
+    )
+    return STORE.types["geometry_msgs/msg/WrenchStamped"](
+        header=stamp(at), wrench=pushed
+    )
 
 
 def place(k: int) -> float:
@@ -66,7 +72,9 @@ def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Bag:
                 *((name, pose, N, STEP) for name in poses or ("/arm/pose",)),
                 ("/ft/wrench", wrench, 4 * N, STEP // 4),
             ):
-                line = writer.add_connection(topic, message(0, 0.0).__msgtype__, typestore=STORE)
+                line = writer.add_connection(
+                    topic, message(0, 0.0).__msgtype__, typestore=STORE
+                )
                 for k in range(count):
                     at = BEGIN + k * step + (shift if message is wrench else 0)
                     raw = STORE.serialize_cdr(message(at, place(k)), line.msgtype)
@@ -95,7 +103,9 @@ def test_position_and_force_are_those_of_the_stamps(bag: Bag, tmp_path: Path) ->
 def test_topics_and_fields_are_chosen(bag: Bag, tmp_path: Path) -> None:
     folder = bag("/left/pose", "/right/pose")
     out = tmp_path / "out.mcap"
-    with pytest.raises(RecordError, match="several topics may be the position: /left/pose, /right"):
+    with pytest.raises(
+        RecordError, match="several topics may be the position: /left/pose, /right"
+    ):
         import_table(folder, out)
     for columns in (
         {"position": ["/right/pose"]},
@@ -114,7 +124,9 @@ def test_topics_and_fields_are_chosen(bag: Bag, tmp_path: Path) -> None:
         overwrite=True,
     )
     assert alone.samples.axes == "y"
-    np.testing.assert_array_equal(read(out)["position"][:, 1], [2 * place(k) for k in range(N)])
+    np.testing.assert_array_equal(
+        read(out)["position"][:, 1], [2 * place(k) for k in range(N)]
+    )
     for columns, words in (
         ({"position": ["/left/pos"]}, "no topic '/left/pos'.*did you mean /left/pose"),
         ({"position": ["/left/pose.pose.x"]}, "no '/left/pose.pose.x'"),
@@ -156,7 +168,9 @@ def test_our_own_bag_returns_what_it_holds(tmp_path: Path) -> None:
             writer.write(topic, message, message.stamp)
     export_ros2(Recording(source), tmp_path / "bag")
     # A folder of a bag opens as what it is, and imports as what it was.
-    with pytest.raises(RecordError, match="topics of a ROS bag are imported: haptic bag import"):
+    with pytest.raises(
+        RecordError, match="topics of a ROS bag are imported: haptic bag import"
+    ):
         Recording(tmp_path / "bag").require_ticks()
     found = import_table(tmp_path / "bag", tmp_path / "again.mcap")
     assert found.samples.period == PERIOD
@@ -165,9 +179,15 @@ def test_our_own_bag_returns_what_it_holds(tmp_path: Path) -> None:
         np.testing.assert_array_equal(was[column], now[column], err_msg=column)
 
 
-def test_a_folder_that_is_no_bag_and_a_broken_one_are_refused_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"without metadata\.yaml, so it is no ROS bag$"):
+def test_a_folder_that_is_no_bag_and_a_broken_one_are_refused_in_one_line(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(
+        RecordError, match=r"without metadata\.yaml, so it is no ROS bag$"
+    ):
         import_table(tmp_path, tmp_path / "out.mcap")
     (tmp_path / "metadata.yaml").write_text(":\n- [", encoding="utf-8")
-    with pytest.raises(RecordError, match=r"^[^\n]* cannot be read as a ROS bag: [^\n]*$"):
+    with pytest.raises(
+        RecordError, match=r"^[^\n]* cannot be read as a ROS bag: [^\n]*$"
+    ):
         import_table(tmp_path, tmp_path / "out.mcap")

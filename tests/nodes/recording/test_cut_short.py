@@ -25,7 +25,9 @@ def test_a_killed_logger_is_in_the_summary_and_its_file_says_what_is_missing(
     with running(tmp_path, "floor_drop", "duration:=4") as launch:
         folder = tmp_path / "recordings"
         wait_for(
-            lambda: any(path.stat().st_size > 200_000 for path in folder.glob("*.mcap")),
+            lambda: any(
+                path.stat().st_size > 200_000 for path in folder.glob("*.mcap")
+            ),
             "a flushed recording",
         )
         os.kill(launch.pid("logger"), signal.SIGKILL)
@@ -36,14 +38,19 @@ def test_a_killed_logger_is_in_the_summary_and_its_file_says_what_is_missing(
     recording = Recording(path)
     verdict = completeness(recording)
     # Every tick of the run is either recorded or told as missing.
-    assert recording.topics[DEVICE_STATE].last_seq + (verdict.missing_ticks or 0) == told["ticks"]
+    assert (
+        recording.topics[DEVICE_STATE].last_seq + (verdict.missing_ticks or 0)
+        == told["ticks"]
+    )
     assert verdict.missing_ticks
     assert (
         verdict.text
         == f"cut at {recording.duration:.3f} s; {verdict.missing_ticks} ticks after it are not"
         " there"
     )
-    assert "all there" not in " ".join(account.text for account in verdict.nodes.values())
+    assert "all there" not in " ".join(
+        account.text for account in verdict.nodes.values()
+    )
     assert verdict.text in (launch.haptic("bag", "info", str(path)).stdout)
 
 
@@ -72,17 +79,27 @@ def test_what_was_sent_before_the_logger_listened_is_not_lost(tmp_path: Path) ->
 
     def told(sent: int, state: str, stamp: float) -> NodeStatus:
         return NodeStatus(
-            seq=0, stamp=stamp, node=node, kind="driver", state=state, pid=pid, sent=sent
+            seq=0,
+            stamp=stamp,
+            node=node,
+            kind="driver",
+            state=state,
+            pid=pid,
+            sent=sent,
         )
 
     ticks = [(topic, message) for topic, message in drop(100) if topic == DEVICE_STATE]
-    with RecordWriter(path, {"publishes": f'{{"{node}": ["{DEVICE_STATE}"]}}'}) as writer:
+    with RecordWriter(
+        path, {"publishes": f'{{"{node}": ["{DEVICE_STATE}"]}}'}
+    ) as writer:
         # An event and a status had gone before the logger subscribed.
         writer.write(status(node), told(2, "running", 0.0), 0.0)
         for topic, message in ticks:
             writer.write(topic, message, message.stamp + 1e-4)
         writer.write(
-            f"/{node}/event", Event(seq=100, stamp=0.2, node=node, kind="x", reason="y"), 0.2
+            f"/{node}/event",
+            Event(seq=100, stamp=0.2, node=node, kind="x", reason="y"),
+            0.2,
         )
         writer.write(status(node), told(2 + 1 + len(ticks) + 1, "finished", 0.21), 0.21)
     account = completeness(Recording(path)).nodes[node]

@@ -71,7 +71,9 @@ def bag(tmp_path: Path) -> Path:
     return tmp_path / "drop.mcap"
 
 
-def exported(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> dict[str, Path]:
+def exported(
+    capsys: pytest.CaptureFixture[str], bag: Path, *words: str
+) -> dict[str, Path]:
     assert main.main(["bag", "export", str(bag), *words, "--json"]) == 0
     files = json.loads(capsys.readouterr().out.splitlines()[-1])["files"]
     assert all(Path(file).is_file() for file in files)
@@ -99,9 +101,13 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
     assert {len(column) for column in table.values()} == {300}
     # Times of stamps near 12345 s are good to 2^-40 s.
     np.testing.assert_allclose(table["time"], np.arange(300) * PERIOD, atol=1e-11)
-    np.testing.assert_array_equal(table["position"], [state.position for state in states])
+    np.testing.assert_array_equal(
+        table["position"], [state.position for state in states]
+    )
     # The force that a state tells is that of the tick before it.
-    np.testing.assert_array_equal(table["force"][:-1], [state.force for state in states[1:]])
+    np.testing.assert_array_equal(
+        table["force"][:-1], [state.force for state in states[1:]]
+    )
     assert np.isnan(table["force"][-1]).all()
     for name in ("mean_force", "changed_at", "force_seq", "response"):
         np.testing.assert_array_equal(
@@ -115,7 +121,9 @@ def test_a_row_holds_what_belongs_to_its_tick(bag: Path) -> None:
     ) == (True, True, -1)
     np.testing.assert_array_equal(table["target"], [state.target for state in states])
     assert np.ptp(table["target"][:, 0]) > 0.0
-    np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
+    np.testing.assert_array_equal(
+        table["force_asked"], [force.force for force in forces]
+    )
     assert table["response"][[40, 41]].tolist() == [0.0, 0.0]
     assert (table["law"][99], table["law"][100]) == ("pd", "stiffer")
 
@@ -129,18 +137,34 @@ def test_a_recording_longer_than_the_window_has_every_answer(tmp_path: Path) -> 
     states = [message for _, message in sent if isinstance(message, DeviceState)]
     forces = [message for _, message in sent if isinstance(message, Force)]
     assert len(table["seq"]) == ticks
-    for name in ("force", "mean_force", "response", "age", "delay", "force_seq", "changed_at"):
+    for name in (
+        "force",
+        "mean_force",
+        "response",
+        "age",
+        "delay",
+        "force_seq",
+        "changed_at",
+    ):
         np.testing.assert_array_equal(
-            table[name][:-1], [getattr(state, name) for state in states[1:]], err_msg=name
+            table[name][:-1],
+            [getattr(state, name) for state in states[1:]],
+            err_msg=name,
         )
-    np.testing.assert_array_equal(table["force_asked"], [force.force for force in forces])
+    np.testing.assert_array_equal(
+        table["force_asked"], [force.force for force in forces]
+    )
 
 
-def test_a_driver_that_was_started_again_gets_no_answers_of_before(tmp_path: Path) -> None:
+def test_a_driver_that_was_started_again_gets_no_answers_of_before(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "r.mcap"
 
     def state(seq: int) -> tuple[str, Message]:
-        return topics.DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))
+        return topics.DEVICE_STATE, DeviceState(
+            seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0)
+        )
 
     # A force for a tick that the first driver did not live to publish.
     early = (topics.FORCE, Force(seq=4, stamp=0.0, force=(0.0, 0.0, 7.0), law="pd"))
@@ -178,7 +202,9 @@ def test_what_was_not_recorded_is_told_as_missing(tmp_path: Path) -> None:
 
 def test_a_recording_without_ticks_has_no_table(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    write(path, [(topic, message) for topic, message in drop(5) if topic == topics.FORCE])
+    write(
+        path, [(topic, message) for topic, message in drop(5) if topic == topics.FORCE]
+    )
     with pytest.raises(RecordError, match="no message on /device/state"):
         read(path)
     main_code = main.main(["bag", "export", str(path), "--format", "parquet"])
@@ -207,16 +233,23 @@ def test_csv_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
                 flat.extend(value if isinstance(value, tuple) else [value])
             assert len(header) == len(flat)
             # To the last bit: Python writes the shortest text that reads back as the same double.
-            assert [parse(text, like) for text, like in zip(row, flat, strict=True)] == flat
+            assert [
+                parse(text, like) for text, like in zip(row, flat, strict=True)
+            ] == flat
     with (folder / "ticks.csv").open(newline="", encoding="utf-8") as stream:
         ticks = list(csv.DictReader(stream))
     table = read(bag)
     assert [float(tick["time [s]"]) for tick in ticks] == table["time"].tolist()
-    assert [float(tick["position_z [m]"]) for tick in ticks] == table["position"][:, 2].tolist()
+    assert [float(tick["position_z [m]"]) for tick in ticks] == table["position"][
+        :, 2
+    ].tolist()
     assert [tick["law"] for tick in ticks] == table["law"].tolist()
     told = json.loads((folder / "parameters.json").read_text(encoding="utf-8"))
     assert told["parameters"] == {"coupling": {"stiffness": 1500.0}}
-    assert (told["manifest"], told["launch_file"]) == ({"scenario": "drop"}, "run: {}\n")
+    assert (told["manifest"], told["launch_file"]) == (
+        {"scenario": "drop"},
+        "run: {}\n",
+    )
     assert told["columns"]["force"]["unit"] == "N"
 
 
@@ -224,9 +257,13 @@ def test_columns_carry_units() -> None:
     found = columns(DeviceState)
     assert found[:4] == ["time [s]", "log_time [s]", "seq", "stamp [s]"]
     assert found[4:7] == ["position_x [m]", "position_y [m]", "position_z [m]"]
-    assert {"force_z [N]", "response [s]", "lateness [s]", "energy [J]", "delay [ticks]"} <= set(
-        found
-    )
+    assert {
+        "force_z [N]",
+        "response [s]",
+        "lateness [s]",
+        "energy [J]",
+        "delay [ticks]",
+    } <= set(found)
     for message_type in TYPES:
         assert len(set(columns(message_type))) == len(columns(message_type))
 
@@ -239,7 +276,8 @@ def test_npz_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
         expected = {f"ticks.{field}": array for field, array in read(bag).items()}
         for topic, name in plain_names(recording.topics).items():
             expected |= {
-                f"{name}.{field}": array for field, array in recording.arrays(topic).items()
+                f"{name}.{field}": array
+                for field, array in recording.arrays(topic).items()
             }
             assert arrays[f"{name}.time"][0] == pytest.approx(
                 recording.topics[topic].first_stamp - BEGUN, abs=1e-11
@@ -250,7 +288,9 @@ def test_npz_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
         for name, array in expected.items():
             np.testing.assert_array_equal(arrays[name], array)
         assert arrays["device_state.position"].shape == (300, 3)
-        assert [json.loads(text) for text in arrays["driver_event.data"]] == [EVENT.data]
+        assert [json.loads(text) for text in arrays["driver_event.data"]] == [
+            EVENT.data
+        ]
 
 
 def test_mat_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -263,7 +303,9 @@ def test_mat_reads_back_equal(bag: Path, capsys: pytest.CaptureFixture[str]) -> 
         np.testing.assert_array_equal(found["ticks"][name], column)
     assert found["device_state"]["position"].shape == (300, 3)
     assert json.loads(found["driver_event"]["data"]) == EVENT.data
-    assert json.loads(found["parameters"])["parameters"]["coupling"]["stiffness"] == 1500.0
+    assert (
+        json.loads(found["parameters"])["parameters"]["coupling"]["stiffness"] == 1500.0
+    )
 
 
 def test_parquet_reads_back_equal(
@@ -280,12 +322,22 @@ def test_parquet_reads_back_equal(
     assert found["law"].to_pylist() == table["law"].tolist()
     assert found["contact"].to_pylist() == table["contact"].astype(int).tolist()
     assert found.schema.field("force_z").metadata == {b"unit": b"N"}
-    assert json.loads(found.schema.metadata[b"parameters"])["manifest"] == {"scenario": "drop"}
+    assert json.loads(found.schema.metadata[b"parameters"])["manifest"] == {
+        "scenario": "drop"
+    }
     # Without the extra it is told which one is missing, and nothing is written.
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert (
         main.main(
-            ["bag", "export", str(bag), "--format", "parquet", "--out", str(bag.with_name("other"))]
+            [
+                "bag",
+                "export",
+                str(bag),
+                "--format",
+                "parquet",
+                "--out",
+                str(bag.with_name("other")),
+            ]
         )
         == 1
     )

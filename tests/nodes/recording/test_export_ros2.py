@@ -33,7 +33,10 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def bag(recording: Path) -> Path:
     out = recording.with_name("bag")
-    assert main(["bag", "export", str(recording), "--format", "ros2", "--out", str(out)]) == 0
+    assert (
+        main(["bag", "export", str(recording), "--format", "ros2", "--out", str(out)])
+        == 0
+    )
     return out
 
 
@@ -49,7 +52,10 @@ def test_ros_2_s_own_layout_reads_back(bag: Path, recording: Path) -> None:
             if line.topic == "/haptic/device/pose":
                 stamps.append(at)
                 heights.append(message.pose.position.z)
-                assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == at
+                assert (
+                    message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                    == at
+                )
             if line.topic == "/haptic/coupling/force":
                 forces.append(message.wrench.force.z)
     # CDR holds doubles: to the bit.
@@ -68,7 +74,9 @@ def test_stamps_are_wall_clock_time(bag: Path, recording: Path) -> None:
         summary = reader.get_summary()
         assert summary is not None
         assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
-        first = next(iter(reader.iter_decoded_messages(topics=["/haptic/device/force"])))
+        first = next(
+            iter(reader.iter_decoded_messages(topics=["/haptic/device/force"]))
+        )
     assert first.decoded_message.header.frame_id == "haptic"
     # A bag made today: the file's own time is the oracle, a run takes well under an hour.
     assert abs(first.message.log_time / 1e9 - recording.stat().st_mtime) < 3600.0
@@ -98,16 +106,22 @@ def test_two_devices_have_topics_of_their_own(tmp_path: Path) -> None:
         for topic, message in drop(20):
             for chain, x in chains.items():
                 if isinstance(message, DeviceState | Proxy):
-                    placed = msgspec.structs.replace(message, position=(x, *message.position[1:]))
+                    placed = msgspec.structs.replace(
+                        message, position=(x, *message.position[1:])
+                    )
                     writer.write(within(chain, topic), placed, message.stamp)
     export_ros2(Recording(path), out)
     store = get_typestore(Stores.ROS2_HUMBLE)
     with Reader(out) as reader:
         found: dict[str, list[Any]] = {}
         for line, _, raw in reader.messages():
-            found.setdefault(line.topic, []).append(store.deserialize_cdr(raw, line.msgtype))
+            found.setdefault(line.topic, []).append(
+                store.deserialize_cdr(raw, line.msgtype)
+            )
     for chain, x in chains.items():
         # As the node ros2 names them on a graph.
-        assert [pose.pose.position.x for pose in found[f"/{chain}/haptic/device/pose"]] == [x] * 20
+        assert [
+            pose.pose.position.x for pose in found[f"/{chain}/haptic/device/pose"]
+        ] == [x] * 20
         assert len(found[f"/{chain}/haptic/proxy/pose"]) == 20
     assert "/haptic/device/pose" not in found

@@ -30,7 +30,9 @@ from nodes.recording.figure_style import (
 @styled
 def drawn() -> Figure:
     figure = Figure(figsize=(4.0, 3.0), layout="constrained")
-    axes = figure.add_subplot(xlabel=OMEGA, ylabel="force  [N]", xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+    axes = figure.add_subplot(
+        xlabel=OMEGA, ylabel="force  [N]", xlim=(0.0, 1.0), ylim=(0.0, 1.0)
+    )
     x = np.linspace(0.0, 1.0, 5)
     for k in range(4):
         axes.plot(x, 0.5 * x + 0.001 * k, label=f"law {k}")
@@ -39,7 +41,9 @@ def drawn() -> Figure:
     return figure
 
 
-def test_a_picture_comes_in_three_formats_and_its_names_can_be_read(tmp_path: Path) -> None:
+def test_a_picture_comes_in_three_formats_and_its_names_can_be_read(
+    tmp_path: Path,
+) -> None:
     before = mpl.rcParams["axes.grid"]
     figure = drawn()
     assert mpl.rcParams["axes.grid"] is before, "nobody else's pictures change"
@@ -74,7 +78,10 @@ def test_each_curve_has_a_colour_a_line_and_a_marker_of_its_own() -> None:
     seen = [seen_by_a_deuteranope(colour) for colour in COLOURS]
     # Red and green of matplotlib's own cycle (#2ca02c, #d62728) are 0.1 apart, of which no more
     # than a shade is seen.
-    assert min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2)) > 0.1
+    assert (
+        min(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(seen, 2))
+        > 0.1
+    )
 
 
 def test_symbols_are_set_as_mathematics_and_words_are_left_alone() -> None:
@@ -113,12 +120,18 @@ def test_factors_are_written_as_text(told: str, plain: str) -> None:
     assert plain_factor(told) == plain
 
 
-def test_a_saved_picture_has_the_numbers_that_matplotlib_would_have(tmp_path: Path) -> None:
+def test_a_saved_picture_has_the_numbers_that_matplotlib_would_have(
+    tmp_path: Path,
+) -> None:
     figure = new_figure(4.0, 3.0)
     left, right = figure.subplots(1, 2)
     left.loglog([1e-4, 1e3], [1.0, 1e6])
     right.plot([0.0, 3e-9], [0.0, 4e8])
-    svg = save_figure(figure, tmp_path / "a.png").with_suffix(".svg").read_text(encoding="utf-8")
+    svg = (
+        save_figure(figure, tmp_path / "a.png")
+        .with_suffix(".svg")
+        .read_text(encoding="utf-8")
+    )
     powers = {
         int(text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
         for text in re.findall(r">10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)<", svg)

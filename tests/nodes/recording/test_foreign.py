@@ -15,7 +15,12 @@ from messages.topics import DEVICE_STATE
 from messages.types import DeviceState, Receipt
 from nodes.base.printable import printable
 from nodes.recording.export import export_csv
-from nodes.recording.facts import axes_of, parameters_of, period_of, refuse_foreign_files
+from nodes.recording.facts import (
+    axes_of,
+    parameters_of,
+    period_of,
+    refuse_foreign_files,
+)
 from nodes.recording.plot import plot
 from nodes.recording.reader import Recording
 from nodes.recording.recover import recover
@@ -33,7 +38,10 @@ MANIFEST = {
     "scenario": "drop",
 }
 SENT = list(drop(60, switch=20))
-COUPLING = {"law": "pd", "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}}}
+COUPLING = {
+    "law": "pd",
+    "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
+}
 TRIANGLE = "v 0 0 0\nv 0.01 0 0\nv 0 0.01 0\nf 1 2 3\n"
 
 ODD = st.recursive(
@@ -44,7 +52,9 @@ ODD = st.recursive(
     | st.sampled_from(["", "x", "nan", "pd", "../x", "\x1b]0;t\a"]),
     lambda inside: (
         st.lists(inside, max_size=3)
-        | st.dictionaries(st.sampled_from(["kind", "file", "delay"]), inside, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["kind", "file", "delay"]), inside, max_size=3
+        )
     ),
     max_leaves=6,
 )
@@ -70,7 +80,9 @@ def read_all(path: Path) -> list[str]:
     refused = []
     ways: list[Any] = [
         lambda: ReplayPages(path),
-        lambda: export_foxglove(recording, path.with_suffix(".fox.mcap"), overwrite=True),
+        lambda: export_foxglove(
+            recording, path.with_suffix(".fox.mcap"), overwrite=True
+        ),
         lambda: export_csv(recording, path.with_suffix(".csv"), overwrite=True),
         lambda: recover(path, path.with_suffix(".again.mcap"), overwrite=True),
     ]
@@ -87,7 +99,9 @@ def read_all(path: Path) -> list[str]:
 )
 def test_a_rate_that_is_none_is_refused_by_its_name(tmp_path: Path, rate: str) -> None:
     path = written(tmp_path / "r.mcap", {**MANIFEST, "rate_hz": rate}, {})
-    with pytest.raises(RecordError, match=r"manifest.rate_hz is .* expected 1 to 100000 Hz"):
+    with pytest.raises(
+        RecordError, match=r"manifest.rate_hz is .* expected 1 to 100000 Hz"
+    ):
         period_of(Recording(path))
     refused = read_all(path)
     assert len(refused) == 2
@@ -95,9 +109,13 @@ def test_a_rate_that_is_none_is_refused_by_its_name(tmp_path: Path, rate: str) -
 
 
 @pytest.mark.parametrize("axes", ["", "x,x", "w", "x;y", "x,y,z,x"])
-def test_axes_that_are_none_are_refused_by_their_name(tmp_path: Path, axes: str) -> None:
+def test_axes_that_are_none_are_refused_by_their_name(
+    tmp_path: Path, axes: str
+) -> None:
     path = written(tmp_path / "r.mcap", {**MANIFEST, "axes": axes}, {})
-    with pytest.raises(RecordError, match=r"manifest.axes is .* expected some of x, y, z"):
+    with pytest.raises(
+        RecordError, match=r"manifest.axes is .* expected some of x, y, z"
+    ):
         axes_of(Recording(path))
     assert any("manifest.axes" in text for text in read_all(path))
 
@@ -113,7 +131,9 @@ def test_axes_that_are_none_are_refused_by_their_name(tmp_path: Path, axes: str)
         '{"a": ' + "[" * 50 + "]" * 50 + "}",
     ],
 )
-def test_parameters_that_are_none_are_refused_by_their_node(tmp_path: Path, text: str) -> None:
+def test_parameters_that_are_none_are_refused_by_their_node(
+    tmp_path: Path, text: str
+) -> None:
     path = written(tmp_path / "r.mcap", MANIFEST, {"left/coupling": text})
     with pytest.raises(RecordError, match=r"parameters.left/coupling"):
         parameters_of(Recording(path))
@@ -149,7 +169,9 @@ def test_odd_parameters_raise_nothing_but_a_record_error(
         "driver": {"device": device},
         "coupling": {**COUPLING, "laws": laws, "plant": plant},
     }
-    odd = Receipt(seq=59, stamp=0.118, action="switch", before="{}", after=json.dumps(after)[:200])
+    odd = Receipt(
+        seq=59, stamp=0.118, action="switch", before="{}", after=json.dumps(after)[:200]
+    )
     read_all(
         written(
             tmp_path / "r.mcap",
@@ -169,7 +191,9 @@ def test_numbers_beyond_any_run_are_read(
         DeviceState(seq=seq, stamp=stamp, position=(0.0, 0.0, 0.0))
         for seq, stamp in zip(seqs, stamps, strict=True)
     ]
-    path = written(tmp_path / "r.mcap", MANIFEST, {}, [(DEVICE_STATE, state) for state in states])
+    path = written(
+        tmp_path / "r.mcap", MANIFEST, {}, [(DEVICE_STATE, state) for state in states]
+    )
     read_all(path)
     # Its picture once: it takes a second.
     if (seqs, stamps) == ((5, 3), (1.0, -1e15)):
@@ -180,7 +204,11 @@ def test_a_file_is_opened_below_the_recording_and_nowhere_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A foreign manifest could open any file, or block on a pipe."""
-    folder, outside, work = tmp_path / "recordings", tmp_path / "outside", tmp_path / "work"
+    folder, outside, work = (
+        tmp_path / "recordings",
+        tmp_path / "outside",
+        tmp_path / "work",
+    )
     for place in (folder, outside, work):
         place.mkdir()
         (place / "t.obj").write_text(TRIANGLE, encoding="ascii")
@@ -199,8 +227,13 @@ def test_a_file_is_opened_below_the_recording_and_nowhere_else(
         ("~/t.obj", False),
         ("nothing.obj", False),
     ):
-        surface = {"kind": "union", "shapes": [{"kind": "mesh", "file": file, "sides": "both"}]}
-        path = written(folder / "r.mcap", MANIFEST, {"environment": {"surface": surface}})
+        surface = {
+            "kind": "union",
+            "shapes": [{"kind": "mesh", "file": file, "sides": "both"}],
+        }
+        path = written(
+            folder / "r.mcap", MANIFEST, {"environment": {"surface": surface}}
+        )
         recording = Recording(path)
         pages = json.loads(ReplayPages(path).hello)
         (out,) = export_foxglove(recording, folder / "out.mcap", overwrite=True)
@@ -212,12 +245,16 @@ def test_a_file_is_opened_below_the_recording_and_nowhere_else(
             assert not pages["shape"]
             assert "is not opened; copy it there" in pages["notice"]
             assert "is not opened; copy it there" in left_out
-            with pytest.raises(RecordError, match=r"parameters.environment names the file"):
+            with pytest.raises(
+                RecordError, match=r"parameters.environment names the file"
+            ):
                 refuse_foreign_files(recording, {"surface": surface}, "environment")
     # At the root of all, nothing lies outside.
     monkeypatch.chdir("/")
     with pytest.raises(RecordError, match="is not opened"):
-        refuse_foreign_files(recording, {"scene": str(outside / "t.obj")}, "environment")
+        refuse_foreign_files(
+            recording, {"scene": str(outside / "t.obj")}, "environment"
+        )
 
 
 HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b31m\u202e\r\x7f"
@@ -240,8 +277,24 @@ def test_what_a_terminal_obeys_is_not_printed(tmp_path: Path) -> None:
         ("bag", "filter", "r.mcap", "--out", "f.mcap"),
         ("bag", "filter", "r.mcap", "/none"),
         ("bag", "cut", "r.mcap", "--from", "0", "--to", "0.1"),
-        ("bag", "play", "r.mcap", "--rate", "inf", "--endpoint", f"ipc://{tmp_path}/play"),
-        ("bag", "play", "r.mcap", "--topics", "/none", "--endpoint", f"ipc://{tmp_path}/play"),
+        (
+            "bag",
+            "play",
+            "r.mcap",
+            "--rate",
+            "inf",
+            "--endpoint",
+            f"ipc://{tmp_path}/play",
+        ),
+        (
+            "bag",
+            "play",
+            "r.mcap",
+            "--topics",
+            "/none",
+            "--endpoint",
+            f"ipc://{tmp_path}/play",
+        ),
         ("bag", "export", "r.mcap"),
         ("bag", "plot", "r.mcap", "two.mcap"),
     ):
@@ -273,5 +326,9 @@ def test_our_own_colours_and_words_stay() -> None:
 
 def test_a_name_with_formulas_is_drawn_as_it_stands(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        written(tmp_path / f"{name}.mcap", {**MANIFEST, "scenario": r"$\frac{$ and $x^$"}, {})
+        written(
+            tmp_path / f"{name}.mcap",
+            {**MANIFEST, "scenario": r"$\frac{$ and $x^$"},
+            {},
+        )
     typed_in(tmp_path, "bag", "plot", "a.mcap", "b.mcap")

@@ -82,7 +82,9 @@ def tooled(
                     channel.topic, channel.message_encoding, schemas[schema.id]
                 )
             if foreign:
-                writer.add_message(probe, message.log_time, b'{"fx": 1}', message.publish_time)
+                writer.add_message(
+                    probe, message.log_time, b'{"fx": 1}', message.publish_time
+                )
             writer.add_message(
                 channels[channel.id],
                 message.log_time,
@@ -108,11 +110,19 @@ WAYS = list(
 
 @pytest.mark.parametrize(("metadata", "compression", "foreign"), WAYS)
 def test_a_copy_by_a_tool_reads_as_the_original_does(
-    ours: Path, tmp_path: Path, metadata: str, compression: CompressionType, foreign: str
+    ours: Path,
+    tmp_path: Path,
+    metadata: str,
+    compression: CompressionType,
+    foreign: str,
 ) -> None:
     was = Recording(ours)
     path = tooled(
-        ours, tmp_path / "t.mcap", metadata=metadata, compression=compression, foreign=foreign
+        ours,
+        tmp_path / "t.mcap",
+        metadata=metadata,
+        compression=compression,
+        foreign=foreign,
     )
     now = Recording(path)
     assert now.topics == was.topics
@@ -123,8 +133,12 @@ def test_a_copy_by_a_tool_reads_as_the_original_does(
         np.testing.assert_array_equal(before[column], after[column], err_msg=column)
     assert list(now.foreign) == (["/ft/status"] if foreign else [])
     if foreign:
-        assert now.foreign["/ft/status"].messages == sum(f.messages for f in was.topics.values())
-        assert (foreign == "cdr") == ("only JSON is read" in now.foreign["/ft/status"].text)
+        assert now.foreign["/ft/status"].messages == sum(
+            f.messages for f in was.topics.values()
+        )
+        assert (foreign == "cdr") == (
+            "only JSON is read" in now.foreign["/ft/status"].text
+        )
     text = completeness(now).text
     if metadata == "none":
         assert "no tick missing in seq" in text
@@ -184,11 +198,17 @@ def _lab(path: Path, rate: float, stamps: Any, **manifest: str) -> Path:
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.97, 0.995, 1.0, 1.005, 1.03, 2.0])
-def test_a_declared_rate_is_compared_with_the_stamps(tmp_path: Path, factor: float) -> None:
+def test_a_declared_rate_is_compared_with_the_stamps(
+    tmp_path: Path, factor: float
+) -> None:
     """At 1 %: the identified mass goes with the square of the period."""
     rate = 500.0
     path = _lab(
-        tmp_path / "lab.mcap", rate, np.arange(1000) / rate, rate_hz=repr(factor * rate), axes="x"
+        tmp_path / "lab.mcap",
+        rate,
+        np.arange(1000) / rate,
+        rate_hz=repr(factor * rate),
+        axes="x",
     )
     if abs(factor - 1.0) < 0.01:
         assert period_of(Recording(path)) == 1.0 / (factor * rate)
@@ -201,7 +221,9 @@ def test_a_declared_rate_is_compared_with_the_stamps(tmp_path: Path, factor: flo
 
 
 @pytest.mark.parametrize("rate", [300.0, 333.0, 500.0, 1000.0, 1024.0, 8000.0])
-def test_a_rate_that_is_not_declared_is_that_of_the_stamps(tmp_path: Path, rate: float) -> None:
+def test_a_rate_that_is_not_declared_is_that_of_the_stamps(
+    tmp_path: Path, rate: float
+) -> None:
     """A real-time loop's stamps are late by up to a fraction of a tick."""
     rng = np.random.default_rng(1)
     stamps = 1000.0 + (np.arange(1000) + rng.uniform(0.0, 0.3, 1000)) / rate
@@ -214,7 +236,9 @@ def test_a_rate_that_is_not_declared_is_that_of_the_stamps(tmp_path: Path, rate:
 @pytest.mark.parametrize("stamps", [[0.0] * 50, [0.0], np.arange(50) * 1e3])
 def test_stamps_that_give_no_rate_are_told(tmp_path: Path, stamps: Any) -> None:
     path = _lab(tmp_path / "lab.mcap", 500.0, stamps)
-    with pytest.raises(RecordError, match=r"rate_hz is missing, and the stamps .* give no rate"):
+    with pytest.raises(
+        RecordError, match=r"rate_hz is missing, and the stamps .* give no rate"
+    ):
         period_of(Recording(path))
 
 
@@ -272,7 +296,9 @@ FORMS = ("npz", "mat", "parquet", "ros2", "foxglove")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", ["plot", "plot --xy", *(f"export --format {f}" for f in FORMS)])
+@pytest.mark.parametrize(
+    "words", ["plot", "plot --xy", *(f"export --format {f}" for f in FORMS)]
+)
 def test_every_picture_and_format_is_made_of_what_is_read(
     ours: Path, tmp_path: Path, words: str
 ) -> None:
@@ -280,7 +306,9 @@ def test_every_picture_and_format_is_made_of_what_is_read(
     named(tmp_path, *words.split())
 
 
-def test_every_verb_reads_what_it_can_and_names_the_rest(ours: Path, tmp_path: Path) -> None:
+def test_every_verb_reads_what_it_can_and_names_the_rest(
+    ours: Path, tmp_path: Path
+) -> None:
     tooled(ours, tmp_path / "t.mcap", metadata="none", foreign="cdr")
     for words in (
         "info",
@@ -291,13 +319,18 @@ def test_every_verb_reads_what_it_can_and_names_the_rest(ours: Path, tmp_path: P
         "recover",
     ):
         named(tmp_path, *words.split())
-    counts = {topic: one.messages for topic, one in Recording(tmp_path / "t.mcap").foreign.items()}
+    counts = {
+        topic: one.messages
+        for topic, one in Recording(tmp_path / "t.mcap").foreign.items()
+    }
     saved = Recording(tmp_path / "t.recovered.mcap")
     assert {topic: one.messages for topic, one in saved.foreign.items()} == counts
     part = Recording(tmp_path / "t.cut.mcap")
     assert part.foreign["/ft/status"].messages > 0
     assert part.topics[DEVICE_STATE].messages == 51
-    alone = typed_in(tmp_path, "bag", "filter", "t.mcap", "-e", "ft", "--out", "ft.mcap", "--json")
+    alone = typed_in(
+        tmp_path, "bag", "filter", "t.mcap", "-e", "ft", "--out", "ft.mcap", "--json"
+    )
     assert json.loads(alone.stdout)["messages"] == counts
     hello = json.loads(ReplayPages(tmp_path / "t.mcap").hello)
     assert "Not read: /ft/status (ft.Sample in cdr" in hello["notice"]
@@ -306,16 +339,22 @@ def test_every_verb_reads_what_it_can_and_names_the_rest(ours: Path, tmp_path: P
     assert "no ticks; not read: /ft/status (ft.Sample in cdr" in str(refused.value)
 
 
-def test_a_topic_of_another_program_is_refused_by_what_it_is(ours: Path, tmp_path: Path) -> None:
+def test_a_topic_of_another_program_is_refused_by_what_it_is(
+    ours: Path, tmp_path: Path
+) -> None:
     recording = Recording(tooled(ours, tmp_path / "t.mcap", foreign="json"))
-    with pytest.raises(RecordError, match=r"/ft/status is ft\.Sample of another program, as JSON"):
+    with pytest.raises(
+        RecordError, match=r"/ft/status is ft\.Sample of another program, as JSON"
+    ):
         list(recording.entries(["/ft/status"]))
 
 
 def test_the_folder_of_a_ros_bag_opens(ours: Path, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     bag.mkdir()
-    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n", encoding="utf-8")
+    (bag / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {}\n", encoding="utf-8"
+    )
     refused = typed_in(tmp_path, "bag", "info", "bag", code=1)
     assert "no MCAP file; read its topics with: haptic bag import bag" in refused.stderr
     tooled(ours, bag / "bag_0.mcap", metadata="none")

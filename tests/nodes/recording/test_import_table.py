@@ -32,7 +32,10 @@ Write = Callable[..., Path]
 
 
 def lines(
-    *columns: NDArray[Any], names: str = "t,x,F", delimiter: str = ",", comma: bool = False
+    *columns: NDArray[Any],
+    names: str = "t,x,F",
+    delimiter: str = ",",
+    comma: bool = False,
 ) -> str:
     """Return a text file of columns, as exactly as numbers print, under the first names."""
     names = ",".join(names.split(",")[: len(columns)])
@@ -72,13 +75,31 @@ def axis_of(found: Imported, name: str, axis: str = "x") -> NDArray[Any]:
         (lines(TIME, POSITION, FORCE, delimiter=";"), {}),
         (lines(TIME, POSITION, FORCE, delimiter="\t"), {}),
         ("# rig 7\n\n" + lines(TIME, POSITION, FORCE, delimiter=" "), {}),
-        (lines(TIME, POSITION, FORCE, delimiter=";", comma=True), {"decimal_comma": True}),
+        (
+            lines(TIME, POSITION, FORCE, delimiter=";", comma=True),
+            {"decimal_comma": True},
+        ),
         (RIG.replace("\n", "\r\n"), {}),
         (RIG.replace("\n", ",\n"), {}),
         (lines(POSITION, FORCE, names="pos,force"), {"rate": 1000.0}),
-        (RIG.partition("\n")[2], {"columns": {"time": ["1"], "position": ["2"], "force": ["3"]}}),
+        (
+            RIG.partition("\n")[2],
+            {"columns": {"time": ["1"], "position": ["2"], "force": ["3"]}},
+        ),
     ],
-    ids=("plain", "bom", "utf16", "semi", "tab", "blank", "comma", "crlf", "end", "rate", "bare"),
+    ids=(
+        "plain",
+        "bom",
+        "utf16",
+        "semi",
+        "tab",
+        "blank",
+        "comma",
+        "crlf",
+        "end",
+        "rate",
+        "bare",
+    ),
 )
 def test_a_text_of_any_shape_gives_its_numbers(
     imported: Callable[..., Imported], text: str, options: dict[str, Any]
@@ -111,13 +132,20 @@ def test_a_text_of_any_shape_gives_its_numbers(
     ],
 )
 def test_units_are_those_of_the_name_or_of_the_caller(
-    imported: Callable[..., Imported], names: str, factors: Sequence[float], units: dict[str, str]
+    imported: Callable[..., Imported],
+    names: str,
+    factors: Sequence[float],
+    units: dict[str, str],
 ) -> None:
-    columns = [v * factor for v, factor in zip((TIME, POSITION, FORCE), factors, strict=True)]
+    columns = [
+        v * factor for v, factor in zip((TIME, POSITION, FORCE), factors, strict=True)
+    ]
     found = imported(lines(*columns, names=names), units=units)
     # Two roundings of the factor, there and back.
     np.testing.assert_allclose(axis_of(found, "position"), POSITION, rtol=4e-16, atol=0)
-    np.testing.assert_allclose(axis_of(found, "force")[:-1], FORCE[:-1], rtol=4e-16, atol=0)
+    np.testing.assert_allclose(
+        axis_of(found, "force")[:-1], FORCE[:-1], rtol=4e-16, atol=0
+    )
     assert found.samples.period == 1e-3
 
 
@@ -125,7 +153,9 @@ def test_nanoseconds_since_1970_stay_exact(imported: Callable[..., Imported]) ->
     """A double has steps of 256 ns there."""
     stamps = 1_700_000_000_123_456_789 + 1_000_001 * np.arange(TICKS)
     found = imported(lines(stamps, POSITION), units={"time": "ns"})
-    np.testing.assert_allclose(np.diff(found.samples.stamp), 1.000001e-3, rtol=1e-12, atol=0)
+    np.testing.assert_allclose(
+        np.diff(found.samples.stamp), 1.000001e-3, rtol=1e-12, atol=0
+    )
     assert found.samples.period == pytest.approx(1.000001e-3, rel=1e-12)
 
 
@@ -144,13 +174,21 @@ def test_three_axes_by_names_and_by_choice(imported: Callable[..., Imported]) ->
     named = imported(lines(*columns, names="t,px,py,pz,Fx,Fy,Fz"))
     chosen = imported(
         lines(*columns, names="k1,a,b,c,d,e,f9"),
-        columns={"time": ["k1"], "position": ["a", "b", "c"], "force": ["d", "e", "f9"]},
+        columns={
+            "time": ["k1"],
+            "position": ["a", "b", "c"],
+            "force": ["d", "e", "f9"],
+        },
     )
     for found in (named, chosen):
         assert found.samples.axes == "xyz"
         for n, axis in enumerate("xyz", 1):
-            np.testing.assert_array_equal(axis_of(found, "position", axis), n * POSITION)
-            np.testing.assert_array_equal(axis_of(found, "force", axis)[:-1], n * FORCE[:-1])
+            np.testing.assert_array_equal(
+                axis_of(found, "position", axis), n * POSITION
+            )
+            np.testing.assert_array_equal(
+                axis_of(found, "force", axis)[:-1], n * FORCE[:-1]
+            )
 
 
 def test_one_column_goes_to_its_axis(imported: Callable[..., Imported]) -> None:
@@ -173,8 +211,16 @@ BEYOND = lines(TIME * 1e3, POSITION, FORCE)
     [
         (RIG.replace("0.007,", "nan,", 1), {}, "line 9, column 't': no time"),
         (RIG.replace("0.007,", ",", 1), {}, "line 9, column 't': no time"),
-        (RIG.replace("0.007,", "oops,", 1), {}, "line 9, column 't': 'oops' is no number"),
-        (RIG.replace("\n0.007,", "\n0.007,inf#", 1), {}, "line 9, column 'x'.*no number"),
+        (
+            RIG.replace("0.007,", "oops,", 1),
+            {},
+            "line 9, column 't': 'oops' is no number",
+        ),
+        (
+            RIG.replace("\n0.007,", "\n0.007,inf#", 1),
+            {},
+            "line 9, column 'x'.*no number",
+        ),
         (
             lines(TIME, np.where(TIME == 0.007, np.inf, POSITION), FORCE),
             {},
@@ -186,17 +232,37 @@ BEYOND = lines(TIME * 1e3, POSITION, FORCE)
             r"line 9, column 'F': no number \(1 such rows of 60\)",
         ),
         (RIG + "1,2\n", {}, f"line {TICKS + 2} has 2 fields, the first line 3"),
-        (lines(TIME, POSITION, FORCE, delimiter=";", comma=True), {}, "--decimal-comma"),
-        (lines(TIME, POSITION, FORCE, comma=True), {}, "fields have decimal|decimal commas"),
-        (BEYOND, {}, r"1 Hz if it is seconds\. Is it in ms \(1000 Hz\)\? .*--units time=ms"),
+        (
+            lines(TIME, POSITION, FORCE, delimiter=";", comma=True),
+            {},
+            "--decimal-comma",
+        ),
+        (
+            lines(TIME, POSITION, FORCE, comma=True),
+            {},
+            "fields have decimal|decimal commas",
+        ),
+        (
+            BEYOND,
+            {},
+            r"1 Hz if it is seconds\. Is it in ms \(1000 Hz\)\? .*--units time=ms",
+        ),
         (lines(TIME * 1e9, POSITION), {}, r"Is it in ns \(1000 Hz\)"),
         (BEYOND, {"rate": 1000.0}, r"Is it in ms \(1000 Hz\)"),
-        (RIG, {"rate": 500.0}, "--rate 500, while column 't' advances 1000 times a second"),
+        (
+            RIG,
+            {"rate": 500.0},
+            "--rate 500, while column 't' advances 1000 times a second",
+        ),
         (RIG, {"units": {"time": "us"}}, "a rate of 1e"),
         (lines(TIME, 1e3 * POSITION), {}, r"span 9\.\d+ m; are they in mm \(0\.009"),
         (lines(TIME, 1e6 * POSITION), {}, r"are they in um"),
         (lines(TIME, POSITION, 1e4 * FORCE), {}, r"5000 N; is it in mN \(5 N\)"),
-        (RIG.replace("x", "x [mm]", 1), {"units": {"position": "m"}}, "which one is it"),
+        (
+            RIG.replace("x", "x [mm]", 1),
+            {"units": {"position": "m"}},
+            "which one is it",
+        ),
         (RIG.replace("x", "x [furlong]", 1), {}, "furlong.*position=NUMBER"),
         (RIG, {"units": {"position": "-3"}}, "known are m, cm, mm"),
         (RIG, {"units": {"mass": "kg"}}, "'mass' is none of position, force, time"),
@@ -205,12 +271,28 @@ BEYOND = lines(TIME * 1e3, POSITION, FORCE)
         (RIG, {"columns": {"position": ["x", "F"]}}, "expected one or three"),
         (RIG, {"ignore_times": True}, "the rate is needed"),
         (lines(TIME, POSITION, FORCE, names="t,x,pos"), {}, "several columns.*x, pos"),
-        (lines(TIME, POSITION, FORCE, names="t,x,x"), {}, r"x \(column 2\), x \(column 3\)"),
+        (
+            lines(TIME, POSITION, FORCE, names="t,x,x"),
+            {},
+            r"x \(column 2\), x \(column 3\)",
+        ),
         (lines(TIME, POSITION, FORCE, names="k,x,F"), {}, "--rate HZ"),
-        (lines(TIME, POSITION, FORCE, names="t,q,F"), {}, "which column is the position"),
-        (lines(TIME, FORCE / 100, FORCE, FORCE, names="t,x,y,F"), {}, "name the same axes"),
+        (
+            lines(TIME, POSITION, FORCE, names="t,q,F"),
+            {},
+            "which column is the position",
+        ),
+        (
+            lines(TIME, FORCE / 100, FORCE, FORCE, names="t,x,y,F"),
+            {},
+            "name the same axes",
+        ),
         (lines(TIME[::-1], POSITION), {}, "line 3, column 't': the time does not grow"),
-        (lines(TIME + 3e-4 * (TIME == 0.007), POSITION), {}, "line 9.*the times are uneven"),
+        (
+            lines(TIME + 3e-4 * (TIME == 0.007), POSITION),
+            {},
+            "line 9.*the times are uneven",
+        ),
         ("", {}, "is empty"),
         ("t,x,F\n", {}, "no column with a row"),
         ("t,x,F\n0,0,0\n", {}, "1 rows; at least 2"),
@@ -238,7 +320,9 @@ def test_what_was_meant_can_be_said(imported: Callable[..., Imported]) -> None:
     ):
         found = imported(text, **options)
         assert found.samples.period == 1e-3
-        np.testing.assert_allclose(axis_of(found, "position"), POSITION, rtol=4e-16, atol=0)
+        np.testing.assert_allclose(
+            axis_of(found, "position"), POSITION, rtol=4e-16, atol=0
+        )
     far = imported(lines(TIME, 1e3 * POSITION, FORCE), units={"position": "m"})
     np.testing.assert_array_equal(axis_of(far, "position"), 1e3 * POSITION)
 
@@ -258,16 +342,23 @@ def test_arrays_of_other_programs(tmp_path: Path, kind: str) -> None:
         from pyarrow import parquet
 
         fields = [pa.field("t", pa.float64(), metadata={"unit": "s"})]
-        fields += [pa.field(f"p{axis}", pa.float64(), metadata={"unit": "mm"}) for axis in "xyz"]
+        fields += [
+            pa.field(f"p{axis}", pa.float64(), metadata={"unit": "mm"})
+            for axis in "xyz"
+        ]
         parts = [TIME, *(1e3 * wide.T)]
         parquet.write_table(pa.table(parts, schema=pa.schema(fields)), path)
     columns = {"time": ["run.t"], "position": [f"run.position_{a}" for a in "xyz"]}
-    found = import_table(path, tmp_path / "rig.mcap", columns=columns if kind == "mat" else None)
+    found = import_table(
+        path, tmp_path / "rig.mcap", columns=columns if kind == "mat" else None
+    )
     np.testing.assert_allclose(read(found.path)["position"], wide, rtol=4e-16, atol=0)
     assert found.samples.force is None
 
 
-@pytest.mark.parametrize("name", ["rig.npz", "rig.mat", "rig.parquet", "rig.bag", "rig.mcap"])
+@pytest.mark.parametrize(
+    "name", ["rig.npz", "rig.mat", "rig.parquet", "rig.bag", "rig.mcap"]
+)
 def test_what_is_no_table_is_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(b"hello")
@@ -290,7 +381,12 @@ def test_what_is_no_table_is_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("kind", FORMATS)
 def test_our_own_exports_return_every_number(tmp_path: Path, kind: str) -> None:
     source = tmp_path / "drop.mcap"
-    manifest = {"rate_hz": "500", "axes": "z", "pace": "lockstep", "publishes": PUBLISHES}
+    manifest = {
+        "rate_hz": "500",
+        "axes": "z",
+        "pace": "lockstep",
+        "publishes": PUBLISHES,
+    }
     with RecordWriter(source, manifest) as writer:
         for topic, message in drop(80, missed=(30,), switch=40):
             # Two ticks are lost, and with them what their neighbours report.

@@ -36,9 +36,17 @@ VARIABLES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_every_kind_of_array_is_read_as_scipy_reads_it(tmp_path: Path, compressed: bool) -> None:
+def test_every_kind_of_array_is_read_as_scipy_reads_it(
+    tmp_path: Path, compressed: bool
+) -> None:
     path = tmp_path / "r.mat"
-    savemat(path, VARIABLES, do_compression=compressed, oned_as="column", long_field_names=True)
+    savemat(
+        path,
+        VARIABLES,
+        do_compression=compressed,
+        oned_as="column",
+        long_field_names=True,
+    )
     ours, theirs = read_mat(path), loadmat(path)
     for name in ("t", "wide", "single", "counts", "small", "long", "flag", "cube"):
         np.testing.assert_array_equal(ours[name], theirs[name], err_msg=name)
@@ -67,12 +75,19 @@ def test_version_4_and_the_other_byte_order(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module", params=["plain", "packed", "4"])
-def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def sound(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> bytes:
     path = tmp_path_factory.mktemp("mat") / "r.mat"
     if request.param == "4":
         savemat(path, {"t": VARIABLES["t"]}, format="4")
     else:
-        savemat(path, VARIABLES, do_compression=request.param == "packed", long_field_names=True)
+        savemat(
+            path,
+            VARIABLES,
+            do_compression=request.param == "packed",
+            long_field_names=True,
+        )
     return path.read_bytes()
 
 
@@ -84,7 +99,9 @@ def test_a_damaged_file_is_read_or_refused(
     """At some of these scipy ends the process; here an error names the file."""
     damaged = bytearray(sound)
     for _ in range(data.draw(st.integers(1, 4))):
-        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(
+            st.integers(0, 255)
+        )
     cut = data.draw(st.integers(0, len(damaged)))
     path = tmp_path / "d.mat"
     path.write_bytes(bytes(damaged[:cut] if data.draw(st.booleans()) else damaged))
@@ -100,8 +117,15 @@ def test_lengths_that_do_not_fit_cost_nothing(tmp_path: Path) -> None:
     name = struct.pack("<HH", 1, 1) + b"x\0\0\0"
 
     def array(kind: int, shape: tuple[int, ...], rest: bytes) -> bytes:
-        body = struct.pack("<IIII", 6, 8, kind, 0) + struct.pack("<II", 5, 4 * len(shape))
-        body += struct.pack(f"<{len(shape)}i", *shape) + b"\0" * (-4 * len(shape) % 8) + name + rest
+        body = struct.pack("<IIII", 6, 8, kind, 0) + struct.pack(
+            "<II", 5, 4 * len(shape)
+        )
+        body += (
+            struct.pack(f"<{len(shape)}i", *shape)
+            + b"\0" * (-4 * len(shape) % 8)
+            + name
+            + rest
+        )
         return struct.pack("<II", 14, len(body)) + body
 
     deep = array(6, (1, 1), struct.pack("<IId", 9, 8, 1.0))
@@ -114,9 +138,17 @@ def test_lengths_that_do_not_fit_cost_nothing(tmp_path: Path) -> None:
         (array(6, (-1, 3), b""), "an array of shape"),
         (array(6, (1000, 3), struct.pack("<IId", 9, 8, 1.0)), "1 values for the shape"),
         (array(1, (1 << 20, 1), b""), "1048576 elements in"),
-        (array(2, (1, 1), struct.pack("<HHi", 5, 4, 0) + struct.pack("<HHi", 1, 4, 0)), "names of"),
+        (
+            array(
+                2, (1, 1), struct.pack("<HHi", 5, 4, 0) + struct.pack("<HHi", 1, 4, 0)
+            ),
+            "names of",
+        ),
         (deep, "nested deeper"),
-        (array(6, (1, 1), struct.pack("<IId", 99, 8, 1.0)), "type 99 in place of numbers"),
+        (
+            array(6, (1, 1), struct.pack("<IId", 99, 8, 1.0)),
+            "type 99 in place of numbers",
+        ),
     ):
         path = tmp_path / "h.mat"
         path.write_bytes(head + body)

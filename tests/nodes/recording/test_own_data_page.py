@@ -52,7 +52,9 @@ def only(folder: Path) -> dict[str, Any]:
 def test_the_rig_of_the_page_is_imported_and_identified(tmp_path: Path) -> None:
     """The page's rig has 0.2 kg; its position is rounded to 10 µm, which costs under 2 %."""
     shell(tmp_path, 0)
-    assert {"rig.csv", "rig.mcap", "rig.png"} <= {path.name for path in tmp_path.iterdir()}
+    assert {"rig.csv", "rig.mcap", "rig.png"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     shape, *masses = run(tmp_path, sys.executable, "-c", code).splitlines()
     assert shape.startswith("(4000")
@@ -100,7 +102,9 @@ def test_a_drawer_of_another_program_is_pushed(tmp_path: Path) -> None:
     table = only(tmp_path / "pushed")
     moving = (table["time"] > 0.6) & (table["time"] < 0.75)
     # At 0.06 m per 0.7 s the rail's damper of 4 N s/m and the tool's of 3 N s/m ask for 0.6 N.
-    assert table["force"][moving, 0].mean() == pytest.approx(-(4 + 3) * 0.06 / 0.7, rel=0.1)
+    assert table["force"][moving, 0].mean() == pytest.approx(
+        -(4 + 3) * 0.06 / 0.7, rel=0.1
+    )
     assert table["position"][-1, 0] == pytest.approx(0.06, abs=1e-3)
 
 

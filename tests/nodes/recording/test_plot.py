@@ -35,7 +35,9 @@ MISSED = (40, 41, 150)
 
 def write(path: Path, sent: Sequence[tuple[str, Message]], **manifest: str) -> Path:
     with RecordWriter(
-        path, {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES} | manifest
+        path,
+        {"scenario": "floor_drop", "pace": "realtime", "publishes": PUBLISHES}
+        | manifest,
     ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp + 1e-4)
@@ -49,7 +51,8 @@ def bag(tmp_path: Path) -> Path:
 
 def texts(figure: Any) -> str:
     return "\n".join(
-        text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))
+        text.get_text()
+        for text in figure.findobj(lambda artist: hasattr(artist, "get_text"))
     )
 
 
@@ -58,8 +61,13 @@ def texts(figure: Any) -> str:
 
 
 @settings(max_examples=20)
-@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50), st.integers(POINTS, 3 * POINTS))
-def test_a_long_line_keeps_every_extreme_where_it_was(spikes: list[float], count: int) -> None:
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50),
+    st.integers(POINTS, 3 * POINTS),
+)
+def test_a_long_line_keeps_every_extreme_where_it_was(
+    spikes: list[float], count: int
+) -> None:
     rng = np.random.default_rng(1)
     time = np.arange(count + 1) * PERIOD
     value = rng.normal(size=len(time))
@@ -132,7 +140,9 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert switch.max() > 0.2 * height
 
 
-def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(bag: Path) -> None:
+def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(
+    bag: Path,
+) -> None:
     """Each point of a curve is a message's value at its tick; missed ticks have no response."""
     recording = Recording(bag)
     states: list[DeviceState] = recording.messages(topics.DEVICE_STATE)
@@ -143,15 +153,24 @@ def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(bag: P
         "device": {state.seq: 1e3 * state.position[2] for state in states},
         "proxy": {one.seq: 1e3 * one.proxy[2] for one in proxies},
         "surface": {
-            one.seq: 1e3 * (one.position[2] - one.distance * one.normal[2]) for one in proxies
+            one.seq: 1e3 * (one.position[2] - one.distance * one.normal[2])
+            for one in proxies
         },
         "law": {one.seq: one.force[2] for one in forces},
         "after limits": {seq: state.force[2] for seq, state in answered.items()},
-        "given out by the virtual side": {state.seq: 1e3 * state.energy for state in states},
-        "p50": {seq: 1e6 * one.response for seq, one in answered.items() if one.response > 0.0},
+        "given out by the virtual side": {
+            state.seq: 1e3 * state.energy for state in states
+        },
+        "p50": {
+            seq: 1e6 * one.response
+            for seq, one in answered.items()
+            if one.response > 0.0
+        },
     }
     found = set()
-    for line in (line for axes in plot.figure_of(recording).axes for line in axes.lines):
+    for line in (
+        line for axes in plot.figure_of(recording).axes for line in axes.lines
+    ):
         label = str(line.get_label())
         name = "p50" if label.startswith("p50") else label
         if name not in known:
@@ -160,9 +179,17 @@ def test_what_is_drawn_are_the_recorded_values_in_the_units_of_their_axes(bag: P
         ticks = [round(at / PERIOD) for at in np.asarray(line.get_xdata())]
         drawn = np.asarray(line.get_ydata()).tolist()
         # One product and one difference of doubles.
-        assert drawn == pytest.approx([known[name][tick] for tick in ticks], rel=1e-14), name
-        shown = [known[name][tick] for tick in range(min(ticks), max(ticks)) if tick in known[name]]
-        assert (min(drawn), max(drawn)) == pytest.approx((min(shown), max(shown)), rel=1e-14), name
+        assert drawn == pytest.approx(
+            [known[name][tick] for tick in ticks], rel=1e-14
+        ), name
+        shown = [
+            known[name][tick]
+            for tick in range(min(ticks), max(ticks))
+            if tick in known[name]
+        ]
+        assert (min(drawn), max(drawn)) == pytest.approx(
+            (min(shown), max(shown)), rel=1e-14
+        ), name
     assert found == set(known)
 
 
@@ -197,7 +224,9 @@ def test_files_are_what_they_are_called(bag: Path, ending: str, start: bytes) ->
     assert out.read_bytes().startswith(start)
 
 
-def test_an_unknown_ending_is_refused(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_ending_is_refused(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = bag.with_name("picture.jpeg2")
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 1
     assert "not a plot format: .png, .svg, .pdf" in capsys.readouterr().err
@@ -231,7 +260,9 @@ def test_a_run_that_does_not_rest_is_shown_whole(tmp_path: Path) -> None:
     sent = [
         (
             topics.DEVICE_STATE,
-            DeviceState(seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * math.sin(0.05 * k))),
+            DeviceState(
+                seq=k, stamp=k * PERIOD, position=(0.0, 0.0, 0.01 * math.sin(0.05 * k))
+            ),
         )
         for k in range(2000)
     ]
@@ -265,7 +296,9 @@ def test_the_plot_tells_of_losses_what_bag_info_tells(
 
 
 def test_plot_of_texts_that_look_like_formulas(tmp_path: Path) -> None:
-    path = write(tmp_path / "r.mcap", list(drop(20, switch=5)), scenario=r"$\frac{x$ \n %s")
+    path = write(
+        tmp_path / "r.mcap", list(drop(20, switch=5)), scenario=r"$\frac{x$ \n %s"
+    )
     assert plot.render(plot.figure_of(Recording(path)), "png").startswith(b"\x89PNG")
 
 
@@ -274,7 +307,9 @@ def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert main.main(["bag", "plot", str(path)]) == 1
     assert "a plot needs at least two" in capsys.readouterr().err
     # Two states and nothing else are enough.
-    only = write(tmp_path / "only.mcap", [(t, m) for t, m in drop(2) if t == topics.DEVICE_STATE])
+    only = write(
+        tmp_path / "only.mcap", [(t, m) for t, m in drop(2) if t == topics.DEVICE_STATE]
+    )
     assert main.main(["bag", "plot", str(only)]) == 0
     for words, why in (
         (["--from", "5"], "nothing between 5 and inf s"),
@@ -291,12 +326,17 @@ def test_plot_of_too_little(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 @pytest.fixture
 def several(tmp_path: Path) -> list[Path]:
     return [
-        write(tmp_path / f"run{number}.mcap", list(drop(200 + 50 * number, switch=60 + number)))
+        write(
+            tmp_path / f"run{number}.mcap",
+            list(drop(200 + 50 * number, switch=60 + number)),
+        )
         for number in range(3)
     ]
 
 
-def test_runs_lie_over_each_other(several: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_runs_lie_over_each_other(
+    several: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main.main(["bag", "plot", *map(str, several), "--json"]) == 0
     out = Path(json.loads(capsys.readouterr().out)["plot"])
     assert out == several[0].with_name("run0_overlay.png")
@@ -324,7 +364,11 @@ def test_force_over_position_pairs_what_belongs_together(several: list[Path]) ->
     step = [np.ptp([p[i] for p in pairs]) / 1000 for i in (0, 1)]
     for pair in pairs:
         assert (
-            min(max(abs(pair[0] - a) / step[0], abs(pair[1] - b) / step[1]) for a, b in drawn) < 1.0
+            min(
+                max(abs(pair[0] - a) / step[0], abs(pair[1] - b) / step[1])
+                for a, b in drawn
+            )
+            < 1.0
         )
 
 
@@ -340,9 +384,14 @@ def test_force_over_position_of_an_hour_at_rest_is_a_point(tmp_path: Path) -> No
     assert np.size(axes.lines[0].get_xdata()) < 10
 
 
-def test_too_many_runs_are_refused(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_many_runs_are_refused(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main.main(["bag", "plot", *[str(bag)] * (RUNS + 1)]) == 1
-    assert f"{RUNS + 1} recordings; one picture shows 1 to {RUNS}" in capsys.readouterr().err
+    assert (
+        f"{RUNS + 1} recordings; one picture shows 1 to {RUNS}"
+        in capsys.readouterr().err
+    )
 
 
 # -- texts
@@ -401,14 +450,17 @@ def test_no_text_lies_over_another(
 
 
 @pytest.mark.parametrize("count", slowly([1, 2, 7, RUNS], but=[2, RUNS]))
-def test_no_text_lies_over_another_with_several_runs(tmp_path: Path, count: int) -> None:
+def test_no_text_lies_over_another_with_several_runs(
+    tmp_path: Path, count: int
+) -> None:
     paths = [
         tmp_path / f"crowded_run_with_a_long_name_of_its_own_{number}.mcap"
         for number in range(count)
     ]
     sent = list(crowded())
     recordings = [
-        Recording(write(path, sent, scenario="a_scenario_with_a_long_name" * 2)) for path in paths
+        Recording(write(path, sent, scenario="a_scenario_with_a_long_name" * 2))
+        for path in paths
     ]
     assert overlaps(overlay(recordings)) == []
     assert overlaps(force_over_position(recordings)) == []
@@ -433,7 +485,9 @@ def test_a_long_recording_is_drawn_in_bounded_memory(tmp_path: Path) -> None:
                     stamp,
                 )
                 writer.write(
-                    topics.FORCE, Force(seq=seq, stamp=stamp, force=position, law="pd"), stamp
+                    topics.FORCE,
+                    Force(seq=seq, stamp=stamp, force=position, law="pd"),
+                    stamp,
                 )
         code = (
             "import resource, sys; from nodes.cli.main import main; assert not main(sys.argv[1:]);"

@@ -34,7 +34,10 @@ def around(ticks: int = 400) -> Iterator[tuple[str, Message]]:
         distance = away - RADIUS
         depth = max(0.0, -distance)
         common: dict[str, Any] = {"seq": k, "stamp": k * PERIOD, "position": place}
-        yield DEVICE_STATE, DeviceState(**common, force=before, mean_force=before, force_seq=k - 1)
+        yield (
+            DEVICE_STATE,
+            DeviceState(**common, force=before, mean_force=before, force_seq=k - 1),
+        )
         on: Any = tuple((RADIUS if depth else away) * n for n in normal)
         yield PROXY, Proxy(**common, proxy=on, normal=normal, distance=distance)
         before = tuple(STIFFNESS * depth * n for n in normal)  # type: ignore[assignment]
@@ -42,7 +45,9 @@ def around(ticks: int = 400) -> Iterator[tuple[str, Message]]:
 
 
 def recorded(path: Path, sent: Iterator[tuple[str, Message]], axes: str) -> Recording:
-    with RecordWriter(path, {"scenario": path.stem, "pace": "lockstep", "axes": axes}) as writer:
+    with RecordWriter(
+        path, {"scenario": path.stem, "pace": "lockstep", "axes": axes}
+    ) as writer:
         for topic, message in sent:
             writer.write(topic, message, message.stamp)
     return Recording(path)
@@ -99,7 +104,9 @@ def test_three_axes_are_drawn_as_three(sphere: Recording) -> None:
     assert "surface" not in drawn
 
 
-def test_force_over_a_curved_surface_is_drawn_along_its_normal(sphere: Recording) -> None:
+def test_force_over_a_curved_surface_is_drawn_along_its_normal(
+    sphere: Recording,
+) -> None:
     (axes,) = force_over_position([sphere]).axes
     x, y = np.asarray(axes.lines[0].get_data(), dtype=float)
     seen = np.isfinite(x)
@@ -134,11 +141,16 @@ def test_runs_of_different_axes_are_each_drawn_along_their_own(
         (drawn,) = curves(axes).values()
         states = recording.messages(DEVICE_STATE)
         wanted = [scale * getattr(state, field)[axis] for state in states]
-        np.testing.assert_array_equal(drawn, wanted if field == "position" else wanted[1:])
+        np.testing.assert_array_equal(
+            drawn, wanted if field == "position" else wanted[1:]
+        )
     # Both runs are in the legend.
     assert len(figure.legends[0].get_texts()) == 2
     left, right = force_over_position([wall, along_x]).axes
-    assert (left.get_xlabel(), right.get_xlabel()) == ("position x [mm]", "position z [mm]")
+    assert (left.get_xlabel(), right.get_xlabel()) == (
+        "position x [mm]",
+        "position z [mm]",
+    )
 
 
 @pytest.mark.parametrize("ticks", [300, 9000])
@@ -148,7 +160,10 @@ def test_a_difference_is_that_of_the_same_time(tmp_path: Path, ticks: int) -> No
     def ramp(count: int, period: float, offset: float) -> Iterator[tuple[str, Message]]:
         for k in range(count):
             place = (0.0, 0.0, 0.05 * k * period + offset)
-            yield DEVICE_STATE, DeviceState(seq=k, stamp=5.0 + k * period, position=place)
+            yield (
+                DEVICE_STATE,
+                DeviceState(seq=k, stamp=5.0 + k * period, position=place),
+            )
 
     fine = recorded(tmp_path / "fine.mcap", ramp(ticks, PERIOD, 3e-6), "z")
     coarse = recorded(tmp_path / "coarse.mcap", ramp(ticks // 4, 3 * PERIOD, 0.0), "z")
@@ -176,7 +191,9 @@ def test_the_same_run_has_no_difference_and_another_has_its_own(
     assert not same.any()
     apart = [
         1e6 * (a.position[2] - b.position[2])
-        for a, b in zip(moved.messages(DEVICE_STATE), wall.messages(DEVICE_STATE), strict=True)
+        for a, b in zip(
+            moved.messages(DEVICE_STATE), wall.messages(DEVICE_STATE), strict=True
+        )
     ]
     assert max(map(abs, apart)) > 1.0
     np.testing.assert_array_equal(other, apart)
@@ -214,12 +231,20 @@ def test_a_scene_pairs_position_and_proxy_of_one_tick(late: int) -> None:
             assert now[1] - now[19] * now[7] == pytest.approx(0.0, abs=1e-15)
         proxies.append(
             Proxy(
-                seq=k, stamp=k * PERIOD, position=place, proxy=place, normal=(1, 0, 0), distance=x
+                seq=k,
+                stamp=k * PERIOD,
+                position=place,
+                proxy=place,
+                normal=(1, 0, 0),
+                distance=x,
             )
         )
         if k >= late:
             feed.take(PROXY, proxies[k - late])
     # Without proxies the position goes on alone.
     for k in range(60, 200):
-        feed.take(DEVICE_STATE, DeviceState(seq=k, stamp=k * PERIOD, position=(float(k), 0.0, 0.0)))
+        feed.take(
+            DEVICE_STATE,
+            DeviceState(seq=k, stamp=k * PERIOD, position=(float(k), 0.0, 0.0)),
+        )
     assert feed.now()[1] == 199.0

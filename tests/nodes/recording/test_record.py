@@ -28,7 +28,9 @@ from tests.support.strategies import TYPES, messages
 
 
 def state(seq: int) -> DeviceState:
-    return DeviceState(seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, 1e-3 / (seq + 1)))
+    return DeviceState(
+        seq=seq, stamp=seq * 0.002, position=(0.0, 0.0, 1e-3 / (seq + 1))
+    )
 
 
 # -- schemas
@@ -49,7 +51,14 @@ def test_schema_is_valid_and_flat(message_type: type[Message]) -> None:
     jsonschema.Draft202012Validator.check_schema(found)
     # What Foxglove and Lichtblick cannot read: references, alternatives, and arrays with a schema
     # per item.
-    assert not keywords(found) & {"$ref", "$defs", "anyOf", "oneOf", "allOf", "prefixItems"}
+    assert not keywords(found) & {
+        "$ref",
+        "$defs",
+        "anyOf",
+        "oneOf",
+        "allOf",
+        "prefixItems",
+    }
     assert found["type"] == "object"
     assert all(isinstance(told["type"], str) for told in found["properties"].values())
     assert json.loads(schema_json(message_type)) == found
@@ -64,7 +73,9 @@ def test_every_field_is_described(message_type: type[Message]) -> None:
 
 
 @given(data=st.data(), message_type=st.sampled_from(TYPES))
-def test_messages_fit_their_schema(data: st.DataObject, message_type: type[Message]) -> None:
+def test_messages_fit_their_schema(
+    data: st.DataObject, message_type: type[Message]
+) -> None:
     message = data.draw(messages(message_type))
     jsonschema.validate(json.loads(msgspec.json.encode(message)), schema(message_type))
 
@@ -107,7 +118,9 @@ def test_schema_refuses_types_it_cannot_flatten() -> None:
         max_size=20,
     )
 )
-def test_round_trip_to_the_bit(tmp_path: Path, written: list[tuple[Message, float]]) -> None:
+def test_round_trip_to_the_bit(
+    tmp_path: Path, written: list[tuple[Message, float]]
+) -> None:
     path = tmp_path / "r.mcap"
     with RecordWriter(path, {"scenario": "any"}, overwrite=True) as writer:
         for message, log_time in written:
@@ -117,7 +130,9 @@ def test_round_trip_to_the_bit(tmp_path: Path, written: list[tuple[Message, floa
     assert [msgspec.msgpack.encode(entry.message) for entry in read] == [
         msgspec.msgpack.encode(message) for message, _ in written
     ]
-    assert [type(entry.message) for entry in read] == [type(message) for message, _ in written]
+    assert [type(entry.message) for entry in read] == [
+        type(message) for message, _ in written
+    ]
     for entry, (_, log_time) in zip(read, written, strict=True):
         # Half a nanosecond from rounding, and two roundings of a double.
         assert abs(entry.log_time - log_time) <= 0.5e-9 + 2.0**-51 * log_time
@@ -168,7 +183,8 @@ def test_the_reference_reader_agrees(tmp_path: Path) -> None:
 def test_stamps_that_mcap_cannot_hold_are_clamped(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     sent = [
-        DeviceState(seq=0, stamp=stamp, position=(0.0, 0.0, 0.0)) for stamp in (-1.0, 0.0, 1e300)
+        DeviceState(seq=0, stamp=stamp, position=(0.0, 0.0, 0.0))
+        for stamp in (-1.0, 0.0, 1e300)
     ]
     with RecordWriter(path, {}) as writer:
         for message in sent:
@@ -232,7 +248,9 @@ def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path: Path) -> None:
 
 
 def test_a_full_device_is_told(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"/dev/full: No space left on device after 0 bytes"):
+    with pytest.raises(
+        RecordError, match=r"/dev/full: No space left on device after 0 bytes"
+    ):
         RecordWriter("/dev/full", {}, overwrite=True)
 
 
@@ -262,7 +280,9 @@ FILL = """
 """
 
 
-def check_full(process: subprocess.CompletedProcess[str], expected: str, path: str) -> None:
+def check_full(
+    process: subprocess.CompletedProcess[str], expected: str, path: str
+) -> None:
     assert process.returncode == 0, process.stderr
     first, second, third, last = process.stdout.splitlines()
     assert first.startswith(f"{path}: {expected} after ")
@@ -286,7 +306,9 @@ def check_full(process: subprocess.CompletedProcess[str], expected: str, path: s
 @pytest.mark.smoke
 def test_a_file_size_limit_keeps_what_was_recorded(tmp_path: Path) -> None:
     path = str(tmp_path / "r.mcap")
-    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
+    limit = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
+    )
     process = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(FILL), path, limit],
         capture_output=True,
@@ -309,7 +331,10 @@ def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path) -> None:
         'mount -t tmpfs -o size=256k tmpfs "$0" && exec "$@"',
         str(tmp_path),
     ]
-    if subprocess.run([*mount, "true"], capture_output=True, check=False).returncode != 0:
+    if (
+        subprocess.run([*mount, "true"], capture_output=True, check=False).returncode
+        != 0
+    ):
         pytest.skip("mounting a small tmpfs in a private namespace needs root")
     process = subprocess.run(
         [*mount, sys.executable, "-c", textwrap.dedent(FILL), path, ""],
@@ -360,7 +385,8 @@ def test_save_removes_what_could_not_be_finished(tmp_path: Path) -> None:
         check=True,
     )
     assert (
-        done.stdout == f"{path}: File too large after 0 bytes (1000 of the next 2000 not written)\n"
+        done.stdout
+        == f"{path}: File too large after 0 bytes (1000 of the next 2000 not written)\n"
     )
     assert not path.exists()
 
@@ -369,8 +395,12 @@ def test_refusals(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     with RecordWriter(path, {}) as writer:
         writer.write(DEVICE_STATE, state(0), 0.0)
-        with pytest.raises(RecordError, match=r"/device/state carries DeviceState, not Force"):
-            writer.write(DEVICE_STATE, Force(seq=0, stamp=0.0, force=(0.0, 0.0, 0.0)), 0.0)
+        with pytest.raises(
+            RecordError, match=r"/device/state carries DeviceState, not Force"
+        ):
+            writer.write(
+                DEVICE_STATE, Force(seq=0, stamp=0.0, force=(0.0, 0.0, 0.0)), 0.0
+            )
         writer.write(DEVICE_STATE, state(1), 0.0)
     writer.close()
     with pytest.raises(RecordError, match="already closed"):
@@ -378,7 +408,9 @@ def test_refusals(tmp_path: Path) -> None:
     assert Recording(path).topics[DEVICE_STATE].messages == 2
     with pytest.raises(RecordError, match="already exists"):
         RecordWriter(path, {})
-    with pytest.raises(RecordError, match="cannot be created: No such file or directory"):
+    with pytest.raises(
+        RecordError, match="cannot be created: No such file or directory"
+    ):
         RecordWriter(tmp_path / "nowhere" / "r.mcap", {})
 
 

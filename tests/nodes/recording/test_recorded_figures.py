@@ -56,7 +56,10 @@ def test_repeats_and_restarts_are_counted(tmp_path: Path) -> None:
     seqs = [0, 1, 1, 2, 5, 0, 1]
     write(
         path,
-        [(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0))) for seq in seqs],
+        [
+            (DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0)))
+            for seq in seqs
+        ],
     )
     figures = Recording(path).topics[DEVICE_STATE]
     assert (figures.messages, figures.gaps, figures.back) == (7, 2, 2)
@@ -69,9 +72,18 @@ def test_figures_of_a_run(whole: Whole, tmp_path: Path) -> None:
     assert recording.complete
     assert recording.cut == ""
     assert not recording.recovered
-    assert recording.manifest == {"scenario": "drop", "pace": "lockstep", "publishes": PUBLISHES}
+    assert recording.manifest == {
+        "scenario": "drop",
+        "pace": "lockstep",
+        "publishes": PUBLISHES,
+    }
     ticks = recording.topics[DEVICE_STATE]
-    assert (ticks.messages, ticks.gaps, ticks.first_seq, ticks.last_seq) == (200, 0, 0, 199)
+    assert (ticks.messages, ticks.gaps, ticks.first_seq, ticks.last_seq) == (
+        200,
+        0,
+        0,
+        199,
+    )
     # Stamps are kept to the nanosecond.
     assert recording.duration == pytest.approx(199 * PERIOD, abs=1e-9)
     assert ticks.rate == pytest.approx(1.0 / PERIOD, rel=1e-8)
@@ -105,11 +117,20 @@ def test_accounts_compare_sent_with_recorded(tmp_path: Path) -> None:
         "environment": (100, 100, 0),
     }
     # Three messages of the environment that never came.
-    write(path, [(topic, m) for topic, m in sent if not (topic == PROXY and m.seq in (10, 11, 99))])
+    write(
+        path,
+        [
+            (topic, m)
+            for topic, m in sent
+            if not (topic == PROXY and m.seq in (10, 11, 99))
+        ],
+    )
     recording = Recording(path)
     assert accounts(recording)["environment"].lost == 3
     assert accounts(recording)["driver"].lost == 0
-    assert recording.topics[PROXY].gaps == 2, "the last one leaves no gap: only the account tells"
+    assert recording.topics[PROXY].gaps == 2, (
+        "the last one leaves no gap: only the account tells"
+    )
 
 
 def test_accounts_of_a_late_logger_and_of_a_respawned_node(tmp_path: Path) -> None:
@@ -131,7 +152,10 @@ def test_accounts_of_a_late_logger_and_of_a_respawned_node(tmp_path: Path) -> No
         )
 
     proxies = [(topic, m) for topic, m in sent if topic == PROXY]
-    write(path, [*proxies[:50], told(7, 50, "running"), *proxies[50:], told(8, 51, "finished")])
+    write(
+        path,
+        [*proxies[:50], told(7, 50, "running"), *proxies[50:], told(8, 51, "finished")],
+    )
     account = accounts(Recording(path))["environment"]
     # 50 before the respawn, then 50 more and the status of the first process: 101 recorded, 101
     # sent.
@@ -148,7 +172,10 @@ def test_what_was_sent_decides_whether_anything_is_lost(tmp_path: Path) -> None:
         for m in sent
         if not (m[0] == PROXY and 30 <= m[1].seq < 50) and m[0] != status("environment")
     ]
-    write(path, [*skipped, (status("environment"), NodeStatus(**_final("environment", 80)))])
+    write(
+        path,
+        [*skipped, (status("environment"), NodeStatus(**_final("environment", 80)))],
+    )
     recording = Recording(path)
     assert recording.topics[PROXY].gaps == 20
     assert (completeness(recording).lost, completeness(recording).text) == (
@@ -174,7 +201,9 @@ def _final(node: str, sent: int) -> dict[str, Any]:
     }
 
 
-def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: Path) -> None:
+def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(
+    tmp_path: Path,
+) -> None:
     begun = 1_700_000_000.123456789
     paths = []
     for name, manifest in (
@@ -187,7 +216,9 @@ def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: P
             for topic, message in drop(100):
                 writer.write(topic, message, message.stamp + 1e-4)
     # To the bit: offsets are whole nanoseconds, taken off before anything is rounded.
-    old, *others = ([tuple(entry) for entry in Recording(path).entries()] for path in paths)
+    old, *others = (
+        [tuple(entry) for entry in Recording(path).entries()] for path in paths
+    )
     assert all(other == old for other in others)
     figures = [Recording(path) for path in paths]
     assert (
@@ -205,7 +236,9 @@ def test_viewers_date_a_run_by_the_wall_clock_and_readers_by_the_run(tmp_path: P
     assert raw[0].publish_time == pytest.approx(begun * 1e9, abs=256)
     assert raw[0].log_time - raw[0].publish_time == 100_000
     with paths[2].open("rb") as stream:
-        simulated = next(message for _, _, message in make_reader(stream).iter_messages())
+        simulated = next(
+            message for _, _, message in make_reader(stream).iter_messages()
+        )
     # Simulated time has no date; tick 0 gets that of the recording.
     assert abs(simulated.publish_time * 1e-9 - time.time()) < 3600.0
 
@@ -227,7 +260,11 @@ def test_recordings_of_earlier_versions_and_damaged_clocks(tmp_path: Path) -> No
             if topic == DEVICE_STATE:
                 stamp = round(message.stamp * 1e9)
                 writer.add_message(
-                    channel, stamp + 100_000, msgspec.json.encode(message), stamp, message.seq
+                    channel,
+                    stamp + 100_000,
+                    msgspec.json.encode(message),
+                    stamp,
+                    message.seq,
                 )
         writer.finish()
         output.close()
@@ -250,7 +287,9 @@ def test_overruns_are_gaps_that_the_driver_declares(tmp_path: Path) -> None:
         [
             (
                 DEVICE_STATE,
-                DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count),
+                DeviceState(
+                    seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), overruns=count
+                ),
             )
             for seq, count in told
         ],
@@ -261,7 +300,9 @@ def test_overruns_are_gaps_that_the_driver_declares(tmp_path: Path) -> None:
 
 def test_events_are_read(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    said = Event(seq=3, stamp=1.0, node="driver", kind="safety", reason="−0.1 m, limit −0.05 m")
+    said = Event(
+        seq=3, stamp=1.0, node="driver", kind="safety", reason="−0.1 m, limit −0.05 m"
+    )
     write(path, [(event("driver"), said)])
     recording = Recording(path)
     assert recording.messages("/driver/event") == [said]
@@ -288,14 +329,18 @@ def test_summary_is_true_to_the_recording(tmp_path: Path) -> None:
     states = [message for _, message in sent if isinstance(message, DeviceState)]
     assert (summary.ticks, summary.missed, summary.overruns) == (100, 3, 0)
     assert summary.rate_hz == pytest.approx(1.0 / PERIOD, rel=1e-12)
-    responses = [state.response * 1e6 for state in states[1:] if state.seq - 1 not in missed]
+    responses = [
+        state.response * 1e6 for state in states[1:] if state.seq - 1 not in missed
+    ]
     assert len(responses) == 97
     # Another order of interpolation: a few roundings.
     assert summary.response_us["p99"] == pytest.approx(
         float(np.percentile(responses, 99)), rel=1e-14
     )
     # A missed tick has no response; a response of 0 would halve the median.
-    assert summary.response_us["p50"] == pytest.approx(float(np.median(responses)), rel=1e-14)
+    assert summary.response_us["p50"] == pytest.approx(
+        float(np.median(responses)), rel=1e-14
+    )
     assert summary.response_us["max"] == max(responses)
     assert summary.position_m == list(states[-1].position)
 
@@ -310,14 +355,25 @@ def test_ticks_without_an_answer_have_no_response(tmp_path: Path) -> None:
     answered = [state.response * 1e6 for state in states if state.response > 0.0]
     assert (summary.missed, len(answered)) == (70, 30)
     assert min(answered) <= summary.response_us["p50"] <= max(answered)
-    assert summary.response_us["p50"] == pytest.approx(float(np.median(answered)), rel=1e-14)
+    assert summary.response_us["p50"] == pytest.approx(
+        float(np.median(answered)), rel=1e-14
+    )
 
 
-def test_a_driver_that_was_started_again_adds_to_what_was_missed(tmp_path: Path) -> None:
+def test_a_driver_that_was_started_again_adds_to_what_was_missed(
+    tmp_path: Path,
+) -> None:
     """Counts restart at 0: neither run's counts are lost, and the oldest force is any tick's."""
     path = tmp_path / "r.mcap"
     # seq, missed so far, left out so far, age
-    told = [(0, 0, 0, 0), (1, 1, 0, 3), (2, 2, 0, 4), (5, 2, 2, 0), (0, 0, 0, 0), (1, 1, 0, 1)]
+    told = [
+        (0, 0, 0, 0),
+        (1, 1, 0, 3),
+        (2, 2, 0, 4),
+        (5, 2, 2, 0),
+        (0, 0, 0, 0),
+        (1, 1, 0, 1),
+    ]
     write(
         path,
         [
@@ -342,6 +398,14 @@ def test_a_driver_that_was_started_again_adds_to_what_was_missed(tmp_path: Path)
 
 def test_summary_of_nothing(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
-    write(path, [(event("driver"), Event(seq=0, stamp=0.0, node="driver", kind="x", reason=""))])
+    write(
+        path,
+        [
+            (
+                event("driver"),
+                Event(seq=0, stamp=0.0, node="driver", kind="x", reason=""),
+            )
+        ],
+    )
     summary = summarise(Recording(path))
     assert (summary.ticks, summary.response_us, summary.position_m) == (0, {}, [])

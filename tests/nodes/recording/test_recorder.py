@@ -30,8 +30,13 @@ def test_an_answer_that_is_given_again_is_recorded_once(
     """A node with one socket repeats answers to its subscribers too."""
     publisher, inbox = Publisher(context, place), Subscription(context, [place], [""])
     wait_for(publisher.listeners, "the subscription")
-    forces = [encode(Force(seq=seq, stamp=0.002 * seq, force=(0.0, 0.0, 1.0))) for seq in (0, 1, 2)]
-    proxy = encode(Proxy(seq=1, stamp=0.002, position=ZERO, proxy=ZERO, normal=ZERO, distance=0.0))
+    forces = [
+        encode(Force(seq=seq, stamp=0.002 * seq, force=(0.0, 0.0, 1.0)))
+        for seq in (0, 1, 2)
+    ]
+    proxy = encode(
+        Proxy(seq=1, stamp=0.002, position=ZERO, proxy=ZERO, normal=ZERO, distance=0.0)
+    )
     with RecordWriter(tmp_path / "r.mcap", {}) as writer:
         recorder = Recorder(inbox, writer)
         for topic, payload in (
@@ -55,12 +60,17 @@ def test_a_message_of_one_node_that_came_late_leaves_none_of_another_behind(
     context: Context, place: str, tmp_path: Path
 ) -> None:
     """A stopped, delayed logger records of each node what was sent before."""
-    busy, quiet = Publisher(context, f"{place}busy"), Publisher(context, f"{place}quiet")
+    busy, quiet = (
+        Publisher(context, f"{place}busy"),
+        Publisher(context, f"{place}quiet"),
+    )
     inbox = Subscription(context, [f"{place}busy", f"{place}quiet"], [""], 10_000)
     wait_for(lambda: busy.listeners() and quiet.listeners(), "the subscriptions")
     for seq in range(500):
         busy.send(FORCE.encode(), encode(Force(seq=seq, stamp=0.002 * seq, force=ZERO)))
-    told = NodeStatus(seq=500, stamp=99.0, node="quiet", kind="logger", state="running", pid=1)
+    told = NodeStatus(
+        seq=500, stamp=99.0, node="quiet", kind="logger", state="running", pid=1
+    )
     quiet.send(status("quiet").encode(), encode(told))
     with RecordWriter(tmp_path / "r.mcap", {}) as writer:
         Recorder(inbox, writer).drain(end=50.0)
@@ -89,7 +99,8 @@ def test_who_ends_a_recorder_gets_what_had_come_by_then(
         wait_for(publisher.listeners, "the subscription")
         for seq in range(500):
             publisher.send(
-                FORCE.encode(), encode(Force(seq=seq, stamp=time.monotonic(), force=ZERO))
+                FORCE.encode(),
+                encode(Force(seq=seq, stamp=time.monotonic(), force=ZERO)),
             )
         return True
 

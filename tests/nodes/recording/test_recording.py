@@ -72,7 +72,9 @@ def check_cut(whole: Whole, path: Path, cut: int) -> None:
 @FUZZ
 @given(data=st.data())
 def test_cut_anywhere(whole: Whole, tmp_path: Path, data: st.DataObject) -> None:
-    check_cut(whole, tmp_path / "r.mcap", data.draw(st.integers(0, len(whole.data) - 1)))
+    check_cut(
+        whole, tmp_path / "r.mcap", data.draw(st.integers(0, len(whole.data) - 1))
+    )
 
 
 def test_cut_at_the_very_edges(whole: Whole, tmp_path: Path) -> None:
@@ -102,7 +104,9 @@ def test_a_file_with_an_unwritten_tail(whole: Whole, tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------------------------
 
 
-def check_changed(whole: Whole, path: Path, place: int, flip: int, may_cost: int) -> None:
+def check_changed(
+    whole: Whole, path: Path, place: int, flip: int, may_cost: int
+) -> None:
     changed = bytearray(whole.data)
     changed[place] ^= flip
     path.write_bytes(changed)
@@ -122,11 +126,15 @@ def check_changed(whole: Whole, path: Path, place: int, flip: int, may_cost: int
 
 @FUZZ
 @given(data=st.data())
-def test_any_changed_byte_is_noticed(whole: Whole, tmp_path: Path, data: st.DataObject) -> None:
+def test_any_changed_byte_is_noticed(
+    whole: Whole, tmp_path: Path, data: st.DataObject
+) -> None:
     place = data.draw(st.integers(0, len(whole.data) - 1))
     flip = data.draw(st.integers(1, 255))
     # One byte can spoil one chunk, no more.
-    largest = max(b[1] - a[1] for a, b in zip(whole.ends[:-1], whole.ends[1:], strict=True))
+    largest = max(
+        b[1] - a[1] for a, b in zip(whole.ends[:-1], whole.ends[1:], strict=True)
+    )
     check_changed(whole, tmp_path / "r.mcap", place, flip, largest)
 
 
@@ -136,7 +144,9 @@ def test_a_changed_opcode_or_length_of_a_chunk_costs_nothing(
     whole: Whole, tmp_path: Path, byte: int, flip: int
 ) -> None:
     # Its second byte lays the chunk's end into a later one, whose messages are sound all the same.
-    check_changed(whole, tmp_path / "r.mcap", whole.starts[0] + 1 + byte, flip, may_cost=0)
+    check_changed(
+        whole, tmp_path / "r.mcap", whole.starts[0] + 1 + byte, flip, may_cost=0
+    )
 
 
 @pytest.mark.parametrize("byte", range(8))
@@ -159,13 +169,17 @@ def test_a_changed_head_of_a_chunk_costs_its_own_messages_at_most(
         st.integers(0, mcap_walk.FRAME.size + mcap_walk.CHUNK_HEAD.size + 40)
     )
     own = whole.ends[n + 1][1] - whole.ends[n][1]
-    check_changed(whole, tmp_path / "r.mcap", place, data.draw(st.integers(1, 255)), own)
+    check_changed(
+        whole, tmp_path / "r.mcap", place, data.draw(st.integers(1, 255)), own
+    )
 
 
 def test_the_length_of_a_frame_is_read_from_its_blocks() -> None:
     for content in (b"", b"a", bytes(300_000), os.urandom(300_000), b"ab" * 70_000):
         for checksum in (False, True):
-            packer = zstandard.ZstdCompressor(write_checksum=checksum, write_content_size=checksum)
+            packer = zstandard.ZstdCompressor(
+                write_checksum=checksum, write_content_size=checksum
+            )
             frame = packer.compress(content)
             assert mcap_walk.frame_length(frame) == len(frame)
             assert mcap_walk.frame_length(frame + b"behind") == len(frame)
@@ -187,7 +201,9 @@ def test_a_search_for_chunks_does_not_cost_the_square_of_a_file(
             + struct.pack("<I", 4)
             + b"zstd"
         )
-        body += (head + struct.pack("<Q", rest - 54) + b"\x28\xb5\x2f\xfd").ljust(each, b"\0")
+        body += (head + struct.pack("<Q", rest - 54) + b"\x28\xb5\x2f\xfd").ljust(
+            each, b"\0"
+        )
     path = tmp_path / "r.mcap"
     path.write_bytes(MAGIC + body)
     looked_at = 0
@@ -214,10 +230,13 @@ def test_a_small_file_of_a_million_messages_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.mcap"
     path.write_bytes(MAGIC + chunk(packed, b"zstd", len(body), zlib.crc32(body)))
     with pytest.raises(
-        RecordError, match=r"damaged chunk at byte 8: more than \d+ records, the limit for its size"
+        RecordError,
+        match=r"damaged chunk at byte 8: more than \d+ records, the limit for its size",
     ):
         Recording(path)
-    assert sum(recover(path, tmp_path / "out.mcap").messages.values()) < len(packed) + 128
+    assert (
+        sum(recover(path, tmp_path / "out.mcap").messages.values()) < len(packed) + 128
+    )
 
 
 @FUZZ
@@ -230,7 +249,10 @@ def test_rubbish_raises_nothing_but_a_record_error(
     rubbish = data.draw(st.binary(max_size=300))
     path = tmp_path / "r.mcap"
     path.write_bytes(whole.data[:start] + rubbish + whole.data[stop:])
-    for work in (lambda: read(path), lambda: recover(path, tmp_path / "out.mcap", overwrite=True)):
+    for work in (
+        lambda: read(path),
+        lambda: recover(path, tmp_path / "out.mcap", overwrite=True),
+    ):
         # Anything else than a RecordError fails the test.
         with contextlib.suppress(RecordError):
             work()
@@ -259,18 +281,30 @@ SOUND = record(
 @pytest.mark.parametrize(
     ("body", "told"),
     [
-        (chunk(zstandard.compress(BOMB), b"zstd", 100, 0), "compressed frame has another size"),
-        (chunk(bytes(99_999), b"zstd", mcap_walk.MAX_CHUNK + 1, 0), f"limit {mcap_walk.MAX_CHUNK}"),
+        (
+            chunk(zstandard.compress(BOMB), b"zstd", 100, 0),
+            "compressed frame has another size",
+        ),
+        (
+            chunk(bytes(99_999), b"zstd", mcap_walk.MAX_CHUNK + 1, 0),
+            f"limit {mcap_walk.MAX_CHUNK}",
+        ),
         (chunk(b"", b"lzo", 0, 0), "compressed with 'lzo'; zstd and lz4 are read here"),
         (chunk(b"rubbish", b"lz4", 7, 0), "damaged chunk"),
-        (chunk(lz4.frame.compress(BOMB), b"lz4", 100, 0), "checksum or size|damaged chunk"),
+        (
+            chunk(lz4.frame.compress(BOMB), b"lz4", 100, 0),
+            "checksum or size|damaged chunk",
+        ),
         (chunk(b"rubbish", b"zstd", 7, 0), "chunk"),
         (chunk(SOUND, b"", len(SOUND), zlib.crc32(SOUND) ^ 1), "checksum"),
         (chunk(SOUND[:-1], b"", len(SOUND) - 1, 0), "does not fit"),
         (SOUND + SOUND.replace(b"/a", b"/b"), "changes its topic"),
         (record(mcap_walk.CHANNEL, b"\1"), "damaged channel"),
         (record(mcap_walk.SCHEMA, b"\1\0\xff\xff\xff\xff"), "damaged schema"),
-        (record(mcap_walk.METADATA, struct.pack("<I", 1) + b"\xff" + bytes(4)), "damaged metadata"),
+        (
+            record(mcap_walk.METADATA, struct.pack("<I", 1) + b"\xff" + bytes(4)),
+            "damaged metadata",
+        ),
         (record(mcap_walk.MESSAGE, bytes(21)), "damaged message"),
         (record(mcap_walk.MESSAGE, bytes(22)), "channel 0, which is unknown"),
     ],
@@ -282,7 +316,9 @@ def test_hostile_records_are_told(tmp_path: Path, body: bytes, told: str) -> Non
         Recording(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"not a recording at all", bytes(100)])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89MCAP", b"not a recording at all", bytes(100)]
+)
 def test_other_files_are_no_recordings(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "r.mcap"
     path.write_bytes(content)
@@ -306,7 +342,9 @@ def test_what_is_not_there_is_told(tmp_path: Path, whole: Whole) -> None:
     assert path.read_bytes() == whole.data
 
 
-def test_a_sound_file_is_copied_and_nothing_is_reported(whole: Whole, tmp_path: Path) -> None:
+def test_a_sound_file_is_copied_and_nothing_is_reported(
+    whole: Whole, tmp_path: Path
+) -> None:
     path, out = tmp_path / "r.mcap", tmp_path / "out.mcap"
     path.write_bytes(whole.data)
     assert recover(path, out).problems == []
@@ -359,15 +397,21 @@ def test_recordings_of_other_versions_and_of_others(tmp_path: Path) -> None:
         ("/other", other, b"{}"),
         (FORCE, 0, b'{"seq": 1, "stamp": 2.0, "force": [0, 0, "much"]}'),
     ):
-        writer.add_message(writer.register_channel(topic, "json", number), 0, text, 0, 1)
+        writer.add_message(
+            writer.register_channel(topic, "json", number), 0, text, 0, 1
+        )
     writer.finish()
     output.close()
     recording = Recording(path)
     assert list(recording.topics) == [DEVICE_STATE, "/renamed", FORCE]
     assert recording.foreign["/other"].messages == 1
     expected = DeviceState(seq=1, stamp=2.0, position=(0.0, 0.0, 3e-3))
-    assert recording.messages(DEVICE_STATE) == recording.messages("/renamed") == [expected]
-    with pytest.raises(RecordError, match=r"/other is somebody\.Else of another program"):
+    assert (
+        recording.messages(DEVICE_STATE) == recording.messages("/renamed") == [expected]
+    )
+    with pytest.raises(
+        RecordError, match=r"/other is somebody\.Else of another program"
+    ):
         list(recording.entries(["/other"]))
     with pytest.raises(
         RecordError,

@@ -39,7 +39,10 @@ def run(tmp_path: Path) -> Path:
 )
 def test_topics_and_file_come_in_any_order(run: Path, words: tuple[str, ...]) -> None:
     typed_in(run.parent, "bag", "filter", *words)
-    assert set(Recording(run.with_suffix(".filter.mcap")).topics) == {DEVICE_STATE, FORCE}
+    assert set(Recording(run.with_suffix(".filter.mcap")).topics) == {
+        DEVICE_STATE,
+        FORCE,
+    }
     ends = ("--endpoint", f"ipc://{run.parent}/p", "--rate", "inf", "--json")
     played = [word for word in words if word != "--force"]
     done = typed_in(run.parent, "bag", "play", *ends, *played)

@@ -14,7 +14,9 @@ from tests.support.setups import setup_of
 
 def message(frame: str, **content: Any) -> Any:
     stamp = SimpleNamespace(sec=0, nanosec=0)
-    return SimpleNamespace(header=SimpleNamespace(frame_id=frame, stamp=stamp), **content)
+    return SimpleNamespace(
+        header=SimpleNamespace(frame_id=frame, stamp=stamp), **content
+    )
 
 
 class Hand:
@@ -33,9 +35,13 @@ def told() -> deque[tuple[str, str]]:
     return deque()
 
 
-def node(told: deque[tuple[str, str]], monkeypatch: pytest.MonkeyPatch, **parameters: Any) -> Ros2:
+def node(
+    told: deque[tuple[str, str]], monkeypatch: pytest.MonkeyPatch, **parameters: Any
+) -> Ros2:
     made = Ros2(setup_of(name="ros2", kind="ros2", parameters=parameters))
-    monkeypatch.setattr(made.events, "emit_each", lambda kind, text: told.append((kind, text)))
+    monkeypatch.setattr(
+        made.events, "emit_each", lambda kind, text: told.append((kind, text))
+    )
     return made
 
 
@@ -52,7 +58,10 @@ def test_ours_or_none_is_taken_and_another_is_refused_once(
         ros2._take_wrench(wrench)
         assert ros2._wrench is wrench
         ros2._take_target(
-            message(frame, pose=SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0, z=3.0)))
+            message(
+                frame,
+                pose=SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0, z=3.0)),
+            )
         )
     assert hand.targets == [(1.0, 2.0, 3.0)] * 3
     assert not told
@@ -60,14 +69,19 @@ def test_ours_or_none_is_taken_and_another_is_refused_once(
     for frame in ("tool0", "tool0", ours.upper(), f"{ours}/tool", f" {ours}"):
         ros2._take_wrench(message(frame))
         ros2._take_target(
-            message(frame, pose=SimpleNamespace(position=SimpleNamespace(x=9.0, y=9.0, z=9.0)))
+            message(
+                frame,
+                pose=SimpleNamespace(position=SimpleNamespace(x=9.0, y=9.0, z=9.0)),
+            )
         )
     assert ros2._wrench is None
     assert len(hand.targets) == 3
     assert len(told) == 8
     kind, text = told[0]
     assert kind == "frame"
-    assert text.startswith(f"wrench: in frame 'tool0', expected '{ours}' or none; refused")
+    assert text.startswith(
+        f"wrench: in frame 'tool0', expected '{ours}' or none; refused"
+    )
     assert told[1][1].startswith("target: in frame 'tool0'")
 
 

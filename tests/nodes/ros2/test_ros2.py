@@ -28,7 +28,9 @@ from tests.support.setups import setup_of
 
 pytestmark = pytest.mark.realtime
 
-PYTHON = os.environ.get("RCLPY_PYTHON") or (sys.executable if find_spec("rclpy") else "")
+PYTHON = os.environ.get("RCLPY_PYTHON") or (
+    sys.executable if find_spec("rclpy") else ""
+)
 """A Python with rclpy: this one, or that of the variable."""
 
 PROBE = Path(__file__).parents[2] / "support" / "rclpy_probe.py"
@@ -58,7 +60,8 @@ BACKENDS = [
         marks=[
             pytest.mark.process,
             pytest.mark.skipif(
-                not PYTHON, reason="no rclpy: pip install -e '.[rclpy]', or set RCLPY_PYTHON"
+                not PYTHON,
+                reason="no rclpy: pip install -e '.[rclpy]', or set RCLPY_PYTHON",
             ),
         ],
     ),
@@ -76,7 +79,9 @@ BACKENDS = [
 
 
 @pytest.fixture(scope="module", params=BACKENDS)
-def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Heard:
+def heard(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Heard:
     backend = request.param
     folder = tmp_path_factory.mktemp(backend)
     # A domain of its own: nobody else's graph hears it, or is heard.
@@ -86,10 +91,15 @@ def heard(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     }
     # One of them within a namespace, as where several chains share a graph.
     namespace = "/left" if backend == "cyclonedds" else ""
-    include = {"launch": "ros2_wall", "namespace": namespace[1:], "arguments": {"backend": backend}}
+    include = {
+        "launch": "ros2_wall",
+        "namespace": namespace[1:],
+        "arguments": {"backend": backend},
+    }
     file = folder / "wall.yaml"
     file.write_text(
-        json.dumps({"summary": "a wall on a graph", "include": [include]}), encoding="utf-8"
+        json.dumps({"summary": "a wall on a graph", "include": [include]}),
+        encoding="utf-8",
     )
     with running(folder, str(file), environment=domain) as launch:
         done = subprocess.run(
@@ -137,7 +147,9 @@ def test_rclpy_hears_what_was_recorded(heard: Heard) -> None:
     # What no package of this Python can read is on the graph all the same, if it is ours to send.
     if heard.told["backend"] == "cyclonedds":
         assert heard.told["types"]["/tf"] == ["tf2_msgs/msg/TFMessage"]
-        assert heard.told["types"]["/diagnostics"] == ["diagnostic_msgs/msg/DiagnosticArray"]
+        assert heard.told["types"]["/diagnostics"] == [
+            "diagnostic_msgs/msg/DiagnosticArray"
+        ]
     assert heard.told["laws"] == ["pd"]
     assert all(heard.told["counts"].values())
 
@@ -149,8 +161,12 @@ def test_it_is_told_at_the_decimated_rate(heard: Heard) -> None:
     assert heard.told["poses_are"] == ["geometry_msgs/msg/PoseStamped"]
 
 
-def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(heard: Heard) -> None:
-    forces = {force.seq: force.force for force in heard.recording.messages("/coupling/force")}
+def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(
+    heard: Heard,
+) -> None:
+    forces = {
+        force.seq: force.force for force in heard.recording.messages("/coupling/force")
+    }
 
     def beyond_the_law(states: list[DeviceState]) -> set[float]:
         active = [s for s in states if s.safety == "active" and s.force_seq in forces]
@@ -159,7 +175,9 @@ def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(heard: Heard)
     assert PUSH in beyond_the_law(heard.states("pushed_from", "pushed_to"))
     # Whatever was stamped 5 s ago is refused, and what is not renewed is gone.
     assert beyond_the_law(heard.states("old_from", "pushed_from")) == {0.0}
-    age = launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]["age"]
+    age = (
+        launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]["age"]
+    )
     after = [
         s
         for s in heard.states("pushed_to", "pulled_to")
@@ -197,7 +215,11 @@ def test_rclpy_sets_parameters_and_hears_refusals(heard: Heard) -> None:
         pytest.skip("cyclonedds serves no parameters")
     assert "ros2" in heard.told["nodes"]
     assert heard.told["good"] == [True, ""]
-    receipts = [r for r in heard.recording.messages("/coupling/receipt") if isinstance(r, Receipt)]
+    receipts = [
+        r
+        for r in heard.recording.messages("/coupling/receipt")
+        if isinstance(r, Receipt)
+    ]
     assert json.loads(receipts[-1].after)["stiffness"] == 700.0
     done, why = heard.told["bad"]
     assert not done
@@ -205,12 +227,18 @@ def test_rclpy_sets_parameters_and_hears_refusals(heard: Heard) -> None:
 
 
 def node(**parameters: Any) -> Setup:
-    return msgspec.structs.replace(setup_of(), name="ros2", kind="ros2", parameters=parameters)
+    return msgspec.structs.replace(
+        setup_of(), name="ros2", kind="ros2", parameters=parameters
+    )
 
 
-def test_without_a_library_both_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_library_both_extras_are_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(graph, "find_spec", lambda _: None)
-    with pytest.raises(ParameterError, match=r"haptic-nodes\[ros2\].*haptic-nodes\[rclpy\]"):
+    with pytest.raises(
+        ParameterError, match=r"haptic-nodes\[ros2\].*haptic-nodes\[rclpy\]"
+    ):
         Ros2.check(node())
     with pytest.raises(ParameterError, match=r"ros2\.backend: rclpy.*setup\.bash"):
         Ros2.check(node(backend="rclpy"))
@@ -223,4 +251,6 @@ def test_a_deterministic_run_takes_nothing_from_outside() -> None:
 
 def test_the_scenario_states_how_long_a_wrench_lasts() -> None:
     external = launch_file.read("ros2_wall", {}).nodes["driver"].parameters["external"]
-    assert msgspec.convert(external, ExternalParameters) == ExternalParameters(peak=2.0, age=0.1)
+    assert msgspec.convert(external, ExternalParameters) == ExternalParameters(
+        peak=2.0, age=0.1
+    )

@@ -44,7 +44,9 @@ def live(chain: str, *messages: tuple[str, Message]) -> Graph:
     node, graph = Ros2(setup_of(name=name, kind="ros2", parameters={})), Graph()
     node._graph, node._make = graph, RosMessages(graph.look_up)  # type: ignore[assignment]
     node._prefix, node._publishers = topics.within(chain, "/haptic"), {}
-    node._decoders |= {topic: Decoder(NodeStatus) for topic, one in messages if "status" in topic}
+    node._decoders |= {
+        topic: Decoder(NodeStatus) for topic, one in messages if "status" in topic
+    }
     packed = {topic: msgspec.msgpack.encode(message) for topic, message in messages}
     node._newest(packed)
     node._newest(packed)
@@ -71,7 +73,10 @@ def test_a_chain_is_on_the_graph_as_in_its_bag(chain: str, tmp_path: Path) -> No
     recording = Recording(path)
     newest = {topic: list(recording.messages(topic))[-1] for topic in topics.LOOP}
     graph = live(chain, *newest.items(), ("/left/driver/status", STATUS))
-    wanted = {topics.within(chain, f"/haptic/{name}"): CHAIN_TOPICS[name] for name in CHAIN_TOPICS}
+    wanted = {
+        topics.within(chain, f"/haptic/{name}"): CHAIN_TOPICS[name]
+        for name in CHAIN_TOPICS
+    }
     assert graph.kinds == wanted | SHARED_TOPICS
     # Twice the same state: the law is said once, for it has not changed.
     counts = {topic: len(told) for topic, told in graph.told.items()}
@@ -86,17 +91,24 @@ def test_a_chain_is_on_the_graph_as_in_its_bag(chain: str, tmp_path: Path) -> No
     state = newest["/device/state"]
     assert isinstance(state, DeviceState)
     joints = graph.told[topics.within(chain, "/haptic/device/joints")][0]
-    assert (joints.name, list(joints.position)) == (["x", "y", "z"], list(state.position))
+    assert (joints.name, list(joints.position)) == (
+        ["x", "y", "z"],
+        list(state.position),
+    )
 
 
 def test_a_bag_has_the_topics_of_the_graph(tmp_path: Path) -> None:
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    path = recorded(tmp_path, "floor_swap", "first:=0.1", "second:=0.3", "duration:=0.5")
+    path = recorded(
+        tmp_path, "floor_swap", "first:=0.1", "second:=0.3", "duration:=0.5"
+    )
     export_ros2(Recording(path), tmp_path / "bag")
     with rosbag2.Reader(tmp_path / "bag") as reader:
         kinds = {one.topic: one.msgtype for one in reader.connections}
         counts = {one.topic: one.msgcount for one in reader.connections}
-    live_topics = {f"/haptic/{name}": kind for name, kind in CHAIN_TOPICS.items()} | SHARED_TOPICS
+    live_topics = {
+        f"/haptic/{name}": kind for name, kind in CHAIN_TOPICS.items()
+    } | SHARED_TOPICS
     assert kinds == {**live_topics, "/haptic/parameters": "std_msgs/msg/String"}
     # PD, PDα, multi-term: each is said when it takes over.
     assert counts["/haptic/law"] == 3

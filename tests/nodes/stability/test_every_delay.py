@@ -38,7 +38,9 @@ def law(name: str, share: float, delays: tuple[float, float]) -> CompiledLaw:
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 1.7, 2.0])
-def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float) -> None:
+def test_a_constant_sequence_has_the_poles_of_its_delay(
+    name: str, delay: float
+) -> None:
     some = law(name, 0.5, (0.5, 1.0))
     for around in ((delay, delay), (max(delay - 0.4, 0.0), delay + 0.4)):
         matrix = _Ticks(some, FlexiblePlant(M, B), T, around).matrix(delay, delay)
@@ -51,7 +53,9 @@ def test_a_constant_sequence_has_the_poles_of_its_delay(name: str, delay: float)
 def test_hull_holds_the_matrices_of_all_delays(delays: tuple[float, float]) -> None:
     from scipy.optimize import linprog
 
-    ticks = _Ticks(law("paper_optimum", 0.5, delays), FlexiblePlant(M, B, 0.0, 200.0), T, delays)
+    ticks = _Ticks(
+        law("paper_optimum", 0.5, delays), FlexiblePlant(M, B, 0.0, 200.0), T, delays
+    )
     corners = ticks.hull().reshape(len(ticks.hull()), -1).T
     for older in np.linspace(*delays, 5).tolist():
         for newer in np.linspace(*delays, 5).tolist():
@@ -91,7 +95,8 @@ def test_replays_agree_with_the_certificate_and_with_the_counterexample(
     inside = law("paper_optimum", 0.97, delays)
     for _ in range(3):
         sequence = [
-            source.choice((delays[0], delays[1], source.uniform(*delays))) for _ in range(1500)
+            source.choice((delays[0], delays[1], source.uniform(*delays)))
+            for _ in range(1500)
         ]
         assert replayed_radius(inside, Plant(T, M, B), sequence) < 1.0
     outside = law("paper_optimum", 1.02, delays)
@@ -120,10 +125,13 @@ def test_a_rate_can_be_demanded() -> None:
 
 def test_what_cannot_be_certified_is_refused() -> None:
     with pytest.raises(
-        ValueError, match=r"^delay 0\.5\.\.1\.6 ticks: expected low to high, at most one tick apart"
+        ValueError,
+        match=r"^delay 0\.5\.\.1\.6 ticks: expected low to high, at most one tick apart",
     ):
         every_delay(law("pd", 0.5, (0.5, 1.0)), Plant(T, M, B), (0.5, 1.6))
-    with pytest.raises(ValueError, match=r"^law: 1002 states, at most 40 are certified"):
+    with pytest.raises(
+        ValueError, match=r"^law: 1002 states, at most 40 are certified"
+    ):
         every_delay(CompiledLaw((1000.0,) * 1000), Plant(T, M, B), (0.0, 0.5))
 
 
@@ -164,7 +172,10 @@ def test_a_joint_and_a_lag_are_certified_too(
     assert found.stable is Certificate.CERTIFIED
     assert found.rate is not None
     assert found.growth <= found.rate < 1.0
-    assert every_delay(scaled(1.01 * low), plant, delays, period=T).stable is Certificate.UNSTABLE
+    assert (
+        every_delay(scaled(1.01 * low), plant, delays, period=T).stable
+        is Certificate.UNSTABLE
+    )
     # Nothing is left out between the corners: every matrix is as near to the hull as is said, in
     # the identity's norm.
     hull = ticks.hull()
@@ -180,7 +191,10 @@ def _distance(matrix: np.ndarray, hull: np.ndarray) -> float:
 
     count, flat = len(hull), hull.reshape(len(hull), -1).T
     rows = np.vstack(
-        [np.hstack([flat, -np.ones((len(flat), 1))]), np.hstack([-flat, -np.ones((len(flat), 1))])]
+        [
+            np.hstack([flat, -np.ones((len(flat), 1))]),
+            np.hstack([-flat, -np.ones((len(flat), 1))]),
+        ]
     )
     limits = np.concatenate([matrix.ravel(), -matrix.ravel()])
     found = linprog(
@@ -197,5 +211,7 @@ def _distance(matrix: np.ndarray, hull: np.ndarray) -> float:
 
 
 def test_a_flexible_device_needs_the_period() -> None:
-    with pytest.raises(ValueError, match=r"^period: a flexible device has none of its own"):
+    with pytest.raises(
+        ValueError, match=r"^period: a flexible device has none of its own"
+    ):
         every_delay(CompiledLaw((100.0,)), JOINT, (0.0, 0.5))

@@ -20,7 +20,9 @@ PD = CompiledLaw((1500.0, -1000.0))
 
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.3])
 @pytest.mark.parametrize("hand", [0.0, 300.0])
-def test_without_joint_and_lag_it_is_the_rigid_device(delay: float, hand: float) -> None:
+def test_without_joint_and_lag_it_is_the_rigid_device(
+    delay: float, hand: float
+) -> None:
     plant = FlexiblePlant(0.1, 1.0, delay, hand)
     rigid = held_plant(Plant(T, 0.1, 1.0, delay, hand))
     whole, numerator, denominator = plant.rational(T)
@@ -57,13 +59,17 @@ def test_response_is_rigid_body_plus_mode() -> None:
     z = np.exp(1j * np.linspace(0.05, 3.0, 40))
     rigid = T * T / 0.2 * (z + 1.0) / (2.0 * (z - 1.0) ** 2)
     c = math.cos(pulse * T)
-    mode = 0.3 / 0.7 / 0.2 * (1.0 - c) / pulse**2 * (z + 1.0) / (z * z - 2.0 * c * z + 1.0)
+    mode = (
+        0.3 / 0.7 / 0.2 * (1.0 - c) / pulse**2 * (z + 1.0) / (z * z - 2.0 * c * z + 1.0)
+    )
     seen = np.polyval(numerator, z) / (z ** (whole + 1) * np.polyval(denominator, z))
     assert seen == pytest.approx(rigid + mode, rel=1e-8)
 
 
 def test_one_tick_is_the_integrated_motion() -> None:
-    plant = FlexiblePlant(0.1, 1.0, 0.35, 200.0, lag=0.003, share=0.4, frequency=30.0, loss=0.02)
+    plant = FlexiblePlant(
+        0.1, 1.0, 0.35, 200.0, lag=0.003, share=0.4, frequency=30.0, loss=0.02
+    )
     whole, step, new, old = plant.held(T)
     matrix, push = plant.continuous()
     start = np.array([1e-3, 0.1, -2e-3, -0.05, 0.3])
@@ -77,14 +83,18 @@ def test_one_tick_is_the_integrated_motion() -> None:
         begin = end
     assert whole == 0
     # The integrator's tolerance, over some ten steps.
-    assert step @ start + new * -1.1 + old * 0.7 == pytest.approx(state, rel=1e-8, abs=1e-12)
+    assert step @ start + new * -1.1 + old * 0.7 == pytest.approx(
+        state, rel=1e-8, abs=1e-12
+    )
 
 
 def test_a_law_for_the_rigid_device_can_be_unstable_with_a_joint() -> None:
     law = CompiledLaw((8000.0, -7400.0))
     assert flexible_radius(law, T, FlexiblePlant(0.1, 1.0, 0.2)) < 1.0
     assert (
-        flexible_radius(law, T, FlexiblePlant(0.1, 1.0, 0.2, share=0.5, frequency=120.0, loss=0.02))
+        flexible_radius(
+            law, T, FlexiblePlant(0.1, 1.0, 0.2, share=0.5, frequency=120.0, loss=0.02)
+        )
         > 1.0
     )
 

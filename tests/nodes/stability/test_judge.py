@@ -23,7 +23,10 @@ def test_without_any_spring_a_motion_may_not_grow(share: float) -> None:
     By 5·10⁻⁴ a tick it grows by e in 4 s.
     """
     free = Plant(T, MASS, 0.0)
-    grows, decays = judge(damper(-share * MASS / T), free), judge(damper(share * MASS / T), free)
+    grows, decays = (
+        judge(damper(-share * MASS / T), free),
+        judge(damper(share * MASS / T), free),
+    )
     assert grows is not None
     assert decays is not None
     # The next term of the series is half the square, of a force that is a tick old.

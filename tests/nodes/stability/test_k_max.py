@@ -13,7 +13,13 @@ from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.k_max import boundaries, k_max, tolerance, with_spring, without_spring
+from nodes.stability.k_max import (
+    boundaries,
+    k_max,
+    tolerance,
+    with_spring,
+    without_spring,
+)
 from nodes.stability.plant import Plant
 
 T = 0.002
@@ -46,7 +52,9 @@ def test_closed_form_is_theorys_without_friction(beta: float) -> None:
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.5, 3.0, 40.0, 110.0, 130.0])
-@pytest.mark.parametrize(("mass", "damping"), [(0.1, 1.0), (0.02, 5.0), (3.0, 0.1), (0.1, 0.0)])
+@pytest.mark.parametrize(
+    ("mass", "damping"), [(0.1, 1.0), (0.02, 5.0), (3.0, 0.1), (0.1, 0.0)]
+)
 @pytest.mark.parametrize("hand", [0.0, 400.0])
 def test_closed_form_and_pole_radius_agree(
     gain: float, mass: float, damping: float, hand: float
@@ -62,11 +70,15 @@ def test_closed_form_and_pole_radius_agree(
 
 
 @pytest.mark.parametrize(
-    "law", [PD, HALF, THREE_HALVES, OPTIMUM], ids=["pd", "half", "three_halves", "optimum"]
+    "law",
+    [PD, HALF, THREE_HALVES, OPTIMUM],
+    ids=["pd", "half", "three_halves", "optimum"],
 )
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 2.0])
 @pytest.mark.parametrize("hand", [0.0, 400.0])
-def test_just_inside_and_just_outside(law: CompiledLaw, delay: float, hand: float) -> None:
+def test_just_inside_and_just_outside(
+    law: CompiledLaw, delay: float, hand: float
+) -> None:
     device = Plant(T, 0.08, 0.9, delay, hand)
     limit = k_max(law, device).k_max_n_per_m
     assert limit is not None
@@ -84,7 +96,9 @@ def test_nothing_below_the_boundary_is_unstable_and_h1_is_what_is_felt() -> None
     # The leak of the truncated terms: K has to exceed it before anything is felt, and it is missing
     # at the top.
     assert low == pytest.approx(-OPTIMUM.h1, rel=1e-12)
-    assert found.h1_max_n_per_m == pytest.approx(with_spring(OPTIMUM, high).h1, rel=1e-12)
+    assert found.h1_max_n_per_m == pytest.approx(
+        with_spring(OPTIMUM, high).h1, rel=1e-12
+    )
 
 
 def test_every_boundary_has_a_pole_on_the_circle() -> None:
@@ -111,10 +125,15 @@ def test_long_laws_have_a_boundary_too() -> None:
 def test_too_much_damping_leaves_nothing_stable() -> None:
     """β = BT/m must stay below 2 for a device without friction."""
     assert (
-        k_max(derivative("pd", damping=2.0001 * 0.1 / T), Plant(T, 0.1, 0.0)).k_max_n_per_m is None
+        k_max(
+            derivative("pd", damping=2.0001 * 0.1 / T), Plant(T, 0.1, 0.0)
+        ).k_max_n_per_m
+        is None
     )
     assert (
-        k_max(derivative("pd", damping=1.9999 * 0.1 / T), Plant(T, 0.1, 0.0)).k_max_n_per_m
+        k_max(
+            derivative("pd", damping=1.9999 * 0.1 / T), Plant(T, 0.1, 0.0)
+        ).k_max_n_per_m
         is not None
     )
 
@@ -122,7 +141,9 @@ def test_too_much_damping_leaves_nothing_stable() -> None:
 def test_closed_form_is_not_claimed_where_there_is_none() -> None:
     assert k_max(OPTIMUM, Plant(T, 0.1, 1.0)).method == "pole_radius"
     assert k_max(PD, Plant(T, 0.1, 1.0, 1.0)).method == "pole_radius"
-    with pytest.raises(ValueError, match="closed_form needs a spring or PD without delay"):
+    with pytest.raises(
+        ValueError, match="closed_form needs a spring or PD without delay"
+    ):
         k_max(PD, Plant(T, 0.1, 1.0, 1.0), "closed_form")
 
 
@@ -152,12 +173,16 @@ def test_semi_implicit_euler_overstates_k_max(steps: int) -> None:
     low, high = 1.0, 1e5
     for _ in range(60):
         low, high = (
-            (0.5 * (low + high), high) if stable(0.5 * (low + high)) else (low, 0.5 * (low + high))
+            (0.5 * (low + high), high)
+            if stable(0.5 * (low + high))
+            else (low, 0.5 * (low + high))
         )
     exact = k_max(derivative("pd", damping=gain), Plant(T, mass, 0.0)).k_max_n_per_m
     assert exact is not None
     # First order in β = BT/m = 0.01; the neglected term is a few β.
-    assert low / exact == pytest.approx(1.0 / (1.0 - 1.0 / steps), rel=5 * gain * T / mass)
+    assert low / exact == pytest.approx(
+        1.0 / (1.0 - 1.0 / steps), rel=5 * gain * T / mass
+    )
 
 
 def test_tolerances_are_edges() -> None:
@@ -194,14 +219,18 @@ def test_kmax_answers_for_machines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words.split()) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     expected = k_max(PD, Plant(T, 0.1, 1.0))
-    assert figures["k_max_n_per_m"] == figures["h1_max_n_per_m"] == expected.k_max_n_per_m
+    assert (
+        figures["k_max_n_per_m"] == figures["h1_max_n_per_m"] == expected.k_max_n_per_m
+    )
     assert figures["method"] == "closed_form"
     assert main([*words.split(), "--method", "pole_radius"]) == 0
     again = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert again["k_max_n_per_m"] == pytest.approx(figures["k_max_n_per_m"], rel=1e-9)
 
 
-def test_kmax_draws_the_boundary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_kmax_draws_the_boundary(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [
         "study",
         "kmax",
@@ -224,10 +253,24 @@ def test_the_first_line_says_what_was_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     loop = "m 0.2 kg, b 1.5 N s/m, hand 50 N/m, delay 1 ticks, 1000 Hz"
-    device = ["--mass", "0.2", "--damping", "1.5", "--hand", "50", "--delay", "1", "--rate", "1000"]
+    device = [
+        "--mass",
+        "0.2",
+        "--damping",
+        "1.5",
+        "--hand",
+        "50",
+        "--delay",
+        "1",
+        "--rate",
+        "1000",
+    ]
     assert main(["study", "kmax", "--law", "pd", "--gain", "3", *device]) == 0
     assert capsys.readouterr().out.splitlines()[0] == f"pd B 3; {loop}"
-    assert main(["study", "analyse", "pd", "--gain", "3", *device, "--out", str(tmp_path)]) == 2
+    assert (
+        main(["study", "analyse", "pd", "--gain", "3", *device, "--out", str(tmp_path)])
+        == 2
+    )
     assert "--stiffness K" in capsys.readouterr().err
     assert (
         main(
@@ -276,7 +319,10 @@ def test_kmax_says_when_nothing_is_stable(capsys: pytest.CaptureFixture[str]) ->
         ("study kmax --law pdq", "law.kind: 'pdq'"),
         ("study kmax --law pd", "--gain B; 0 is a bare spring"),
         ("study analyse pd", "--gain B; 0 is a bare spring"),
-        ("study kmax --law pd --gain 3 --delay 1 --method closed_form", "closed_form needs"),
+        (
+            "study kmax --law pd --gain 3 --delay 1 --method closed_form",
+            "closed_form needs",
+        ),
         (
             "study kmax --law pd --gain 3 --scene press",
             "--scene: no effect here: nothing is played; add --method simulation",
@@ -321,7 +367,16 @@ def test_analyse_agrees_with_what_it_is_made_of(
 ) -> None:
     assert (
         main(
-            ["study", "analyse", "paper_optimum", "--delay", "1", "--json", "--out", str(tmp_path)]
+            [
+                "study",
+                "analyse",
+                "paper_optimum",
+                "--delay",
+                "1",
+                "--json",
+                "--out",
+                str(tmp_path),
+            ]
         )
         == 0
     )
@@ -329,14 +384,21 @@ def test_analyse_agrees_with_what_it_is_made_of(
     law = parse_law("paper_optimum").compile(T)
     assert figures["taps_n_per_m"] == list(law.taps)
     assert figures["pole_radius"] == radius(law, Plant(T, 0.1, 1.0, 1.0))
-    assert figures["k_max_n_per_m"] == k_max(OPTIMUM, Plant(T, 0.1, 1.0, 1.0)).k_max_n_per_m
+    assert (
+        figures["k_max_n_per_m"]
+        == k_max(OPTIMUM, Plant(T, 0.1, 1.0, 1.0)).k_max_n_per_m
+    )
     assert figures["tolerance"]["delay_max_ticks"] > 1.0
     assert Path(figures["plot"]).is_file()
 
 
-def test_simulated_drop_reads_below_the_linear_limit(capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulated_drop_reads_below_the_linear_limit(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """70 to 99 % of it (THEORY.md §4): near the limit the decay is too slow for any horizon."""
-    words = "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --json"
+    words = (
+        "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --json"
+    )
     assert main(words.split()) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     limit = k_max(PD, Plant(T, 0.1, 1.0)).k_max_n_per_m
@@ -366,7 +428,10 @@ def test_the_end_of_a_simulated_search_is_not_told_as_no_limit(
     # 0.02 m/T² is 500 N/m: all that is tried settles.
     assert main([*words, "--gain", "3"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert (told["k_max_n_per_m"], told["at_least_n_per_m"]) == (None, pytest.approx(500.0))
+    assert (told["k_max_n_per_m"], told["at_least_n_per_m"]) == (
+        None,
+        pytest.approx(500.0),
+    )
     assert main([*words[:-3], "--gain", "3"]) == 0
     assert "above 500 N/m" in capsys.readouterr().out
     assert main([*words, "--gain", "3..4", "--points", "2"]) == 0
@@ -384,9 +449,23 @@ def test_nothing_rests_that_is_not_stable(
     gain: str, limit: float | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The stiffness for rest was shown without K_max, as if every stiffness were stable."""
-    words = ["--stiffness", "900", "--gain", gain, "--resolution", "1e-8", "--friction", "0.1"]
-    assert main(["study", "analyse", "pd", *words, "--json", "--out", str(tmp_path)]) == 0
+    words = [
+        "--stiffness",
+        "900",
+        "--gain",
+        gain,
+        "--resolution",
+        "1e-8",
+        "--friction",
+        "0.1",
+    ]
+    assert (
+        main(["study", "analyse", "pd", *words, "--json", "--out", str(tmp_path)]) == 0
+    )
     told = json.loads(capsys.readouterr().out.splitlines()[-1])["rest"]
     expected = None if limit is None else pytest.approx(limit, rel=1e-6)
     # On the map where friction over the step is largest.
-    assert (told["k_rest_n_per_m"], told["map"]["k_rest_n_per_m"][0][-1]) == (expected, expected)
+    assert (told["k_rest_n_per_m"], told["map"]["k_rest_n_per_m"][0][-1]) == (
+        expected,
+        expected,
+    )

@@ -25,7 +25,9 @@ THETA = np.linspace(1e-4, np.pi, 20001)
 
 
 def pd(stiffness: float, damping: float = 3.0) -> CompiledLaw:
-    return parse_law({"kind": "pd", "stiffness": stiffness, "damping": damping}).compile(T)
+    return parse_law(
+        {"kind": "pd", "stiffness": stiffness, "damping": damping}
+    ).compile(T)
 
 
 def tsypkin(stiffness: float, delay: int) -> float:
@@ -39,16 +41,24 @@ def tsypkin(stiffness: float, delay: int) -> float:
 
 
 @pytest.mark.parametrize(("delay", "edge"), [(0, 3225.21), (1, 1251.992)])
-def test_edge_of_pd_is_that_of_the_multiplier_one_less_w(delay: int, edge: float) -> None:
+def test_edge_of_pd_is_that_of_the_multiplier_one_less_w(
+    delay: int, edge: float
+) -> None:
     """PD, B 3: 85 % and 99.96 % of K_max (3781.87, 1252.48 N/m); no multiplier is better."""
     plant = Plant(T, 0.1, 1.0, float(delay))
     for factor in (0.999, 1.001):
         found = prove_landing(pd(factor * edge), plant)
-        assert found.proven is (tsypkin(factor * edge, delay) > 0.0) is (factor < 1.0), found
+        assert (
+            found.proven is (tsypkin(factor * edge, delay) > 0.0) is (factor < 1.0)
+        ), found
 
 
-@pytest.mark.parametrize(("name", "delays"), [("designed_d0", (0.0, 0.5)), ("designed_d1", (1.0,))])
-def test_designed_presets_are_proven_as_shipped(name: str, delays: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(
+    ("name", "delays"), [("designed_d0", (0.0, 0.5)), ("designed_d1", (1.0,))]
+)
+def test_designed_presets_are_proven_as_shipped(
+    name: str, delays: tuple[float, ...]
+) -> None:
     law = parse_law(name).compile(T)
     for mass in (0.05, 0.2):
         for delay in delays:
@@ -83,7 +93,10 @@ def test_sections_and_a_joint_have_proofs_too() -> None:
     joint = FlexiblePlant(0.1, 1.0, 1.0, share=0.2, frequency=60.0, loss=0.1)
     assert prove_landing(pd(200.0, 1.0), joint, T).proven
     rigid = FlexiblePlant(0.1, 1.0, 1.0)
-    margins = [prove_landing(pd(800.0), one, T).margin for one in (rigid, Plant(T, 0.1, 1.0, 1.0))]
+    margins = [
+        prove_landing(pd(800.0), one, T).margin
+        for one in (rigid, Plant(T, 0.1, 1.0, 1.0))
+    ]
     # one device by a matrix exponential, and by its series
     assert margins[0] == pytest.approx(margins[1], rel=1e-6)
 
@@ -144,10 +157,14 @@ def test_cosine_sums_are_the_real_parts(coefficients: list[float], low: int) -> 
     polynomial = Laurent(np.array(coefficients), low)
     theta: NDArray[Any] = np.linspace(0.1, np.pi, 17)
     at, w = polynomial.at(theta), np.exp(-1j * theta)
-    size = 1e-13 * len(coefficients)  # so many terms of at most 1, each rounded once or twice
+    size = 1e-13 * len(
+        coefficients
+    )  # so many terms of at most 1, each rounded once or twice
     assert np.abs(values(polynomial.real(), theta) - at.real).max() < size
     assert (
-        np.abs(values(polynomial.real_over_one_less_w(), theta) - (at / (1.0 - w)).real).max()
+        np.abs(
+            values(polynomial.real_over_one_less_w(), theta) - (at / (1.0 - w)).real
+        ).max()
         < 100.0 * size
     )
     assert np.abs(polynomial.conjugate.at(theta) - at.conj()).max() < size
@@ -157,14 +174,24 @@ def test_cosine_sums_are_the_real_parts(coefficients: list[float], low: int) -> 
 def test_one_less_cosine_is_the_quotient(multiple: int) -> None:
     theta = np.linspace(0.3, np.pi, 9)
     quotient = (1.0 - np.cos(multiple * theta)) / (1.0 - np.cos(theta))
-    assert values(one_less_cosine(multiple), theta) == pytest.approx(quotient, rel=1e-12)
+    assert values(one_less_cosine(multiple), theta) == pytest.approx(
+        quotient, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "proven", "said"),
     [
-        (["pd", "--stiffness", "800", "--gain", "3"], True, "every drop settles: proven"),
-        (["pd", "--stiffness", "3500", "--gain", "3"], False, "every drop settles: no proof"),
+        (
+            ["pd", "--stiffness", "800", "--gain", "3"],
+            True,
+            "every drop settles: proven",
+        ),
+        (
+            ["pd", "--stiffness", "3500", "--gain", "3"],
+            False,
+            "every drop settles: no proof",
+        ),
         (
             ["--launch", "floor_drop", "designed_d0"],
             True,
@@ -183,4 +210,7 @@ def test_law_show_says_whether_there_is_a_proof(
     assert main(["law", "show", *words]) == 0
     assert said in capsys.readouterr().out
     assert main(["law", "show", *words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["landing_proof"]["proven"] is proven
+    assert (
+        json.loads(capsys.readouterr().out.splitlines()[-1])["landing_proof"]["proven"]
+        is proven
+    )

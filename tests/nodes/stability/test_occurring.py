@@ -20,7 +20,13 @@ T = 0.002
 
 KINDS: dict[str, dict[str, object]] = {
     "pd": {"kind": "pd", "stiffness": 1.0},
-    "half": {"kind": "pd_alpha", "stiffness": 1.0, "order": 0.5, "taps": 20, "gains": "paper"},
+    "half": {
+        "kind": "pd_alpha",
+        "stiffness": 1.0,
+        "order": 0.5,
+        "taps": 20,
+        "gains": "paper",
+    },
     "three_halves": {
         "kind": "pd_alpha",
         "stiffness": 1.0,
@@ -57,7 +63,8 @@ def test_colgate_at_the_frequency_that_occurs_is_k_max(
     if delay == 0.0:
         assert edge.k_simple_n_per_m / limit > 0.98
         assert edge.k_exact_n_per_m == pytest.approx(
-            2.0 * (device.damping * edge.damping_factor - edge.f_n_s_per_m) / T, rel=1e-12
+            2.0 * (device.damping * edge.damping_factor - edge.f_n_s_per_m) / T,
+            rel=1e-12,
         )
     if delay in (0.0, 1.0, 2.0):
         # Without the mass: R of a light device is wrong by (bT/m)² and less.
@@ -71,7 +78,8 @@ def test_damping_shown_is_the_series_for_light_damping() -> None:
         shown = damping_shown(Plant(T, 0.1, mu * 0.1 / T), theta) / (mu * 0.1 / T)
         # The next term is of order (bT/m)², times the square of the tangent's growth near ω_N.
         assert shown == pytest.approx(
-            1.0 + math.tan(0.5 * theta) ** 2 / 3.0, rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2)
+            1.0 + math.tan(0.5 * theta) ** 2 / 3.0,
+            rel=1e-5 * (1.0 + math.tan(0.5 * theta) ** 2),
         )
 
 
@@ -100,7 +108,9 @@ def test_just_inside_is_stable_and_just_outside_is_not(name: str) -> None:
 
 
 def test_frequency_must_be_below_nyquist() -> None:
-    with pytest.raises(ValueError, match=r"^omega = 2000 rad/s: must be between 0 and 1570"):
+    with pytest.raises(
+        ValueError, match=r"^omega = 2000 rad/s: must be between 0 and 1570"
+    ):
         edge_at(CompiledLaw((0.0,)), Plant(T, 0.1, 1.0), 2000.0)
 
 
@@ -109,7 +119,9 @@ def test_a_hand_s_spring_counts_with_damping_and_without(damping: float) -> None
     law, device = derivative("pd", 8.0), Plant(T, 0.1, damping, 0.5, 800.0)
     edge = edge_of(law, device)
     assert edge is not None
-    assert edge.k_exact_n_per_m == pytest.approx(k_max(law, device).k_max_n_per_m, rel=1e-9)
+    assert edge.k_exact_n_per_m == pytest.approx(
+        k_max(law, device).k_max_n_per_m, rel=1e-9
+    )
 
 
 def test_the_pages_range_of_what_leaving_r_out_costs() -> None:
@@ -117,10 +129,15 @@ def test_the_pages_range_of_what_leaving_r_out_costs() -> None:
 
     def off(name: str, gain: float, device: Plant) -> float | None:
         edge = edge_of(derivative(name, gain), device)
-        return None if edge is None else 1.0 - edge.k_simple_n_per_m / edge.k_exact_n_per_m
+        return (
+            None if edge is None else 1.0 - edge.k_simple_n_per_m / edge.k_exact_n_per_m
+        )
 
     few = [
-        off(name, gain, device) for name in KINDS for gain in (3.0, 8.0, 25.0) for device in DEVICES
+        off(name, gain, device)
+        for name in KINDS
+        for gain in (3.0, 8.0, 25.0)
+        for device in DEVICES
     ]
     known = [one for one in few if one is not None]
     assert (len(known), round(100.0 * min(known), 1), round(100.0 * max(known), 1)) == (
@@ -130,6 +147,9 @@ def test_the_pages_range_of_what_leaving_r_out_costs() -> None:
     )
     gains = np.geomspace(0.5, 60.0, 24).tolist()
     wide = [
-        one for name in KINDS for gain in gains if (one := off(name, gain, DEVICES[0])) is not None
+        one
+        for name in KINDS
+        for gain in gains
+        if (one := off(name, gain, DEVICES[0])) is not None
     ]
     assert round(100.0 * max(wide), 1) == 9.4

@@ -24,9 +24,14 @@ PD3 = CompiledLaw((3.0 / T, -3.0 / T))
 LAWS = [
     CompiledLaw((0.0,)),
     CompiledLaw((1.0 / T, -1.0 / T)),
-    without_spring(parse_law({"kind": "paper_optimum", "stiffness": 1.0, "damping": 1.0}), T),
     without_spring(
-        parse_law({"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 60.0}), T
+        parse_law({"kind": "paper_optimum", "stiffness": 1.0, "damping": 1.0}), T
+    ),
+    without_spring(
+        parse_law(
+            {"kind": "pd_filtered", "stiffness": 1.0, "damping": 1.0, "cutoff": 60.0}
+        ),
+        T,
     ),
 ]
 
@@ -39,7 +44,9 @@ def stepped(law: CompiledLaw, plant: Plant) -> float:
     partner = plant.partner
     assert partner is not None
     bodies = [(plant.mass, plant.damping, plant.stiffness, plant.delay)]
-    bodies.append((partner.mass, partner.damping, partner.stiffness, plant.delay + partner.later))
+    bodies.append(
+        (partner.mass, partner.damping, partner.stiffness, plant.delay + partner.later)
+    )
     n, flying = max(len(law.taps), 2), math.ceil(max(body[3] for body in bodies)) + 1
     size = 4 + n + 2 * len(law.sections) + flying
 
@@ -92,10 +99,14 @@ bodies = st.tuples(
 @settings(max_examples=25, deadline=None)
 @given(bodies, bodies, st.sampled_from(LAWS), st.floats(50.0, 3000.0))
 def test_the_pole_radius_is_that_of_both_bodies(
-    first: tuple[float, ...], second: tuple[float, ...], derivative: CompiledLaw, stiffness: float
+    first: tuple[float, ...],
+    second: tuple[float, ...],
+    derivative: CompiledLaw,
+    stiffness: float,
 ) -> None:
     one, other = (
-        Plant(T, mass, damping, delay, hand) for mass, damping, hand, delay in (first, second)
+        Plant(T, mass, damping, delay, hand)
+        for mass, damping, hand, delay in (first, second)
     )
     law, pair = with_spring(derivative, stiffness), one.paired_with(other)
     # Poles of matrices of up to 15 states, of which a double one is known to the root of the
@@ -109,14 +120,16 @@ def test_k_max_is_the_edge_of_both_bodies(
     first: tuple[float, ...], second: tuple[float, ...], derivative: CompiledLaw
 ) -> None:
     one, other = (
-        Plant(T, mass, damping, delay, hand) for mass, damping, hand, delay in (first, second)
+        Plant(T, mass, damping, delay, hand)
+        for mass, damping, hand, delay in (first, second)
     )
     pair = one.paired_with(other)
     edge = k_max(derivative, pair).k_max_n_per_m
     if edge is None:
         # No stretch that is stable: neither is what a hand or a finger would do.
         assert all(
-            stepped(with_spring(derivative, k), pair) > 1.0 - 1e-7 for k in (1.0, 30.0, 300.0)
+            stepped(with_spring(derivative, k), pair) > 1.0 - 1e-7
+            for k in (1.0, 30.0, 300.0)
         )
         return
     assert (
@@ -145,16 +158,21 @@ def test_k_max_of_many_pairs() -> None:
         edge = k_max(derivative, pair).k_max_n_per_m
         if edge is not None:
             low, high = (
-                stepped(with_spring(derivative, part * edge), pair) for part in (0.9999, 1.0001)
+                stepped(with_spring(derivative, part * edge), pair)
+                for part in (0.9999, 1.0001)
             )
             assert low < 1.0 < high, (pair, derivative, edge)
 
 
-def test_two_equal_devices_are_one_of_half_the_mass_and_undamped_ones_a_reduced_mass() -> None:
+def test_two_equal_devices_are_one_of_half_the_mass_and_undamped_ones_a_reduced_mass() -> (
+    None
+):
     """Common motion does not reach the law: the limit equals one device's."""
     one = Plant(T, 0.1, 1.0, 0.7, 200.0)
     half = Plant(T, 0.05, 0.5, 0.7, 100.0)
-    found, expected = (k_max(PD3, plant).k_max_n_per_m for plant in (one.paired_with(one), half))
+    found, expected = (
+        k_max(PD3, plant).k_max_n_per_m for plant in (one.paired_with(one), half)
+    )
     assert found == pytest.approx(expected, rel=1e-9)
     free = Plant(T, 0.3, 0.0).with_tool(0.02)
     assert k_max(PD3, free) == k_max(PD3, Plant(T, 0.3 * 0.02 / 0.32, 0.0))
@@ -163,10 +181,14 @@ def test_two_equal_devices_are_one_of_half_the_mass_and_undamped_ones_a_reduced_
     )
 
 
-def test_a_tool_with_all_the_mass_is_a_wall_and_a_device_with_all_of_it_leaves_the_tool() -> None:
+def test_a_tool_with_all_the_mass_is_a_wall_and_a_device_with_all_of_it_leaves_the_tool() -> (
+    None
+):
     device = Plant(T, 0.1, 1.0, 0.3)
     wall = k_max(PD3, device).k_max_n_per_m
-    assert k_max(PD3, device.with_tool(1e7)).k_max_n_per_m == pytest.approx(wall, rel=1e-6)
+    assert k_max(PD3, device.with_tool(1e7)).k_max_n_per_m == pytest.approx(
+        wall, rel=1e-6
+    )
     still = Plant(T, 1e7, 1.0, 0.3).with_tool(0.1, 1.0)
     assert k_max(PD3, still).k_max_n_per_m == pytest.approx(wall, rel=1e-6)
 
@@ -184,7 +206,9 @@ def test_the_delay_of_a_loop_and_of_its_device_are_told_apart() -> None:
         "partner_later": -3.0,
     }
     pair = PlantParameters(mass=0.1, **other, device_delay=1.0).at(T, 0.5)
-    assert pair.other == Plant(T, 0.2, 2.0, 0.0, 50.0)  # nothing acts before it is handed over
+    assert pair.other == Plant(
+        T, 0.2, 2.0, 0.0, 50.0
+    )  # nothing acts before it is handed over
     with pytest.raises(ValueError, match="delay = -1"):
         Plant(T, 0.1, 1.0, 0.5, partner=Counterpart(0.1, later=-1.5))
 
@@ -211,5 +235,7 @@ def test_judgement_tolerance_and_passivity_know_the_partner() -> None:
     # Any hand and anything on the tool: b b'/(b + b') in place of b (THEORY.md §18).
     passive = rendered(law, device).passive_scale
     assert passive is not None
-    assert rendered(law, device.with_tool(0.05, 0.25)).passive_scale == pytest.approx(0.2 * passive)
+    assert rendered(law, device.with_tool(0.05, 0.25)).passive_scale == pytest.approx(
+        0.2 * passive
+    )
     assert rendered(law, device.with_tool(0.05)).passive_scale == 0.0

@@ -20,7 +20,9 @@ T, STEP = 0.002, 2.3e-5
 
 def derivative(name: str, gain: float) -> CompiledLaw:
     data = (
-        {"kind": "paper_optimum"} if name == "paper_optimum" else {"kind": "pd", "stiffness": 1.0}
+        {"kind": "paper_optimum"}
+        if name == "paper_optimum"
+        else {"kind": "pd", "stiffness": 1.0}
     )
     return without_spring(parse_law({**data, "damping": gain}), T)
 
@@ -40,7 +42,9 @@ def taken_out(law: CompiledLaw, friction: float) -> float:
     return abs(float(work.mean())) - friction * path
 
 
-@pytest.mark.parametrize(("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("paper_optimum", 3.0)])
+@pytest.mark.parametrize(
+    ("name", "gain"), [("pd", 0.0), ("pd", 3.0), ("paper_optimum", 3.0)]
+)
 def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(
     name: str, gain: float
 ) -> None:
@@ -52,7 +56,9 @@ def test_alternation_takes_out_energy_just_below_the_bound_and_none_just_above(
 
 def still(law: CompiledLaw, friction: float, delay: float) -> bool:
     """Whether drops from twelve small heights all come to a dead stop."""
-    model = DeviceModel(mass=0.1, damping=1.0, friction=friction, resolution=STEP, delay=delay)
+    model = DeviceModel(
+        mass=0.1, damping=1.0, friction=friction, resolution=STEP, delay=delay
+    )
     drops = (
         run(drop_scene(model, T, False, True, height=h), law, 2500)
         for h in np.linspace(2e-6, 3e-4, 12).tolist()
@@ -86,7 +92,9 @@ def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
     random = np.random.default_rng(0)
     for _ in range(60):
         size = STEP * 10.0 ** random.uniform(-1.0, 1.0)
-        position, velocity = (float(v) for v in random.uniform(-size, size, 2) * (1.0, 1.0 / T))
+        position, velocity = (
+            float(v) for v in random.uniform(-size, size, 2) * (1.0, 1.0 / T)
+        )
         body = DeviceModel(
             mass=plant.mass,
             damping=plant.damping,
@@ -96,7 +104,11 @@ def swings_on(law: CompiledLaw, plant: Plant, friction: float) -> bool:
             velocity=velocity,
         )
         anchor = SceneSurface("anchor", position=float(random.uniform(-STEP, STEP)))
-        trace = run(Scene(device=body, surface=anchor, period=T, raw=False, clamp=False), law, 4000)
+        trace = run(
+            Scene(device=body, surface=anchor, period=T, raw=False, clamp=False),
+            law,
+            4000,
+        )
         if float(np.ptp(trace.position[-600:])) > 0.0:
             return True
     return False
@@ -140,7 +152,12 @@ def test_sections_are_summed_to_the_end() -> None:
     impulse[0] = 1.0
     response, y = [], [0.0, 0.0]
     for k in range(2000):
-        new = 50.0 * impulse[k] + (-20.0 * impulse[k - 1] if k else 0.0) + 1.6 * y[0] - 0.65 * y[1]
+        new = (
+            50.0 * impulse[k]
+            + (-20.0 * impulse[k - 1] if k else 0.0)
+            + 1.6 * y[0]
+            - 0.65 * y[1]
+        )
         y = [new, y[0]]
         response.append(new + 100.0 * impulse[k])
     assert absolute_sum(law) == pytest.approx(sum(map(abs, response)), rel=1e-9)
@@ -151,7 +168,9 @@ def test_the_newest_tap_of_a_law_with_sections_is_theirs_too() -> None:
     loop, friction = CompiledLaw((0.0,), ((-50.0, 20.0, -0.5, 0.0),)), 0.06
     k = stiffest_at_rest(loop, STEP, friction)
     # Its error's force is then just the friction.
-    assert rest(with_spring(loop, k), T, STEP).friction_bound_n == pytest.approx(friction, rel=1e-9)
+    assert rest(with_spring(loop, k), T, STEP).friction_bound_n == pytest.approx(
+        friction, rel=1e-9
+    )
 
 
 def test_a_hand_s_spring_is_in_the_estimate() -> None:

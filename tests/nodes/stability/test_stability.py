@@ -77,7 +77,9 @@ def test_pd_boundary_of_a_device_without_friction(beta: float) -> None:
     assert pole_radius(pd(limit * (1.0 - 1e-7), damping), Plant(T, mass, 0.0)) < 1.0
     assert pole_radius(pd(limit * (1.0 + 1e-7), damping), Plant(T, mass, 0.0)) > 1.0
     # At the limit itself, a pole is on the circle to the rounding of the companion matrix.
-    assert pole_radius(pd(limit, damping), Plant(T, mass, 0.0)) == pytest.approx(1.0, abs=1e-12)
+    assert pole_radius(pd(limit, damping), Plant(T, mass, 0.0)) == pytest.approx(
+        1.0, abs=1e-12
+    )
 
 
 def test_pd_boundary_peaks_where_theory_says() -> None:
@@ -89,7 +91,9 @@ def test_pd_boundary_peaks_where_theory_says() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.25])
-@pytest.mark.parametrize("taps", [(1.0,), (1.8, -0.8), (2.4, -2.0, 0.6), (2.0, -1.5, 0.7, -0.2)])
+@pytest.mark.parametrize(
+    "taps", [(1.0,), (1.8, -0.8), (2.4, -2.0, 0.6), (2.0, -1.5, 0.7, -0.2)]
+)
 def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
     """H(1)_max → (b − T Σ m h_m)/(T(½ + d)) for a heavy device (THEORY.md §3)."""
     damping = 4.0
@@ -105,7 +109,11 @@ def test_heavy_device(delay: float, taps: tuple[float, ...]) -> None:
             law = derivative.copy()
             law[0] += limit * (1.0 + side * margin)
             errors.append(
-                (pole_radius(CompiledLaw(tuple(law)), Plant(T, mass, damping, delay)) - 1.0) * side
+                (
+                    pole_radius(CompiledLaw(tuple(law)), Plant(T, mass, damping, delay))
+                    - 1.0
+                )
+                * side
             )
     assert min(errors) > 0.0
 
@@ -121,15 +129,23 @@ def test_passive_spring_with_delay(delay: int) -> None:
 
 def test_passive_pd_without_delay_is_colgates() -> None:
     """Damping needed is KT/2 + B (paper, eq. 4)."""
-    assert damping_needed(pd(1000.0, 3.0), T) == pytest.approx(1000.0 * T / 2.0 + 3.0, rel=1e-12)
+    assert damping_needed(pd(1000.0, 3.0), T) == pytest.approx(
+        1000.0 * T / 2.0 + 3.0, rel=1e-12
+    )
 
 
-@pytest.mark.parametrize(("order", "bound"), [(0, 0.667), (1, 0.828), (2, 0.894), (3, 0.928)])
+@pytest.mark.parametrize(
+    ("order", "bound"), [(0, 0.667), (1, 0.828), (2, 0.894), (3, 0.928)]
+)
 def test_published_delay_aware_bounds_at_one_tick(order: int, bound: float) -> None:
-    assert 2.0 / (1.0 + 1.0 / math.cos(math.pi / (order + 3))) == pytest.approx(bound, abs=6e-4)
+    assert 2.0 / (1.0 + 1.0 / math.cos(math.pi / (order + 3))) == pytest.approx(
+        bound, abs=6e-4
+    )
 
 
-def lifted_damping(law: CompiledLaw, period: float, delay: float, aliases: int) -> float:
+def lifted_damping(
+    law: CompiledLaw, period: float, delay: float, aliases: int
+) -> float:
     """Return the passivity limit of the loop lifted to its aliases, by eigenvalues."""
     worst = -math.inf
     n = np.arange(-aliases, aliases + 1)
@@ -142,12 +158,16 @@ def lifted_damping(law: CompiledLaw, period: float, delay: float, aliases: int) 
         )
         sample = 1.0 / (1j * omega)
         loop = law.response(np.exp(1j * theta)) * np.outer(hold, sample)
-        worst = max(worst, -float(np.linalg.eigvalsh(0.5 * (loop + loop.conj().T)).min()))
+        worst = max(
+            worst, -float(np.linalg.eigvalsh(0.5 * (loop + loop.conj().T)).min())
+        )
     return worst
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.5, 1.0, 1.7])
-@pytest.mark.parametrize("taps", [(1000.0,), (2500.0, -1500.0), (3000.0, -3500.0, 1700.0, -300.0)])
+@pytest.mark.parametrize(
+    "taps", [(1000.0,), (2500.0, -1500.0), (3000.0, -3500.0, 1700.0, -300.0)]
+)
 def test_passivity_at_fractional_delay_against_the_lifted_loop(
     delay: float, taps: tuple[float, ...]
 ) -> None:
@@ -191,7 +211,10 @@ def test_f_of_one_term_with_long_memory(order: float) -> None:
         * np.cos((order + 1) * (np.pi - theta) / 2)
     )
     # The missing tail, summed by parts: at most 2 |c_n|/|1 − e^{jθ}|² ≈ 2 n^(−α−1)/|Γ(−α)|/0.01.
-    tail = T ** (1 - order) * 200.0 * 4000.0 ** (-order - 1) + 1e-10 * np.abs(expected).max()
+    tail = (
+        T ** (1 - order) * 200.0 * 4000.0 ** (-order - 1)
+        + 1e-10 * np.abs(expected).max()
+    )
     assert np.abs(f - expected).max() < tail
     assert np.sign(f[0]) == np.sign(expected[0])
 
@@ -224,25 +247,35 @@ def test_no_linear_law_beats_the_strict_limit_without_delay() -> None:
 
 def test_figures_of_the_papers_optimum() -> None:
     """Read off: f ≈ −1 over the low and middle range, f(ω_N) = 1.69 + 1.32 (THEORY.md §1, §2)."""
-    law = parse_law({"kind": "paper_optimum", "stiffness": 1000.0, "damping": 1.0}).compile(T)
+    law = parse_law(
+        {"kind": "paper_optimum", "stiffness": 1000.0, "damping": 1.0}
+    ).compile(T)
     omega = np.linspace(0.02, 0.55, 50) * np.pi / T
     f = effective_damping(law, T, omega) + 0.5 * T * (law.h1 - 1000.0)
     # "Flat" is the paper's figure, not its text: the ripple is a seventh of the level.
     assert np.abs(f + 1.0).max() < 0.14
-    assert rendered(law, T, nominal=1000.0).f_nyquist_n_s_per_m == pytest.approx(3.0, abs=0.05)
+    assert rendered(law, T, nominal=1000.0).f_nyquist_n_s_per_m == pytest.approx(
+        3.0, abs=0.05
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 0.999, 1.0, 1.5, 3.0])
 @pytest.mark.parametrize("hand", [0.0, 300.0])
-@pytest.mark.parametrize("taps", [(900.0,), (2500.0, -1500.0), (3149.0, -3928.0, 2203.0, -638.0)])
-def test_three_ways_to_the_same_poles(delay: float, hand: float, taps: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(
+    "taps", [(900.0,), (2500.0, -1500.0), (3149.0, -3928.0, 2203.0, -638.0)]
+)
+def test_three_ways_to_the_same_poles(
+    delay: float, hand: float, taps: tuple[float, ...]
+) -> None:
     """Polynomial, state matrix, and the simulator's own one-tick map."""
     law, mass, damping = CompiledLaw(taps), 0.08, 0.7
     from_polynomial = pole_radius(law, Plant(T, mass, damping, delay, hand))
     from_state = np.abs(
         np.linalg.eigvals(state_matrix(law, Plant(T, mass, damping, delay, hand)))
     ).max()
-    from_ticks = np.abs(np.linalg.eigvals(one_tick_map(law, T, mass, damping, delay, hand))).max()
+    from_ticks = np.abs(
+        np.linalg.eigvals(one_tick_map(law, T, mass, damping, delay, hand))
+    ).max()
     # Simple poles, a few roundings times the condition of the eigenvalues (below 1e3 here).
     assert from_polynomial == pytest.approx(from_state, rel=1e-11)
     assert from_polynomial == pytest.approx(from_ticks, rel=1e-11)
@@ -252,8 +285,12 @@ def test_fractional_delay_is_continuous_at_whole_ticks() -> None:
     law = pd(800.0, 3.0)
     for whole in (1.0, 2.0):
         at = pole_radius(law, Plant(T, 0.1, 1.0, whole))
-        assert pole_radius(law, Plant(T, 0.1, 1.0, whole - 1e-9)) == pytest.approx(at, abs=1e-8)
-        assert pole_radius(law, Plant(T, 0.1, 1.0, whole + 1e-9)) == pytest.approx(at, abs=1e-8)
+        assert pole_radius(law, Plant(T, 0.1, 1.0, whole - 1e-9)) == pytest.approx(
+            at, abs=1e-8
+        )
+        assert pole_radius(law, Plant(T, 0.1, 1.0, whole + 1e-9)) == pytest.approx(
+            at, abs=1e-8
+        )
 
 
 @pytest.mark.parametrize(
@@ -270,7 +307,9 @@ def test_held_step_against_the_virtual_device(
     mass: float, damping: float, stiffness: float, duration: float
 ) -> None:
     """The series of the matrix exponential against the closed forms of sim/device/model.py."""
-    _, transition, newer, older = held_step(Plant(duration, mass, damping, 0.0, stiffness))
+    _, transition, newer, older = held_step(
+        Plant(duration, mass, damping, 0.0, stiffness)
+    )
     # Squaring three times loses three bits of 53, and cancels a little in the oscillating case.
     assert (*transition, *newer) == pytest.approx(
         model.coefficients(mass, damping, stiffness, duration), rel=1e-12
@@ -317,9 +356,13 @@ def test_counted_radius_is_the_companions(
     coefficients = closed_loop(law, Plant(T, 0.1, 1.0, 0.5))
     companion = float(roots.largest_roots(coefficients[None, :])[0])
     # The companion matrix of degree 253 is good to some thousand roundings.
-    assert pole_radius(law, Plant(T, 0.1, 1.0, 0.5)) == pytest.approx(companion, rel=1e-11)
+    assert pole_radius(law, Plant(T, 0.1, 1.0, 0.5)) == pytest.approx(
+        companion, rel=1e-11
+    )
     monkeypatch.setattr(roots, "COMPANION_LIMIT", 1)
-    assert pole_radius(law, Plant(T, 0.1, 1.0, 0.5)) == pytest.approx(companion, rel=1e-11)
+    assert pole_radius(law, Plant(T, 0.1, 1.0, 0.5)) == pytest.approx(
+        companion, rel=1e-11
+    )
 
 
 @pytest.mark.parametrize("taps", [2000, 4001])
@@ -342,7 +385,9 @@ def test_count_outside_a_circle(coefficients: list[float], radius: float) -> Non
     assert roots.roots_outside(c, radius) == int((moduli > radius).sum())
 
 
-def test_a_ring_of_roots_on_the_circle_has_radius_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ring_of_roots_on_the_circle_has_radius_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(roots, "COMPANION_LIMIT", 1)
     for degree in (3, 200, 1500):
         c = np.zeros(degree + 1)
@@ -373,7 +418,9 @@ def test_sections_against_the_long_tap_vector_they_stand_for(delay: float) -> No
     assert pole_radius(law, Plant(T, 0.05, 2.0, delay)) == pytest.approx(
         pole_radius(long, Plant(T, 0.05, 2.0, delay)), rel=1e-9
     )
-    assert damping_needed(law, T, delay) == pytest.approx(damping_needed(long, T, delay), rel=1e-9)
+    assert damping_needed(law, T, delay) == pytest.approx(
+        damping_needed(long, T, delay), rel=1e-9
+    )
     assert least(law, T)[1] == pytest.approx(least(long, T)[1], rel=1e-9)
     with pytest.raises(ValueError, match="sections"):
         closed_loop(law, Plant(T, 0.05, 2.0, delay))
@@ -384,10 +431,14 @@ def test_figures_for_machines() -> None:
     figures = law_figures(law, Plant(T, 0.1, 1.0, 1.0))
     assert figures["taps_n_per_m"] == list(law.taps)
     assert figures["h1_n_per_m"] == pytest.approx(1000.0, rel=1e-12)
-    assert figures["h_nyquist_n_per_m"] == pytest.approx(1000.0 + 2.0 * 3.0 / T, rel=1e-12)
+    assert figures["h_nyquist_n_per_m"] == pytest.approx(
+        1000.0 + 2.0 * 3.0 / T, rel=1e-12
+    )
     assert figures["f_min_n_s_per_m"] == pytest.approx(-3.0, rel=1e-9)
     assert figures["f_nyquist_n_s_per_m"] == pytest.approx(3.0, rel=1e-12)
-    assert figures["passive_scale"] == pytest.approx(1.0 / figures["damping_needed_n_s_per_m"])
+    assert figures["passive_scale"] == pytest.approx(
+        1.0 / figures["damping_needed_n_s_per_m"]
+    )
     assert figures["pole_radius"] == pole_radius(law, Plant(T, 0.1, 1.0, 1.0))
     assert law_figures(law, T)["pole_radius"] is None
 
@@ -420,7 +471,9 @@ def test_what_no_device_is_is_refused_at_once(wrong: dict[str, Any]) -> None:
 def test_a_plant_is_made_of_a_rate_or_a_period() -> None:
     assert Plant(rate=500, mass=0.1, damping=1.0) == Plant(0.002, 0.1, 1.0)
     assert Plant(0.002, 0.1, 1.0).rate == pytest.approx(500.0, rel=1e-15)
-    with pytest.raises(ValueError, match=r"period = 500 s: must be at most 1 s; .*rate=500"):
+    with pytest.raises(
+        ValueError, match=r"period = 500 s: must be at most 1 s; .*rate=500"
+    ):
         Plant(500, 0.1, 1.0)
     assert Plant(1.0, 0.1, 1.0).period == 1.0  # the longest
     with pytest.raises(TypeError, match="missing mass, damping"):

@@ -39,14 +39,19 @@ def quadratic(first: int, second: int) -> float:
 
     κ((1 + 2 d₁) + (1 + 2 d₂))/2 + κ² (d₁ − d₂)²/4 = 1 with κ = K T/b, of s_i → κ(½ + d_i).
     """
-    linear, square = 0.5 * ((1 + 2 * first) + (1 + 2 * second)), 0.25 * (first - second) ** 2
+    linear, square = (
+        0.5 * ((1 + 2 * first) + (1 + 2 * second)),
+        0.25 * (first - second) ** 2,
+    )
     if square == 0.0:
         return 1.0 / (T * linear)
     return (math.sqrt(linear * linear + 4.0 * square) - linear) / (2.0 * square * T)
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 0), (0, 1), (1, 1), (0, 2), (3, 5)])
-def test_a_spring_in_the_middle_bears_what_its_slow_end_bears(first: int, second: int) -> None:
+def test_a_spring_in_the_middle_bears_what_its_slow_end_bears(
+    first: int, second: int
+) -> None:
     # The condition is met first at θ → 0; the lowest frequency looked at is 1e-4, and rounding
     # there costs 1e-8.
     assert middle(first, second) == pytest.approx(quadratic(first, second), rel=1e-6)
@@ -82,9 +87,9 @@ def _random_couplings(rng: np.random.Generator) -> TwoHands:
                 "gains": "paper",
             }
         ).compile(T),
-        parse_law({"kind": "fir", "taps": [stiffness, -0.2 * stiffness, -0.1 * stiffness]}).compile(
-            T
-        ),
+        parse_law(
+            {"kind": "fir", "taps": [stiffness, -0.2 * stiffness, -0.1 * stiffness]}
+        ).compile(T),
     ][int(kind)]
     if rng.random() < 0.5:
         return TwoHands.in_the_middle(law, _delay(rng, 4), _delay(rng, 4))
@@ -94,7 +99,11 @@ def _random_couplings(rng: np.random.Generator) -> TwoHands:
 
 
 def _delay(rng: np.random.Generator, most: int) -> float:
-    return float(rng.integers(most)) if rng.random() < 0.5 else float(rng.uniform(0.0, most))
+    return (
+        float(rng.integers(most))
+        if rng.random() < 0.5
+        else float(rng.uniform(0.0, most))
+    )
 
 
 @pytest.mark.parametrize("cases", [60, pytest.param(3000, marks=pytest.mark.slow)])

@@ -14,7 +14,12 @@ from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
-from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max, two_rate_radius
+from nodes.stability.two_rate import (
+    TwoRate,
+    heavy_limit,
+    two_rate_k_max,
+    two_rate_radius,
+)
 from sim.device.model import advance, coefficients
 from tests.support.pictures import assert_drawn
 
@@ -105,14 +110,20 @@ def test_a_heavy_device_has_a_closed_form(delay: int, servo: float) -> None:
 
 def test_a_faster_servo_gives_a_stiffer_wall() -> None:
     edges = [
-        two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, ratio, ratio)) for ratio in (1, 2, 4, 8)
+        two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, ratio, ratio))
+        for ratio in (1, 2, 4, 8)
     ]
     assert all(edge is not None and math.isfinite(edge) for edge in edges)
     assert edges == sorted(edges)  # type: ignore[type-var]
 
 
 def test_the_study_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["lab", "two_rate", "--ratios", "1", "4", "--json", "--out", str(tmp_path)]) == 0
+    assert (
+        main(
+            ["lab", "two_rate", "--ratios", "1", "4", "--json", "--out", str(tmp_path)]
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert_drawn(told["plot"], "rate of the servo  [Hz]", "largest stiffness  [N/m]")
     rows = told["rows"]
@@ -122,7 +133,13 @@ def test_the_study_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -
 
 @pytest.mark.parametrize("wrong", [{"mass": 0.0}, {"ratio": 0}, {"delay": -1}])
 def test_no_such_device(wrong: dict[str, float]) -> None:
-    values = {"mass": 0.1, "damping": 1.0, "servo_damping": 3.0, "ratio": 2, "delay": 1} | wrong
+    values = {
+        "mass": 0.1,
+        "damping": 1.0,
+        "servo_damping": 3.0,
+        "ratio": 2,
+        "delay": 1,
+    } | wrong
     with pytest.raises(ValueError, match=r"mass 0|ratio 0|delay -1"):
         TwoRate(**values)  # type: ignore[arg-type]
 

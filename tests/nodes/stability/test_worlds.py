@@ -15,7 +15,11 @@ from nodes.stability.dips import Reals
 from nodes.stability.effective_damping import damping_needed
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.loop_region import known_answer
-from nodes.stability.needed import needed_device_damping, needed_tool_damping, needed_tool_mass
+from nodes.stability.needed import (
+    needed_device_damping,
+    needed_tool_damping,
+    needed_tool_mass,
+)
 from nodes.stability.plant import Plant, held_step
 from nodes.stability.spring_world import spring_window
 from nodes.stability.two_hands import TwoHands, damping_share
@@ -57,7 +61,9 @@ def pd(gain: float) -> CompiledLaw:
     return derivative("pd", stiffness=1.0, damping=gain)
 
 
-HALF = derivative("pd_alpha", stiffness=1.0, damping=0.5, order=0.5, taps=4, gains="paper")
+HALF = derivative(
+    "pd_alpha", stiffness=1.0, damping=0.5, order=0.5, taps=4, gains="paper"
+)
 OPTIMUM = derivative("paper_optimum")
 DESIGNED = derivative("designed_d1")
 
@@ -75,13 +81,22 @@ def figure(
 # Computed apart from this project, from the same two conditions, and checked there with poles of
 # random worlds.
 TABLE = {
-    "pd 0": (pd(0.0), ((1003.342, 1000.0), (446.657, 400.0), (251.660, 250.0), (112.215, 111.111))),
+    "pd 0": (
+        pd(0.0),
+        ((1003.342, 1000.0), (446.657, 400.0), (251.660, 250.0), (112.215, 111.111)),
+    ),
     "pd 0.2": (
         pd(0.2),
         ((1170.474, 800.0), (593.965, 545.708), (381.198, 374.815), (214.781, 214.614)),
     ),
-    "pd 1": (pd(1.0), ((1603.094, None), (914.523, 248.920), (632.019, None), (386.997, None))),
-    "pd 3": (pd(3.0), ((2244.217, None), (1352.539, None), (960.354, None), (601.332, None))),
+    "pd 1": (
+        pd(1.0),
+        ((1603.094, None), (914.523, 248.920), (632.019, None), (386.997, None)),
+    ),
+    "pd 3": (
+        pd(3.0),
+        ((2244.217, None), (1352.539, None), (960.354, None), (601.332, None)),
+    ),
     "pd_alpha 0.5": (
         HALF,
         ((1323.121, 500.0), (684.905, 352.122), (431.010, 157.544), (216.438, 57.570)),
@@ -94,7 +109,9 @@ def test_stiffness_for_any_world_and_for_any_hand(name: str) -> None:
     law, rows = TABLE[name]
     for delay, (known, hand) in zip(DELAYS, rows, strict=True):
         # Half a unit of the last digit of the table.
-        assert figure(law, device(delay), AnyWorld()) == pytest.approx(known, abs=5.1e-4)
+        assert figure(law, device(delay), AnyWorld()) == pytest.approx(
+            known, abs=5.1e-4
+        )
         assert figure(law, device(delay), AnyWorld(), True) == (
             None if hand is None else pytest.approx(hand, abs=5.1e-4)
         )
@@ -111,7 +128,9 @@ def test_pd_without_delay_bears_any_hand_and_any_world_while_b_exceeds_kt_over_2
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 3])
-def test_no_law_is_stiffer_for_any_hand_and_any_world_than_its_limit(delay: int) -> None:
+def test_no_law_is_stiffer_for_any_hand_and_any_world_than_its_limit(
+    delay: int,
+) -> None:
     """H = (2b/T)/(1 + w + … + w^d) reaches 2b/(T(1+d)), the supremum of H(1)."""
     plant = device(float(delay))
     for share, holds in ((0.99, True), (1.01, False)):
@@ -155,7 +174,9 @@ def test_two_devices_in_any_two_hands() -> None:
         (0, 2): 151.3878,
     }.items():
         for one, other in ((first, second), (second, first)):
-            both = figure(spring, device(float(one)), OtherDevice(1.0, float(other)), True)
+            both = figure(
+                spring, device(float(one)), OtherDevice(1.0, float(other)), True
+            )
             assert both == pytest.approx(expected, abs=5.1e-5)
     # s₁/b₁ + s₂/b₂ + T²|H|²(1 − cos((d₁−d₂)θ))/(4 b₁ b₂ (1 − cos θ)) < 1, tried on a law with taps
     # at many frequencies.
@@ -184,13 +205,19 @@ def test_two_devices_in_any_two_hands() -> None:
 @pytest.mark.parametrize(
     ("first", "second"), [(0, 1), (1, 1), (3, 1), (0.4, 0.4), (1.3, 0), (0.25, 2.6)]
 )
-def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(first: float, second: float) -> None:
+def test_a_law_between_two_hands_is_the_two_port_of_the_matrix(
+    first: float, second: float
+) -> None:
     """Discs with the window of K, and the matrix for separate laws, agree."""
     for law in (pd(0.05), HALF):
-        edge = figure(law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True)
+        edge = figure(
+            law, Plant(T, 0.1, 1.3, float(first)), OtherDevice(0.7, float(second)), True
+        )
         for factor in (0.999, 1.001):
             if edge is not None:
-                hands = TwoHands.in_the_middle(with_spring(law, factor * edge), first, second)
+                hands = TwoHands.in_the_middle(
+                    with_spring(law, factor * edge), first, second
+                )
                 assert (damping_share(hands, T, (1.3, 0.7)) < 1.0) is (factor < 1.0)
 
 
@@ -202,12 +229,14 @@ def test_a_tool_is_one_more_device_whose_damping_adds_like_resistors() -> None:
             for law in (pd(0.0), pd(0.1), HALF):
                 wall = figure(law, Plant(T, 0.1, both, delay), Wall(), True)
                 found = figure(law, Plant(T, 0.1, b, delay), SteppedTool(tool), True)
-                assert found == (None if wall is None else pytest.approx(wall, rel=1e-9))
+                assert found == (
+                    None if wall is None else pytest.approx(wall, rel=1e-9)
+                )
                 # Colgate's damping, with aliases, by the project's older closed form
                 if wall is not None:
-                    assert damping_needed(with_spring(law, wall), T, delay) == pytest.approx(
-                        both, rel=1e-8
-                    )
+                    assert damping_needed(
+                        with_spring(law, wall), T, delay
+                    ) == pytest.approx(both, rel=1e-8)
 
 
 def test_damping_of_a_tool_in_closed_form() -> None:
@@ -234,9 +263,13 @@ def test_mass_of_an_euler_tool() -> None:
     for delay in (0.0, 1.0):
         plant, law = device(delay), with_spring(pd(0.5), 100.0)
         s = (1.0 - 1.0 / z) / T / law.response(z) + known_answer(plant, theta) / T
-        expected = float(np.max(-T * (s * z).real / (np.abs(s) ** 2 * (1.0 - np.cos(theta)))))
+        expected = float(
+            np.max(-T * (s * z).real / (np.abs(s) ** 2 * (1.0 - np.cos(theta))))
+        )
         assert needed_tool_mass(law, plant) == pytest.approx(expected, rel=1e-7)
-    heavy = Plant(T, 1e4, 1e3, 0.0)  # hardly moves, so that the tool alone has to be heavy enough
+    heavy = Plant(
+        T, 1e4, 1e3, 0.0
+    )  # hardly moves, so that the tool alone has to be heavy enough
     assert needed_tool_mass(with_spring(pd(0.5), 10.0), heavy) == pytest.approx(
         (10.0 * T**2 + 2.0 * 0.5 * T) / 4.0, rel=0.05
     )
@@ -273,7 +306,12 @@ LAWS = st.one_of(
     st.floats(0.0, 5.0).map(pd),
     st.builds(
         lambda order, taps, gain: derivative(
-            "pd_alpha", stiffness=1.0, damping=gain, order=order, taps=taps, gains="paper"
+            "pd_alpha",
+            stiffness=1.0,
+            damping=gain,
+            order=order,
+            taps=taps,
+            gains="paper",
         ),
         st.floats(0.2, 1.8).filter(lambda order: abs(order - 1.0) > 0.01),
         st.integers(2, 8),
@@ -300,7 +338,9 @@ def window(found: WorldKMax) -> tuple[float, float] | None:
     )
 
 
-def no_world_breaks_it(law: CompiledLaw, plant: Plant, bodies: list[Body], share: float) -> None:
+def no_world_breaks_it(
+    law: CompiledLaw, plant: Plant, bodies: list[Body], share: float
+) -> None:
     """Whether two bodies in series stay stable, by Schur and Cohn in many digits."""
     found = window(world_k_max(law, plant, AnyWorld()))
     if found is None:
@@ -341,7 +381,13 @@ def test_none_of_five_thousand_implicit_worlds_breaks_it(
     share=st.floats(0.01, 0.99),
 )
 def test_no_hand_and_no_implicit_world_breaks_what_is_certified_for_any(
-    law: CompiledLaw, plant: Plant, mass: float, more: float, hand: float, body: Body, share: float
+    law: CompiledLaw,
+    plant: Plant,
+    mass: float,
+    more: float,
+    hand: float,
+    body: Body,
+    share: float,
 ) -> None:
     """The hand varies mass, stiffness and damping, never below the device's."""
     found = window(world_k_max(law, plant, AnyWorld(), True))
@@ -366,9 +412,14 @@ def test_the_worst_world_swings_just_above_and_rests_just_below(
     # The crossing is found to 1e-9 of K, a radius of 1 + 1e-5 times some 1e-2 at the least: 1e-4 on
     # both sides is clear.
     inside, outside = (
-        with_spring(law, low + share * (high - low)) for share in (1.0 - 1e-4, 1.0 + 1e-4)
+        with_spring(law, low + share * (high - low))
+        for share in (1.0 - 1e-4, 1.0 + 1e-4)
     )
-    assert world_radius(inside, plant, found.body) < 1.0 < world_radius(outside, plant, found.body)
+    assert (
+        world_radius(inside, plant, found.body)
+        < 1.0
+        < world_radius(outside, plant, found.body)
+    )
     at = with_spring(law, high)
     # A slow loop has three poles beside z = 1; those of a triple root are eps^(1/3) = 6e-6 off.
     radius = polynomial_radius(at, plant, [body_in_z(found.body, T)])
@@ -387,7 +438,9 @@ def test_the_worst_world_played_tick_by_tick(law: CompiledLaw, delay: float) -> 
     grown = []
     for factor in (0.98, 1.02):
         swing = np.abs(
-            played(with_spring(law, factor * found.k_max_n_per_m), plant, found.body, 12000)
+            played(
+                with_spring(law, factor * found.k_max_n_per_m), plant, found.body, 12000
+            )
         )
         grown.append(float(swing[-1000:].max() / swing[5000:6000].max()))
     assert grown[0] < 0.98 < 1.02 < grown[1]
@@ -396,10 +449,14 @@ def test_the_worst_world_played_tick_by_tick(law: CompiledLaw, delay: float) -> 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
 def test_a_wall_is_not_the_worst_world(delay: float) -> None:
     """PD, B 3: stable on a wall to 3782 N/m; a mere spring swings at 3400 N/m."""
-    k, spring, pole = {0.0: (3400.0, 5400.0, 1.0002), 1.0: (1200.0, 2400.0, 1.0018)}[delay]
+    k, spring, pole = {0.0: (3400.0, 5400.0, 1.0002), 1.0: (1200.0, 2400.0, 1.0018)}[
+        delay
+    ]
     law, plant = with_spring(pd(3.0), k), device(delay)
     assert k < (k_max(pd(3.0), plant).k_max_n_per_m or 0.0)
-    assert world_radius(law, plant, Body(stiffness=spring)) == pytest.approx(pole, abs=5e-5)
+    assert world_radius(law, plant, Body(stiffness=spring)) == pytest.approx(
+        pole, abs=5e-5
+    )
     assert not certified(law, plant, Springs(spring))
     assert not certified(law, plant, AnyWorld())
     assert certified(law, plant, Wall())
@@ -420,7 +477,10 @@ def test_springs_of_a_range(law: CompiledLaw, delay: float) -> None:
     assert edge is not None
     springs = np.geomspace(softest, stiffest, 60)
     worst = [
-        max(world_radius(with_spring(law, edge * f), plant, Body(stiffness=k)) for k in springs)
+        max(
+            world_radius(with_spring(law, edge * f), plant, Body(stiffness=k))
+            for k in springs
+        )
         for f in (0.995, 1.005)
     ]
     assert worst[0] < 1.0 < worst[1]
@@ -457,7 +517,9 @@ def broken_chains(count: int, seed: int, share: float) -> tuple[int, int]:
         b, tool = 10.0 ** rng.uniform(-0.5, 1.0), 10.0 ** rng.uniform(-0.5, 1.0)
         hand = bool(rng.integers(2))
         mine = (
-            random_chain(rng, b, delay) if hand else Chain(10.0 ** rng.uniform(-2.0, 0.5), b, delay)
+            random_chain(rng, b, delay)
+            if hand
+            else Chain(10.0 ** rng.uniform(-2.0, 0.5), b, delay)
         )
         plant = Plant(T, mine.mass, b, delay)
         found = window(world_k_max(law, plant, SteppedTool(tool, late), hand))
@@ -466,7 +528,9 @@ def broken_chains(count: int, seed: int, share: float) -> tuple[int, int]:
             continue
         k = found[0] + share * (found[1] - found[0])
         broken += (
-            chains_radius(with_spring(law, k).taps, T, mine, random_chain(rng, tool, late))
+            chains_radius(
+                with_spring(law, k).taps, T, mine, random_chain(rng, tool, late)
+            )
             > 1.0 + 1e-9
         )
     return tried, broken
@@ -490,7 +554,9 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
     for _ in range(150):
         delay = float(rng.choice([0.0, 1.0, 0.5]))
         law, plant = (
-            with_spring(pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 300.0))),
+            with_spring(
+                pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 300.0))
+            ),
             device(delay),
         )
         needed = needed_tool_mass(law, plant)
@@ -504,7 +570,8 @@ def test_no_implicit_rest_behind_an_euler_tool_breaks_it() -> None:
             # D y = w F/(m_t D + Z), Z = m D + c + k/D: y (z − 1)² (m_t + m)/T² + c (z − 1) z/T + k
             # z² = z F.
             below = np.polyadd(
-                (factor * needed + m) / T**2 * np.polymul(z1, z1), c / T * np.polymul(z1, z)
+                (factor * needed + m) / T**2 * np.polymul(z1, z1),
+                c / T * np.polymul(z1, z),
             )
             below = np.polyadd(below, (k + 1e-3) * np.polymul(z, z))
             unstable[factor] += polynomial_radius(law, plant, [(z, below)]) > 1.0 + 1e-7
@@ -532,7 +599,10 @@ def implicit_rest(
         loss += kept[1] * 10.0 ** rng.uniform(-2, 1) * np.outer(link, link)
     left = np.linalg.inv(masses / h**2 + loss / h + stiff)
     own = np.zeros((6, 6))
-    own[:3, :3], own[:3, 3:] = left @ (2.0 * masses / h**2 + loss / h), -left @ masses / h**2
+    own[:3, :3], own[:3, 3:] = (
+        left @ (2.0 * masses / h**2 + loss / h),
+        -left @ masses / h**2,
+    )
     own[3:, :3] = np.eye(3)
     push, held = np.concatenate([left[:, 0], np.zeros(3)]), np.zeros((2, 6))
     for step in range(steps):
@@ -541,7 +611,9 @@ def implicit_rest(
     return np.linalg.matrix_power(own, steps), held[0], held[1]
 
 
-def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Reals]) -> float:
+def closed_radius(
+    law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Reals]
+) -> float:
     """Return the largest pole of taps, a device and a world, column by column."""
     late, count = int(plant.delay), len(law.taps) - 1
     _, (a11, a12, a21, a22), new, old = held_step(plant)
@@ -565,14 +637,18 @@ def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[Reals, Reals, Rea
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-def broken_by_euler_tools(count: int, seed: int, factors: tuple[float, ...]) -> list[int]:
+def broken_by_euler_tools(
+    count: int, seed: int, factors: tuple[float, ...]
+) -> list[int]:
     """Count the random rests that swing behind a tool of a factor of the needed mass."""
     rng, unstable = np.random.default_rng(seed), [0] * len(factors)
     for _ in range(count):
         steps = int(rng.choice([1, 2, 4, 7]))
         count_late = int(rng.integers(0, 2 * steps))
         late = count_late / steps
-        law = with_spring(pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 250.0)))
+        law = with_spring(
+            pd(float(rng.uniform(0.0, 2.0))), float(rng.uniform(10.0, 250.0))
+        )
         needed = needed_tool_mass(law, device(late), steps=steps, delay=late)
         if needed is None:
             continue
@@ -594,7 +670,9 @@ def test_none_of_three_thousand_rests_behind_a_tool_breaks_it() -> None:
     assert broken_by_euler_tools(3000, 5, (1.02,)) == [0]
 
 
-def test_the_disc_of_an_euler_tool_has_a_closed_form_and_is_within_both_others() -> None:
+def test_the_disc_of_an_euler_tool_has_a_closed_form_and_is_within_both_others() -> (
+    None
+):
     """T n/4m (1/sin² − 2/3 (1 − 1/n²)), from Σ 1/sin⁴; within the damper's disc with one."""
     theta = np.linspace(1e-3, np.pi, 500)
     for steps in (1, 2, 4, 9):
@@ -614,9 +692,9 @@ def test_stepped_bodies_by_matrix_are_those_by_other_ways(delay: float) -> None:
         exact = chains_radius(
             law.taps, T, Chain(0.1, 1.0, delay), Chain(0.05, 0.3, delay, link=spring)
         )
-        assert world_radius(law, plant, Body(0.05, 0.3, spring, "exact")) == pytest.approx(
-            exact, rel=1e-9
-        )
+        assert world_radius(
+            law, plant, Body(0.05, 0.3, spring, "exact")
+        ) == pytest.approx(exact, rel=1e-9)
         assert world_radius(
             law, plant, Body(0.05, 0.3, spring, "semi_implicit", 1000)
         ) == pytest.approx(exact, abs=1e-4)
@@ -625,13 +703,14 @@ def test_stepped_bodies_by_matrix_are_those_by_other_ways(delay: float) -> None:
         # spring at the old position.
         z1, z = np.array([1.0, -1.0]), np.array([1.0, 0.0])
         below = np.polyadd(
-            np.polyadd(0.05 / T**2 * np.polymul(z1, z1), 0.3 / T * np.polymul(z1, z)), 800.0 * z
+            np.polyadd(0.05 / T**2 * np.polymul(z1, z1), 0.3 / T * np.polymul(z1, z)),
+            800.0 * z,
         )
         late = np.concatenate([below, np.zeros(int(delay))])
         radius = polynomial_radius(law, plant, [(z, late)])
-        assert world_radius(law, plant, Body(0.05, 0.3, 800.0, "semi_implicit")) == pytest.approx(
-            radius, rel=1e-9
-        )
+        assert world_radius(
+            law, plant, Body(0.05, 0.3, 800.0, "semi_implicit")
+        ) == pytest.approx(radius, rel=1e-9)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0])
@@ -645,9 +724,13 @@ def test_a_stepped_world_breaks_the_certificate_of_implicit_ones(delay: float) -
     mass, spring = {0.0: (2.0e-3, 1700.0), 1.0: (0.84e-3, 838.0)}[delay]
     # Solved with the force of the same tick, but the spring pulls at the position before: m (z −
     # 1)² /T² + k z, over z².
-    below = np.polyadd(mass / T**2 * np.array([1.0, -2.0, 1.0]), np.array([0.0, spring, 0.0]))
+    below = np.polyadd(
+        mass / T**2 * np.array([1.0, -2.0, 1.0]), np.array([0.0, spring, 0.0])
+    )
     assert polynomial_radius(law, plant, [(np.array([1.0, 0.0, 0.0]), below)]) > 1.0003
-    assert world_radius(law, plant, Body(mass, 0.0, spring)) < 1.0  # the same body, backward Euler
+    assert (
+        world_radius(law, plant, Body(mass, 0.0, spring)) < 1.0
+    )  # the same body, backward Euler
     # moved after the force
     assert world_radius(law, plant, Body(mass, 0.0, spring, "semi_implicit")) > 1.0003
 
@@ -698,7 +781,9 @@ def test_a_verdict_names_the_worlds_the_limit_and_the_remedy() -> None:
     assert taken is not None
     assert taken.certified
     assert not refused.certified
-    assert refused.h1_max_n_per_m == pytest.approx(figure(pd(0.0), plant, weak), rel=1e-9)
+    assert refused.h1_max_n_per_m == pytest.approx(
+        figure(pd(0.0), plant, weak), rel=1e-9
+    )
     needed = refused.tool_damping_n_s_per_m
     assert needed is not None
     assert 0.5 < needed < 50.0
@@ -707,7 +792,12 @@ def test_a_verdict_names_the_worlds_the_limit_and_the_remedy() -> None:
         again = judge_world(law, plant, SteppedTool(factor * needed))
         assert again is not None
         assert again.certified is (factor > 1.0)
-    for part in ("not certified", "0.5 N s/m", "damping of the tool of at least", "240 N/m"):
+    for part in (
+        "not certified",
+        "0.5 N s/m",
+        "damping of the tool of at least",
+        "240 N/m",
+    ):
         assert part in refused.text
     assert "certified with a stepped tool of at least 50 N s/m" in taken.text
     # No damping of the tool helps a law that the wall alone refuses, and then none is named.
@@ -717,7 +807,10 @@ def test_a_verdict_names_the_worlds_the_limit_and_the_remedy() -> None:
     light = judge_world(law, plant, EulerTool(1e-4))
     assert light is not None
     assert light.tool_mass_kg == pytest.approx(needed_tool_mass(law, plant), rel=1e-9)
-    assert judge_world(CompiledLaw((1.0,), evaluate=lambda _ring, _head: 0.0), plant, weak) is None
+    assert (
+        judge_world(CompiledLaw((1.0,), evaluate=lambda _ring, _head: 0.0), plant, weak)
+        is None
+    )
 
 
 def test_what_cannot_be_certified_is_refused_with_the_reason() -> None:
@@ -767,7 +860,9 @@ def test_a_tool_that_hardly_moves_is_a_wall(delay: float) -> None:
 
 @pytest.mark.parametrize("angle", [0.0167507, 0.3, 2.0, 3.0, 3.1335])
 @pytest.mark.parametrize("width", [1e-3, 3e-5])
-def test_a_section_that_rings_in_a_narrow_band_is_seen(angle: float, width: float) -> None:
+def test_a_section_that_rings_in_a_narrow_band_is_seen(
+    angle: float, width: float
+) -> None:
     """No stiffness of a window violates its condition within the section's band."""
     turn = (-2.0 * (1.0 - width) * math.cos(angle), (1.0 - width) ** 2)
     law = CompiledLaw((25.0, -25.0), (((25.0 * width, 0.0, *turn)),))

@@ -48,26 +48,41 @@ def test_b_has_the_bits_of_a_separate_run(launch: Running, tmp_path: Path) -> No
         assert np.array_equal(all_of_it[:250], some)
     assert whole[1].min() < -0.3
     content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
-    driver, coupling = (content["nodes"][name]["parameters"] for name in ("driver", "coupling"))
+    driver, coupling = (
+        content["nodes"][name]["parameters"] for name in ("driver", "coupling")
+    )
     driver["safety"]["ramp"] = 0.0
     driver["device"]["delay"] = 0.23
-    driver["device"]["hand"]["path"] = [[k * 0.002, target] for k, target in enumerate(targets)]
+    driver["device"]["hand"]["path"] = [
+        [k * 0.002, target] for k, target in enumerate(targets)
+    ]
     coupling.update(law="alone", laws={"alone": law}, stability="off")
     (tmp_path / "alone.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    words = (str(tmp_path / "alone.yaml"), "pace:=lockstep", "duration:=0.8", "--tick", "plain")
+    words = (
+        str(tmp_path / "alone.yaml"),
+        "pace:=lockstep",
+        "duration:=0.8",
+        "--tick",
+        "plain",
+    )
     figures = launch_json(tmp_path, *words)
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
     assert [state.position[0] for state in states[:400]] == whole[0].tolist()
     assert [state.force[0] for state in states[1:401]] == whole[1].tolist()
 
 
-def test_a_link_carries_law_stiffness_and_comparison(page: Page, launch: Running) -> None:
+def test_a_link_carries_law_stiffness_and_comparison(
+    page: Page, launch: Running
+) -> None:
     wait_for(
-        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0,
+        lambda: (
+            launch.call("coupling", "param.get", name="laws.pd.stiffness") == 1500.0
+        ),
         "the stiffness of the link",
     )
     wait_for(
-        lambda: page.evaluate("haptic.beside.law") == "multi_term", "the comparison of the link"
+        lambda: page.evaluate("haptic.beside.law") == "multi_term",
+        "the comparison of the link",
     )
     page.evaluate(
         "navigator.clipboard.writeText = (text) => { window.copied = text; return"
@@ -82,10 +97,14 @@ def test_a_link_carries_law_stiffness_and_comparison(page: Page, launch: Running
 def test_b_is_drawn_and_felt_beside_a(page: Page) -> None:
     wait_for(lambda: page.evaluate("haptic.beside.times.length") > 500, "B is played")
     # The hand taps by itself: both touch the wall.
-    wait_for(lambda: page.evaluate("Math.min(...haptic.beside.force)") < -0.2, "B pushes back")
+    wait_for(
+        lambda: page.evaluate("Math.min(...haptic.beside.force)") < -0.2,
+        "B pushes back",
+    )
     newest = float(page.evaluate("haptic.beside.times.at(-1)"))
     wait_for(
-        lambda: float(page.evaluate("haptic.beside.times.at(-1)")) > newest + 0.5, "it is played on"
+        lambda: float(page.evaluate("haptic.beside.times.at(-1)")) > newest + 0.5,
+        "it is played on",
     )
     times = np.array(page.evaluate("haptic.beside.times"))
     assert np.all(np.diff(times) > 0.0)
@@ -99,13 +118,16 @@ def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
     page.evaluate("navigator.vibrate = (ms) => { window.shaken = ms; return true; }")
     page.locator("#sound").click()
     wait_for(
-        lambda: page.evaluate("haptic.sound.node !== null && haptic.sound.fed > 100"), "it is fed"
+        lambda: page.evaluate("haptic.sound.node !== null && haptic.sound.fed > 100"),
+        "it is fed",
     )
     page.evaluate("""() => { const { port } = haptic.sound.node, post = port.postMessage.bind(port);
       port.postMessage = (data) => {
         heard.times.push(...data.times); heard.forces.push(...data.forces); post(data); }; }""")
     wait_for(
-        lambda: page.evaluate("Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"),
+        lambda: page.evaluate(
+            "Math.min(0, ...heard.forces) < -0.2 && heard.forces.length > 1500"
+        ),
         "a touch is heard",
     )
     assert 8.0 < page.evaluate("window.shaken") <= 40.0, "and felt"
@@ -126,7 +148,10 @@ def test_the_sound_is_the_force(page: Page, launch: Running) -> None:
 
     def recorded() -> bool:
         forces.update(
-            {state.seq: state.force[0] for state in Recording(path).messages(DEVICE_STATE)}
+            {
+                state.seq: state.force[0]
+                for state in Recording(path).messages(DEVICE_STATE)
+            }
         )
         return bool(max(forces) >= newest)
 

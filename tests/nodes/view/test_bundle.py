@@ -19,21 +19,27 @@ def test_each_module_stands_once_before_what_needs_it() -> None:
         "other.js": "nobody asks for it",
     }
     made = bundle(sources, "main")
-    assert [made.count(f"const ${name} = ") for name in ("format", "scene", "main", "other")] == [
-        1,
-        1,
-        1,
-        0,
-    ]
-    assert made.index("const $format") < made.index("const $scene") < made.index("const $main")
+    assert [
+        made.count(f"const ${name} = ") for name in ("format", "scene", "main", "other")
+    ] == [1, 1, 1, 0]
+    assert (
+        made.index("const $format")
+        < made.index("const $scene")
+        < made.index("const $main")
+    )
     assert "const { fixed, figure } = $format;" in made
     assert "return { fixed, figure };" in made
 
 
 def test_what_would_not_mean_the_same_is_refused() -> None:
-    with pytest.raises(ValueError, match="circular imports of page modules: main > a > main"):
+    with pytest.raises(
+        ValueError, match="circular imports of page modules: main > a > main"
+    ):
         bundle(
-            {"main.js": 'import { a } from "./a.js";', "a.js": 'import { b } from "./main.js";'},
+            {
+                "main.js": 'import { a } from "./a.js";',
+                "a.js": 'import { b } from "./main.js";',
+            },
             "main",
         )
     for line in (

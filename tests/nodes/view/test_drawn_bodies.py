@@ -66,14 +66,20 @@ def test_bodies_of_an_environment_that_starts_later_are_waited_for(
 ) -> None:
     """A view faster than the environment had no bodies for a whole run."""
     setup = setup_of(
-        name="environment", run_dir=str(tmp_path), control="ipc:///c", parameters=parameters
+        name="environment",
+        run_dir=str(tmp_path),
+        control="ipc:///c",
+        parameters=parameters,
     )
     path, count = (
         poses_file(tmp_path, "environment"),
         len(bodies_of(load_world_of(parameters))["bodies"]),
     )
     given_up = MadeLater(
-        path, lambda: Poses(path, count, make=True).write(np.ones((count, 3)), np.ones((count, 9)))
+        path,
+        lambda: Poses(path, count, make=True).write(
+            np.ones((count, 3)), np.ones((count, 9))
+        ),
     )
 
     found = RunningBodies(setup, given_up).news()
@@ -85,14 +91,19 @@ def test_bodies_on_another_machine_are_not_waited_for(
     parameters: dict[str, Any], tmp_path: Path
 ) -> None:
     setup = setup_of(
-        name="environment", run_dir=str(tmp_path), control="tcp://10.0.0.1:5", parameters=parameters
+        name="environment",
+        run_dir=str(tmp_path),
+        control="tcp://10.0.0.1:5",
+        parameters=parameters,
     )
     with pytest.raises(FileNotFoundError):
         RunningBodies(setup, lambda: False)
 
 
 def load_world_of(parameters: dict[str, Any]) -> MovingScene:
-    return load_world(convert(parameters, MujocoParameters, "environment"), 0.002, "environment")
+    return load_world(
+        convert(parameters, MujocoParameters, "environment"), 0.002, "environment"
+    )
 
 
 def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(
@@ -107,7 +118,10 @@ def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(
             writer.write(DEVICE_STATE, state, state.stamp)
             if state in met:
                 proxy = Proxy(
-                    seq=state.seq, stamp=state.stamp, position=state.position, proxy=state.position
+                    seq=state.seq,
+                    stamp=state.stamp,
+                    position=state.position,
+                    proxy=state.position,
                 )
                 writer.write(PROXY, proxy, state.stamp)
     export_foxglove(Recording(recording), out)
@@ -117,10 +131,15 @@ def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(
             for _, _, message in make_reader(stream).iter_messages(topics=[SCENE])
         ]
     drawn = [
-        entity for update in updates for entity in update["entities"] if entity["id"] == "bodies"
+        entity
+        for update in updates
+        for entity in update["entities"]
+        if entity["id"] == "bodies"
     ][-1]
     bodies = RecordedBodies(parameters, 0.002, "environment")
-    until = round((drawn["timestamp"]["sec"] + drawn["timestamp"]["nsec"] * 1e-9) * 500.0)
+    until = round(
+        (drawn["timestamp"]["sec"] + drawn["timestamp"]["nsec"] * 1e-9) * 500.0
+    )
     for state in met:
         if state.seq <= until:
             bodies.follow(state)

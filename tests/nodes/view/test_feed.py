@@ -18,7 +18,10 @@ from nodes.view.feed import HEAD, Feed
 def fill(feed: Feed, positions: list[float], first: int = 0) -> None:
     for seq, x in enumerate(positions, first):
         feed.take(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(x, 0.0, 0.0)))
-        feed.take(PROXY, Proxy(seq=seq, stamp=0.0, position=(x, 0.0, 0.0), proxy=(0.0, 0.0, 0.0)))
+        feed.take(
+            PROXY,
+            Proxy(seq=seq, stamp=0.0, position=(x, 0.0, 0.0), proxy=(0.0, 0.0, 0.0)),
+        )
         feed.take(FORCE, Force(seq=seq, stamp=0.0, force=(-x, 0.0, 0.0)))
 
 
@@ -30,9 +33,9 @@ def unpack(
     assert (kind, series) == (1, len(feed.names))
     assert len(frame) == HEAD.size + 8 * count + 8 * series * count
     times = np.frombuffer(frame, "<f8", count, HEAD.size)
-    values = np.frombuffer(frame, "<f4", 2 * series * count, HEAD.size + 8 * count).reshape(
-        2 * series, count
-    )
+    values = np.frombuffer(
+        frame, "<f4", 2 * series * count, HEAD.size + 8 * count
+    ).reshape(2 * series, count)
     return (
         times,
         dict(zip(feed.names, values[:series], strict=True)),
@@ -69,18 +72,24 @@ def test_a_slow_rate_keeps_every_tick() -> None:
 def test_a_bin_waits_for_all_topics_and_is_given_up_when_one_stays_away() -> None:
     feed = Feed(["x"], 0.002)
     for seq in range(3):
-        feed.take(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.1, 0.0, 0.0)))
+        feed.take(
+            DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.1, 0.0, 0.0))
+        )
     feed.file()
     assert feed.head == 0
     for seq in range(3, 60):
-        feed.take(DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.1, 0.0, 0.0)))
+        feed.take(
+            DEVICE_STATE, DeviceState(seq=seq, stamp=0.0, position=(0.1, 0.0, 0.0))
+        )
     feed.file()
     # Just inside and just outside the grace of 30 bins: the newest is 59.
     assert feed.head == 60 - 30
     _, low, _ = unpack(feed.frame(0, feed.head), feed)
     assert np.isnan(low["proxy.x"]).all()
     assert not np.isnan(low["position.x"]).any()
-    feed.take(PROXY, Proxy(seq=5, stamp=0.0, position=(0.0, 0.0, 0.0), proxy=(0.0, 0.0, 0.0)))
+    feed.take(
+        PROXY, Proxy(seq=5, stamp=0.0, position=(0.0, 0.0, 0.0), proxy=(0.0, 0.0, 0.0))
+    )
     assert feed.late == 1
 
 

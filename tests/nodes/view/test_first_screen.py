@@ -75,7 +75,9 @@ def handle(page: Page) -> tuple[float, float]:
     """Return the handle's position on the screen."""
     box: Any = page.locator("#scene").bounding_box()
     u = float(
-        page.evaluate("(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()")
+        page.evaluate(
+            "(haptic.scene.now.target[0] - haptic.scene.middle) * haptic.scene.scale()"
+        )
     )
     return box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + 30.0
 
@@ -98,7 +100,10 @@ def test_a_page_past_the_edge_needs_a_virtual_device_that_allows_it(
         before = launch.call("coupling", "law.show")["stiffness"]
         # The page is not asked whether it may: the node's side decides.
         page.evaluate("haptic.laws.change('stiffness', 1e6, true)")
-        wait_for(lambda: "only a virtual device may" in shown(page, "#refusal"), "the refusal")
+        wait_for(
+            lambda: "only a virtual device may" in shown(page, "#refusal"),
+            "the refusal",
+        )
         assert launch.call("coupling", "law.show")["stiffness"] == before
 
 
@@ -127,7 +132,9 @@ def test_scene_and_force_share_the_first_screen(page: Page) -> None:
         dial: Any = page.locator("#dial").bounding_box()
         assert dial["y"] + dial["height"] <= height, (width, height)
         # However long a refusal is, it lies over nothing, and what it is about stays in sight.
-        page.evaluate("haptic.laws.refuse('a reason that takes many lines, '.repeat(12))")
+        page.evaluate(
+            "haptic.laws.refuse('a reason that takes many lines, '.repeat(12))"
+        )
         told: Any = page.locator("#refusal").bounding_box()
         moved: Any = page.locator("#dial").bounding_box()
         assert told["y"] + told["height"] <= moved["y"], (width, height)
@@ -157,7 +164,10 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     assert not page.evaluate(broken)
     join = "async (text) => (await import('./format.js')).unbroken(text)"
     sentence = page.evaluate(join, "10 N 6 times within 0.25 s, 31.8 mJ; 3 N/m")
-    assert sentence == "10\u00a0N 6\u00a0times within 0.25\u00a0s, 31.8\u00a0mJ; 3\u00a0N/m"
+    assert (
+        sentence
+        == "10\u00a0N 6\u00a0times within 0.25\u00a0s, 31.8\u00a0mJ; 3\u00a0N/m"
+    )
     offered = page.evaluate(
         "[...document.querySelectorAll('#laws input, #laws option')].map((e) => e.value)"
     )
@@ -165,7 +175,9 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     assert "excitation" not in offered
     page.evaluate("document.getElementById('lab').open = true")
     page.evaluate("haptic.laws.choose('multi_term')")
-    wait_for(lambda: "multi" in str(page.evaluate("haptic.laws.state.active")), "the law")
+    wait_for(
+        lambda: "multi" in str(page.evaluate("haptic.laws.state.active")), "the law"
+    )
     labels = page.locator("#sliders").inner_text()
     assert "[0]" not in labels
     page.evaluate("haptic.laws.choose('pd')")
@@ -189,11 +201,15 @@ def test_the_numbers_of_a_plot_are_as_large_on_a_fine_screen(
 ) -> None:
     with OpenPage(browser, url_of(launch) + "#lab", device_scale_factor=2.0) as page:
         # uPlot multiplies the pixels of a font; a part of a pixel it takes for the whole.
-        assert page.evaluate("haptic.plots.panels[0].plot.axes[0].font[0]").startswith("24px")
+        assert page.evaluate("haptic.plots.panels[0].plot.axes[0].font[0]").startswith(
+            "24px"
+        )
 
 
 @pytest.mark.process
-def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running) -> None:
+def test_a_refused_slider_goes_back_to_what_renders(
+    page: Page, launch: Running
+) -> None:
     launch.call("coupling", "law.switch", law="pd")
     page.evaluate("document.getElementById('lab').open = true")
     slider = page.locator("input[type=range][aria-label=stiffness]")
@@ -211,12 +227,18 @@ def test_a_refused_slider_goes_back_to_what_renders(page: Page, launch: Running)
 
     wait_for(is_refused, "it is refused")
     number = page.locator("input[aria-label='stiffness, exact value']")
-    wait_for(lambda: float(number.input_value()) == pytest.approx(before, rel=1e-5), "what renders")
-    wait_for(lambda: page.locator(".slider.refused").count() == 0, "a valid value is not red")
+    wait_for(
+        lambda: float(number.input_value()) == pytest.approx(before, rel=1e-5),
+        "what renders",
+    )
+    wait_for(
+        lambda: page.locator(".slider.refused").count() == 0, "a valid value is not red"
+    )
     number.fill(str(before * 1.01))
     page.keyboard.press("Enter")
     wait_for(
-        lambda: not page.locator("#refusal").is_visible(), "nor does a refusal stand beside it"
+        lambda: not page.locator("#refusal").is_visible(),
+        "nor does a refusal stand beside it",
     )
     launch.call("coupling", "param.set", values={"laws.pd.stiffness": before})
 
@@ -244,12 +266,16 @@ def test_until_somebody_takes_it_the_hand_taps_and_asks_to_be_pulled(
 
 
 @pytest.mark.process
-def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Running) -> None:
+def test_the_handle_does_not_jump_and_stays_in_the_hand(
+    page: Page, launch: Running
+) -> None:
     x, y, held = 0.0, 0.0, math.inf
     # On a slow machine it taps once more between where it was seen and where it is taken.
     for _ in range(5):
         page.mouse.up()
-        wait_for(lambda: abs(target(page)) < 1e-4 and launch.ticks() > 1300, "the hand rests")
+        wait_for(
+            lambda: abs(target(page)) < 1e-4 and launch.ticks() > 1300, "the hand rests"
+        )
         x, y = handle(page)
         page.mouse.move(x + 20.0, y)
         page.mouse.down()
@@ -267,10 +293,13 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
 
     # It comes at a limited speed, a millimetre a tick.
     moved = wait_for(arrived, "it follows")
-    wait_for(lambda: page.evaluate("haptic.lag.forces.length > 0"), "hand to force is measured")
-    assert 0.0 <= page.evaluate("haptic.lag.force") <= page.evaluate("haptic.lag.median"), (
-        "the force is there before the picture"
+    wait_for(
+        lambda: page.evaluate("haptic.lag.forces.length > 0"),
+        "hand to force is measured",
     )
+    assert (
+        0.0 <= page.evaluate("haptic.lag.force") <= page.evaluate("haptic.lag.median")
+    ), "the force is there before the picture"
     # Keys to another place let go of the keyboard's hand, not of the mouse's.
     page.keyboard.press("Tab")
     before = bins(page)
@@ -293,7 +322,9 @@ def test_the_handle_does_not_jump_and_stays_in_the_hand(page: Page, launch: Runn
 
 
 @pytest.mark.slow
-def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch: Running) -> None:
+def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(
+    page: Page, launch: Running
+) -> None:
     launch.call("coupling", "law.switch", law="pd")
     wait_for(
         lambda: page.evaluate("haptic.delay.edge !== null && haptic.delay.ticks === 0"),
@@ -315,12 +346,19 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
         lambda: float(launch.call("driver", "param.get", name="device.delay")),
         "the device answers later",
     )
-    wait_for(lambda: page.evaluate("haptic.map.own") == turned, "the map for that delay")
-    wait_for(lambda: page.evaluate("haptic.dial.edge") < before, "the edge to come down")
+    wait_for(
+        lambda: page.evaluate("haptic.map.own") == turned, "the map for that delay"
+    )
+    wait_for(
+        lambda: page.evaluate("haptic.dial.edge") < before, "the edge to come down"
+    )
     assert "ticks of" in shown(page, "#delay-told")
     # The dot of the right-hand panel stands at the delay of the whole loop, and is a handle.
     wait_for(
-        lambda: page.evaluate("haptic.map.frame.far") > page.evaluate("haptic.map.map.delay_ticks"),
+        lambda: (
+            page.evaluate("haptic.map.frame.far")
+            > page.evaluate("haptic.map.map.delay_ticks")
+        ),
         "it is inside",
     )
     box: Any = page.locator("#map").bounding_box()
@@ -334,7 +372,10 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     page.mouse.move(box["x"] + u - own, box["y"] + v, steps=3)
     page.mouse.up()
     wait_for(
-        lambda: float(launch.call("driver", "param.get", name="device.delay")) < 0.3 * turned,
+        lambda: (
+            float(launch.call("driver", "param.get", name="device.delay"))
+            < 0.3 * turned
+        ),
         "dragged back",
     )
     page.evaluate("delete haptic.map.draw")
@@ -352,9 +393,15 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
         u, v = page.evaluate(dot)
         page.mouse.move(box["x"] + u, box["y"] + v)
         page.mouse.down()
-        page.mouse.move(box["x"] + u, box["y"] + v + 0.4 * (box["height"] - 30.0 - v), steps=3)
+        page.mouse.move(
+            box["x"] + u, box["y"] + v + 0.4 * (box["height"] - 30.0 - v), steps=3
+        )
         page.mouse.up()
-        return bool(within(lambda: float(page.evaluate("haptic.map.map.k_n_per_m")) < 0.8 * k, 5.0))
+        return bool(
+            within(
+                lambda: float(page.evaluate("haptic.map.map.k_n_per_m")) < 0.8 * k, 5.0
+            )
+        )
 
     wait_for(softer, "softer")
     trail = page.evaluate("haptic.map.trail")
@@ -377,21 +424,31 @@ def test_the_delay_is_turned_and_the_way_to_the_edge_is_drawn(page: Page, launch
     assert blue - red > blue_below - red_below + 5, "in the device's colour"
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call(
-        "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
+        "coupling",
+        "param.set",
+        values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0},
     )
 
 
 @pytest.mark.process
 def test_a_finger_is_a_hand(browser: Browser, launch: Running) -> None:
-    phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+    phone = {
+        "viewport": {"width": 390, "height": 844},
+        "has_touch": True,
+        "is_mobile": True,
+    }
     with OpenPage(browser, url_of(launch), **phone) as page:
-        wait_for(lambda: abs(target(page)) < 1e-4 and launch.ticks() > 1300, "the hand rests")
+        wait_for(
+            lambda: abs(target(page)) < 1e-4 and launch.ticks() > 1300, "the hand rests"
+        )
         x, y = handle(page)
         finger = page.context.new_cdp_session(page)
 
         def touch(kind: str, *points: tuple[float, float]) -> None:
             there = [{"x": u, "y": v} for u, v in points]
-            finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": there})
+            finger.send(
+                "Input.dispatchTouchEvent", {"type": kind, "touchPoints": there}
+            )
 
         touch("touchStart", (x, y))
         for k in range(1, 9):
@@ -408,7 +465,9 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
 ) -> None:
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call(
-        "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
+        "coupling",
+        "param.set",
+        values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0},
     )
     launch.call("coupling", "law.switch", law="pd")
     wait_for(lambda: page.evaluate("haptic.dial.edge") is not None, "the edge")
@@ -419,7 +478,12 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
         turn(page, 1.0)
         return bool(
             within(
-                lambda: 0.8 < page.evaluate("haptic.dial.stiffness / haptic.dial.edge") < 1.0, 2.0
+                lambda: (
+                    0.8
+                    < page.evaluate("haptic.dial.stiffness / haptic.dial.edge")
+                    < 1.0
+                ),
+                2.0,
             )
         )
 
@@ -446,16 +510,23 @@ def test_past_the_edge_it_rings_is_stopped_shown_slowly_and_goes_on(
     sight, at = wait_for(lambda: page.evaluate(begun), "slow motion")
     assert 0.3 <= sight[1] - sight[0] < 2.0
     assert sight[0] <= at <= sight[1]
-    wait_for(lambda: page.evaluate("haptic.slow.window()?.at ?? 0") > at, "it goes on, slowly")
+    wait_for(
+        lambda: page.evaluate("haptic.slow.window()?.at ?? 0") > at,
+        "it goes on, slowly",
+    )
     forces = page.evaluate(
         "[...Array(300).keys()].map((k) => haptic.slow.now(haptic.slow.window().sight[0] + k /"
         " 1000).force[0])"
     )
-    assert max(map(abs, forces)) == pytest.approx(10.0), "the moments at the limit are in it"
+    assert max(map(abs, forces)) == pytest.approx(10.0), (
+        "the moments at the limit are in it"
+    )
     assert "driver stopped it" in shown(page, "#margin")
     page.locator("#again").click()
     wait_for(lambda: "No force: nothing is touched" in shown(page, "#words"), "again")
-    assert float(launch.call("coupling", "param.get", name="laws.pd.stiffness")) < 4000.0
+    assert (
+        float(launch.call("coupling", "param.get", name="laws.pd.stiffness")) < 4000.0
+    )
     # Whoever takes the permission back beyond the edge is brought below it: the page has heard that
     # it is below already.
     wait_for(
@@ -475,9 +546,16 @@ def test_what_is_changed_while_the_driver_is_started_again_comes_to_the_page(
     os.kill(driver, signal.SIGSTOP)
     told = page.locator("#log li").count()
     launch.call("coupling", "param.set", values={"laws.pd.stiffness": 950.0})
-    wait_for(lambda: page.locator("#log li").count() > told, "the page to hear of the change")
+    wait_for(
+        lambda: page.locator("#log li").count() > told, "the page to hear of the change"
+    )
     os.kill(driver, signal.SIGKILL)
-    wait_for(lambda: page.evaluate("haptic.dial.stiffness") == 950.0, "the new stiffness")
-    wait_for(lambda: "No force: nothing is touched" in shown(page, "#words"), "the driver is back")
+    wait_for(
+        lambda: page.evaluate("haptic.dial.stiffness") == 950.0, "the new stiffness"
+    )
+    wait_for(
+        lambda: "No force: nothing is touched" in shown(page, "#words"),
+        "the driver is back",
+    )
     # It answers before it ticks, and takes up what it is asked when it does.
     launch.wait_ticks(20)

@@ -19,7 +19,8 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from tests.support.launching import HAPTIC, haptic, running, wait_for
 
 pytest.importorskip(
-    "foxglove", reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'"
+    "foxglove",
+    reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'",
 )
 
 
@@ -37,10 +38,15 @@ def test_topics_and_parameters_live(tmp_path: Path) -> None:
             )
         try:
             place = wait_for(
-                lambda: errors.read_text(encoding="utf-8").partition("ws://")[2].strip(), "the port"
+                lambda: (
+                    errors.read_text(encoding="utf-8").partition("ws://")[2].strip()
+                ),
+                "the port",
             )
             protocol = Subprotocol("foxglove.sdk.v1")
-            with connect(f"ws://{place}", subprotocols=[protocol], open_timeout=20.0) as client:
+            with connect(
+                f"ws://{place}", subprotocols=[protocol], open_timeout=20.0
+            ) as client:
                 _talk(client, launch)
         finally:
             view.terminate()
@@ -57,7 +63,9 @@ def _talk(client: Any, launch: Any) -> None:
             if isinstance(found, str):
                 message: dict[str, Any] = json.loads(found)
                 if message["op"] == "advertise":
-                    channels.update({channel["topic"]: channel for channel in message["channels"]})
+                    channels.update(
+                        {channel["topic"]: channel for channel in message["channels"]}
+                    )
                 if message["op"] == op:
                     return message
         raise AssertionError(f"no {op} within {deadline} s")
@@ -66,7 +74,9 @@ def _talk(client: Any, launch: Any) -> None:
         next_text("advertise")
     ids = {channel["id"]: topic for topic, channel in channels.items()}
     loop = [DEVICE_STATE, PROXY, FORCE]
-    subscriptions = [{"id": i, "channelId": channels[topic]["id"]} for i, topic in enumerate(loop)]
+    subscriptions = [
+        {"id": i, "channelId": channels[topic]["id"]} for i, topic in enumerate(loop)
+    ]
     assert len(ids) == len(channels)
     client.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
     counts: Counter[str] = Counter()
@@ -76,21 +86,33 @@ def _talk(client: Any, launch: Any) -> None:
         if isinstance(found, bytes) and found[0] == 1:
             number, stamp = struct.unpack_from("<IQ", found, 1)
             topic = loop[number]
-            jsonschema.validate(json.loads(found[13:]), json.loads(channels[topic]["schema"]))
+            jsonschema.validate(
+                json.loads(found[13:]), json.loads(channels[topic]["schema"])
+            )
             times[topic].append(stamp)
             counts[topic] += 1
     for topic, stamps in times.items():
         # 1000 a second come in; 60 a second go out at most, one drain more or less at the ends.
-        assert (len(stamps) - 2) / ((stamps[-1] - stamps[0]) * 1e-9) <= 60.0 * 1.02, topic
+        assert (len(stamps) - 2) / ((stamps[-1] - stamps[0]) * 1e-9) <= 60.0 * 1.02, (
+            topic
+        )
     name = "coupling.laws.pd.stiffness"
-    client.send(json.dumps({"op": "getParameters", "parameterNames": [name], "id": "get"}))
+    client.send(
+        json.dumps({"op": "getParameters", "parameterNames": [name], "id": "get"})
+    )
     answer = next_text("parameterValues")
     while answer.get("id") != "get":
         answer = next_text("parameterValues")
-    assert [(one["name"], one["value"]) for one in answer["parameters"]] == [(name, 1000.0)]
+    assert [(one["name"], one["value"]) for one in answer["parameters"]] == [
+        (name, 1000.0)
+    ]
     client.send(
         json.dumps(
-            {"op": "setParameters", "parameters": [{"name": name, "value": 1100.5}], "id": "set"}
+            {
+                "op": "setParameters",
+                "parameters": [{"name": name, "value": 1100.5}],
+                "id": "set",
+            }
         )
     )
     # Any page of a browser here could have asked for that.
@@ -107,7 +129,8 @@ def test_without_the_extra_it_says_how_to_get_it(tmp_path: Path) -> None:
         "raise ImportError('No module named foxglove')", encoding="utf-8"
     )
     (tmp_path / "open.yaml").write_text(
-        "summary: s\nnodes: {view: {kind: view, parameters: {foxglove: 0}}}\n", encoding="utf-8"
+        "summary: s\nnodes: {view: {kind: view, parameters: {foxglove: 0}}}\n",
+        encoding="utf-8",
     )
     import os
 

@@ -20,7 +20,8 @@ from sim.measure.haptic_commands import end, start_command
 from tests.support.launching import running, wait_for
 
 pytest.importorskip(
-    "foxglove", reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'"
+    "foxglove",
+    reason="the extra is not installed: pip install 'haptic-nodes[foxglove]'",
 )
 
 
@@ -42,7 +43,8 @@ def shown(folder: Path, scenario: str, **changed: Any) -> Iterator[str]:
     (folder / "shown.yaml").write_text(json.dumps(content), encoding="utf-8")
     with running(folder, "shown.yaml") as launch:
         yield wait_for(
-            lambda: launch.errors.partition("ws://")[2].partition("\n")[0].strip(), "the port"
+            lambda: launch.errors.partition("ws://")[2].partition("\n")[0].strip(),
+            "the port",
         )
 
 
@@ -55,9 +57,14 @@ def subscribed(place: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
     ) as client:
         while True:
             found = client.recv(timeout=30.0)
-            if isinstance(found, str) and (message := json.loads(found))["op"] == "advertise":
+            if (
+                isinstance(found, str)
+                and (message := json.loads(found))["op"] == "advertise"
+            ):
                 scenes = [
-                    channel for channel in message["channels"] if channel["topic"] == "/scene"
+                    channel
+                    for channel in message["channels"]
+                    if channel["topic"] == "/scene"
                 ]
                 if scenes:
                     break
@@ -68,7 +75,10 @@ def subscribed(place: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
         )
         client.send(
             json.dumps(
-                {"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]}
+                {
+                    "op": "subscribe",
+                    "subscriptions": [{"id": 1, "channelId": channel["id"]}],
+                }
             )
         )
         yield client, json.loads(channel["schema"])
@@ -103,7 +113,9 @@ def at(point: dict[str, float]) -> list[float]:
 
 
 @pytest.mark.slow
-def test_the_shape_comes_once_to_each_who_subscribes_then_what_moves(tmp_path: Path) -> None:
+def test_the_shape_comes_once_to_each_who_subscribes_then_what_moves(
+    tmp_path: Path,
+) -> None:
     with shown(tmp_path, "sphere_feel") as place:
         for _ in range(2):
             # The second comes while nothing new happens to the shape.
@@ -114,14 +126,18 @@ def test_the_shape_comes_once_to_each_who_subscribes_then_what_moves(tmp_path: P
                 for name in {one["id"] for one in drawn}
             }
             (surface,) = named["environment"]
-            points = np.array([at(point) for point in surface["triangles"][0]["points"]])
-            assert np.linalg.norm(points - [0.05, 0.01, -0.03], axis=1) == pytest.approx(
-                0.035, abs=2e-6
+            points = np.array(
+                [at(point) for point in surface["triangles"][0]["points"]]
             )
+            assert np.linalg.norm(
+                points - [0.05, 0.01, -0.03], axis=1
+            ) == pytest.approx(0.035, abs=2e-6)
             for name in ("device", "proxy"):
                 # 60 a second; a stall of the machine may swallow half of them.
                 assert 90 <= len(named[name]) <= 3.0 * 60 + 2
-            places = np.array([at(one["spheres"][0]["pose"]["position"]) for one in named["proxy"]])
+            places = np.array(
+                [at(one["spheres"][0]["pose"]["position"]) for one in named["proxy"]]
+            )
             # It went over the sphere, the tool's radius above it, and never into it.
             off = np.linalg.norm(places - [0.05, 0.01, -0.03], axis=1) - 0.036
             assert off.min() == pytest.approx(0.0, abs=1e-8)
@@ -164,7 +180,11 @@ def test_who_comes_late_is_told_that_bodies_are_not_drawn(tmp_path: Path) -> Non
             )
         try:
             place = wait_for(
-                lambda: told.read_text(encoding="utf-8").partition("ws://")[2].partition("\n")[0],
+                lambda: (
+                    told.read_text(encoding="utf-8")
+                    .partition("ws://")[2]
+                    .partition("\n")[0]
+                ),
                 "the port",
             )
             with subscribed(place.strip()) as (client, schema):

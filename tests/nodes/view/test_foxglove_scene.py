@@ -22,7 +22,9 @@ Update = tuple[int, dict[str, Any]]
 
 def exported(folder: Path, scenario: str, *words: str) -> tuple[Path, Path]:
     """Launch a scenario, and export its recording."""
-    recording = folder / str(launch_json(folder, scenario, *words, "pace:=lockstep")["recording"])
+    recording = folder / str(
+        launch_json(folder, scenario, *words, "pace:=lockstep")["recording"]
+    )
     assert main(["bag", "export", str(recording), "--format", "foxglove"]) == 0
     return recording, recording.with_suffix(".foxglove.mcap")
 
@@ -32,7 +34,9 @@ def scene_of(file: Path) -> tuple[dict[str, Any], list[Update]]:
     with file.open("rb") as stream:
         found = [
             (schema, channel, message)
-            for schema, channel, message in make_reader(stream).iter_messages(topics=["/scene"])
+            for schema, channel, message in make_reader(stream).iter_messages(
+                topics=["/scene"]
+            )
         ]
     schema, channel, _ = found[0]
     assert schema is not None
@@ -48,7 +52,10 @@ def scene_of(file: Path) -> tuple[dict[str, Any], list[Update]]:
 
 def entities(updates: list[Update], name: str) -> list[dict[str, Any]]:
     return [
-        entity for _, update in updates for entity in update["entities"] if entity["id"] == name
+        entity
+        for _, update in updates
+        for entity in update["entities"]
+        if entity["id"] == name
     ]
 
 
@@ -62,7 +69,9 @@ def stamp(entity: dict[str, Any]) -> int:
 
 def places(updates: list[Update], name: str, kind: str) -> dict[int, list[float]]:
     """Return by time [ns] the position of an entity's first primitive of a kind [m]."""
-    return {stamp(e): at(e[kind][0]["pose"]["position"]) for e in entities(updates, name)}
+    return {
+        stamp(e): at(e[kind][0]["pose"]["position"]) for e in entities(updates, name)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +80,9 @@ def sphere(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.slow
-def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path]) -> None:
+def test_the_shape_comes_once_and_what_moves_as_it_does(
+    sphere: tuple[Path, Path],
+) -> None:
     recording, file = sphere
     schema, updates = scene_of(file)
     for _, update in updates:
@@ -81,7 +92,9 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
     points = np.array([at(point) for point in triangles["points"]])
     assert len(points) % 3 == 0
     # On the sphere of the launch file; written in micrometres.
-    assert np.linalg.norm(points - [0.05, 0.01, -0.03], axis=1) == pytest.approx(0.035, abs=2e-6)
+    assert np.linalg.norm(points - [0.05, 0.01, -0.03], axis=1) == pytest.approx(
+        0.035, abs=2e-6
+    )
     assert updates[0][1]["entities"][0] == surface
     table = read(recording)
     begin = updates[0][0]
@@ -92,7 +105,10 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
         for entity in found:
             tick = round((stamp(entity) - begin) * 1e-9 * 500.0)
             if tick < len(table[name]):
-                assert at(entity["spheres"][0]["pose"]["position"]) == table[name][tick].tolist()
+                assert (
+                    at(entity["spheres"][0]["pose"]["position"])
+                    == table[name][tick].tolist()
+                )
     assert entities(updates, "proxy")[0]["spheres"][0]["size"] == {
         "x": 0.002,
         "y": 0.002,
@@ -105,8 +121,12 @@ def test_the_shape_comes_once_and_what_moves_as_it_does(sphere: tuple[Path, Path
 @pytest.mark.process
 def test_the_force_is_drawn_from_the_device(sphere: tuple[Path, Path]) -> None:
     recording, file = sphere
-    lines = [entity["lines"][0]["points"] for entity in entities(scene_of(file)[1], "force")]
-    drawn = np.array([np.subtract(at(end), at(begin)) for begin, end in lines]) / PER_NEWTON
+    lines = [
+        entity["lines"][0]["points"] for entity in entities(scene_of(file)[1], "force")
+    ]
+    drawn = (
+        np.array([np.subtract(at(end), at(begin)) for begin, end in lines]) / PER_NEWTON
+    )
     assert np.abs(drawn).max() > 0.1
     # Nobody answered the last tick.
     given = read(recording)["force"][:-1]
@@ -151,7 +171,10 @@ def test_bodies_move_as_they_did(tmp_path: Path) -> None:
     _, file = exported(tmp_path, "puck_push", "duration:=1.4")
     _, updates = scene_of(file)
     bodies = entities(updates, "bodies")
-    tips, proxies = places(updates, "bodies", "spheres"), places(updates, "proxy", "spheres")
+    tips, proxies = (
+        places(updates, "bodies", "spheres"),
+        places(updates, "proxy", "spheres"),
+    )
     # The tool in the scene that was stepped again is the proxy that was recorded, to the bit.
     assert len(set(tips) & set(proxies)) > 0.9 * len(tips)
     assert all(tips[time] == proxies[time] for time in set(tips) & set(proxies))

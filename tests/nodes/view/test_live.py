@@ -23,18 +23,34 @@ from tests.support.live_page import live, texts
 
 def facts(run_dir: Path, *axes: str) -> Facts:
     return Facts(
-        "run", "scenario", "", 0.002, "realtime", "on_arrival", list(axes), "driver", str(run_dir)
+        "run",
+        "scenario",
+        "",
+        0.002,
+        "realtime",
+        "on_arrival",
+        list(axes),
+        "driver",
+        str(run_dir),
     )
 
 
 def status(state: str, reason: str = "") -> NodeStatus:
     return NodeStatus(
-        seq=1, stamp=0.0, node="driver", kind="sim_driver", state=state, pid=1, reason=reason
+        seq=1,
+        stamp=0.0,
+        node="driver",
+        kind="sim_driver",
+        state=state,
+        pid=1,
+        reason=reason,
     )
 
 
 @pytest.mark.slow
-def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path: Path) -> None:
+def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(
+    tmp_path: Path,
+) -> None:
     """Only the launcher decides whether a failed driver ends the run."""
     content = drill_scene()
     driver = content["nodes"]["driver"]
@@ -53,7 +69,9 @@ def test_a_page_goes_on_with_a_driver_that_failed_and_is_started_again(tmp_path:
         again = launch.call("driver", "status", timeout=20.0)["seq"]
         found = wait_for(
             lambda: (
-                (now := texts(page, "status"))["tick"] > again and now["safety"] == "active" and now
+                (now := texts(page, "status"))["tick"] > again
+                and now["safety"] == "active"
+                and now
             ),
             "it",
         )
@@ -95,7 +113,9 @@ def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
             x, y, z = force
             run.keep(
                 "/device/state",
-                DeviceState(seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(x, y, z)),
+                DeviceState(
+                    seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(x, y, z)
+                ),
                 seq * 0.002,
             )
         found = run.rings()
@@ -111,7 +131,8 @@ def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
         lambda _, document: told.append(document),
     )
     soft, hard = (
-        {"kind": "pd", "stiffness": stiffness, "damping": 3.0} for stiffness in (500.0, 900.0)
+        {"kind": "pd", "stiffness": stiffness, "damping": 3.0}
+        for stiffness in (500.0, 900.0)
     )
     played.follow({"pd": soft})
     assert told == [], "none is played"

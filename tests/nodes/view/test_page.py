@@ -97,7 +97,8 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
         wait_for(lambda: bins(page) != before, "and sees again")
         # Nodes say twice a second how they are; a new view has heard nothing of them yet.
         wait_for(
-            lambda: "coupling" in shown(page, "#nodes"), "the new view has heard of the coupling"
+            lambda: "coupling" in shown(page, "#nodes"),
+            "the new view has heard of the coupling",
         )
         os.kill(int(launch.call("coupling", "status")["pid"]), signal.SIGKILL)
         wait_for(
@@ -115,7 +116,9 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
 
 
 @pytest.mark.slow
-def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_path: Path) -> None:
+def test_a_scene_of_several_axes_is_looked_at_along_each(
+    browser: Browser, tmp_path: Path
+) -> None:
     words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
     content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
     content.setdefault("run", {})["axes"] = ["x", "z"]
@@ -125,19 +128,30 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(browser: Browser, tmp_p
         lab(browser, launch) as page,
     ):
         page.select_option("#axis", "z")
-        wait_for(lambda: "0.00 mm" not in shown(page, "#reading"), "how far it has come along z")
+        wait_for(
+            lambda: "0.00 mm" not in shown(page, "#reading"),
+            "how far it has come along z",
+        )
         page.select_option("#axis", "x")
-        wait_for(lambda: "0.00 mm" in shown(page, "#reading"), "it does not move along x")
+        wait_for(
+            lambda: "0.00 mm" in shown(page, "#reading"), "it does not move along x"
+        )
 
 
 @pytest.mark.slow
-def test_stop_ends_the_run_and_the_page_keeps_what_it_has(browser: Browser, tmp_path: Path) -> None:
-    with running(tmp_path, "touch_wall", "--view") as launch, lab(browser, launch) as page:
+def test_stop_ends_the_run_and_the_page_keeps_what_it_has(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with (
+        running(tmp_path, "touch_wall", "--view") as launch,
+        lab(browser, launch) as page,
+    ):
         page.locator("#stop").click()
         assert shown(page, "#stop") == "End the run?"
         page.locator("#stop").click()
         wait_for(
-            lambda: "The run has ended: stop requested" in shown(page, "#words"), "the end is told"
+            lambda: "The run has ended: stop requested" in shown(page, "#words"),
+            "the end is told",
         )
         kept = bins(page)
         figures = launch.finish()
@@ -152,7 +166,10 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
     assert shown(page, "#scenario") == "touch_wall"
     before, picture = bins(page), page.locator(".plot canvas").first.screenshot()
     wait_for(lambda: bins(page) > before + 100, "bins come in")
-    wait_for(lambda: page.locator(".plot canvas").first.screenshot() != picture, "the plot moves")
+    wait_for(
+        lambda: page.locator(".plot canvas").first.screenshot() != picture,
+        "the plot moves",
+    )
     wait_for(lambda: "more delay" in shown(page, "#margin"), "the map of stability")
     assert "any world that answers in the same tick: K up to" in " ".join(
         shown(page, "#margin").split()
@@ -170,7 +187,10 @@ def test_it_loads_moves_and_tells_the_map(page: Page, launch: Running) -> None:
 @pytest.mark.process
 def test_the_mouse_is_a_hand(page: Page, launch: Running) -> None:
     # The scenario's own touch at its beginning is over.
-    wait_for(lambda: launch.ticks() > 1300 and abs(state(launch)["x"]) < 0.003, "the hand rests")
+    wait_for(
+        lambda: launch.ticks() > 1300 and abs(state(launch)["x"]) < 0.003,
+        "the hand rests",
+    )
     drag_into_the_wall(page)
     # Held still: renewed, not moved.
     wait_for(lambda: state(launch)["f"] < -0.2, "the wall pushes back")
@@ -195,9 +215,12 @@ def test_the_keyboard_is_a_hand_too(page: Page, launch: Running) -> None:
 
 
 @pytest.mark.process
-def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Running) -> None:
+def test_a_slider_is_answered_with_a_receipt_and_undone(
+    page: Page, launch: Running
+) -> None:
     wait_for(
-        lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1, "the sliders"
+        lambda: page.locator("input[type=range][aria-label=stiffness]").count() == 1,
+        "the sliders",
     )
     launch.call("coupling", "law.switch", law="pd")
     slider = page.locator("input[type=range][aria-label=stiffness]")
@@ -206,7 +229,9 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     page.keyboard.press("ArrowRight")
     changed = wait_for(
         lambda: (
-            (k := launch.call("coupling", "param.get", name="laws.pd.stiffness")) != before and k
+            (k := launch.call("coupling", "param.get", name="laws.pd.stiffness"))
+            != before
+            and k
         ),
         "the new stiffness",
     )
@@ -217,7 +242,10 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     assert "force step" in shown(page, receipt)
     page.keyboard.press("Control+z")
     wait_for(
-        lambda: launch.call("coupling", "param.get", name="laws.pd.stiffness") == before, "undone"
+        lambda: (
+            launch.call("coupling", "param.get", name="laws.pd.stiffness") == before
+        ),
+        "undone",
     )
     launch.call("coupling", "law.switch", law="pd_alpha")
     taps = page.locator("input[type=range][aria-label=taps]")
@@ -226,36 +254,53 @@ def test_a_slider_is_answered_with_a_receipt_and_undone(page: Page, launch: Runn
     taps.focus()
     page.keyboard.press("ArrowRight")
     wait_for(
-        lambda: launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before + 1,
+        lambda: (
+            launch.call("coupling", "param.get", name="laws.pd_alpha.taps")
+            == before + 1
+        ),
         "one tap more",
     )
     page.locator("#undo").click()
     wait_for(
-        lambda: launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before, "undone"
+        lambda: (
+            launch.call("coupling", "param.get", name="laws.pd_alpha.taps") == before
+        ),
+        "undone",
     )
 
 
 @pytest.mark.process
 def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -> None:
     launch.call("coupling", "law.switch", law="pd")
-    wait_for(lambda: page.evaluate("haptic.laws.state.active") == "pd", "the page to know its law")
+    wait_for(
+        lambda: page.evaluate("haptic.laws.state.active") == "pd",
+        "the page to know its law",
+    )
     exact = page.locator("input[aria-label='stiffness, exact value']")
     wait_for(lambda: exact.count() == 1, "the sliders")
     before = launch.call("coupling", "param.get", name="laws.pd.stiffness")
     for value, reason in (("-5", "above 0"), ("900000", "unstable")):
         exact.fill(value)
         page.keyboard.press("Enter")
-        wait_for(lambda reason=reason: reason in shown(page, "#refusal"), f"the reason: {reason}")  # type: ignore[misc]
+        wait_for(
+            lambda reason=reason: reason in shown(page, "#refusal"),
+            f"the reason: {reason}",
+        )  # type: ignore[misc]
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == before
         # The control goes back to what holds.
         wait_for(
-            lambda: float(exact.input_value()) == pytest.approx(before, rel=1e-5), "the old value"
+            lambda: float(exact.input_value()) == pytest.approx(before, rel=1e-5),
+            "the old value",
         )
-    wait_for(lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log")
+    wait_for(
+        lambda: page.locator("#log li.refused").count() >= 2, "refusals are in the log"
+    )
 
 
 @pytest.mark.process
-def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Running) -> None:
+def test_what_is_typed_is_not_overwritten_from_elsewhere(
+    page: Page, launch: Running
+) -> None:
     launch.call("coupling", "law.switch", law="pd")
     exact = page.locator("input[aria-label='stiffness, exact value']")
     wait_for(lambda: exact.count() == 1, "the sliders")
@@ -264,10 +309,15 @@ def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Run
         for name in ("stiffness", "damping")
     }
     exact.fill("321")
-    launch.call("coupling", "param.set", values={"laws.pd.damping": 1.1 * before["damping"]})
+    launch.call(
+        "coupling", "param.set", values={"laws.pd.damping": 1.1 * before["damping"]}
+    )
     other = page.locator("input[aria-label='damping, exact value']")
     wait_for(
-        lambda: float(other.input_value()) == pytest.approx(1.1 * before["damping"], rel=1e-5),
+        lambda: (
+            float(other.input_value())
+            == pytest.approx(1.1 * before["damping"], rel=1e-5)
+        ),
         "the other's value",
     )
     assert exact.input_value() == "321"
@@ -277,23 +327,31 @@ def test_what_is_typed_is_not_overwritten_from_elsewhere(page: Page, launch: Run
         "what was typed",
     )
     launch.call(
-        "coupling", "param.set", values={f"laws.pd.{name}": value for name, value in before.items()}
+        "coupling",
+        "param.set",
+        values={f"laws.pd.{name}": value for name, value in before.items()},
     )
     wait_for(
-        lambda: float(exact.input_value()) == pytest.approx(before["stiffness"], rel=1e-5),
+        lambda: (
+            float(exact.input_value()) == pytest.approx(before["stiffness"], rel=1e-5)
+        ),
         "the old value",
     )
 
 
 @pytest.mark.slow
-def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Running) -> None:
+def test_laws_are_swapped_in_two_tabs(
+    page: Page, browser: Browser, launch: Running
+) -> None:
     with lab(browser, launch) as other:
         for name in ("multi_term", "pd"):
             wait_for(lambda: other.locator("#laws label").count() >= 3, "the laws")
             other.locator("#laws label").filter(has_text=name).first.click()
             for tab in (page, other):
                 checked = tab.locator(f"#laws input[value={name}]")
-                wait_for(lambda checked=checked: checked.is_checked(), f"{name} is marked")  # type: ignore[misc]
+                wait_for(
+                    lambda checked=checked: checked.is_checked(), f"{name} is marked"
+                )  # type: ignore[misc]
             assert launch.call("coupling", "law.list")["active"] == name
         wait_for(
             lambda: "→ pd" in shown(page, "#log li.receipt >> nth=0"),
@@ -313,7 +371,9 @@ def test_laws_are_swapped_in_two_tabs(page: Page, browser: Browser, launch: Runn
         other.mouse.down()
         before = bins(other)
         wait_for(lambda: bins(other) > before + 400, "a mouse that goes on asking")
-        assert other.locator("#log li.refused").count() == 2, "one refusal for each grab"
+        assert other.locator("#log li.refused").count() == 2, (
+            "one refusal for each grab"
+        )
         other.mouse.up()
         page.mouse.up()
 
@@ -361,15 +421,23 @@ def test_a_page_that_is_stopped_costs_the_others_nothing_and_lets_go(
 @pytest.mark.slow
 def test_record_and_undo_buttons_and_pause(page: Page, launch: Running) -> None:
     page.locator("#record").click()
-    wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "true", "recording")
+    wait_for(
+        lambda: page.locator("#record").get_attribute("aria-pressed") == "true",
+        "recording",
+    )
     wait_for(
         lambda: [
-            p for p in (launch.folder / "recordings").glob("*.mcap") if p.stat().st_size > 1000
+            p
+            for p in (launch.folder / "recordings").glob("*.mcap")
+            if p.stat().st_size > 1000
         ],
         "the file grows",
     )
     page.locator("#record").click()
-    wait_for(lambda: page.locator("#record").get_attribute("aria-pressed") == "false", "recorded")
+    wait_for(
+        lambda: page.locator("#record").get_attribute("aria-pressed") == "false",
+        "recorded",
+    )
     page.locator("body").click(position={"x": 2, "y": 400})
     page.keyboard.press(" ")
     assert page.locator("#pause").get_attribute("aria-pressed") == "true"
@@ -390,7 +458,9 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
     u, v = box["x"] + 0.5 * box["width"], box["y"] + 40.0
     page.mouse.move(u, v)
     wait_for(
-        lambda: all(unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")),
+        lambda: all(
+            unit in shown(page, "#values") for unit in (" s ", "mm", "N", "mJ", "µs")
+        ),
         "all under the pointer",
     )
     before = page.evaluate("haptic.plots.sight()")
@@ -398,7 +468,10 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
     drawn, newest = page.evaluate(
         "[haptic.plots.panels[0].plot.scales.x.max, haptic.plots.store.end]"
     )
-    wait_for(lambda: page.evaluate("haptic.plots.store.end") > newest + 0.5, "half a second more")
+    wait_for(
+        lambda: page.evaluate("haptic.plots.store.end") > newest + 0.5,
+        "half a second more",
+    )
     assert page.evaluate("haptic.plots.panels[0].plot.scales.x.max") == drawn, (
         "what is being chosen holds still"
     )
@@ -413,7 +486,9 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
         lambda: page.evaluate("haptic.plots.panels[0].plot.scales.x.max") > drawn,
         "the plots run again",
     )
-    with OpenPage(browser, url_of(launch) + "#lab", has_touch=True, is_mobile=True) as phone:
+    with OpenPage(
+        browser, url_of(launch) + "#lab", has_touch=True, is_mobile=True
+    ) as phone:
         wait_for(lambda: bins(phone) > 300, "some of the past")
         plot = phone.locator(".plot .u-over").first
         plot.scroll_into_view_if_needed()
@@ -427,7 +502,9 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
 
         def touch(kind: str, *along: float) -> None:
             there = [{"x": middle + at, "y": y, "id": k} for k, at in enumerate(along)]
-            fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": there})
+            fingers.send(
+                "Input.dispatchTouchEvent", {"type": kind, "touchPoints": there}
+            )
 
         # The plots run until the finger moves.
         phone.evaluate(
@@ -451,15 +528,18 @@ def test_plots_are_read_and_zoomed_by_mouse_and_fingers(
         # The browser lets the first move of a finger pass; two move at different times, and the
         # middle of both stays.
         assert 0.2 < (near[1] - near[0]) / (moved[1] - moved[0]) < 0.35
-        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [0, 1], (
-            "the page itself is not zoomed"
-        )
+        assert phone.evaluate("[haptic.plots.fingers.size, visualViewport.scale]") == [
+            0,
+            1,
+        ], "the page itself is not zoomed"
 
 
 @pytest.mark.process
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_fits_a_phone_and_the_dark(size: tuple[int, int], scheme: str, page: Page) -> None:
+def test_it_fits_a_phone_and_the_dark(
+    size: tuple[int, int], scheme: str, page: Page
+) -> None:
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
     wait_for(lambda: page.locator("html").get_attribute("data-theme") == scheme, scheme)

@@ -40,7 +40,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(recording: Path) -> Path:
-    done = typed_in(recording.parent, "bag", "export", str(recording), "--format", "html", "--json")
+    done = typed_in(
+        recording.parent, "bag", "export", str(recording), "--format", "html", "--json"
+    )
     (file,) = json.loads(done.stdout.splitlines()[-1])["files"]
     return Path(file)
 
@@ -62,8 +64,12 @@ def test_it_holds_every_tick_of_the_recording(page: Path, recording: Path) -> No
     bins, series = head["bins"], head["hello"]["series"]
     at = -(-(4 + size) // 8) * 8 + 8 * head["scenes"] * 23
     times = np.frombuffer(data, "<f8", bins, at)
-    values = np.frombuffer(data, "<f4", bins * len(series), at + 8 * bins).reshape(-1, bins)
-    states = [each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)]
+    values = np.frombuffer(data, "<f4", bins * len(series), at + 8 * bins).reshape(
+        -1, bins
+    )
+    states = [
+        each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)
+    ]
     assert bins == TICKS
     assert times.tolist() == [k * PERIOD for k in range(TICKS)]
     heights = np.array([state.position[2] for state in states], dtype="<f4")
@@ -101,14 +107,18 @@ socket.onopen = () => {
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_its_script_gives_the_page_the_scene_of_any_time(page: Path, tmp_path: Path) -> None:
+def test_its_script_gives_the_page_the_scene_of_any_time(
+    page: Path, tmp_path: Path
+) -> None:
     script = tmp_path / "open.js"
     script.write_text(_OPEN)
     done = subprocess.run(
         [node(), str(script), str(page)], capture_output=True, text=True, check=True
     )
     found = json.loads(done.stdout)
-    states = [each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)]
+    states = [
+        each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)
+    ]
     assert {"hello", "reset", "log", "status", "answer"} <= set(found["types"])
     assert found["at"] == 3.2
     # A scene is stored every 60th of a second.
@@ -120,7 +130,9 @@ def test_its_script_gives_the_page_the_scene_of_any_time(page: Path, tmp_path: P
     assert refused["error"].startswith("law is refused: a recording can only play")
 
 
-def test_a_file_that_exists_is_not_replaced_unasked(recording: Path, tmp_path: Path) -> None:
+def test_a_file_that_exists_is_not_replaced_unasked(
+    recording: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "mine.html"
     out.write_text("mine")
     with pytest.raises(RecordError):
@@ -143,7 +155,10 @@ def test_it_opens_in_a_browser_without_us_at_the_time_of_its_link(page: Path) ->
         assert not opened.locator("#dial").is_visible()
         # Nothing empty stands above the scene, and nothing asks for what a recording cannot do.
         above = "document.querySelector('.felt').getBoundingClientRect().top"
-        assert opened.evaluate(f"{above} - document.querySelector('.first').offsetTop") < 1.0
+        assert (
+            opened.evaluate(f"{above} - document.querySelector('.first').offsetTop")
+            < 1.0
+        )
         opened.locator("#lab > summary").click()
         assert not opened.locator("#ramp").is_visible()
         opened.locator("#lab > summary").click()

@@ -43,7 +43,10 @@ def _go(page: Page, t: float) -> None:
 def _stop(page: Page, t: float) -> None:
     """Pause at a time and wait for its frame, ignoring older ones."""
     page.evaluate(PAUSE)
-    wait_for(lambda: page.locator("#play").get_attribute("aria-pressed") == "false", "it stands")
+    wait_for(
+        lambda: page.locator("#play").get_attribute("aria-pressed") == "false",
+        "it stands",
+    )
     _go(page, t)
 
 
@@ -62,34 +65,48 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(
     states = {state.seq: state for state in Recording(paths[0]).messages(DEVICE_STATE)}
     words = ("--replay", str(paths[0]), "--over", str(paths[1]))
     with viewing(tmp_path, *words) as url, OpenPage(browser, url + "#lab") as page:
-        assert re.fullmatch(r"The recording is cut: it ends at 2\.\d s\.", shown(page, "#notice"))
+        assert re.fullmatch(
+            r"The recording is cut: it ends at 2\.\d s\.", shown(page, "#notice")
+        )
         _stop(page, 0.05)
         page.locator("#play").click()
         wait_for(lambda: _at(page) > 0.1, "it plays on")
         _stop(page, 0.05)
         wait_for(
-            lambda: page.evaluate("haptic.plots.panels[0].plot.data[0].length > 100"), "the plots"
+            lambda: page.evaluate("haptic.plots.panels[0].plot.data[0].length > 100"),
+            "the plots",
         )
         before = page.evaluate("haptic.plots.sight()")
         # A moment that is still to come is in the plots already.
         box: Any = page.locator(".plot .u-over").first.bounding_box()
         wanted = float(
             page.evaluate(
-                "(part) => haptic.plots.panels[0].plot.posToVal(part, 'x')", 0.12 * box["width"]
+                "(part) => haptic.plots.panels[0].plot.posToVal(part, 'x')",
+                0.12 * box["width"],
             )
         )
         page.mouse.click(box["x"] + 0.12 * box["width"], box["y"] + 40.0)
         wait_for(
-            lambda: abs(_at(page) - wanted) < 0.01, "the scene is at the moment that was clicked on"
+            lambda: abs(_at(page) - wanted) < 0.01,
+            "the scene is at the moment that was clicked on",
         )
-        assert page.evaluate("haptic.plots.at") == _at(page), "the plots' line is there too"
-        assert page.evaluate("haptic.plots.sight()") == before, "the plots stay where they are"
-        assert float(page.evaluate("haptic.plots.panels[0].plot.data[0].at(-1)")) > wanted + 0.1
+        assert page.evaluate("haptic.plots.at") == _at(page), (
+            "the plots' line is there too"
+        )
+        assert page.evaluate("haptic.plots.sight()") == before, (
+            "the plots stay where they are"
+        )
+        assert (
+            float(page.evaluate("haptic.plots.panels[0].plot.data[0].at(-1)"))
+            > wanted + 0.1
+        )
         shows = float(page.evaluate("haptic.scene.now.position[2]"))
         # One picture of the scene for 60 in a second.
         near = [
             states[seq].position[2]
-            for seq in range(max(0, round(wanted / PERIOD) - 10), round(wanted / PERIOD) + 2)
+            for seq in range(
+                max(0, round(wanted / PERIOD) - 10), round(wanted / PERIOD) + 2
+            )
         ]
         assert min(near) <= shows <= max(near)
         # Pulled by its slider: the same, and the clock says so.
@@ -97,12 +114,18 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(
         wait_for(lambda: shown(page, "#clock").startswith("0.5"), "the clock")
         # Two over each other: the other one's own numbers.
         other = Recording(paths[1]).messages(DEVICE_STATE)
-        over = page.evaluate("(({ times, position }) => [times, position])(haptic.plots.over())")
+        over = page.evaluate(
+            "(({ times, position }) => [times, position])(haptic.plots.over())"
+        )
         assert len(over[0]) == len(other)
-        assert over[1] == pytest.approx([state.position[2] for state in other], abs=1e-8)
+        assert over[1] == pytest.approx(
+            [state.position[2] for state in other], abs=1e-8
+        )
 
 
-def test_the_map_is_the_one_of_the_delay_of_its_moment(browser: Browser, tmp_path: Path) -> None:
+def test_the_map_is_the_one_of_the_delay_of_its_moment(
+    browser: Browser, tmp_path: Path
+) -> None:
     with running(tmp_path, "touch_wall", "duration:=0") as launch:
         wait_for(lambda: launch.ticks() > 400, "the loop runs")
         launch.call("coupling", "param.set", values={"plant.device_delay": 1.5})
@@ -110,16 +133,25 @@ def test_the_map_is_the_one_of_the_delay_of_its_moment(browser: Browser, tmp_pat
         changed = launch.ticks()
         wait_for(lambda: launch.ticks() > changed + 300, "it goes on")
         path = tmp_path / launch.finish(signal.SIGINT)["recording"]
-    with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as page:
+    with (
+        viewing(tmp_path, "--replay", str(path)) as url,
+        OpenPage(browser, url) as page,
+    ):
         _stop(page, 0.2)
-        before = float(wait_for(lambda: page.evaluate("haptic.map.map?.delay_ticks"), "a map"))
+        before = float(
+            wait_for(lambda: page.evaluate("haptic.map.map?.delay_ticks"), "a map")
+        )
         edge = float(page.evaluate("haptic.map.map.k_max_n_per_m"))
         _go(page, (changed + 250) * PERIOD)
         wait_for(
             lambda: page.evaluate("haptic.map.map.delay_ticks") > before + 1.0,
             "the map of the later answer",
         )
-        assert float(page.evaluate("haptic.map.map.delay_ticks")) == pytest.approx(before + 1.5)
+        assert float(page.evaluate("haptic.map.map.delay_ticks")) == pytest.approx(
+            before + 1.5
+        )
         assert page.evaluate("haptic.map.map.k_max_n_per_m") < edge
         _go(page, 0.2)
-        wait_for(lambda: page.evaluate("haptic.map.map.delay_ticks") == before, "and back")
+        wait_for(
+            lambda: page.evaluate("haptic.map.map.delay_ticks") == before, "and back"
+        )

@@ -48,7 +48,9 @@ class Script:
     """Emulates a run: sends each page the initial state, then what a test sends."""
 
     def __init__(self) -> None:
-        facts = Facts("run", "made_up", "", T, "realtime", "on_arrival", ["x"], "driver", "", 10.0)
+        facts = Facts(
+            "run", "made_up", "", T, "realtime", "on_arrival", ["x"], "driver", "", 10.0
+        )
         self.feed = Feed(["x"], T)
         more = {
             "series": self.feed.names,
@@ -58,7 +60,12 @@ class Script:
             "beyond": False,
             "again": False,
         }
-        more |= {"compares": False, "delays": False, "shape": {}, "fields": all_law_fields()}
+        more |= {
+            "compares": False,
+            "delays": False,
+            "shape": {},
+            "fields": all_law_fields(),
+        }
         self.status = LiveRun(facts).status(0.0)
         self.base = [
             {"type": "hello", **facts.hello(), **more},
@@ -80,10 +87,13 @@ class Script:
     def tick(self, seq: int) -> bytes:
         """Advance a tick, and send new data to the page."""
         first = self.feed.head
-        self.feed.take("/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.01, 0.0, 0.0)))
+        self.feed.take(
+            "/device/state", DeviceState(seq=seq, stamp=0.0, position=(0.01, 0.0, 0.0))
+        )
         self.feed.take("/environment/proxy", Proxy(**{**PROXY, "seq": seq}))
         self.feed.take(
-            "/coupling/force", Force(seq=seq, stamp=0.0, force=(0.0, 0.0, 0.0), law="pd")
+            "/coupling/force",
+            Force(seq=seq, stamp=0.0, force=(0.0, 0.0, 0.0), law="pd"),
         )
         self.feed.file(all_of_them=True)
         return self.feed.frame(first, self.feed.head)
@@ -91,7 +101,10 @@ class Script:
     def open(self) -> ScriptedPage:
         """Open another page."""
         page = ScriptedPage(
-            [json.dumps(each) for each in (*self.base, {"type": "status", **self.status})]
+            [
+                json.dumps(each)
+                for each in (*self.base, {"type": "status", **self.status})
+            ]
         )
         page.outbox += [self.tick(self.feed.head) for _ in range(20)]
         self.pages.append(page)
@@ -166,14 +179,23 @@ def page(browser: Browser, script: Script) -> Iterator[Page]:
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_an_ended_page_goes_on_when_its_view_comes_again(browser: Browser, script: Script) -> None:
+def test_an_ended_page_goes_on_when_its_view_comes_again(
+    browser: Browser, script: Script
+) -> None:
     with served(script) as first, OpenPage(browser, first.url) as page:
         script.say("status", **{**script.status, "ended": "the view was stopped"})
-        wait_for(lambda: page.evaluate("document.getElementById('dial').inert"), "the end")
-        asyncio.run_coroutine_threadsafe(first.stop(), first._server.get_loop()).result(20.0)  # type: ignore[union-attr]
+        wait_for(
+            lambda: page.evaluate("document.getElementById('dial').inert"), "the end"
+        )
+        asyncio.run_coroutine_threadsafe(first.stop(), first._server.get_loop()).result(
+            20.0
+        )  # type: ignore[union-attr]
         with served(script, first.port):
             wait_for(lambda: len(script.pages) == 2, "the page comes back")
-            wait_for(lambda: not page.evaluate("document.getElementById('dial').inert"), "the dial")
+            wait_for(
+                lambda: not page.evaluate("document.getElementById('dial').inert"),
+                "the dial",
+            )
             assert page.locator("#stop").is_visible()
             assert not page.locator("#notice").is_visible()
             assert page.evaluate("haptic.map.movable")
@@ -181,7 +203,9 @@ def test_an_ended_page_goes_on_when_its_view_comes_again(browser: Browser, scrip
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_a_recording_that_fails_is_told_on_its_button(page: Page, script: Script) -> None:
+def test_a_recording_that_fails_is_told_on_its_button(
+    page: Page, script: Script
+) -> None:
     script.say("record", recording=True, path="recordings/a.mcap", error="")
     wait_for(lambda: shown(page, "#record") == "Recording", "it records")
     script.say(
@@ -200,7 +224,9 @@ def test_a_recording_that_fails_is_told_on_its_button(page: Page, script: Script
 @pytest.mark.smoke
 def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
     script.pages[-1].outbox.append(json.dumps(script.laws("stiff")))
-    wait_for(lambda: page.evaluate("haptic.laws.state.active") == "stiff", "the other law")
+    wait_for(
+        lambda: page.evaluate("haptic.laws.state.active") == "stiff", "the other law"
+    )
     assert page.evaluate("[haptic.dial.edge, haptic.map.map]") == [None, None]
     assert "Stable" not in shown(page, "#margin")
     # Controls are those of the new law, B among them.
@@ -220,7 +246,9 @@ def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
     wait_for(lambda: page.evaluate("haptic.dial.edge") == 5000.0, "its own map")
     # Back at the first law there is what was drawn for it last, or nothing: never the other's.
     script.pages[-1].outbox.append(json.dumps(script.laws("pd")))
-    wait_for(lambda: page.evaluate("haptic.dial.edge") is None, "no edge of another law")
+    wait_for(
+        lambda: page.evaluate("haptic.dial.edge") is None, "no edge of another law"
+    )
 
 
 @pytest.mark.process
@@ -261,13 +289,16 @@ def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
         )
     script.say(
         "status",
-        **{**script.status, "words": "No force: nothing is touched; the surface is 8.0 mm away."},
+        **{
+            **script.status,
+            "words": "No force: nothing is touched; the surface is 8.0 mm away.",
+        },
     )
     wait_for(lambda: "nothing is touched" in shown(page, "#words"), "the words")
-    assert [words.partition(":")[0].replace("\u00a0", " ") for words in page.evaluate("said")] == [
-        "1.00 N",
-        "No force",
-    ]
+    assert [
+        words.partition(":")[0].replace("\u00a0", " ")
+        for words in page.evaluate("said")
+    ] == ["1.00 N", "No force"]
 
 
 RING = """async (axes) => {

@@ -69,7 +69,9 @@ def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
     with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
         os.kill(launch.pid("coupling"), signal.SIGSTOP)
         with live(url_of(launch)) as page:
-            page.send(json.dumps({"id": 1, "op": "law", "field": "stiffness", "value": 900.0}))
+            page.send(
+                json.dumps({"id": 1, "op": "law", "field": "stiffness", "value": 900.0})
+            )
             page.send(json.dumps({"id": 2, "op": "stop"}))
             answer = texts(page, "answer")
             assert (answer["id"], answer["ok"]) == (2, True)
@@ -79,12 +81,22 @@ def test_stop_waits_for_no_node_that_does_not_answer(tmp_path: Path) -> None:
 
 @pytest.mark.process
 def test_other_addresses_are_refused_with_the_ssh_line(tmp_path: Path) -> None:
-    told = haptic(tmp_path, "view", "--address", "0.0.0.0", "--port", "8080", code=2).stderr  # noqa: S104
+    told = haptic(
+        tmp_path,
+        "view",
+        "--address",
+        "0.0.0.0",  # noqa: S104
+        "--port",
+        "8080",
+        code=2,
+    ).stderr
     assert "ssh -L 8080:127.0.0.1:8080" in told
 
 
 @pytest.mark.slow
-def test_a_view_hears_a_node_again_after_a_message_above_the_limit(tmp_path: Path) -> None:
+def test_a_view_hears_a_node_again_after_a_message_above_the_limit(
+    tmp_path: Path,
+) -> None:
     """The page hears this node only by its statuses, over the broken connection."""
     content = drill_scene()
     content["nodes"]["link"] = {"kind": "link"}
@@ -133,11 +145,16 @@ def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
             assert texts(page, "laws")["active"] == law
         assert ask(op="pause")["ok"]
         assert ask(op="speed", factor=4.0)["ok"]
-        assert "this is a recording" in ask(op="law", field="stiffness", value=1.0)["error"]
+        assert (
+            "this is a recording"
+            in ask(op="law", field="stiffness", value=1.0)["error"]
+        )
         assert "this is a recording" in ask(op="stop")["error"]
         ask(op="seek", t=6.0)
         frame = wait_for(
-            lambda: found if isinstance(found := page.recv(timeout=20.0), bytes) else None,
+            lambda: (
+                found if isinstance(found := page.recv(timeout=20.0), bytes) else None
+            ),
             "a frame",
         )
         time, _, _, z = struct.unpack_from("<4d", frame, 16)
@@ -149,7 +166,9 @@ def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
 @pytest.mark.process
 def test_a_replay_knows_its_driver_whatever_its_name(tmp_path: Path) -> None:
     text = (ROOT / "launch" / "floor_drop.yaml").read_text(encoding="utf-8")
-    (tmp_path / "named.yaml").write_text(text.replace("  driver:", "  left_arm:"), encoding="utf-8")
+    (tmp_path / "named.yaml").write_text(
+        text.replace("  driver:", "  left_arm:"), encoding="utf-8"
+    )
     figures = launch_json(tmp_path, "named.yaml", "pace:=lockstep", "duration:=0.1")
     pages = ReplayPages(tmp_path / figures["recording"])
     assert pages.live.ended == "done"
@@ -187,8 +206,14 @@ def test_reading_a_recording_is_told_and_can_be_interrupted(
 
 def test_what_cannot_be_replayed_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("not a recording", encoding="utf-8")
-    assert "text.mcap" in typed_in(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
-    assert "none.mcap" in typed_in(tmp_path, "view", "--replay", "none.mcap", code=2).stderr
+    assert (
+        "text.mcap"
+        in typed_in(tmp_path, "view", "--replay", "text.mcap", code=2).stderr
+    )
+    assert (
+        "none.mcap"
+        in typed_in(tmp_path, "view", "--replay", "none.mcap", code=2).stderr
+    )
 
 
 @pytest.mark.process
@@ -224,11 +249,16 @@ def test_a_foreign_page_and_a_foreign_name_are_turned_away(launch: Running) -> N
     for line, headers in (
         (f"/{token}/", ""),
         (f"/{token}/", f"Host: {place}\r\nHost: {place}\r\n"),
-        (f"/{token}/", f"Host: {place}\r\nOrigin: http://{place}\r\nOrigin: http://{place}\r\n"),
+        (
+            f"/{token}/",
+            f"Host: {place}\r\nOrigin: http://{place}\r\nOrigin: http://{place}\r\n",
+        ),
         ("//[", f"Host: {place}\r\n"),
         ("http://[/", f"Host: {place}\r\n"),
     ):
-        with socket.create_connection(("127.0.0.1", int(place.partition(":")[2]))) as bare:
+        with socket.create_connection(
+            ("127.0.0.1", int(place.partition(":")[2]))
+        ) as bare:
             bare.sendall(f"GET {line} HTTP/1.1\r\n{headers}\r\n".encode())
             assert bare.recv(1000).startswith(b"HTTP/1.1 403 "), (line, headers)
     with live(url, origin="/".join(url.split("/")[:3])) as page:
@@ -244,8 +274,13 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
             return texts(page, "answer", id=7)
 
         assert "unknown request" in ask(op="configure")["error"]
-        assert "unknown request" in ask(op="param.set", node="coupling", values={})["error"]
-        assert "no node is named" in ask(op="set", node="../x", values={"a": 1})["error"]
+        assert (
+            "unknown request"
+            in ask(op="param.set", node="coupling", values={})["error"]
+        )
+        assert (
+            "no node is named" in ask(op="set", node="../x", values={"a": 1})["error"]
+        )
         assert "law" in ask(op="law", field="stiffness", value=1.0, force=True)["error"]
         assert "three numbers" in ask(op="hand", target=[1, 2])["error"]
         for judge, value in (
@@ -269,7 +304,9 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
 
 
 @pytest.mark.process
-def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running) -> None:
+def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(
+    launch: Running,
+) -> None:
     before = launch.call("coupling", "param.get", name="laws.pd.damping")
     with live(url_of(launch)) as page:
         page.send(
@@ -283,10 +320,14 @@ def test_a_slider_of_a_law_that_renders_no_more_changes_no_other(launch: Running
                 }
             )
         )
-        assert "pd is now active, not multi_term" in texts(page, "answer", id=3)["error"]
+        assert (
+            "pd is now active, not multi_term" in texts(page, "answer", id=3)["error"]
+        )
         assert launch.call("coupling", "param.get", name="laws.pd.damping") == before
         page.send(
-            json.dumps({"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"})
+            json.dumps(
+                {"id": 4, "op": "law", "field": "damping", "value": before, "law": "pd"}
+            )
         )
         assert texts(page, "answer", id=4)["ok"]
 
@@ -325,7 +366,9 @@ def test_a_recording_that_ends_by_itself_is_told(launch: Running) -> None:
 
 
 @pytest.mark.slow
-def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(launch: Running) -> None:
+def test_a_client_that_reads_nothing_is_dropped_and_costs_no_memory(
+    launch: Running,
+) -> None:
     def memory() -> float:
         return float(launch.call("view", "status")["memory"])
 
@@ -385,7 +428,9 @@ def test_no_command_line_holds_the_token(launch: Running, tmp_path: Path) -> Non
 
 
 @pytest.mark.process
-def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Running) -> None:
+def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(
+    launch: Running,
+) -> None:
     with live(url_of(launch)) as page:
 
         def ask(**request: Any) -> dict[str, Any]:
@@ -400,13 +445,19 @@ def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Run
         assert launch.call("driver", "param.get", name="device.delay") == ticks
         assert launch.call("coupling", "param.get", name="plant.device_delay") == ticks
         found = wait_for(
-            lambda: (now := texts(page, "map")) and now["plant"]["device_delay"] == ticks and now,
+            lambda: (
+                (now := texts(page, "map"))
+                and now["plant"]["device_delay"] == ticks
+                and now
+            ),
             "the map",
         )
         assert found["k_max_n_per_m"] < sooner["k_max_n_per_m"]
         # The edge over the delay comes down, and where it meets the present stiffness is the
         # margin.
-        rows = [(delay, high) for delay, _, high in found["over_delay"] if high is not None]
+        rows = [
+            (delay, high) for delay, _, high in found["over_delay"] if high is not None
+        ]
         meets = found["delay_ticks"] + found["delay_margin_ticks"]
         assert all(high > found["k_n_per_m"] for delay, high in rows if delay < meets)
         assert any(high < found["k_n_per_m"] for delay, high in rows if delay > meets)
@@ -424,7 +475,13 @@ def test_the_delay_is_the_device_s_own_and_the_law_is_judged_with_it(launch: Run
 
 @pytest.mark.process
 def test_a_view_beside_a_launch_sees_the_same(launch: Running) -> None:
-    with viewing(launch.folder, environment=launch.environment) as url, live(url) as page:
+    with (
+        viewing(launch.folder, environment=launch.environment) as url,
+        live(url) as page,
+    ):
         assert texts(page, "hello")["hand"]
-        assert texts(page, "laws")["active"] == launch.call("coupling", "law.list")["active"]
+        assert (
+            texts(page, "laws")["active"]
+            == launch.call("coupling", "law.list")["active"]
+        )
         assert texts(page, "status", level="rest")["rate_hz"] >= 0.0

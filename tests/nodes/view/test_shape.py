@@ -24,7 +24,9 @@ def ball(p: Corners) -> Corners:
 
 def turned_box(p: Corners) -> Corners:
     """Return a box rotated by 90° of yaw: first edge along y, second along −x."""
-    local = (p - [0.01, 0.0, 0.0]) @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    local = (p - [0.01, 0.0, 0.0]) @ np.array(
+        [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    )
     return np.asarray(np.abs(np.abs(local) - [0.01, 0.02, 0.03]).max(axis=1))
 
 
@@ -32,7 +34,8 @@ def rod(p: Corners) -> Corners:
     """Return the distance to a capsule of radius 10 mm along x, from 0 to 50 mm."""
     return np.asarray(
         np.linalg.norm(
-            p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1), axis=1
+            p - np.stack([np.clip(p[:, 0], 0.0, 0.05), 0 * p[:, 0], 0 * p[:, 0]], 1),
+            axis=1,
         )
         - 0.01
     )
@@ -40,7 +43,10 @@ def rod(p: Corners) -> Corners:
 
 def can(p: Corners) -> Corners:
     """Return the distance to a cylinder of radius 10 mm along z, from 0 to 40 mm."""
-    out, end = np.hypot(p[:, 0], p[:, 1]), np.minimum(np.abs(p[:, 2]), np.abs(p[:, 2] - 0.04))
+    out, end = (
+        np.hypot(p[:, 0], p[:, 1]),
+        np.minimum(np.abs(p[:, 2]), np.abs(p[:, 2] - 0.04)),
+    )
     return np.asarray(np.where(out < 0.005, end, np.maximum(np.abs(out - 0.01), end)))
 
 
@@ -58,15 +64,29 @@ def can(p: Corners) -> Corners:
             turned_box,
         ),
         (
-            {"kind": "capsule", "start": [0.0, 0.0, 0.0], "end": [0.05, 0.0, 0.0], "radius": 0.01},
+            {
+                "kind": "capsule",
+                "start": [0.0, 0.0, 0.0],
+                "end": [0.05, 0.0, 0.0],
+                "radius": 0.01,
+            },
             rod,
         ),
         (
-            {"kind": "cylinder", "start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.04], "radius": 0.01},
+            {
+                "kind": "cylinder",
+                "start": [0.0, 0.0, 0.0],
+                "end": [0.0, 0.0, 0.04],
+                "radius": 0.01,
+            },
             can,
         ),
         (
-            {"kind": "oriented_plane", "position": [0.0, 0.01, 0.0], "normal": [0.0, 1.0, 1.0]},
+            {
+                "kind": "oriented_plane",
+                "position": [0.0, 0.01, 0.0],
+                "normal": [0.0, 1.0, 1.0],
+            },
             lambda p: p[:, 1] + p[:, 2] - 0.01,
         ),
         (
@@ -89,7 +109,9 @@ def test_every_corner_of_every_kind_lies_on_its_surface(
 
 def test_a_flat_wall_is_a_patch_and_nothing_is_nothing() -> None:
     patch = np.array(
-        shape_of({"surface": {"kind": "plane", "axis": "x", "position": 0.02}})["triangles"]
+        shape_of({"surface": {"kind": "plane", "axis": "x", "position": 0.02}})[
+            "triangles"
+        ]
     ).reshape(-1, 3)
     assert np.all(patch[:, 0] == 0.02)
     assert np.ptp(patch[:, 1]) == pytest.approx(0.16)

@@ -10,7 +10,15 @@ import pytest
 
 from messages.types import ZERO
 from nodes.driver.pointer import PointerReader
-from nodes.view.shared_hand import DEPTH, EVERY, PRESS, REST, SILENCE_LIMIT, SLOWLY, SharedHand
+from nodes.view.shared_hand import (
+    DEPTH,
+    EVERY,
+    PRESS,
+    REST,
+    SILENCE_LIMIT,
+    SLOWLY,
+    SharedHand,
+)
 
 
 class Clock:
@@ -50,7 +58,9 @@ def test_one_page_at_a_time_has_the_hand(tmp_path: Path) -> None:
     reader.close()
 
 
-def test_of_two_views_beside_one_launch_one_has_the_hand(tmp_path: Path, clock: Clock) -> None:
+def test_of_two_views_beside_one_launch_one_has_the_hand(
+    tmp_path: Path, clock: Clock
+) -> None:
     """Each view is a separate process with the same file."""
     reader = PointerReader(tmp_path / "p", 60.0)
     first, second = SharedHand(tmp_path / "p"), SharedHand(tmp_path / "p")
@@ -64,7 +74,9 @@ def test_of_two_views_beside_one_launch_one_has_the_hand(tmp_path: Path, clock: 
         clock.now += 0.01
         assert first.move(1, [0.01, 0.0, 0.0]) == ""
         second.tap(0, 0.02, -1.0)
-        assert reader.read() == (0.01, 0.0, 0.0), "the other view does not tap meanwhile"
+        assert reader.read() == (0.01, 0.0, 0.0), (
+            "the other view does not tap meanwhile"
+        )
     first.move(1, None)
     assert reader.read() is None
     assert second.move(1, [0.5, 0.0, 0.0]) == ""
@@ -175,7 +187,9 @@ def test_until_somebody_takes_it_the_hand_taps(tmp_path: Path, clock: Clock) -> 
     reader.close()
 
 
-def test_a_hand_whose_path_has_long_come_to_rest_taps_too(tmp_path: Path, clock: Clock) -> None:
+def test_a_hand_whose_path_has_long_come_to_rest_taps_too(
+    tmp_path: Path, clock: Clock
+) -> None:
     """Also if the view starts late, or again."""
     reader, hand = PointerReader(tmp_path / "p", 1.0), SharedHand(tmp_path / "p")
     for _ in range(round(100 * (REST + PRESS))):

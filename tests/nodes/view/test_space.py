@@ -83,25 +83,36 @@ def test_bodies_are_where_the_environment_has_them_and_where_a_replay_finds_them
         wait_for(lambda: page.evaluate(tool) < 2e-3, "the tool is the proxy")
         figures = launch.finish(signal.SIGINT)
         # A busy page is behind: what came before this line it has drawn.
-        wait_for(lambda: "The run has ended" in shown(page, "#words"), "the end is told")
+        wait_for(
+            lambda: "The run has ended" in shown(page, "#words"), "the end is told"
+        )
         path, poses = (
             tmp_path / figures["recording"],
             "haptic.space.solids.poses.map((pose) => [...pose])",
         )
-        with viewing(tmp_path, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
+        with (
+            viewing(tmp_path, "--replay", str(path)) as url,
+            OpenPage(browser, url) as replayed,
+        ):
             end = """() => { const slider = document.getElementById("seek");
                   slider.value = slider.max;
                   slider.dispatchEvent(new Event("input")); }"""
             replayed.evaluate(end)
             pushed = "haptic.space.solids?.poses?.[2][0]"
-            wait_for(lambda: replayed.evaluate(pushed) > 0.055, "the box where it was pushed to")
+            wait_for(
+                lambda: replayed.evaluate(pushed) > 0.055,
+                "the box where it was pushed to",
+            )
 
             def near() -> bool:
                 # Poses of moments that are at most some ticks apart, of bodies slower than 0.1 m/s.
                 return all(
                     math.dist(a[:3], b[:3]) < 5e-3
-                    and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True)) < 0.05
-                    for a, b in zip(replayed.evaluate(poses), page.evaluate(poses), strict=True)
+                    and max(abs(x - y) for x, y in zip(a[3:], b[3:], strict=True))
+                    < 0.05
+                    for a, b in zip(
+                        replayed.evaluate(poses), page.evaluate(poses), strict=True
+                    )
                 )
 
             wait_for(near, "the same poses")
@@ -112,7 +123,8 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
     """In parallel projection a ball is a disc of its radius about its centre's image."""
     for yaw, pitch in ((-0.7, 0.45), (0.9, -0.8)):
         page.evaluate(
-            "([yaw, pitch]) => Object.assign(haptic.space.turn, { yaw, pitch })", [yaw, pitch]
+            "([yaw, pitch]) => Object.assign(haptic.space.turn, { yaw, pitch })",
+            [yaw, pitch],
         )
         page.evaluate("haptic.space.draw()")
         u, v, _ = page.evaluate("centre => haptic.space.seen(centre)", CENTRE)
@@ -121,7 +133,8 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
         right = [math.cos(yaw), math.sin(yaw), 0.0]
         middle = page.evaluate("haptic.space.turn.middle")
         assert u == pytest.approx(
-            pixels * sum(r * (c - m) for r, c, m in zip(right, CENTRE, middle, strict=True))
+            pixels
+            * sum(r * (c - m) for r, c, m in zip(right, CENTRE, middle, strict=True))
         )
         extent = page.evaluate(
             """([u, v]) => {
@@ -160,11 +173,17 @@ class Camera:
     """A parallel projection by formula: yaw about z, then pitch, the scene's box centred."""
 
     def __init__(self, yaw: float, pitch: float, width: float, height: float) -> None:
-        sines, cosines = (math.sin(yaw), math.sin(pitch)), (math.cos(yaw), math.cos(pitch))
+        sines, cosines = (
+            (math.sin(yaw), math.sin(pitch)),
+            (math.cos(yaw), math.cos(pitch)),
+        )
         self.right = (cosines[0], sines[0], 0.0)
         self.up = (-sines[0] * sines[1], cosines[0] * sines[1], cosines[1])
         self.away = (-sines[0] * cosines[1], cosines[0] * cosines[1], -sines[1])
-        low, high = ([f(0.0, c + s * RADIUS) for c in CENTRE] for f, s in ((min, -1.0), (max, 1.0)))
+        low, high = (
+            [f(0.0, c + s * RADIUS) for c in CENTRE]
+            for f, s in ((min, -1.0), (max, 1.0))
+        )
         self.middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
         self.pixels = 0.42 * min(width, height) / (0.5 * math.dist(low, high))
 
@@ -173,10 +192,15 @@ class Camera:
         apart = [a - b for a, b in zip(point, self.middle, strict=True)]
         return self.pixels * dot(apart, self.right), -self.pixels * dot(apart, self.up)
 
-    def met(self, u: float, v: float, side: float = -1.0) -> tuple[float, float, float] | None:
+    def met(
+        self, u: float, v: float, side: float = -1.0
+    ) -> tuple[float, float, float] | None:
         """Return the ball's normal where the ray through a pixel meets its front (back: side 1)."""
         at = self.seen(CENTRE)
-        aside, above = (u - at[0]) / (self.pixels * RADIUS), -(v - at[1]) / (self.pixels * RADIUS)
+        aside, above = (
+            (u - at[0]) / (self.pixels * RADIUS),
+            -(v - at[1]) / (self.pixels * RADIUS),
+        )
         rest = 1.0 - aside**2 - above**2
         if rest < 0.0:
             return None
@@ -236,7 +260,8 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) 
             assert alpha >= 250, "no gap between faces"
             assert colour == pytest.approx(shade(front), abs=off)
             told_apart += (
-                max(abs(a - b) for a, b in zip(shade(front), shade(back), strict=True)) > 2.0 * off
+                max(abs(a - b) for a, b in zip(shade(front), shade(back), strict=True))
+                > 2.0 * off
             )
     # Else a picture that is painted from the front to the back would be as good.
     assert told_apart > 60
@@ -248,13 +273,16 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
     camera = Camera(
         yaw,
         pitch,
-        *page.evaluate("[haptic.space.canvas.clientWidth, haptic.space.canvas.clientHeight]"),
+        *page.evaluate(
+            "[haptic.space.canvas.clientWidth, haptic.space.canvas.clientHeight]"
+        ),
     )
     # Seen from the left of the ball, 15 mm deep; pushed out, and half as much along the surface as
     # into it.
     normal = tuple(-r for r in camera.right)
     proxy, device = (
-        [c + k * n for c, n in zip(CENTRE, normal, strict=True)] for k in (RADIUS, RADIUS - 0.015)
+        [c + k * n for c, n in zip(CENTRE, normal, strict=True)]
+        for k in (RADIUS, RADIUS - 0.015)
     )
     target = [d - 0.02 * w for d, w in zip(device, camera.up, strict=True)]
     force = [3.0 * n + 1.5 * w for n, w in zip(normal, camera.up, strict=True)]
@@ -268,13 +296,20 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
     }
     now |= {"force": force, "asked": force, "distance": -0.015}
     mu = float(page.evaluate("haptic.space.shape.friction"))
-    rim = [p + 0.012 * n + 0.012 * mu * w for p, n, w in zip(proxy, normal, camera.up, strict=True)]
+    rim = [
+        p + 0.012 * n + 0.012 * mu * w
+        for p, n, w in zip(proxy, normal, camera.up, strict=True)
+    ]
     places = {
         "proxy": camera.seen(proxy),
         "target": camera.seen(target),
-        "force": camera.seen([d + 0.006 * f for d, f in zip(device, force, strict=True)]),
+        "force": camera.seen(
+            [d + 0.006 * f for d, f in zip(device, force, strict=True)]
+        ),
         "cone": camera.seen(rim),
-        "device": tuple(a + b for a, b in zip(camera.seen(device), (-2.0, -4.0), strict=True)),
+        "device": tuple(
+            a + b for a, b in zip(camera.seen(device), (-2.0, -4.0), strict=True)
+        ),
     }
     read = """([yaw, pitch, now, places]) => { const { space } = haptic;
       Object.assign(space.turn, { yaw, pitch, scale: 1 }); space.trace.length = 0; space.show(now);
@@ -298,7 +333,10 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
         assert nearest(name, now, COLOURS[name]) <= 2, name
     front = camera.met(*places["device"])
     assert front is not None
-    ghost = [0.55 * a + 0.45 * b for a, b in zip(COLOURS["device"], shade(front), strict=True)]
+    ghost = [
+        0.55 * a + 0.45 * b
+        for a, b in zip(COLOURS["device"], shade(front), strict=True)
+    ]
     assert nearest("device", now, ghost) <= 8, "a ghost: the ball is seen through it"
     # A line 1.5 wide between pixels is at least half its colour, over white or the ball.
     slides, sticks = now, {**now, "force": [3.0 * n for n in normal]}
@@ -309,7 +347,9 @@ def test_proxy_device_force_and_cone_are_drawn_where_they_are(page: Page) -> Non
 
 
 @pytest.mark.process
-def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch: Running) -> None:
+def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(
+    page: Page, launch: Running
+) -> None:
     rests = "haptic.space.now && Math.hypot(...haptic.space.now.target) < 1e-4"
     wait_for(lambda: launch.ticks() > 1300 and page.evaluate(rests), "the hand rests")
     box: Any = page.locator("#space").bounding_box()
@@ -319,9 +359,13 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
         # mouse.
         page.mouse.up()
         u, v, _ = page.evaluate("haptic.space.seen(haptic.space.now.target)")
-        page.mouse.move(box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v)
+        page.mouse.move(
+            box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v
+        )
         page.mouse.down()
-        return page.evaluate("haptic.space.held && haptic.space.seen(haptic.space.held)")
+        return page.evaluate(
+            "haptic.space.held && haptic.space.seen(haptic.space.held)"
+        )
 
     u, v, _ = wait_for(taken, "the hand to be taken")
     x, y = box["x"] + box["width"] / 2 + u, box["y"] + box["height"] / 2 + v
@@ -331,7 +375,10 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     right, up, pixels = page.evaluate(
         "[haptic.space.camera.right, haptic.space.camera.up, haptic.space.pixels]"
     )
-    wanted = [b + (30.0 * r + 40.0 * w) / pixels for b, r, w in zip(began, right, up, strict=True)]
+    wanted = [
+        b + (30.0 * r + 40.0 * w) / pixels
+        for b, r, w in zip(began, right, up, strict=True)
+    ]
 
     def there() -> bool:
         return math.dist(page.evaluate("[...haptic.space.now.target]"), wanted) < 1e-3
@@ -342,7 +389,9 @@ def test_the_hand_moves_in_the_plane_that_the_camera_looks_at(page: Page, launch
     page.mouse.up()
     page.select_option("#axis", "z")
     assert not page.locator("#space").is_visible()
-    same = page.evaluate("haptic.scene.now.position[2] === haptic.space.now.position[2]")
+    same = page.evaluate(
+        "haptic.scene.now.position[2] === haptic.space.now.position[2]"
+    )
     assert same
     wait_for(lambda: "mm" in shown(page, "#reading"), "the flat view's figures")
     page.select_option("#axis", "3-D")
@@ -360,7 +409,9 @@ def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> Non
         ]
         # Through the ball's middle, where the hand need not be.
         at = CENTRE[across] + 0.2 * RADIUS
-        cut = page.evaluate("([across, at]) => haptic.space.solids.cut(across, at)", [across, at])
+        cut = page.evaluate(
+            "([across, at]) => haptic.space.solids.cut(across, at)", [across, at]
+        )
         points = [point for ends in cut for point in ends]
         assert len(cut) > 10
         assert [point[across] for point in points] == pytest.approx([at] * len(points))
@@ -430,16 +481,29 @@ def test_a_recording_is_looked_at_in_three_dimensions_too(
     """The live shape with the recorded poses, while the run continues."""
     folder = launch.folder
     path = next((folder / "recordings").glob("*.mcap"))
-    with viewing(folder, "--replay", str(path)) as url, OpenPage(browser, url) as replayed:
+    with (
+        viewing(folder, "--replay", str(path)) as url,
+        OpenPage(browser, url) as replayed,
+    ):
         wait_for(lambda: replayed.evaluate("haptic.space.pixels > 0"), "the picture")
         assert replayed.locator("#space").is_visible()
-        same = [each.evaluate("JSON.stringify(haptic.space.shape)") for each in (page, replayed)]
+        same = [
+            each.evaluate("JSON.stringify(haptic.space.shape)")
+            for each in (page, replayed)
+        ]
         assert same[0] == same[1]
-        states = {state.seq: state.position for state in Recording(path).messages(DEVICE_STATE)}
+        states = {
+            state.seq: state.position
+            for state in Recording(path).messages(DEVICE_STATE)
+        }
         moment = "({ t: haptic.space.now.t, position: [...haptic.space.now.position] })"
         replayed.evaluate("document.getElementById('play').click()")
-        now = wait_for(lambda: replayed.evaluate(f"haptic.space.now && {moment}"), "a pose")
+        now = wait_for(
+            lambda: replayed.evaluate(f"haptic.space.now && {moment}"), "a pose"
+        )
         # One picture of the scene for 60 in a second: its pose is that of a tick just before, of
         # which some may be lost.
         until = round(now["t"] / 0.002)
-        assert tuple(now["position"]) in [states.get(seq) for seq in range(until - 20, until + 1)]
+        assert tuple(now["position"]) in [
+            states.get(seq) for seq in range(until - 20, until + 1)
+        ]

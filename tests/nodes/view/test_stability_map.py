@@ -34,12 +34,16 @@ LAWS: list[dict[str, Any]] = [
 
 def radius(described: dict[str, Any], delay: float, **changed: float) -> float:
     law = msgspec.structs.replace(parse_law(described), **changed)
-    return pole_radius(law.compile(T), Plant(T, PLANT.mass, PLANT.damping, delay, PLANT.stiffness))
+    return pole_radius(
+        law.compile(T), Plant(T, PLANT.mass, PLANT.damping, delay, PLANT.stiffness)
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("described", LAWS, ids=lambda law: law["kind"])
-def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: float) -> None:
+def test_inside_is_stable_and_outside_is_not(
+    described: dict[str, Any], delay: float
+) -> None:
     found = stability_map(parse_law(described), T, PLANT, delay)
     rows = [row for row in found["edge"] if row[1] is not None]
     assert len(rows) > 40
@@ -58,7 +62,9 @@ def test_inside_is_stable_and_outside_is_not(described: dict[str, Any], delay: f
 
 def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
     found = stability_map(parse_law(LAWS[0]), T, PLANT, 0.0)
-    assert found["k_max_any_world_n_per_m"] == pytest.approx(2244.217, abs=1e-3)  # THEORY.md §18
+    assert found["k_max_any_world_n_per_m"] == pytest.approx(
+        2244.217, abs=1e-3
+    )  # THEORY.md §18
     walls = {b: high for b, _, high in found["edge"]}
     shared = [(k, walls[b]) for b, k in found["any_world"] if b in walls]
     assert len(shared) > 2
@@ -85,7 +91,9 @@ def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
     derivative = without_spring(spring, T)
     edge = world_k_max(derivative, Plant(T, 0.1, 1.0), SteppedTool(1.0)).k_max_n_per_m
     assert found["k_max_any_world_n_per_m"] == edge
-    loose = stability_map(spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0)
+    loose = stability_map(
+        spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0
+    )
     assert loose["k_max_any_world_n_per_m"] is None
     # Where all behind it is solved within the step, its weight counts as well.
     heavy = msgspec.structs.replace(held, tool_damping=0.0, tool_step=T / 2)
@@ -106,26 +114,38 @@ def test_the_map_follows_law_device_and_delay() -> None:
     assert plain["k_max_n_per_m"] == pytest.approx(3781.866, abs=1e-3)
     assert stability_map(pd, T, PLANT, 1.0)["k_max_n_per_m"] < 1300.0
     assert (
-        stability_map(pd, T, PlantParameters(mass=0.1, damping=1.0, delay=1.0), 0.0)["delay_ticks"]
+        stability_map(pd, T, PlantParameters(mass=0.1, damping=1.0, delay=1.0), 0.0)[
+            "delay_ticks"
+        ]
         == 1.0
     )
     assert (
-        stability_map(pd, T, PlantParameters(mass=0.2, damping=1.0), 0.0)["k_max_n_per_m"]
+        stability_map(pd, T, PlantParameters(mass=0.2, damping=1.0), 0.0)[
+            "k_max_n_per_m"
+        ]
         != plain["k_max_n_per_m"]
     )
-    assert not stability_map(parse_law({**LAWS[0], "stiffness": 3800.0}), T, PLANT, 0.0)["stable"]
-    assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)["stable"]
+    assert not stability_map(
+        parse_law({**LAWS[0], "stiffness": 3800.0}), T, PLANT, 0.0
+    )["stable"]
+    assert stability_map(parse_law({**LAWS[0], "stiffness": 3700.0}), T, PLANT, 0.0)[
+        "stable"
+    ]
 
 
 @pytest.mark.slow
 def test_with_a_mass_that_depends_on_the_place_the_worst_is_drawn() -> None:
     pd = parse_law(LAWS[0])
     edges = {
-        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)["k_max_n_per_m"]
+        mass: stability_map(pd, T, PlantParameters(mass=mass, damping=1.0), 1.0)[
+            "k_max_n_per_m"
+        ]
         for mass in (0.05, 0.1, 0.4)
     }
     for light, heavy in ((0.05, 0.1), (0.1, 0.4), (0.05, 0.4)):
-        found = stability_map(pd, T, PlantParameters(mass=light, heaviest=heavy, damping=1.0), 1.0)
+        found = stability_map(
+            pd, T, PlantParameters(mass=light, heaviest=heavy, damping=1.0), 1.0
+        )
         assert found["k_max_n_per_m"] == min(edges[light], edges[heavy])
         assert edges[found["mass_kg"]] == found["k_max_n_per_m"]
 
@@ -136,7 +156,9 @@ def test_what_a_device_says_of_its_masses_goes_into_the_map() -> None:
     assert with_inertia(None, None) is None
     assert with_inertia(declared, None) == declared
     assert with_inertia(None, seen) == PlantParameters(mass=0.08, heaviest=0.2)
-    assert with_inertia(declared, seen) == PlantParameters(mass=0.08, heaviest=0.2, damping=1.0)
+    assert with_inertia(declared, seen) == PlantParameters(
+        mass=0.08, heaviest=0.2, damping=1.0
+    )
     # What the device tells is as the scene moves it, at a scale of two a quarter of its own mass.
     larger = PlantParameters(mass=0.4, damping=1.0, scale=2.0)
     assert with_inertia(larger, seen) == PlantParameters(
@@ -150,15 +172,19 @@ def test_what_a_device_says_of_its_masses_goes_into_the_map() -> None:
     assert drawn["mass_kg"] in (0.08, 0.2)
 
 
-def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none() -> None:
-    found = drawn_map({"kind": "designed_d0"}, T, {"mass": 0.1, "damping": 1.0}, {}, 0.1)
+def test_a_law_without_k_and_b_has_margins_only_and_an_unknown_device_has_none() -> (
+    None
+):
+    found = drawn_map(
+        {"kind": "designed_d0"}, T, {"mass": 0.1, "damping": 1.0}, {}, 0.1
+    )
     assert "edge" not in found
     assert found["stable"]
     assert found["delay_margin_ticks"] > 0.0
     assert "plant: {mass" in drawn_map(LAWS[0], T, None, {}, 0.0)["why"]
-    assert "H(1)" in drawn_map({**LAWS[2], "stiffness": 1.0}, T, {"mass": 0.1}, {}, 0.0).get(
-        "why", "H(1)"
-    )
+    assert "H(1)" in drawn_map(
+        {**LAWS[2], "stiffness": 1.0}, T, {"mass": 0.1}, {}, 0.0
+    ).get("why", "H(1)")
 
 
 def test_what_cannot_be_drawn_is_said() -> None:
@@ -178,7 +204,9 @@ def test_a_virtual_device_stands_in_for_what_is_not_declared() -> None:
         "hand": {"mass": 0.05, "damping": 2.0, "stiffness": 150.0},
     }
     plant = plant_of(None, {"device": device})
-    assert plant == PlantParameters(mass=0.1 + 0.05, damping=3.0, stiffness=150.0, device_delay=0.5)
+    assert plant == PlantParameters(
+        mass=0.1 + 0.05, damping=3.0, stiffness=150.0, device_delay=0.5
+    )
     # The device's own delay comes on top of what the loop measures.
     assert stability_map(parse_law(LAWS[0]), T, plant, 0.25)["delay_ticks"] == 0.75
     assert plant_of({"mass": 0.2}, {"device": device}) == PlantParameters(mass=0.2)

@@ -9,16 +9,36 @@ import pytest
 
 import nodes.view
 
-_STYLE = (Path(nodes.view.__file__).parent / "web" / "style.css").read_text(encoding="utf-8")
-TEXT = ["ink", "soft", "device", "proxy", "force", "target", "beside-ink", "good", "warn", "bad"]
-ON_THE_WALL = ("soft", "force", "target", "beside-ink")  # names, arrows and figures of the scene
+_STYLE = (Path(nodes.view.__file__).parent / "web" / "style.css").read_text(
+    encoding="utf-8"
+)
+TEXT = [
+    "ink",
+    "soft",
+    "device",
+    "proxy",
+    "force",
+    "target",
+    "beside-ink",
+    "good",
+    "warn",
+    "bad",
+]
+ON_THE_WALL = (
+    "soft",
+    "force",
+    "target",
+    "beside-ink",
+)  # names, arrows and figures of the scene
 LEAST = 4.5  # WCAG 2.2, 1.4.3 (AA), of normal text
 
 
 def luminance(colour: str) -> float:
     """Return the relative luminance of #rrggbb (WCAG 2.2)."""
     parts = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts
+    ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 

@@ -56,15 +56,21 @@ def _act(page: Page, by: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Running) -> None:
+def test_the_tour_goes_on_when_what_it_asks_for_is_done(
+    page: Page, launch: Running
+) -> None:
     """By keyboard up to the limit, by mouse beyond it, and by keyboard to the end."""
     launch.call("driver", "param.set", values={"device.delay": 0.0})
     launch.call(
-        "coupling", "param.set", values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0}
+        "coupling",
+        "param.set",
+        values={"plant.device_delay": 0.0, "laws.pd.stiffness": 1000.0},
     )
     launch.call("coupling", "law.switch", law="pd")
     wait_for(
-        lambda: page.evaluate("haptic.dial.edge !== null && haptic.dial.stiffness === 1000"),
+        lambda: page.evaluate(
+            "haptic.dial.edge !== null && haptic.dial.stiffness === 1000"
+        ),
         "the dial",
     )
     page.locator("#tour-begin").focus()
@@ -120,7 +126,9 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
 
     def later() -> bool:
         # As long as it rings or is stopped, the same button calms it first.
-        return acted("document.getElementById('sentence').textContent.startsWith('5 of 6')")
+        return acted(
+            "document.getElementById('sentence').textContent.startsWith('5 of 6')"
+        )
 
     wait_for(later, "it answers later")
     assert stands("Put one beside yours", 5)
@@ -128,7 +136,9 @@ def test_the_tour_goes_on_when_what_it_asks_for_is_done(page: Page, launch: Runn
     # What the page shows goes into its link, and out of it in another page.
     page.evaluate("navigator.clipboard.writeText = () => Promise.resolve()")
     page.locator("#share").click()
-    told = page.evaluate("Object.fromEntries(new URLSearchParams(location.hash.slice(1)))")
+    told = page.evaluate(
+        "Object.fromEntries(new URLSearchParams(location.hash.slice(1)))"
+    )
     assert (told["law"], float(told["delay"])) == (
         "pd",
         launch.call("driver", "param.get", name="device.delay"),

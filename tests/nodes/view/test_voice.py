@@ -42,7 +42,9 @@ console.log(JSON.stringify(found));
 def sounds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("voice")
     source = Path(nodes.view.__file__).with_name("web") / "voice.js"
-    (folder / "voice.mjs").write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "voice.mjs").write_text(
+        source.read_text(encoding="utf-8"), encoding="utf-8"
+    )
     (folder / "run.mjs").write_text(_RUN, encoding="utf-8")
     time = np.arange(0.0, 2.0, T)
     rise = np.clip((time - 0.5) / 0.5, 0.0, 1.0)
@@ -53,7 +55,8 @@ def sounds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "constant": np.full(len(time), 2.0),
     }
     (folder / "forces.json").write_text(
-        json.dumps({name: one.tolist() for name, one in forces.items()}), encoding="utf-8"
+        json.dumps({name: one.tolist() for name, one in forces.items()}),
+        encoding="utf-8",
     )
     done = subprocess.run(
         [node(), str(folder / "run.mjs"), str(folder / "forces.json")],
@@ -69,7 +72,9 @@ def level(sound: Any) -> float:
     return float(np.sqrt(np.mean(sound[-RATE:] ** 2)))
 
 
-def test_a_ring_is_heard_on_a_laptop_and_moves_like_a_siren(sounds: dict[str, Any]) -> None:
+def test_a_ring_is_heard_on_a_laptop_and_moves_like_a_siren(
+    sounds: dict[str, Any],
+) -> None:
     ring = sounds["ring"][-RATE:]
     power = np.abs(np.fft.rfft(ring * np.hanning(len(ring)))) ** 2
     frequency = np.fft.rfftfreq(len(ring), 1.0 / RATE)
@@ -88,7 +93,9 @@ def test_a_knock_is_a_click(sounds: dict[str, Any]) -> None:
     assert (loud[-1] - loud[0]) / RATE < 0.15
 
 
-def test_a_clean_contact_is_soft_and_a_constant_force_silent(sounds: dict[str, Any]) -> None:
+def test_a_clean_contact_is_soft_and_a_constant_force_silent(
+    sounds: dict[str, Any],
+) -> None:
     begin, end = round(0.5 * RATE), round(1.1 * RATE)
     contact = float(np.sqrt(np.mean(sounds["contact"][begin:end] ** 2)))
     assert 0.0 < contact < 0.2 * level(sounds["ring"])

@@ -48,18 +48,30 @@ def told(
     ("given", "level", "words"),
     [
         ({}, "ok", "1.00 N: pd pushes back, 1.00 mm deep."),
-        ({"state": {"safety": "waiting", "force": NONE}}, "stop", "waits for the first force"),
+        (
+            {"state": {"safety": "waiting", "force": NONE}},
+            "stop",
+            "waits for the first force",
+        ),
         (
             {"state": {"safety": "zero", "force": NONE}},
             "stop",
             "the force is zero until a fresh one",
         ),
-        ({"state": {"safety": "fault", "force": NONE}}, "stop", "outside its workspace"),
+        (
+            {"state": {"safety": "fault", "force": NONE}},
+            "stop",
+            "outside its workspace",
+        ),
         ({"state": {"safety": "damping"}}, "warn", "the driver damps the device"),
         ({"state": {"safety": "ramp"}}, "warn", "the force ramps up"),
         ({"force": {"law": "fallback"}}, "warn", "the law failed"),
         ({"force": {"force": (-12.0, 0.0, 0.0)}}, "warn", "1.00 N of the 12.00 N"),
-        ({"force": {"force": (-12.0, 0.0, 0.0), "seq": 9}}, "ok", "1.00 N: pd pushes back"),
+        (
+            {"force": {"force": (-12.0, 0.0, 0.0), "seq": 9}},
+            "ok",
+            "1.00 N: pd pushes back",
+        ),
         (
             {"proxy": {"contact": False, "distance": 0.008}, "state": {"force": NONE}},
             "rest",
@@ -77,12 +89,18 @@ def told(
         ),
         # No sentence says that 0.00 N push back: half of the last digit is the limit.
         (
-            {"state": {"force": (0.00499, 0.0, 0.0)}, "force": {"force": (0.00499, 0.0, 0.0)}},
+            {
+                "state": {"force": (0.00499, 0.0, 0.0)},
+                "force": {"force": (0.00499, 0.0, 0.0)},
+            },
             "rest",
             "No force to feel: pd renders less than 0.01 N.",
         ),
         (
-            {"state": {"force": (0.00501, 0.0, 0.0)}, "force": {"force": (0.00501, 0.0, 0.0)}},
+            {
+                "state": {"force": (0.00501, 0.0, 0.0)},
+                "force": {"force": (0.00501, 0.0, 0.0)},
+            },
             "ok",
             "0.01 N: pd pushes back",
         ),
@@ -94,18 +112,26 @@ def told(
         ({"silent": 0.51}, "stop", "nothing has come from the driver for 0.5 s"),
     ],
 )
-def test_each_reason_has_its_sentence(given: dict[str, Any], level: str, words: str) -> None:
+def test_each_reason_has_its_sentence(
+    given: dict[str, Any], level: str, words: str
+) -> None:
     found = told(**given)
     assert found[0] == level
     assert words in found[1]
 
 
 def test_before_the_first_tick() -> None:
-    assert explain(None, None, None, 9.0)[1] == "No force: the driver has not ticked yet."
-    assert explain(STATE, None, None, 0.0)[1] == "1.00 N: the environment has not answered yet."
+    assert (
+        explain(None, None, None, 9.0)[1] == "No force: the driver has not ticked yet."
+    )
+    assert (
+        explain(STATE, None, None, 0.0)[1]
+        == "1.00 N: the environment has not answered yet."
+    )
     unanswered = msgspec.structs.replace(STATE, force=NONE)
     assert (
-        explain(unanswered, None, None, 0.0)[1] == "No force: the environment has not answered yet."
+        explain(unanswered, None, None, 0.0)[1]
+        == "No force: the environment has not answered yet."
     )
     assert (
         "(coupling silent)"
@@ -129,9 +155,17 @@ def test_a_stop_is_told_by_its_strokes() -> None:
         "energy_j": 0.0653,
     }
     event = Event(
-        seq=7, stamp=0.0, node="driver", kind="stopped", reason="put otherwise", data=data
+        seq=7,
+        stamp=0.0,
+        node="driver",
+        kind="stopped",
+        reason="put otherwise",
+        data=data,
     )
-    assert cause_of(event) == "6 strokes to the limit of 10 N within 0.25 s, 0.0653 J generated"
+    assert (
+        cause_of(event)
+        == "6 strokes to the limit of 10 N within 0.25 s, 0.0653 J generated"
+    )
     # Of an older recording, another package, or a number that was not finite: the sentence itself.
     for less in (
         {},
@@ -142,14 +176,16 @@ def test_a_stop_is_told_by_its_strokes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("hertz", "rings"), [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)]
+    ("hertz", "rings"),
+    [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)],
 )
 def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
     """A wall that only pushes, at 500 Hz: no hand taps 20 times a second."""
     period, watched = 0.002, Ringing()
     for tick in range(500):
         watched.take(
-            tick * period, -2.0 * max(0.0, math.sin(2.0 * math.pi * hertz * tick * period))
+            tick * period,
+            -2.0 * max(0.0, math.sin(2.0 * math.pi * hertz * tick * period)),
         )
     found = watched.ring()
     assert (found is not None) == rings

@@ -34,7 +34,9 @@ def children() -> set[int]:
     }
 
 
-def cancelling(after: int, event: threading.Event) -> Callable[[int], Callable[..., None]]:
+def cancelling(
+    after: int, event: threading.Event
+) -> Callable[[int], Callable[..., None]]:
     """Return a progress display that cancels after some steps."""
 
     def begin(total: int) -> Callable[..., None]:
@@ -51,8 +53,13 @@ def cancelling(after: int, event: threading.Event) -> Callable[[int], Callable[.
     return begin
 
 
-def test_the_progress_callback_cancels_and_the_next_call_returns_objects(tmp_path: Path) -> None:
-    event, asked = threading.Event(), {"law": "pd", "gain": (1, 5), "points": 3, "out": tmp_path}
+def test_the_progress_callback_cancels_and_the_next_call_returns_objects(
+    tmp_path: Path,
+) -> None:
+    event, asked = (
+        threading.Event(),
+        {"law": "pd", "gain": (1, 5), "points": 3, "out": tmp_path},
+    )
     with pytest.raises(haptic.StudyCancelledError, match="cancelled by its caller"):
         haptic.study("kmax", **asked, cancel=event, progress=cancelling(2, event))
     assert not list(tmp_path.iterdir())
@@ -64,7 +71,12 @@ def test_the_progress_callback_cancels_and_the_next_call_returns_objects(tmp_pat
 
 TICKS = np.arange(1300.0)
 RUN = Experiment(
-    T, 1e-3 * np.sin(0.01 * TICKS), ((0, 1300),), TICKS, np.sin(0.01 * TICKS), np.ones(1300)
+    T,
+    1e-3 * np.sin(0.01 * TICKS),
+    ((0, 1300),),
+    TICKS,
+    np.sin(0.01 * TICKS),
+    np.ones(1300),
 )
 SEARCHES: dict[str, Callable[[], object]] = {
     "design": lambda: designed(Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4), 2),
@@ -85,11 +97,20 @@ def test_a_long_search_looks_whether_it_was_cancelled(name: str) -> None:
 def test_workers_end_and_the_ledger_goes_on(tmp_path: Path) -> None:
     """The first family is done at once; the second would take much longer."""
     event, before = threading.Event(), children()
-    asked = {"families": ["Maxwell", "designed"], "mass": (0.1, 0.1), "out": tmp_path, "workers": 1}
-    with pytest.raises(haptic.StudyCancelledError, match=r"relatives.jsonl, and the same command"):
+    asked = {
+        "families": ["Maxwell", "designed"],
+        "mass": (0.1, 0.1),
+        "out": tmp_path,
+        "workers": 1,
+    }
+    with pytest.raises(
+        haptic.StudyCancelledError, match=r"relatives.jsonl, and the same command"
+    ):
         haptic.lab("relatives", **asked, cancel=event, progress=cancelling(1, event))
     wait_for(lambda: children() <= before, "the end of the workers")
-    assert not [one.name for one in threading.enumerate() if one.name.startswith("worker")]
+    assert not [
+        one.name for one in threading.enumerate() if one.name.startswith("worker")
+    ]
     ledger = (tmp_path / "relatives.jsonl").read_text(encoding="utf-8")
     assert '"family": "Maxwell"' in ledger
     assert '"family": "designed"' not in ledger

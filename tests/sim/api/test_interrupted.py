@@ -12,14 +12,23 @@ import pytest
 from jupyter_client.manager import KernelManager
 
 from sim.measure.interrupts import deferred
-from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
+from tests.support.launching import (
+    assert_nothing_left,
+    private_runtime_dir,
+    processes_of,
+    wait_for,
+)
 
-pytestmark = pytest.mark.filterwarnings("default")  # of the kernel client's own libraries
+pytestmark = pytest.mark.filterwarnings(
+    "default"
+)  # of the kernel client's own libraries
 
 
 def says_ready(message: dict[str, Any]) -> bool:
     """Whether a message announces that the cell has started."""
-    return message["msg_type"] == "stream" and "ready" in str(message["content"]["text"])
+    return message["msg_type"] == "stream" and "ready" in str(
+        message["content"]["text"]
+    )
 
 
 def shows_progress(message: dict[str, Any]) -> bool:
@@ -35,7 +44,9 @@ def in_a_kernel(
 ) -> list[dict[str, Any]]:
     """Run a cell in a kernel, act once it has started, and return its messages until idle."""
     manager = KernelManager(kernel_name="python3")
-    manager.start_kernel(cwd=str(folder), env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder)})
+    manager.start_kernel(
+        cwd=str(folder), env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder)}
+    )
     client = manager.blocking_client()
     told: list[dict[str, Any]] = []
     try:
@@ -49,7 +60,10 @@ def in_a_kernel(
             told.append(message)
             if begun(message):
                 then(manager)
-            if message["msg_type"] == "status" and message["content"]["execution_state"] == "idle":
+            if (
+                message["msg_type"] == "status"
+                and message["content"]["execution_state"] == "idle"
+            ):
                 break
     finally:
         client.stop_channels()
@@ -83,9 +97,13 @@ def test_an_interrupted_cell_leaves_nothing(
 ) -> None:
     with private_runtime_dir() as folder:
         told = in_a_kernel(folder, code, begun, KernelManager.interrupt_kernel)
-        (error,) = (message["content"] for message in told if message["msg_type"] == "error")
+        (error,) = (
+            message["content"] for message in told if message["msg_type"] == "error"
+        )
         assert error["ename"] == "KeyboardInterrupt"
-        wait_for(lambda: not processes_of(folder), "the end of all that it had started", 60.0)
+        wait_for(
+            lambda: not processes_of(folder), "the end of all that it had started", 60.0
+        )
         assert_nothing_left(folder)
 
 

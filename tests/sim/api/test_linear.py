@@ -81,7 +81,9 @@ def test_a_margin_is_the_edge_of_stability() -> None:
         scaled = haptic.PD(stiffness=share * 1500, damping=share * 3)
         assert haptic.loop(scaled, PLANT).stable is stable
     # A loop that is unstable already has no margin.
-    assert haptic.loop(haptic.PD(stiffness=20_000, damping=3), PLANT).gain_margin is None
+    assert (
+        haptic.loop(haptic.PD(stiffness=20_000, damping=3), PLANT).gain_margin is None
+    )
     # With a negative damping at rest less gain is worse: a lower edge exists.
     assert haptic.loop(PD, PLANT).least_gain is None
 
@@ -100,7 +102,9 @@ def test_what_has_no_transfer_function_says_so() -> None:
     for call in (own.to_scipy, own.to_control, own.loop):
         with pytest.raises(ValueError, match="code of its own"):
             call(PLANT)
-    pair = PLANT.paired_with(haptic.Plant(rate=500, mass=0.2, damping=0.5, stiffness=100.0))
+    pair = PLANT.paired_with(
+        haptic.Plant(rate=500, mass=0.2, damping=0.5, stiffness=100.0)
+    )
     with pytest.raises(ValueError, match="a pair has no transfer function"):
         PD.loop(pair)
     with pytest.raises(ValueError, match="ill-conditioned"):
@@ -135,7 +139,9 @@ def test_laws_are_compared_by_what_the_single_functions_give() -> None:
         compiled = law.compile(0.002)
         assert row["h1_n_per_m"] == pytest.approx(sum(compiled.taps), rel=1e-12)
         # (Δ/2) Σ|h_m| (THEORY.md §5)
-        assert row["rest_friction_n"] == pytest.approx(0.5e-5 * sum(map(abs, compiled.taps)))
+        assert row["rest_friction_n"] == pytest.approx(
+            0.5e-5 * sum(map(abs, compiled.taps))
+        )
     # |H| of PD grows up to half the rate: |H(−1)| = K + 2B/T.
     assert found.noise_gain_n_per_m[0] == pytest.approx(800 + 2 * 3 / 0.002)
     assert found.k_max_any_world_n_per_m[0] == pytest.approx(2244.217, abs=1e-3)
@@ -158,7 +164,10 @@ def test_laws_with_the_same_kind_are_numbered_and_own_code_has_no_edges() -> Non
 
 
 def test_several_results_are_drawn_over_each_other() -> None:
-    plays = {f"{k} N/m": haptic.play("floor_drop", stiffness=k, duration=0.2) for k in (800, 1600)}
+    plays = {
+        f"{k} N/m": haptic.play("floor_drop", stiffness=k, duration=0.2)
+        for k in (800, 1600)
+    }
     figure = haptic.plot(plays)
     assert [line.get_label() for line in figure.axes[0].lines] == list(plays)
     assert len(haptic.plot(list(plays.values())).axes[0].lines) == 2

@@ -40,7 +40,9 @@ def place() -> Iterator[Path]:
 @pytest.mark.slow
 def test_a_launch_is_followed_while_it_runs(place: Path) -> None:
     """One launch, because it costs the most: all ways to listen, against its recording."""
-    with haptic.launch("wall_press", duration=0, pace="realtime", out_dir=place / "r") as run:
+    with haptic.launch(
+        "wall_press", duration=0, pace="realtime", out_dir=place / "r"
+    ) as run:
         states = []
         for state in run.stream(DEVICE_STATE):
             states.append(state)
@@ -74,7 +76,9 @@ def test_a_launch_is_followed_while_it_runs(place: Path) -> None:
                 call()
         run.stop()
         found = run.recording
-    recorded = {state.seq: state for state in Recording(found.path).messages(DEVICE_STATE)}
+    recorded = {
+        state.seq: state for state in Recording(found.path).messages(DEVICE_STATE)
+    }
     assert all(recorded[state.seq] == state for state in states)
     assert len({state.seq for state in states}) == 300
     assert {type(one.message) for one in several} == {DeviceState, Force}
@@ -85,7 +89,9 @@ def test_a_launch_is_followed_while_it_runs(place: Path) -> None:
     where = np.isin(found["seq"], table["seq"][:-1])
     assert where.sum() == len(table["seq"]) - 1
     for column in ("position", "force", "mean_force", "safety"):
-        np.testing.assert_array_equal(table[column][:-1], found[column][where], err_msg=column)
+        np.testing.assert_array_equal(
+            table[column][:-1], found[column][where], err_msg=column
+        )
     assert table.duration_s == pytest.approx(0.5, abs=0.05)
     assert len(table.plot().axes) == 2
     (mark,) = found.marks
@@ -102,7 +108,9 @@ def test_a_listener_changes_no_bit_of_a_run(place: Path) -> None:
     finals = []
     for listeners in (0, 3):
         out = place / f"l{listeners}"
-        with haptic.launch("wall_press", duration=2.0, pace="lockstep", out_dir=out) as run:
+        with haptic.launch(
+            "wall_press", duration=2.0, pace="lockstep", out_dir=out
+        ) as run:
             streams = [iter(run.stream(DEVICE_STATE)) for _ in range(listeners)]
             for stream in streams:
                 assert next(stream, None) is not None
@@ -112,7 +120,9 @@ def test_a_listener_changes_no_bit_of_a_run(place: Path) -> None:
                 stream.close()
     assert len(finals[0]["seq"]) == len(finals[1]["seq"])
     for column in ("position", "force", "force_asked", "proxy", "seq"):
-        np.testing.assert_array_equal(finals[0][column], finals[1][column], err_msg=column)
+        np.testing.assert_array_equal(
+            finals[0][column], finals[1][column], err_msg=column
+        )
 
 
 def test_a_table_of_messages_is_that_of_their_recording(tmp_path: Path) -> None:
@@ -136,7 +146,11 @@ def marked(path: Path) -> Path:
             if topic == DEVICE_STATE and message.seq == 50:
                 for kind in ("mark", "delay"):
                     event = Event(
-                        seq=50, stamp=message.stamp, node="driver", kind=kind, reason="trial 3"
+                        seq=50,
+                        stamp=message.stamp,
+                        node="driver",
+                        kind=kind,
+                        reason="trial 3",
                     )
                     writer.write("/driver/event", event, message.stamp)
     return path
@@ -144,7 +158,9 @@ def marked(path: Path) -> Path:
 
 def test_a_mark_is_read_drawn_and_listed(tmp_path: Path) -> None:
     path = marked(tmp_path / "r.mcap")
-    assert [(event.seq, event.reason) for event in marks_of(Recording(path))] == [(50, "trial 3")]
+    assert [(event.seq, event.reason) for event in marks_of(Recording(path))] == [
+        (50, "trial 3")
+    ]
     ((at, text),) = haptic.read(path).marks
     assert at == pytest.approx(50 * PERIOD)
     assert text == "trial 3"
@@ -154,7 +170,9 @@ def test_a_mark_is_read_drawn_and_listed(tmp_path: Path) -> None:
     assert np.asarray(line.get_xdata()) == pytest.approx(50 * PERIOD)
     pages = ReplayPages(path)
     listed = [json.loads(text) for text in pages.log.items]
-    assert any(one.get("event") == "mark" and one["text"] == "trial 3" for one in listed)
+    assert any(
+        one.get("event") == "mark" and one["text"] == "trial 3" for one in listed
+    )
 
 
 def test_a_mark_is_an_event_with_the_text_that_was_given(
@@ -169,6 +187,8 @@ def test_a_mark_is_an_event_with_the_text_that_was_given(
     # Each of them, not the first, second and fourth only.
     assert len(events.outbox) == 3
     for wrong in ("", "  ", "x" * (LONGEST_MARK + 1), 3):
-        with pytest.raises(ParameterError, match=f"a text of 1 to {LONGEST_MARK} characters"):
+        with pytest.raises(
+            ParameterError, match=f"a text of 1 to {LONGEST_MARK} characters"
+        ):
             events.mark(wrong)  # type: ignore[arg-type]
     assert len(events.outbox) == 3

@@ -19,14 +19,21 @@ NOTEBOOKS = sorted((ROOT / "sim" / "notebooks").glob("*.ipynb"))
 @pytest.mark.filterwarnings("default")  # of the notebook client's own libraries
 def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]
-    stored = [cell for cell in notebook.cells if cell.cell_type == "code" and cell.outputs]
+    stored = [
+        cell for cell in notebook.cells if cell.cell_type == "code" and cell.outputs
+    ]
     assert not stored, "a stored output would grow old"
     with private_runtime_dir() as folder:
         monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(folder))
-        NotebookClient(notebook, timeout=120, kernel_name="python3").execute(cwd=str(folder))
+        NotebookClient(notebook, timeout=120, kernel_name="python3").execute(
+            cwd=str(folder)
+        )
         assert_nothing_left(folder)
     shown = [
-        output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs
+        output
+        for cell in notebook.cells
+        if cell.cell_type == "code"
+        for output in cell.outputs
     ]
     assert not any(output.output_type == "error" for output in shown)
     assert any("image/png" in output.get("data", {}) for output in shown)

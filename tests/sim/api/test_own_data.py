@@ -42,10 +42,13 @@ def rig() -> Rig:
 @pytest.fixture
 def csv(rig: Rig, tmp_path: Path) -> Path:
     position, force = rig
-    rows = np.stack((np.arange(len(force)) * PERIOD * 1e3, position * 1e3, force), axis=1).tolist()
+    rows = np.stack(
+        (np.arange(len(force)) * PERIOD * 1e3, position * 1e3, force), axis=1
+    ).tolist()
     path = tmp_path / "rig.csv"
     path.write_text(
-        "t [ms];stage;load\n" + "".join(f"{t!r};{x!r};{f!r}\n" for t, x, f in rows), "utf-8"
+        "t [ms];stage;load\n" + "".join(f"{t!r};{x!r};{f!r}\n" for t, x, f in rows),
+        "utf-8",
     )
     return path
 
@@ -58,7 +61,9 @@ CHOSEN: dict[str, Any] = {
 
 def test_arrays_and_their_file_give_the_same_true_device(rig: Rig, csv: Path) -> None:
     position, force = rig
-    arrays = haptic.identify(position=position, force=force, rate=1.0 / PERIOD, held=False)
+    arrays = haptic.identify(
+        position=position, force=force, rate=1.0 / PERIOD, held=False
+    )
     for name, true in (("mass_kg", MASS), ("damping_n_s_per_m", DAMPING)):
         found = arrays[name]
         # A third of the 95 % interval more, and less than 1 % in all.
@@ -66,16 +71,22 @@ def test_arrays_and_their_file_give_the_same_true_device(rig: Rig, csv: Path) ->
         assert found["low"] - margin <= true <= found["high"] + margin
         assert abs(found["value"] / true - 1.0) < 0.01
     table = haptic.identify(csv, held=False, **CHOSEN)
-    assert table["mass_kg"]["value"] == pytest.approx(arrays["mass_kg"]["value"], rel=1e-6)
+    assert table["mass_kg"]["value"] == pytest.approx(
+        arrays["mass_kg"]["value"], rel=1e-6
+    )
     assert table.answer["recording"] == str(csv)
     assert table.held
     assert arrays.held
 
 
-def test_a_file_is_read_as_its_recording_is(rig: Rig, csv: Path, tmp_path: Path) -> None:
+def test_a_file_is_read_as_its_recording_is(
+    rig: Rig, csv: Path, tmp_path: Path
+) -> None:
     found = haptic.read(csv, **CHOSEN)
     columns = {"position": ["stage"], "force": ["load"]}
-    path = import_table(csv, tmp_path / "rig.mcap", columns=columns, units={"position": "mm"}).path
+    path = import_table(
+        csv, tmp_path / "rig.mcap", columns=columns, units={"position": "mm"}
+    ).path
     again = haptic.read(path)
     for name, values in found.columns().items():
         np.testing.assert_array_equal(values, again[name])
@@ -87,8 +98,12 @@ def test_three_axes_of_arrays(rig: Rig) -> None:
     """The axis pushed hardest is identified, as of a recording."""
     position, force = (np.zeros((len(values), 3)) for values in rig)
     position[:, 1], force[:, 1] = rig
-    found = haptic.identify(position=position, force=force, rate=1.0 / PERIOD, held=False)
-    alone = haptic.identify(position=rig[0], force=rig[1], rate=1.0 / PERIOD, held=False, axis="y")
+    found = haptic.identify(
+        position=position, force=force, rate=1.0 / PERIOD, held=False
+    )
+    alone = haptic.identify(
+        position=rig[0], force=rig[1], rate=1.0 / PERIOD, held=False, axis="y"
+    )
     assert found.answer == alone.answer
 
 
@@ -100,7 +115,10 @@ def test_arrays_that_cannot_be_are_refused(rig: Rig) -> None:
         ({"position": position}, "needs a recording, or position, force and rate"),
         ({"position": position, "force": force}, "position, force and rate"),
         ({"position": position[:-1], "force": force, "rate": 500}, "need the same"),
-        ({"position": broken, "force": force, "rate": 500}, r"position\[7\] is no finite"),
+        (
+            {"position": broken, "force": force, "rate": 500},
+            r"position\[7\] is no finite",
+        ),
         ({"position": position * 1e3, "force": force, "rate": 500}, "are they in mm"),
         ({"position": position, "force": force, "rate": 0}, "rate 0 Hz"),
         ({"position": [["a"]], "force": force, "rate": 500}, "position: "),
@@ -123,7 +141,10 @@ def test_refusals_name_the_arguments_of_python(csv: Path, tmp_path: Path) -> Non
         haptic.read(csv, columns={"position": "stage"})
     assert "--" not in str(refused.value)
     run = import_table(
-        csv, tmp_path / "rig.mcap", columns={"position": ["stage"]}, units={"position": "mm"}
+        csv,
+        tmp_path / "rig.mcap",
+        columns={"position": ["stage"]},
+        units={"position": "mm"},
     ).path
     with pytest.raises(UsageError, match="units are of tables"):
         haptic.read(run, units="mm")

@@ -24,7 +24,12 @@ from nodes.parameters.store import ParameterError
 from sim.device.model import DeviceModel
 from sim.measure.haptic_commands import DEADLINE
 from tests.support import ROOT
-from tests.support.launching import assert_nothing_left, private_runtime_dir, processes_of, wait_for
+from tests.support.launching import (
+    assert_nothing_left,
+    private_runtime_dir,
+    processes_of,
+    wait_for,
+)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +56,9 @@ def test_it_loads_nothing_until_it_is_used() -> None:
         "import sys; before = set(sys.modules); import haptic; print(*sorted(set(sys.modules) -"
         " before))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     loaded = set(done.stdout.split())
     assert loaded.isdisjoint(
         {"numpy", "numba", "scipy", "matplotlib", "zmq", "msgspec", "asyncio", "typing"}
@@ -67,7 +74,9 @@ def test_it_loads_nothing_until_it_is_used() -> None:
         ({"stiffness": 1.0, "damping": -0.5}, r"pd\.damping"),
     ],
 )
-def test_a_law_made_in_python_is_checked_as_yaml_is(bad: dict[str, float], text: str) -> None:
+def test_a_law_made_in_python_is_checked_as_yaml_is(
+    bad: dict[str, float], text: str
+) -> None:
     with pytest.raises(ParameterError, match=text):
         PD(**bad)
     with pytest.raises(ParameterError, match=text):
@@ -145,7 +154,9 @@ def test_what_is_played_in_space_has_its_axes_contact_and_bodies_in_one_table() 
     assert puck.position[-1, 0] - puck.position[0, 0] > 1e-3
     assert np.linalg.norm(puck.turn, axis=1) == pytest.approx(1.0)
     columns = found.columns()
-    assert {"contact", "normal", "proxy_m", "puck_m", "puck_qw", "tool_m"} <= set(columns)
+    assert {"contact", "normal", "proxy_m", "puck_m", "puck_qw", "tool_m"} <= set(
+        columns
+    )
     # What the tool is held by is the law's: K times the way between, and its damper.
     assert columns["proxy_m"] == pytest.approx(columns["tool_m"])
     assert len(found.plot().axes) == 2
@@ -207,7 +218,9 @@ def test_a_launch_is_the_run_in_one_process(place: Path) -> None:
 @pytest.mark.smoke
 def test_the_readme_s_lines_run(place: Path) -> None:
     (block,) = re.findall(
-        r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL
+        r"```python\n(.*?)```",
+        (ROOT / "README.md").read_text(encoding="utf-8"),
+        re.DOTALL,
     )
     names: dict[str, Any] = {}
     exec(compile(block, "README.md", "exec"), names)  # noqa: S102  # our own page
@@ -222,9 +235,13 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
         assert run.running
         run.param["coupling.laws.pd.stiffness"] = 800
         assert haptic.connect().param["coupling.laws.pd.stiffness"] == 800
-        assert run.law.switch("multi_term", ramp=5)["to"] == run.law.active == "multi_term"
+        assert (
+            run.law.switch("multi_term", ramp=5)["to"] == run.law.active == "multi_term"
+        )
         # A law made here joins the coupling's; its name is used again once it no longer renders.
-        soft = [PD(stiffness=value, damping=2.0) for value in (700.0, 600.0, 500.0, 1000.0)]
+        soft = [
+            PD(stiffness=value, damping=2.0) for value in (700.0, 600.0, 500.0, 1000.0)
+        ]
         switched = [run.law.switch(law)["to"] for law in soft]
         assert switched == ["pd_2", "pd_3", "pd_2", "pd_3"]
         assert run.param["coupling.laws.pd_3.stiffness"] == 1000.0
@@ -248,9 +265,13 @@ def test_a_launch_is_changed_recorded_and_left_while_it_runs(place: Path) -> Non
 
 
 @pytest.mark.slow
-def test_several_chains_go_on_when_the_thread_that_started_them_has_ended(place: Path) -> None:
+def test_several_chains_go_on_when_the_thread_that_started_them_has_ended(
+    place: Path,
+) -> None:
     with ThreadPoolExecutor(1) as pool:
-        run = pool.submit(haptic.launch, "two_hands", duration=0, out_dir=place / "r").result()
+        run = pool.submit(
+            haptic.launch, "two_hands", duration=0, out_dir=place / "r"
+        ).result()
     with run, pytest.raises(haptic.LaunchError, match="still running after 0 s"):
         run.wait(timeout=0.0)
     assert run.summary.exit_reason == "stopped"
@@ -340,11 +361,20 @@ def test_a_program_that_ends_leaves_nothing(place: Path, end: str) -> None:
     ("call", "text"),
     [
         (lambda: haptic.compare(["pd"]), r"e\.g\. haptic\.PD\(stiffness="),
-        (lambda: haptic.play("floor_drop", law="pd_filterd"), "did you mean pd_filtered"),
-        (lambda: haptic.play("floor_drop", law=haptic.PD), r"did you mean haptic\.PD\(stiffness="),
+        (
+            lambda: haptic.play("floor_drop", law="pd_filterd"),
+            "did you mean pd_filtered",
+        ),
+        (
+            lambda: haptic.play("floor_drop", law=haptic.PD),
+            r"did you mean haptic\.PD\(stiffness=",
+        ),
         (lambda: haptic.play("floor_drop", params=["x"]), "params: expected a mapping"),  # type: ignore[arg-type]
         (lambda: haptic.play("floor_drop", without=[3]), "without: expected names"),  # type: ignore[list-item]
-        (lambda: haptic.play("floor_drop", without="loger"), "no node 'loger'.*mean logger"),
+        (
+            lambda: haptic.play("floor_drop", without="loger"),
+            "no node 'loger'.*mean logger",
+        ),
     ],
 )
 def test_a_newcomers_mistake_names_the_way_out(call: Any, text: str) -> None:
@@ -355,5 +385,6 @@ def test_a_newcomers_mistake_names_the_way_out(call: Any, text: str) -> None:
 def test_one_node_is_left_out_by_its_name() -> None:
     whole = haptic.play("floor_drop", duration=0.1)
     np.testing.assert_array_equal(
-        haptic.play("floor_drop", duration=0.1, without="logger").position_m, whole.position_m
+        haptic.play("floor_drop", duration=0.1, without="logger").position_m,
+        whole.position_m,
     )

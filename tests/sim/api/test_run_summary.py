@@ -16,18 +16,48 @@ from sim.api.run_summary import RunSummary, summary_of, warnings_in
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 
-STOP = {"tick": 432.0, "before": "active", "after": "stopped", "reason": "run haptic node rearm"}
-START = {"tick": 0.0, "before": "waiting", "after": "active", "reason": "the first force"}
-QUIET = {"state": "active", "changes": [START], "refused": {"stale": 0}, "limited": {"peak": 0}}
-STOPPED = {"state": "stopped", "changes": [START, STOP], "refused": {"stale": 2}, "limited": {}}
+STOP = {
+    "tick": 432.0,
+    "before": "active",
+    "after": "stopped",
+    "reason": "run haptic node rearm",
+}
+START = {
+    "tick": 0.0,
+    "before": "waiting",
+    "after": "active",
+    "reason": "the first force",
+}
+QUIET = {
+    "state": "active",
+    "changes": [START],
+    "refused": {"stale": 0},
+    "limited": {"peak": 0},
+}
+STOPPED = {
+    "state": "stopped",
+    "changes": [START, STOP],
+    "refused": {"stale": 2},
+    "limited": {},
+}
 REARMED = {**STOPPED, "state": "active", "limited": {"peak": 3}}
 
 
 def printed(safety: dict[str, Any], **more: Any) -> dict[str, Any]:
     """Return figures of ``haptic launch --json``, cut to what the summary reads."""
-    figures = {"scenario": "wall_press", "exit_reason": "done", "ticks": 1500, "missed": 0}
+    figures = {
+        "scenario": "wall_press",
+        "exit_reason": "done",
+        "ticks": 1500,
+        "missed": 0,
+    }
     figures |= {"rate_hz": 500.0, "response_us": {}, "recording": None, "failures": []}
-    return figures | {"final": {"motion": "at rest"}, "not_judged": {}, "safety": safety, **more}
+    return figures | {
+        "final": {"motion": "at rest"},
+        "not_judged": {},
+        "safety": safety,
+        **more,
+    }
 
 
 @pytest.mark.parametrize(
@@ -38,12 +68,16 @@ def printed(safety: dict[str, Any], **more: Any) -> dict[str, Any]:
         (REARMED, "done", 432),  # forces came back
     ],
 )
-def test_a_stopped_loop_is_not_done(safety: dict[str, Any], reason: str, at: int | None) -> None:
+def test_a_stopped_loop_is_not_done(
+    safety: dict[str, Any], reason: str, at: int | None
+) -> None:
     found = summary_of(printed(safety), "", ended_here=False)
     assert (found.exit_reason, found.stopped_at_tick) == (reason, at)
     assert found.stopped_why == ("" if at is None else "call run.rearm()")
     # What happened is on the screen, and nothing of what did not.
-    assert ("refused" in found.figures()) == bool(found.refused) == (safety is not QUIET)
+    assert (
+        ("refused" in found.figures()) == bool(found.refused) == (safety is not QUIET)
+    )
     assert found.limited == ({"peak": 3} if safety is REARMED else {})
     assert ("loop stopped" in str(found)) == (safety is STOPPED)
 
@@ -57,7 +91,10 @@ def test_a_stop_of_any_chain_counts() -> None:
 
 
 def test_failures_and_what_is_not_judged_are_shown() -> None:
-    more = {"failures": ["logger ended with exit code 3"], "not_judged": {"coupling": "no plant"}}
+    more = {
+        "failures": ["logger ended with exit code 3"],
+        "not_judged": {"coupling": "no plant"},
+    }
     found = summary_of(printed(QUIET, **more), "", ended_here=False)
     for text in ("logger ended with exit code 3", "no plant"):
         assert text in str(found)
@@ -106,10 +143,18 @@ def texts(folder: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("room", ["coupling", "driver", "laws", "environment", "parameters"])
+@pytest.mark.parametrize(
+    "room", ["coupling", "driver", "laws", "environment", "parameters"]
+)
 def test_no_error_of_a_loop_speaks_of_options_in_python(room: str) -> None:
-    options = [text for text in texts(ROOT / "nodes" / room) if re.search(r"(^|\s)--[a-z]", text)]
-    assert not [text for text in map(in_python, options) if re.search(r"(^|\s)--force", text)]
+    options = [
+        text
+        for text in texts(ROOT / "nodes" / room)
+        if re.search(r"(^|\s)--[a-z]", text)
+    ]
+    assert not [
+        text for text in map(in_python, options) if re.search(r"(^|\s)--force", text)
+    ]
     assert not [text for text in texts(ROOT / "nodes" / room) if "rearm()" in text]
 
 

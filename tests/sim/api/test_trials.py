@@ -30,23 +30,31 @@ def test_every_block_has_every_condition_as_often(
 ) -> None:
     names = [f"c{i}" for i in range(count)]
     made = haptic.trials(names, blocks, repeats, seed)
-    assert [trial.number for trial in made.plan] == list(range(1, count * blocks * repeats + 1))
+    assert [trial.number for trial in made.plan] == list(
+        range(1, count * blocks * repeats + 1)
+    )
     for block in range(1, blocks + 1):
         found = Counter(trial.condition for trial in made.plan if trial.block == block)
         assert found == dict.fromkeys(names, repeats)
     again = haptic.trials(names, blocks, repeats, seed)
-    assert [trial.condition for trial in again.plan] == [trial.condition for trial in made.plan]
+    assert [trial.condition for trial in again.plan] == [
+        trial.condition for trial in made.plan
+    ]
 
 
 def test_another_seed_is_another_order_and_blocks_differ() -> None:
-    orders = {tuple(trial.condition for trial in plan(seed=seed).plan) for seed in range(20)}
+    orders = {
+        tuple(trial.condition for trial in plan(seed=seed).plan) for seed in range(20)
+    }
     assert len(orders) == 20  # of 90^4
     one = [trial.condition for trial in plan().plan]
     assert len({tuple(one[i : i + 6]) for i in range(0, 24, 6)}) > 1
 
 
 def test_outcomes_make_one_tidy_table() -> None:
-    made = plan().run(lambda trial: {"force_n": trial.arguments["stiffness"] * 2, "felt": True})
+    made = plan().run(
+        lambda trial: {"force_n": trial.arguments["stiffness"] * 2, "felt": True}
+    )
     table = made.to_pandas()
     names = ["trial", "block", "condition", "stiffness", "force_n", "felt"]
     assert list(table.columns) == names
@@ -108,7 +116,9 @@ def test_a_file_of_another_plan_is_refused(tmp_path: Path) -> None:
         ([{"a": 1}, {"a": 1, "b": 2}], r"those before have a"),
     ],
 )
-def test_an_outcome_that_fits_no_table_is_refused(outcomes: list[Any], text: str) -> None:
+def test_an_outcome_that_fits_no_table_is_refused(
+    outcomes: list[Any], text: str
+) -> None:
     made = plan()
     *fitting, last = outcomes
     for trial, outcome in zip(made, fitting, strict=False):
@@ -124,7 +134,9 @@ def test_an_outcome_that_fits_no_table_is_refused(outcomes: list[Any], text: str
         haptic.trials({"a": {"trial": 1}})
 
 
-@pytest.mark.parametrize(("down", "probability"), [(1, 0.5), (2, 0.5**0.5), (3, 0.5 ** (1 / 3))])
+@pytest.mark.parametrize(
+    ("down", "probability"), [(1, 0.5), (2, 0.5**0.5), (3, 0.5 ** (1 / 3))]
+)
 def test_a_staircase_settles_where_levitt_says(down: int, probability: float) -> None:
     # A virtual observer: right with probability Φ(log(value/10)/0.5), so the threshold is known.
     normal = random.Random(1)  # noqa: S311  # a virtual observer
@@ -150,7 +162,11 @@ def test_a_staircase_settles_where_levitt_says(down: int, probability: float) ->
 
 
 def test_a_staircase_refuses_what_it_cannot_do() -> None:
-    for bad in ({"value": 0.0}, {"value": 1.0, "factor": 1.0}, {"value": 1.0, "down": 0}):
+    for bad in (
+        {"value": 0.0},
+        {"value": 1.0, "factor": 1.0},
+        {"value": 1.0, "down": 0},
+    ):
         with pytest.raises(UsageError, match="staircase: value"):
             haptic.Staircase(**bad)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="a threshold needs two"):
@@ -171,8 +187,14 @@ def test_names_that_look_like_numbers_are_read_again_as_names(tmp_path: Path) ->
     ("kept", "text"),
     [
         ("trial,block,condition,stiffness,outcome\n1,1", "row 1 has other columns"),
-        ("trial,block,condition,stiffness,outcome\n1,1,a,500,2,3\n", "row 1 has other columns"),
-        ("trial,block,condition,stiffness,outcome\n1,1,a,600,2\n", "stiffness 600, this plan 500"),
+        (
+            "trial,block,condition,stiffness,outcome\n1,1,a,500,2,3\n",
+            "row 1 has other columns",
+        ),
+        (
+            "trial,block,condition,stiffness,outcome\n1,1,a,600,2\n",
+            "stiffness 600, this plan 500",
+        ),
     ],
 )
 def test_a_cut_file_and_that_of_a_changed_condition_are_refused(
@@ -190,7 +212,9 @@ def test_an_empty_file_gets_its_first_line(tmp_path: Path) -> None:
     assert len(haptic.trials(["a"], out=out).rows) == 1
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_refused_before_the_first_trial(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "file").touch()
     for out in (tmp_path, tmp_path / "file" / "trials.csv"):
         with pytest.raises(UsageError, match="choose another file"):
@@ -223,5 +247,7 @@ def test_what_is_no_plan_is_refused(conditions: Any, options: Any, text: str) ->
     ],
 )
 def test_a_staircase_that_could_not_end_is_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match=f"{next(iter(bad))} {next(iter(bad.values()))!r}"):
+    with pytest.raises(
+        UsageError, match=f"{next(iter(bad))} {next(iter(bad.values()))!r}"
+    ):
         haptic.Staircase(**{"value": 100.0} | bad)

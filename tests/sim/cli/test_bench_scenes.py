@@ -42,7 +42,13 @@ def test_ticks_that_the_driver_slept_through_are_missed_too() -> None:
             missed=missed,
             overruns=overruns,
         )
-        for seq, missed, overruns in ((0, 1, 2), (1, 2, 2), (7, 2, 7), (8, 2, 7), (9, 4, 7))
+        for seq, missed, overruns in (
+            (0, 1, 2),
+            (1, 2, 2),
+            (7, 2, 7),
+            (8, 2, 7),
+            (9, 4, 7),
+        )
     ]
     found = responses_in(states, [(0.0, 0.015), (0.0155, 0.0185)])
     assert (found["missed"], found["ticks"]) == (1 + 5 + 2, 7 + 1)

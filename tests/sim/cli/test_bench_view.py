@@ -16,8 +16,19 @@ from tests.support.launching import haptic
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.realtime
-def test_both_halves_of_a_round_and_the_delays_of_a_page_are_measured(tmp_path: Path) -> None:
-    words = ("--rounds", "1", "--seconds", "0.5", "--minutes", "0.1", "--picture", "page.png")
+def test_both_halves_of_a_round_and_the_delays_of_a_page_are_measured(
+    tmp_path: Path,
+) -> None:
+    words = (
+        "--rounds",
+        "1",
+        "--seconds",
+        "0.5",
+        "--minutes",
+        "0.1",
+        "--picture",
+        "page.png",
+    )
     figures = json.loads(haptic(tmp_path, "bench", "view", *words, "--json").stdout)
     for half in ("without", "with"):
         assert 0.0 < figures[half]["p50_us"][0] <= figures[half]["p99_us"][0]
@@ -25,7 +36,10 @@ def test_both_halves_of_a_round_and_the_delays_of_a_page_are_measured(tmp_path: 
         assert figures[half]["ticks"] > 100
     for name in ("first_picture_s", "switch_s", "hand_to_picture_s", "hand_to_force_s"):
         assert figures[name] > 0.0
-    assert figures["p50_ratio"] == figures["with"]["p50_us"][0] / figures["without"]["p50_us"][0]
+    assert (
+        figures["p50_ratio"]
+        == figures["with"]["p50_us"][0] / figures["without"]["p50_us"][0]
+    )
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -38,7 +38,12 @@ from sim.design.any_world_families import (
 from tests.support.launching import typed_in
 
 T = 0.002
-DELAYS = {"any_hand_d0": 0.0, "any_hand_d1": 1.0, "any_hand_d1_5": 1.5, "any_hand_d2": 2.0}
+DELAYS = {
+    "any_hand_d0": 0.0,
+    "any_hand_d1": 1.0,
+    "any_hand_d1_5": 1.5,
+    "any_hand_d2": 2.0,
+}
 
 
 def any_hand(delay: float) -> Surroundings:
@@ -49,22 +54,31 @@ def device(delay: float) -> Surroundings:
     return Surroundings(T, 1.0, (delay, delay), 1e4, (0.1, 0.1))
 
 
-def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[float, float, float]) -> float:
+def closed_radius(
+    law: CompiledLaw, plant: Plant, world: tuple[float, float, float]
+) -> float:
     """Return the pole radius of device, law and a mass-damper-spring world in the same tick.
 
     1 + H (P_d + Y) = 0 with Y = 1/(m s² + b s + k), s = (1 − w)/T: multiplied out, independently of
     the code.
     """
     held, (mass, damper, spring) = held_plant(plant), world
-    below, above = np.array(held.denominator), np.append(np.zeros(held.whole + 1), held.numerator)
+    below, above = (
+        np.array(held.denominator),
+        np.append(np.zeros(held.whole + 1), held.numerator),
+    )
     s = np.array([1.0, -1.0]) / T
     yielding = (
-        mass * np.convolve(s, s) + damper * np.append(s, 0.0) + spring * np.array([1.0, 0.0, 0.0])
+        mass * np.convolve(s, s)
+        + damper * np.append(s, 0.0)
+        + spring * np.array([1.0, 0.0, 0.0])
     )
     top, bottom = np.array(law.taps), np.array([1.0])
     for b0, b1, a1, a2 in law.sections:
         own = np.array([1.0, a1, a2])
-        top = np.polyadd(np.convolve(top, own)[::-1], np.convolve([b0, b1], bottom)[::-1])[::-1]
+        top = np.polyadd(
+            np.convolve(top, own)[::-1], np.convolve([b0, b1], bottom)[::-1]
+        )[::-1]
         bottom = np.convolve(bottom, own)
     parts = [
         np.convolve(np.convolve(bottom, below), yielding),
@@ -72,7 +86,9 @@ def closed_radius(law: CompiledLaw, plant: Plant, world: tuple[float, float, flo
         np.convolve(top, below),
     ]
     size = max(map(len, parts))
-    total = sum(np.pad(part, (0, size - len(part))) for part in parts)  # ascending powers of w
+    total = sum(
+        np.pad(part, (0, size - len(part))) for part in parts
+    )  # ascending powers of w
     return float(np.abs(np.roots(np.trim_zeros(np.asarray(total), "b"))).max())
 
 
@@ -81,9 +97,9 @@ def test_figures_at_one_tick_are_the_known_ones() -> None:
     surroundings = any_hand(1.0)
     optimum = {"kind": "paper_optimum"}
     assert stiffness(stiffest_pd(surroundings)) == pytest.approx(384.9, abs=0.05)
-    assert stiffness(stiffest_linear("paper_optimum", optimum, surroundings)) == pytest.approx(
-        445.7, abs=0.05
-    )
+    assert stiffness(
+        stiffest_linear("paper_optimum", optimum, surroundings)
+    ) == pytest.approx(445.7, abs=0.05)
     taps = stiffest_taps(surroundings, 5)
     assert stiffness(taps) == pytest.approx(469.4, abs=0.05)
     assert taps.design is not None
@@ -99,7 +115,11 @@ def test_one_pole_is_the_stiffest_and_pays_in_noise() -> None:
     found = [
         design
         for pole in poles
-        if (design := stiffest_for_any_world(any_hand(1.0), np.eye(1), bottom=behind_poles(pole)))
+        if (
+            design := stiffest_for_any_world(
+                any_hand(1.0), np.eye(1), bottom=behind_poles(pole)
+            )
+        )
     ]
     best = max(found, key=lambda one: one.h1_n_per_m)
     assert best.h1_n_per_m == pytest.approx(487.8, abs=0.3)
@@ -111,9 +131,16 @@ def test_one_pole_is_the_stiffest_and_pays_in_noise() -> None:
     [(0.0, 1.16, 1.0), (1.0, 1.085, 1.10), (2.0, 1.015, 1.16)],
 )
 @pytest.mark.slow
-def test_what_a_fractional_term_buys(delay: float, any_world: float, any_hand_too: float) -> None:
-    for surroundings, bought in ((device(delay), any_world), (any_hand(delay), any_hand_too)):
-        gain = fractional_gain([stiffest_pd(surroundings), stiffest_pd_alpha(surroundings, 4)])
+def test_what_a_fractional_term_buys(
+    delay: float, any_world: float, any_hand_too: float
+) -> None:
+    for surroundings, bought in (
+        (device(delay), any_world),
+        (any_hand(delay), any_hand_too),
+    ):
+        gain = fractional_gain(
+            [stiffest_pd(surroundings), stiffest_pd_alpha(surroundings, 4)]
+        )
         assert gain == pytest.approx(bought, abs=0.006)
 
 
@@ -129,7 +156,8 @@ def test_closed_limit_is_reached_at_whole_delays_and_not_exceeded(delay: float) 
     scale = limit * below.sum()
     for factor, kept in ((0.985, True), (1.001, False)):
         law = CompiledLaw(
-            (0.0,), tuple((factor * scale * b0, b1, a1, a2) for b0, b1, a1, a2 in sections)
+            (0.0,),
+            tuple((factor * scale * b0, b1, a1, a2) for b0, b1, a1, a2 in sections),
         )
         assert law.h1 == pytest.approx(factor * limit)
         assert keeps(loud, law) is kept
@@ -142,7 +170,9 @@ def test_preset_is_proven_as_shipped_and_little_below_the_design(name: str) -> N
     assert keeps(surroundings, law)
     bigger = CompiledLaw(tuple(1.002 * tap for tap in law.taps))
     assert not keeps(surroundings, bigger)
-    assert law.h1 > stiffness(stiffest_pd(surroundings)) * (1.2 if DELAYS[name] else 0.999)
+    assert law.h1 > stiffness(stiffest_pd(surroundings)) * (
+        1.2 if DELAYS[name] else 0.999
+    )
 
 
 @given(
@@ -156,7 +186,10 @@ def test_no_hand_and_no_world_make_a_preset_unstable(
     name: str, mass: float, hand: float, world: tuple[float, float, float]
 ) -> None:
     """Mass, hand and world over decades; a pole at z = 1 (no support) is no swing."""
-    law, plant = parse_law(name).compile(T), Plant(T, 10.0**mass, 1.0, DELAYS[name], 10.0**hand)
+    law, plant = (
+        parse_law(name).compile(T),
+        Plant(T, 10.0**mass, 1.0, DELAYS[name], 10.0**hand),
+    )
     m, b, k = (10.0**one for one in world)
     # A double root near z = 1 is found to the square root of the machine's epsilon.
     assert closed_radius(law, plant, (m, b, k)) < 1.0 + 1e-7
@@ -180,7 +213,13 @@ def test_beyond_the_edge_a_world_swings() -> None:
         ({"kind": "pd", "damping": 3.0}, 1.0, 960.354),
         ({"kind": "pd", "damping": 0.2}, 2.0, 214.781),
         (
-            {"kind": "pd_alpha", "order": 0.5, "taps": 4, "damping": 0.5, "gains": "paper"},
+            {
+                "kind": "pd_alpha",
+                "order": 0.5,
+                "taps": 4,
+                "damping": 0.5,
+                "gains": "paper",
+            },
             1.0,
             431.010,
         ),
@@ -190,7 +229,10 @@ def test_known_device_edges(law: dict[str, object], delay: float, edge: float) -
     """K_max of a known device and any world, derived independently, with first-order worlds."""
     for factor, kept in ((0.9999, True), (1.0001, False)):
         assert (
-            keeps(device(delay), parse_law({**law, "stiffness": factor * edge}).compile(T)) is kept
+            keeps(
+                device(delay), parse_law({**law, "stiffness": factor * edge}).compile(T)
+            )
+            is kept
         )
 
 
@@ -202,7 +244,13 @@ def test_known_device_edges(law: dict[str, object], delay: float, edge: float) -
         ({"kind": "pd", "damping": 0.2}, 0.5, 545.708),
         ({"kind": "pd", "damping": 0.2}, 2.0, 214.614),
         (
-            {"kind": "pd_alpha", "order": 0.5, "taps": 4, "damping": 0.5, "gains": "paper"},
+            {
+                "kind": "pd_alpha",
+                "order": 0.5,
+                "taps": 4,
+                "damping": 0.5,
+                "gains": "paper",
+            },
             1.0,
             157.544,
         ),
@@ -211,7 +259,10 @@ def test_known_device_edges(law: dict[str, object], delay: float, edge: float) -
 def test_any_hand_edges(law: dict[str, object], delay: float, edge: float) -> None:
     for factor, kept in ((0.9999, True), (1.0001, False)):
         assert (
-            keeps(any_hand(delay), parse_law({**law, "stiffness": factor * edge}).compile(T))
+            keeps(
+                any_hand(delay),
+                parse_law({**law, "stiffness": factor * edge}).compile(T),
+            )
             is kept
         )
 
@@ -265,7 +316,9 @@ def test_taps_over_a_pair_of_poles_are_that_quotient(
     expected = sum(tap * w**m for m, tap in enumerate(taps)) / (
         (1.0 - pole * w) * (1.0 - np.conj(pole) * w)
     )
-    assert law.response(1.0 / w) == pytest.approx(expected, rel=1e-7, abs=1e-9 / radius**10)
+    assert law.response(1.0 / w) == pytest.approx(
+        expected, rel=1e-7, abs=1e-9 / radius**10
+    )
     assert law.stable_sections()
 
 
@@ -279,7 +332,8 @@ def test_what_sections_buy_beyond_taps() -> None:
         (2.0, 1.06, 1.07),
     ):
         members = {
-            member.family: member for member in stiffest_members(any_hand(delay), 6, sections=True)
+            member.family: member
+            for member in stiffest_members(any_hand(delay), 6, sections=True)
         }
         limit = 2.0 * 1.0 / (T * (1.0 + delay))
         for member in members.values():
@@ -287,7 +341,9 @@ def test_what_sections_buy_beyond_taps() -> None:
             assert member.design is not None
             assert member.design.proven
         # More taps or poles are never worse, as far as the search of the poles is right.
-        assert stiffness(members["taps_over_pole"]) > 0.999 * stiffness(members["one_pole"])
+        assert stiffness(members["taps_over_pole"]) > 0.999 * stiffness(
+            members["one_pole"]
+        )
         assert stiffness(members["two_poles"]) > 0.99 * stiffness(members["one_pole"])
         best = max(stiffness(members[name]) for name in ("taps_over_pole", "two_poles"))
         assert least <= best / stiffness(members["taps"]) * (1.0 + 1e-6) <= most
@@ -297,7 +353,9 @@ def test_what_sections_buy_beyond_taps() -> None:
 
 @given(st.floats(50.0, 5e3), st.floats(-0.9, 5.0), st.floats(-0.95, 0.95))
 @settings(max_examples=50, deadline=None)
-def test_compliance_is_a_mean_of_the_real_part(static: float, zero: float, pole: float) -> None:
+def test_compliance_is_a_mean_of_the_real_part(
+    static: float, zero: float, pole: float
+) -> None:
     """1/H(1) = (T/2π) ∫ Re{V/H}/(1 − cos θ) dθ, for 1/H of one zero and one pole."""
     # The midpoint rule errs by pole^2048 for a periodic function.
     theta = (np.arange(2048) + 0.5) * np.pi / 2048
@@ -313,7 +371,9 @@ def test_a_slow_pole_adds_static_stiffness_to_a_known_device_without_bound() -> 
     fast = np.array([800.0 + 3.0 / T, -3.0 / T])
     for boost, kept in ((30.0, True), (1000.0, False)):
         pole = 0.9999
-        law = over(np.convolve(fast, [1.0, -1.0 + boost * (1.0 - pole)]), behind_poles(pole))
+        law = over(
+            np.convolve(fast, [1.0, -1.0 + boost * (1.0 - pole)]), behind_poles(pole)
+        )
         assert law.h1 == pytest.approx(boost * 800.0, rel=1e-9)
         assert keeps(device(1.0), law, 1) is kept
         if kept:
@@ -333,7 +393,9 @@ def test_a_slow_pole_adds_static_stiffness_to_a_known_device_without_bound() -> 
 @pytest.mark.slow
 def test_what_sections_buy_a_known_device() -> None:
     """Static stiffness, and nothing at 10 Hz that free taps do not have."""
-    members = {one.family: one for one in stiffest_members(device(1.0), 4, sections=True)}
+    members = {
+        one.family: one for one in stiffest_members(device(1.0), 4, sections=True)
+    }
     taps, slow = members["taps"].design, members["taps_over_pole"].design
     assert taps is not None
     assert slow is not None
@@ -342,7 +404,8 @@ def test_what_sections_buy_a_known_device() -> None:
     felt = [
         felt_stiffness(one.design.law, T)
         for name, one in members.items()
-        if name in ("one_pole", "taps_over_pole", "two_poles") and one.design is not None
+        if name in ("one_pole", "taps_over_pole", "two_poles")
+        and one.design is not None
     ]
     assert max(felt) < 1.02 * felt_stiffness(taps.law, T)
 
@@ -412,15 +475,30 @@ def test_stiffest_one_pole_is_a_law_that_can_be_loaded() -> None:
     member = stiffest_one_pole(any_hand(1.0))
     assert member.law is not None
     assert member.design is not None
-    assert parse_law(member.law).compile(T).h1 == pytest.approx(member.design.h1_n_per_m, rel=1e-12)
+    assert parse_law(member.law).compile(T).h1 == pytest.approx(
+        member.design.h1_n_per_m, rel=1e-12
+    )
 
 
 def test_the_study_asks_for_any_hand(tmp_path: Path) -> None:
     """Options without effect beside --for are refused by name."""
     done = typed_in(
-        tmp_path, "study", "design", "--for", "any_hand", "--delay", "1", "--taps", "2", "--json"
+        tmp_path,
+        "study",
+        "design",
+        "--for",
+        "any_hand",
+        "--delay",
+        "1",
+        "--taps",
+        "2",
+        "--json",
     )
     # The closed limit 2 b/(T (1 + d)) of 1 N s/m at 500 Hz, one tick late.
-    assert json.loads(done.stdout.splitlines()[-1])["closed_limit_n_per_m"] == pytest.approx(500.0)
-    refused = typed_in(tmp_path, "study", "design", "--for", "any_hand", "--every-delay", code=2)
+    assert json.loads(done.stdout.splitlines()[-1])[
+        "closed_limit_n_per_m"
+    ] == pytest.approx(500.0)
+    refused = typed_in(
+        tmp_path, "study", "design", "--for", "any_hand", "--every-delay", code=2
+    )
     assert "--every-delay: no effect here" in refused.stderr

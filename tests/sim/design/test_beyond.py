@@ -16,7 +16,12 @@ from sim.design.landing import drops
 
 T = 0.002
 RIGID = Demand(
-    mass=(0.08, 0.125), damping=1.0, delay=(1.2, 1.2), period=T, radius=0.99, nyquist=1e4
+    mass=(0.08, 0.125),
+    damping=1.0,
+    delay=(1.2, 1.2),
+    period=T,
+    radius=0.99,
+    nyquist=1e4,
 )
 JOINT = ((0.0, 0.4, 30.0, 0.02), (0.0, 0.4, 36.0, 0.02))
 
@@ -44,7 +49,9 @@ def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> 
     assert certificate(blind.found.law, asked) is Certificate.UNSTABLE
 
 
-def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands() -> None:
+def test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands() -> (
+    None
+):
     """All demands at once, none fulfilled by chance."""
     asked = replace(
         RIGID,
@@ -84,6 +91,9 @@ def test_cases_are_judged_by_the_worst_that_a_device_may_be() -> None:
     taps = np.array([300.0, -150.0])
     radii = LoopCase(asked, cases, 2).radii(taps)
     assert radii.shape == (len(cases),)
-    each = [LoopCase(replace(asked, beyond=(one,)), cases, 2).radii(taps) for one in asked.beyond]
+    each = [
+        LoopCase(replace(asked, beyond=(one,)), cases, 2).radii(taps)
+        for one in asked.beyond
+    ]
     # Roots of a polynomial with two close to 1: the square root of the machine epsilon.
     assert radii == pytest.approx(np.max(each, axis=0), abs=1e-7)

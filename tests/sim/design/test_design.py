@@ -71,7 +71,10 @@ def check(found: Robust | None, wanted: Demand) -> Robust:
         delay, hand = rng.uniform(*wanted.delay), rng.uniform(*wanted.stiffness)
         # Between 801 verified masses the radius can exceed the bound by its curvature only: far
         # below 1e-5.
-        assert pole_radius(law, Plant(T, mass, wanted.damping, delay, hand)) <= wanted.radius + 1e-5
+        assert (
+            pole_radius(law, Plant(T, mass, wanted.damping, delay, hand))
+            <= wanted.radius + 1e-5
+        )
     assert abs(law.h_nyquist) <= wanted.nyquist * (1.0 + 1e-9)
     assert law.h1 == pytest.approx(found.h1_n_per_m, rel=1e-9)
     return found
@@ -109,21 +112,27 @@ def test_free_taps_beat_what_they_contain(delay: float) -> None:
         assert mine.h1_n_per_m > 1.5 * check(tuned.found, wanted).h1_n_per_m
 
 
-def test_pd_alpha_is_tuned_over_orders_and_never_below_pd(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pd_alpha_is_tuned_over_orders_and_never_below_pd(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("sim.design.families.REFINED", 0.1)
     wanted = demand(1.0)
     tuned = best_pd_alpha(wanted, 4, orders=(0.7, 1.0))
     found = check(tuned.found, wanted)
     assert found.h1_n_per_m >= check(pd(wanted).found, wanted).h1_n_per_m * (1.0 - 1e-6)
     assert tuned.law is not None
-    assert compile_law(parse_law(tuned.law), T).h1 == pytest.approx(found.h1_n_per_m, rel=1e-9)
+    assert compile_law(parse_law(tuned.law), T).h1 == pytest.approx(
+        found.h1_n_per_m, rel=1e-9
+    )
 
 
 def test_two_free_taps_are_pd() -> None:
     wanted = demand(1.0)
     # Two searches with their own stopping rules.
     expected = check(pd(wanted).found, wanted).h1_n_per_m
-    assert check(free(wanted, 2).found, wanted).h1_n_per_m == pytest.approx(expected, rel=1e-5)
+    assert check(free(wanted, 2).found, wanted).h1_n_per_m == pytest.approx(
+        expected, rel=1e-5
+    )
 
 
 def test_ranges_of_delay_and_hand_are_kept_and_cost_stiffness() -> None:
@@ -132,7 +141,8 @@ def test_ranges_of_delay_and_hand_are_kept_and_cost_stiffness() -> None:
     for wanted in (late, held):
         assert check(pd(wanted).found, wanted).h1_n_per_m < exact * (1.0 + 1e-6)
     assert (
-        check(free(late, 4).found, late).h1_n_per_m > 1.3 * check(pd(late).found, late).h1_n_per_m
+        check(free(late, 4).found, late).h1_n_per_m
+        > 1.3 * check(pd(late).found, late).h1_n_per_m
     )
 
 
@@ -140,7 +150,8 @@ def test_ranges_of_delay_and_hand_are_kept_and_cost_stiffness() -> None:
 def test_a_tighter_bound_on_noise_costs_stiffness() -> None:
     quiet, loud = demand(1.0, nyquist=3000.0), demand(1.0)
     assert (
-        check(free(quiet, 4).found, quiet).h1_n_per_m < check(free(loud, 4).found, loud).h1_n_per_m
+        check(free(quiet, 4).found, quiet).h1_n_per_m
+        < check(free(loud, 4).found, loud).h1_n_per_m
     )
 
 
@@ -153,7 +164,9 @@ def test_the_impossible_is_not_found() -> None:
 @pytest.mark.parametrize(
     ("taps", "published"), [(1, 0.667), (2, 0.828), (3, 0.894), (4, 0.928), (8, None)]
 )
-def test_passive_designs_reach_the_bound_at_one_tick(taps: int, published: float | None) -> None:
+def test_passive_designs_reach_the_bound_at_one_tick(
+    taps: int, published: float | None
+) -> None:
     """K T/b = 2/(1 + 1/cos(π/(n+3))) at d = 1 (THEORY.md §2)."""
     passive = stiffest_passive(taps, T, 1.0, (1.0, 1.0))
     expected = 2.0 / (1.0 + 1.0 / math.cos(math.pi / (taps + 2)))
@@ -193,7 +206,9 @@ def test_passive_over_a_range_of_delays_and_with_little_noise() -> None:
     law = CompiledLaw(tuple(wide.taps.tolist()))
     for delay in np.linspace(0.5, 1.5, 33).tolist():
         assert damping_needed(law, T, delay) <= 1.0 + 1e-9
-    assert wide.h1_n_per_m < stiffest_passive(4, T, 1.0, (1.5, 1.5)).h1_n_per_m * (1.0 + 1e-6)
+    assert wide.h1_n_per_m < stiffest_passive(4, T, 1.0, (1.5, 1.5)).h1_n_per_m * (
+        1.0 + 1e-6
+    )
     quiet = stiffest_passive(4, T, 1.0, (1.0, 1.0), nyquist=600.0)
     assert abs(quiet.h_nyquist_n_per_m) <= 600.0 * (1.0 + 1e-9)
     assert quiet.h1_n_per_m < stiffest_passive(4, T, 1.0, (1.0, 1.0)).h1_n_per_m
@@ -231,7 +246,9 @@ def test_certain_damping_over_a_range_is_the_most_of_its_delays() -> None:
     rng = np.random.default_rng(5)
     for low, high in ((0.0, 0.8), (0.3, 1.6), (0.9, 2.0)):
         taps = rng.normal(size=5) * 1000.0
-        each = max(certain_damping(taps, T, at) for at in np.linspace(low, high, 401).tolist())
+        each = max(
+            certain_damping(taps, T, at) for at in np.linspace(low, high, 401).tolist()
+        )
         # Between 401 delays the most is higher by the square of their distance.
         assert (
             each * (1.0 - 1e-9)
@@ -247,7 +264,10 @@ def test_nothing_is_passive_without_damping() -> None:
 
 def test_the_delay_that_a_law_bears_is_that_of_every_hand() -> None:
     """For the softest hand alone it was longer than the stiffest allows."""
-    law, wanted = PD(stiffness=500.0, damping=2.0).compile(T), demand(stiffness=(0.0, 3000.0))
+    law, wanted = (
+        PD(stiffness=500.0, damping=2.0).compile(T),
+        demand(stiffness=(0.0, 3000.0)),
+    )
     latest = latest_delay(law, wanted)
     assert latest is not None
     for delay, stable in ((latest - 1e-6, True), (latest + 1e-6, False)):
@@ -291,10 +311,16 @@ def test_replay_tells_growth_from_decay() -> None:
 
 def recording(path: Path, delays: list[float], rate: str = "500.0") -> Path:
     parameters = {"driver": '{"device": {"mass": 0.1, "damping": 1.0, "delay": 0.25}}'}
-    with RecordWriter(path, {"scenario": "drop", "rate_hz": rate}, parameters=parameters) as writer:
+    with RecordWriter(
+        path, {"scenario": "drop", "rate_hz": rate}, parameters=parameters
+    ) as writer:
         for k, delay in enumerate(delays):
             state = DeviceState(
-                seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1, delay=delay
+                seq=k,
+                stamp=k * T,
+                position=(0.0, 0.0, 0.0),
+                force_seq=k - 1,
+                delay=delay,
             )
             writer.write(DEVICE_STATE, state, k * T)
     return path
@@ -312,7 +338,9 @@ def test_period_delay_and_jitter_of_a_recording(tmp_path: Path) -> None:
     assert run.unanswered == 0
 
 
-def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path) -> None:
+def test_ticks_without_an_answer_are_counted_and_replayed_as_such(
+    tmp_path: Path,
+) -> None:
     """Every tenth tick unanswered does not widen the delay, and never acts."""
     path = tmp_path / "run.mcap"
     with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0"}) as writer:
@@ -331,7 +359,9 @@ def test_ticks_without_an_answer_are_counted_and_replayed_as_such(tmp_path: Path
     assert run.delay == pytest.approx((0.2, 0.2))
     law, device = CompiledLaw((400.0, -100.0)), Plant(T, 0.1, 1.0)
     assert replayed_radius(law, device, run.delays) < 1.0
-    assert replayed_radius(law, device, run.delays) != replayed_radius(law, device, [0.2] * 299)
+    assert replayed_radius(law, device, run.delays) != replayed_radius(
+        law, device, [0.2] * 299
+    )
 
 
 @pytest.mark.parametrize(
@@ -347,11 +377,15 @@ def test_recordings_that_tell_too_little(
 
 def test_a_real_time_run_without_delays_is_an_old_recording(tmp_path: Path) -> None:
     path = tmp_path / "old.mcap"
-    with RecordWriter(path, {"scenario": "drop", "rate_hz": "500.0", "pace": "realtime"}) as writer:
+    with RecordWriter(
+        path, {"scenario": "drop", "rate_hz": "500.0", "pace": "realtime"}
+    ) as writer:
         for k in range(200):
             writer.write(
                 DEVICE_STATE,
-                DeviceState(seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1),
+                DeviceState(
+                    seq=k, stamp=k * T, position=(0.0, 0.0, 0.0), force_seq=k - 1
+                ),
                 k * T,
             )
     with pytest.raises(ValueError, match="before delays were"):
@@ -366,12 +400,16 @@ def test_what_design_writes_is_what_load_reads(
     assert main([*words.split(), str(tmp_path)]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
     for name in ("designed", "passive"):
-        document = parse_yaml(Path(figures[name]["yaml"]).read_text(encoding="utf-8"), "file")
+        document = parse_yaml(
+            Path(figures[name]["yaml"]).read_text(encoding="utf-8"), "file"
+        )
         assert list(document) == ["coupling"]
         assert document["coupling"]["law"] == name
         law = parse_law(document["coupling"]["laws"][name])
         assert list(compile_law(law, T).taps) == figures[name]["taps_n_per_m"]
-        with pytest.raises(LawRefusedError, match=r"period: these taps were made for T = 0\.002"):
+        with pytest.raises(
+            LawRefusedError, match=r"period: these taps were made for T = 0\.002"
+        ):
             compile_law(law, 0.001)
     assert figures["designed"]["h1_n_per_m"] > figures["best_pd"]["h1_n_per_m"]
     # THEORY.md §2, for three taps; 2/√5 to the programme's tolerance.
@@ -384,9 +422,12 @@ def test_what_design_writes_is_what_load_reads(
 
 
 @pytest.mark.slow
-def test_design_for_a_recorded_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_design_for_a_recorded_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = recording(
-        tmp_path / "run.mcap", [0.0, *(0.2 + 0.1 * (k % 11) / 10.0 for k in range(1100))]
+        tmp_path / "run.mcap",
+        [0.0, *(0.2 + 0.1 * (k % 11) / 10.0 for k in range(1100))],
     )
     argv = [
         "study",
@@ -414,7 +455,23 @@ def test_compare_says_who_wins(
     monkeypatch.setattr("sim.design.families.ORDERS", (1.0,))
     monkeypatch.setattr("sim.design.families.CUTOFFS", (0.8,))
     monkeypatch.setattr("sim.design.families.REFINED", 0.2)
-    assert main("study design --compare --delays 1 --margins 0 --taps 2 --json".split()) == 0  # noqa: SIM905
+    assert (
+        main(
+            [
+                "study",
+                "design",
+                "--compare",
+                "--delays",
+                "1",
+                "--margins",
+                "0",
+                "--taps",
+                "2",
+                "--json",
+            ]
+        )
+        == 0
+    )
     case = json.loads(capsys.readouterr().out.splitlines()[-1])["cases"][0]
     assert [law["family"] for law in case["laws"]] == [
         "pd",
@@ -426,12 +483,17 @@ def test_compare_says_who_wins(
     windowed = case["pd_windowed"]
     scenes = [
         replace(
-            scene, device=msgspec.structs.replace(scene.device, resolution=windowed["resolution"])
+            scene,
+            device=msgspec.structs.replace(
+                scene.device, resolution=windowed["resolution"]
+            ),
         )
         for scene in landings(demand(1.0, lands=CONVENTIONS))
     ]
     for part, lands in ((1.0, True), (1.02, False)):
-        law = parse_law(windowed | {"stiffness": part * windowed["stiffness"]}).compile(T)
+        law = parse_law(windowed | {"stiffness": part * windowed["stiffness"]}).compile(
+            T
+        )
         # By its drops: none fails, and just above one does.
         assert all(settles(scene, [law], Criterion())[0] for scene in scenes) == lands
     # Two free taps are PD: no gain over the best of the others but what two searches differ by on
@@ -481,7 +543,9 @@ def test_landing_is_not_covered_by_poles_and_can_be_asked_for() -> None:
 
 
 def test_landing_gives_up_where_nothing_keeps_the_demand() -> None:
-    assert pd(demand(2.0, mass=(0.01, 5.0), radius=0.9, lands=CONVENTIONS)).found is None
+    assert (
+        pd(demand(2.0, mass=(0.01, 5.0), radius=0.9, lands=CONVENTIONS)).found is None
+    )
 
 
 @pytest.mark.slow
@@ -502,8 +566,12 @@ def test_more_taps_are_never_worse() -> None:
 def test_seven_taps_reach_what_another_search_found() -> None:
     """6815 N/m, found by another climb from six padded taps, is reached without that start."""
     wanted, unit = demand(1.0), 0.05 / T**2
-    loops = [LoopCase(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)]
-    found = evolved(wanted, unit * np.eye(7), loops, True, 1, 1, 10.0, wanted.radius - 1e-9)
+    loops = [
+        LoopCase(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)
+    ]
+    found = evolved(
+        wanted, unit * np.eye(7), loops, True, 1, 1, 10.0, wanted.radius - 1e-9
+    )
     assert found is not None
     law = CompiledLaw(tuple((unit * found).tolist()))
     assert law.h1 >= 6815.0
@@ -513,14 +581,20 @@ def test_seven_taps_reach_what_another_search_found() -> None:
 
 
 @given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=9), st.floats(0.3, 1.5))
-def test_poles_are_counted_as_eigenvalues_say(roots: list[float], radius: float) -> None:
+def test_poles_are_counted_as_eigenvalues_say(
+    roots: list[float], radius: float
+) -> None:
     """Schur–Cohn recursion against known roots, real and pairs, around the radius."""
-    poles = [complex(0.5 * a, b) for a, b in itertools.pairwise(roots)] or [complex(roots[0])]
+    poles = [complex(0.5 * a, b) for a, b in itertools.pairwise(roots)] or [
+        complex(roots[0])
+    ]
     polynomial = np.real(np.poly([*poles, *np.conj(poles)]))
     largest = max(abs(pole) for pole in poles)
     assume(abs(largest - radius) > 1e-3)
     work = np.empty((2, polynomial.size))
-    told = _within(polynomial, np.zeros((1, polynomial.size)), np.zeros(1), radius, work)
+    told = _within(
+        polynomial, np.zeros((1, polynomial.size)), np.zeros(1), radius, work
+    )
     assert told == (largest < radius)
 
 
@@ -546,6 +620,9 @@ def test_design_can_demand_a_certificate_and_rest() -> None:
         certificate(CompiledLaw(tuple((3.0 * law.found.taps).tolist())), wanted)
         is Certificate.UNSTABLE
     )
-    assert certificate(law.found.law, replace(wanted, delay=(0.0, 1.5))) is Certificate.TOO_WIDE
+    assert (
+        certificate(law.found.law, replace(wanted, delay=(0.0, 1.5)))
+        is Certificate.TOO_WIDE
+    )
     with pytest.raises(ValueError, match="a certificate takes at most one tick"):
         certified(best_pd, replace(wanted, delay=(0.0, 1.5)))

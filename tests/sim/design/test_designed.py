@@ -31,7 +31,9 @@ def test_preset_keeps_its_demand(name: str) -> None:
     # The preset's taps are rounded inwards: the radius that they claim is kept to the last digit.
     for mass in np.geomspace(*demand.mass, 21).tolist():
         for delay in demand.delay:
-            assert pole_radius(law, Plant(T, mass, demand.damping, delay)) <= demand.radius
+            assert (
+                pole_radius(law, Plant(T, mass, demand.damping, delay)) <= demand.radius
+            )
     assert abs(law.h_nyquist) <= demand.nyquist + 0.02
     assert all(drops(law, demand).values())
 
@@ -60,7 +62,9 @@ def test_preset_is_as_stiff_as_what_the_study_designs() -> None:
     demand = replace(DEMANDS["designed_d1"], lands=CONVENTIONS)
     again = stiffest(demand, np.eye(4), seed=7)
     assert again is not None
-    assert parse_law("designed_d1").compile(T).h1 == pytest.approx(again.h1_n_per_m, rel=0.02)
+    assert parse_law("designed_d1").compile(T).h1 == pytest.approx(
+        again.h1_n_per_m, rel=0.02
+    )
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,12 @@ def test_the_quick_verdict_is_that_of_the_whole_drop() -> None:
 
 
 def integrated(
-    plant: FlexiblePlant, law: CompiledLaw, raw: bool, clamp: bool, height: float, ticks: int
+    plant: FlexiblePlant,
+    law: CompiledLaw,
+    raw: bool,
+    clamp: bool,
+    height: float,
+    ticks: int,
 ) -> bool:
     """Integrate a drop by Runge–Kutta, eight steps a tick, with the rules written again."""
     matrix, push = plant.continuous()
@@ -98,7 +103,11 @@ def integrated(
     pull[1] = -9.81
     if not plant.rigid:
         pull[3] = -9.81
-    state, history, forces = np.zeros(size), [0.0] * len(law.taps), [0.0] * (int(plant.delay) + 1)
+    state, history, forces = (
+        np.zeros(size),
+        [0.0] * len(law.taps),
+        [0.0] * (int(plant.delay) + 1),
+    )
     state[0] = height
     if not plant.rigid:
         state[2] = height
@@ -132,7 +141,8 @@ def integrated(
 
 
 @pytest.mark.parametrize(
-    "beyond", [(0.0, 0.3, 40.0, 0.03), (1e-3, 0.0, math.inf, 0.0), (1e-3, 0.3, 40.0, 0.03)]
+    "beyond",
+    [(0.0, 0.3, 40.0, 0.03), (1e-3, 0.0, math.inf, 0.0), (1e-3, 0.3, 40.0, 0.03)],
 )
 def test_a_device_with_a_joint_and_a_lag_falls_as_in_small_steps(
     beyond: tuple[float, float, float, float],

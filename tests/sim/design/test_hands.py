@@ -21,19 +21,30 @@ from nodes.stability.grasp import Grasp
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.demand import Demand
-from sim.design.hands import STYLUS, HandBox, certify_box, judge_grasps, k_max_over, worst_grasp
+from sim.design.hands import (
+    STYLUS,
+    HandBox,
+    certify_box,
+    judge_grasps,
+    k_max_over,
+    worst_grasp,
+)
 
 T = 0.002
 
 
 def pd(stiffness: float, damping: float = 3.0) -> CompiledLaw:
-    return parse_law({"kind": "pd", "stiffness": stiffness, "damping": damping}).compile(T)
+    return parse_law(
+        {"kind": "pd", "stiffness": stiffness, "damping": damping}
+    ).compile(T)
 
 
 def alone(plant: Plant, grasp: Grasp, law: CompiledLaw) -> float:
     """Return the pole radius of a two-mass device with one grasp, by scipy's expm."""
     return flexible_radius(
-        law, plant.period, grasp.holds(plant.mass, plant.damping, plant.delay, plant.stiffness)
+        law,
+        plant.period,
+        grasp.holds(plant.mass, plant.damping, plant.delay, plant.stiffness),
     )
 
 
@@ -50,7 +61,9 @@ def test_radius_is_that_of_two_masses_on_a_joint(
     grasp = Grasp(10.0**mass, 10.0**stiffness, damping)
     plant = Plant(T, 0.08, 1.2, delay, 30.0)
     box = HandBox(
-        (grasp.mass, grasp.mass), (grasp.stiffness, grasp.stiffness), (grasp.damping, grasp.damping)
+        (grasp.mass, grasp.mass),
+        (grasp.stiffness, grasp.stiffness),
+        (grasp.damping, grasp.damping),
     )
     # A double pole is known to the square root of the machine's epsilon.
     assert worst_grasp(pd(500.0), plant, box).radius == pytest.approx(
@@ -72,7 +85,10 @@ def test_a_hand_that_does_not_give_way_is_a_spring_to_the_ground() -> None:
 
 
 def test_worst_of_a_box_is_found_and_is_one_of_it() -> None:
-    plant, box = Plant(T, 0.1, 1.0, 1.0), HandBox((0.005, 0.3), (100.0, 2000.0), (0.2, 5.0))
+    plant, box = (
+        Plant(T, 0.1, 1.0, 1.0),
+        HandBox((0.005, 0.3), (100.0, 2000.0), (0.2, 5.0)),
+    )
     found = worst_grasp(pd(800.0), plant, box)
     assert alone(plant, found.grasp, pd(800.0)) == pytest.approx(found.radius, rel=1e-9)
     rng = np.random.default_rng(1)
@@ -83,14 +99,19 @@ def test_worst_of_a_box_is_found_and_is_one_of_it() -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0])
 def test_no_grasp_of_a_certified_box_is_unstable(delay: float) -> None:
-    plant, box = Plant(T, 0.1, 1.0, delay), HandBox((0.02, 0.022), (400.0, 450.0), (1.0, 1.1))
+    plant, box = (
+        Plant(T, 0.1, 1.0, delay),
+        HandBox((0.02, 0.022), (400.0, 450.0), (1.0, 1.1)),
+    )
     law = pd(300.0, 1.0)
     proven, cells = certify_box(law, plant, box)
     assert proven is Certificate.CERTIFIED
     assert cells > 1
     rng = np.random.default_rng(2)
     for _ in range(100):
-        assert alone(plant, Grasp(*(rng.uniform(*side) for side in box.sides)), law) < 1.0
+        assert (
+            alone(plant, Grasp(*(rng.uniform(*side) for side in box.sides)), law) < 1.0
+        )
 
 
 def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
@@ -99,12 +120,17 @@ def test_near_the_edge_the_certificate_ends_where_the_poles_do() -> None:
     low, high = 100.0, 5000.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if alone(plant, grasp, pd(middle, 1.0)) < 1.0 else (low, middle)
+        low, high = (
+            (middle, high)
+            if alone(plant, grasp, pd(middle, 1.0)) < 1.0
+            else (low, middle)
+        )
     box = HandBox((0.05, 0.0501), (500.0, 501.0), (1.0, 1.002))
     assert certify_box(pd(0.99 * low, 1.0), plant, box)[0] is Certificate.CERTIFIED
     assert certify_box(pd(1.01 * low, 1.0), plant, box, 500)[0] is Certificate.UNDECIDED
     assert (
-        worst_grasp(pd(1.01 * low, 1.0), plant, box, certify=True).certified is Certificate.UNSTABLE
+        worst_grasp(pd(1.01 * low, 1.0), plant, box, certify=True).certified
+        is Certificate.UNSTABLE
     )
 
 
@@ -113,14 +139,18 @@ def test_a_stiff_grasp_of_next_to_no_mass_has_no_proof(delay: float) -> None:
     """(21.2) grows as e^|A|: too large for doubles with 3 mg behind 30 kN/m."""
     box = HandBox((3e-6, 3.1e-6), (3e4, 9e4), (7.0, 21.0))
     assert (
-        certify_box(pd(500.0, 1.0), Plant(T, 0.1, 1.0, delay), box, 50)[0] is Certificate.UNDECIDED
+        certify_box(pd(500.0, 1.0), Plant(T, 0.1, 1.0, delay), box, 50)[0]
+        is Certificate.UNDECIDED
     )
 
 
 @pytest.mark.parametrize("side", ["mass", "stiffness", "damping"])
 def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
     """Centred on the limit, one end of the box is slightly unstable: 2 % of one number."""
-    plant, middle = Plant(T, 0.1, 1.0, 1.0), {"mass": 0.05, "stiffness": 500.0, "damping": 1.0}
+    plant, middle = (
+        Plant(T, 0.1, 1.0, 1.0),
+        {"mass": 0.05, "stiffness": 500.0, "damping": 1.0},
+    )
     low, high = 100.0, 5000.0
     for _ in range(40):
         stiffness = 0.5 * (low + high)
@@ -143,7 +173,9 @@ def test_a_box_across_the_edge_is_never_certified(side: str) -> None:
 def test_k_max_of_one_grasp_is_its_edge() -> None:
     plant, grasp = Plant(T, 0.1, 1.0, 1.0), Grasp(0.05, 500.0, 1.0)
     box = HandBox((0.05, 0.05), (500.0, 500.0), (1.0, 1.0))
-    derivative = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}), T)
+    derivative = without_spring(
+        parse_law({"kind": "pd", "stiffness": 1.0, "damping": 1.0}), T
+    )
     edge = k_max_over(lambda k: with_spring(derivative, k), plant, box, 5000.0)
     assert edge is not None
     assert (
@@ -161,7 +193,10 @@ def test_a_law_for_any_hand_is_stable_in_every_grasp_of_a_wide_box() -> None:
     box = HandBox((0.002, 2.0), (50.0, 20000.0), (0.01, 5.0))
     demand = Demand((0.05, 0.2), 1.0, (1.0, 1.0), T, 0.99, 1e4)
     assert (
-        worst_grasp(parse_law("any_hand_d1").compile(T), Plant(T, 0.1, 1.0, 1.0), box).radius < 1.0
+        worst_grasp(
+            parse_law("any_hand_d1").compile(T), Plant(T, 0.1, 1.0, 1.0), box
+        ).radius
+        < 1.0
     )
     judged = judge_grasps(pd(800.0), demand, box, 1)
     assert judged.worst.certified is Certificate.UNSTABLE
@@ -180,13 +215,20 @@ def broken(seeds: range) -> tuple[int, list[int]]:
             float(rng.choice([0.0, 1.0, rng.uniform(0.0, 2.0)])),
         )
         unit = plant.mass / T**2
-        law = pd(10.0 ** rng.uniform(-3.5, -0.5) * unit, 10.0 ** rng.uniform(-2.5, -0.2) * unit * T)
-        middle = [10.0 ** rng.uniform(*e) for e in ((-2.5, -0.3), (1.5, 3.5), (-1.0, 0.7))]
+        law = pd(
+            10.0 ** rng.uniform(-3.5, -0.5) * unit,
+            10.0 ** rng.uniform(-2.5, -0.2) * unit * T,
+        )
+        middle = [
+            10.0 ** rng.uniform(*e) for e in ((-2.5, -0.3), (1.5, 3.5), (-1.0, 0.7))
+        ]
         wide = 1.0 + 10.0 ** rng.uniform(-3.0, -0.3)
         box = HandBox(*((value / wide, value * wide) for value in middle))
         if certify_box(law, plant, box, 1500)[0]:
             certified += 1
-            within = (Grasp(*(rng.uniform(*side) for side in box.sides)) for _ in range(12))
+            within = (
+                Grasp(*(rng.uniform(*side) for side in box.sides)) for _ in range(12)
+            )
             if max(alone(plant, one, law) for one in (*box.corners(), *within)) >= 1.0:
                 wrong.append(seed)
     return certified, wrong
@@ -206,7 +248,10 @@ def test_designed_preset_is_certified_in_the_grasp_of_a_stylus() -> None:
     judged = judge_grasps(parse_law("designed_d1").compile(T), demand, STYLUS)
     assert judged.worst.certified is Certificate.CERTIFIED
     for grasp in STYLUS.corners():
-        assert alone(Plant(T, 0.1, 1.0, 1.0), grasp, parse_law("designed_d1").compile(T)) < 1.0
+        assert (
+            alone(Plant(T, 0.1, 1.0, 1.0), grasp, parse_law("designed_d1").compile(T))
+            < 1.0
+        )
 
 
 @pytest.mark.parametrize(

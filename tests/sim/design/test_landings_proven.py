@@ -33,7 +33,9 @@ def drawn(seed: int) -> tuple[CompiledLaw, Plant]:
         float(rng.choice([0.0, 0.5, 1.0, 2.0])),
     )
     unit = plant.mass / T**2
-    taps = rng.normal(0.0, 0.1, rng.integers(2, 7)) * unit * 10 ** rng.uniform(-2.0, 0.0)
+    taps = (
+        rng.normal(0.0, 0.1, rng.integers(2, 7)) * unit * 10 ** rng.uniform(-2.0, 0.0)
+    )
     stiffness = 10 ** rng.uniform(-3.5, -0.3) * unit
     taps -= taps.mean() - stiffness / len(taps)
     taps[:2] += np.array([1.0, -1.0]) * 10 ** rng.uniform(-2.5, -0.2) * unit
@@ -69,7 +71,10 @@ def drawn_of_a_kind(seed: int) -> tuple[CompiledLaw, Plant]:
     if pick < len(kinds):
         text = {**kinds[pick], "stiffness": spring, "damping": damping}
         return parse_law(text).compile(T), plant
-    law, scale = parse_law(str(rng.choice(preset_names()))).compile(T), 10 ** rng.uniform(-0.7, 0.5)
+    law, scale = (
+        parse_law(str(rng.choice(preset_names()))).compile(T),
+        10 ** rng.uniform(-0.7, 0.5),
+    )
     return (
         CompiledLaw(
             tuple(scale * tap for tap in law.taps),
@@ -104,7 +109,9 @@ def refuted(
             # From 0.1 m of sink at most down to 1e-4 m, four times over, and the flights before it.
             ticks = 4000 + math.ceil(30.0 / -math.log(radius))
             drops = falls(demand, [plant.mass], [(False, False)], HEIGHTS)
-            tall = [one for one in settled(law, drops, Criterion(ticks=ticks)) if not one]
+            tall = [
+                one for one in settled(law, drops, Criterion(ticks=ticks)) if not one
+            ]
             if tall:
                 wrong.append(seed)
     return stable, proven, wrong

@@ -13,9 +13,18 @@ from sim.device.model import DeviceModel
 from sim.device.state import VirtualDevice, device_tick, measured
 
 PERIOD = 0.002
-HAND = {"stiffness": 150.0, "mass": 0.05, "damping": 2.0, "path": [(0.0, 0.0), (0.1, 0.02)]}
+HAND = {
+    "stiffness": 150.0,
+    "mass": 0.05,
+    "damping": 2.0,
+    "path": [(0.0, 0.0), (0.1, 0.02)],
+}
 AXES: dict[str, dict[str, Any]] = {
-    "y": {"mass": 0.3, "resolution": 1e-5, "hand": {"path": [(0.0, 0.0), (0.05, -0.01)]}},
+    "y": {
+        "mass": 0.3,
+        "resolution": 1e-5,
+        "hand": {"path": [(0.0, 0.0), (0.05, -0.01)]},
+    },
     "z": {"damping": 4.0, "position": 0.01, "hand": None},
 }
 
@@ -84,7 +93,10 @@ def test_what_cannot_be_is_refused(axes: dict[str, Any], told: str) -> None:
         SimDriver.check(
             Setup(
                 **{
-                    **{f: getattr(setup(["x", "y"], {}), f) for f in Setup.__struct_fields__},
+                    **{
+                        f: getattr(setup(["x", "y"], {}), f)
+                        for f in Setup.__struct_fields__
+                    },
                     "parameters": given,
                 }
             )

@@ -28,7 +28,9 @@ def test_forces_under_way_arrive_as_they_would_have_and_none_overtakes() -> None
             device.delay_by(0.0)
         # 1 N until then, 2 N from then on.
         device.write_force((1.0 if seq < 2 else 2.0, 0.0, 0.0), seq, 0.0)
-    gained = [(after - before) / setup.period for before, after in itertools.pairwise(speeds)]
+    gained = [
+        (after - before) / setup.period for before, after in itertools.pairwise(speeds)
+    ]
     # The force of tick 0 acts from tick 3 on, that of tick 1 from tick 4 on; those of tick 2 and
     # later, at once behind them. A step of 1 kg in T with F newton gains F T: the rest is rounding
     # of nine sums.

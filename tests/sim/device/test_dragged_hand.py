@@ -15,7 +15,12 @@ import pytest
 
 from messages.topics import DEVICE_STATE
 from nodes.compiled.choose_tick import WantedTick, choose
-from nodes.driver.pointer import PointerParameters, PointerReader, PointerWriter, pointer_file
+from nodes.driver.pointer import (
+    PointerParameters,
+    PointerReader,
+    PointerWriter,
+    pointer_file,
+)
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from sim.cli.bench.loop import KERNELS
@@ -50,25 +55,35 @@ def test_the_target_moves_no_faster_than_it_may_and_comes_back(tmp_path: Path) -
     writer.write((0.0051, 9.0, 9.0))
     # 0.5 m/s is 1 mm a tick.
     assert np.allclose(
-        [target(d, seq) for seq in range(11, 16)], [0.003, 0.004, 0.005, 0.0051, 0.0051], atol=1e-15
+        [target(d, seq) for seq in range(11, 16)],
+        [0.003, 0.004, 0.005, 0.0051, 0.0051],
+        atol=1e-15,
     )
     writer.let_go()
     assert np.allclose(
-        [target(d, seq) for seq in range(16, 20)], [0.0041, 0.0031, 0.0021, 0.002], atol=1e-15
+        [target(d, seq) for seq in range(16, 20)],
+        [0.0041, 0.0031, 0.0021, 0.002],
+        atol=1e-15,
     )
     assert target(d, 20) == 0.002
     writer.close()
 
 
-def test_a_hand_that_repeats_its_path_does_so_when_nobody_drags_it(tmp_path: Path) -> None:
+def test_a_hand_that_repeats_its_path_does_so_when_nobody_drags_it(
+    tmp_path: Path,
+) -> None:
     hand = Hand(stiffness=100.0, path=[(0.0, 0.001), (0.02, 0.002)], repeat=0.04)
     d = dragged(hand, tmp_path, PointerParameters()).state
     assert target(d, 25) == hand.point(0.05) == target(d, 5) == 0.0015
 
 
 def test_a_pointer_needs_a_hand() -> None:
-    setup = msgspec.structs.replace(SETUP, parameters={"device": {"mass": 0.1}, "pointer": {}})
-    with pytest.raises(ParameterError, match=r"driver.pointer: needs driver.device.hand"):
+    setup = msgspec.structs.replace(
+        SETUP, parameters={"device": {"mass": 0.1}, "pointer": {}}
+    )
+    with pytest.raises(
+        ParameterError, match=r"driver.pointer: needs driver.device.hand"
+    ):
         SimDriver.check(setup)
 
 
@@ -76,7 +91,11 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
     """To the bit, with encoder, friction, delay, weight, hand, and torn page values."""
     assert choose("compiled", [SimDriver.device_module], print) == "compiled"
     hand = Hand(
-        stiffness=100.0, mass=0.02, damping=1.0, path=[(0.0, 0.001), (0.05, 0.003)], repeat=0.3
+        stiffness=100.0,
+        mass=0.02,
+        damping=1.0,
+        path=[(0.0, 0.001), (0.05, 0.003)],
+        repeat=0.3,
     )
     model = DeviceModel(
         mass=0.1,
@@ -96,9 +115,9 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
     plain, compiled = (SimDevice(model, setup, 0.05, pointer) for setup in setups)
     calls = compiled.calls()
     assert calls is not None
-    read = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(
-        calls.read
-    )
+    read = ctypes.CFUNCTYPE(
+        ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p
+    )(calls.read)
     write = ctypes.CFUNCTYPE(
         ctypes.c_int, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
     )(calls.write)
@@ -125,7 +144,9 @@ def test_compiled_calls_move_a_device_as_the_interpreter_does(tmp_path: Path) ->
             assert write(calls.context, force, seq, offset) == 0
             plain.write_force((force[0], 0.0, 0.0), seq, offset)
         away += plain.parts[0].state.is_away
-        assert list(plain.parts[0].state.pending) == list(compiled.parts[0].state.pending)
+        assert list(plain.parts[0].state.pending) == list(
+            compiled.parts[0].state.pending
+        )
     assert 0 < away < 400
     # More forces under way than there is room for: told by the status, not lost in silence.
     assert any(write(calls.context, force, seq, 0.5) < 0 for _ in range(PENDING + 1))
@@ -147,7 +168,9 @@ def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(
 
         def drag() -> None:
             while not ended.is_set():
-                writer.write((0.018 + 0.006 * math.sin(4.0 * time.monotonic()), 0.0, 0.0))
+                writer.write(
+                    (0.018 + 0.006 * math.sin(4.0 * time.monotonic()), 0.0, 0.0)
+                )
                 time.sleep(0.005)
 
         thread = threading.Thread(target=drag)
@@ -163,7 +186,9 @@ def test_a_dragged_run_is_recorded_and_plays_again_in_one_process(
     assert max(targets) > 0.02, "the hand was dragged into the wall"
     if figures["overruns"] == 0:
         # Recorded with the state: 0.5 m/s is 1 mm a tick, to rounding.
-        assert max(abs(b - a) for a, b in itertools.pairwise(targets)) <= 0.001 * (1.0 + 1e-9)
+        assert max(abs(b - a) for a, b in itertools.pairwise(targets)) <= 0.001 * (
+            1.0 + 1e-9
+        )
     # A dragged hand is no reason to leave the compiled tick.
     assert figures["tick"] == tick
     if tick == "compiled" and figures["missed"] == 0:

@@ -30,7 +30,9 @@ Walk = Callable[..., Path]
 def walk(tmp_path: Path) -> Walk:
     def write(names: str, *columns: Any, name: str = "walk.csv") -> Path:
         path = tmp_path / name
-        rows = np.stack([np.asarray(column, dtype=float) for column in columns], axis=1).tolist()
+        rows = np.stack(
+            [np.asarray(column, dtype=float) for column in columns], axis=1
+        ).tolist()
         text = "\n".join([names, *(",".join(map(repr, row)) for row in rows)])
         path.write_text(text + "\n", encoding="utf-8")
         return path
@@ -39,7 +41,9 @@ def walk(tmp_path: Path) -> Walk:
 
 
 def hand(source: Path, **given: Any) -> Hand:
-    made: Hand = convert({"stiffness": 150.0, "file": str(source), **given}, Hand, "hand")
+    made: Hand = convert(
+        {"stiffness": 150.0, "file": str(source), **given}, Hand, "hand"
+    )
     return made
 
 
@@ -75,8 +79,16 @@ def test_one_axis_goes_to_the_first_and_the_others_rest(walk: Walk) -> None:
         ("t [ms],x [mm]", (1e3, 1e3), {}),
         ("t,x", (1.0, 1e3), {"units": {"position": "mm"}}),
         ("t,x", (1e3, 1.0), {"units": {"time": "ms"}}),
-        ("frame,marker", (1 / 0.004, 1.0), {"columns": {"position": "marker"}, "rate": 250.0}),
-        ("sec,marker", (1.0, 1.0), {"columns": {"position": ["marker"], "time": "sec"}}),
+        (
+            "frame,marker",
+            (1 / 0.004, 1.0),
+            {"columns": {"position": "marker"}, "rate": 250.0},
+        ),
+        (
+            "sec,marker",
+            (1.0, 1.0),
+            {"columns": {"position": ["marker"], "time": "sec"}},
+        ),
     ],
 )
 def test_units_columns_and_rate_are_chosen(
@@ -127,17 +139,52 @@ def test_a_recording_is_a_path_by_its_position_or_by_its_target(tmp_path: Path) 
         ("t,x", (1e3 * TIME, X), {}, r"Is it in ms \(250 Hz\)\?.*units: \{time: ms\}"),
         ("t,x", (TIME[::-1], X), {}, "line 3, column 't': the time does not grow"),
         ("k,x", (TIME, X), {}, "rate: HZ"),
-        ("t,q", (TIME, X), {}, r"which column is the position.*columns: \{position: NAME\}"),
-        ("t,x", (TIME, X), {"columns": {"position": "q"}}, "no column 'q'.*there are t, x"),
-        ("t,x", (TIME, np.where(TIME < 0.1, np.nan, X)), {}, "line 2, column 'x': no number"),
-        ("t,x", (TIME, X), {"rate": 100.0}, "rate 100, while column 't' advances 250 times"),
+        (
+            "t,q",
+            (TIME, X),
+            {},
+            r"which column is the position.*columns: \{position: NAME\}",
+        ),
+        (
+            "t,x",
+            (TIME, X),
+            {"columns": {"position": "q"}},
+            "no column 'q'.*there are t, x",
+        ),
+        (
+            "t,x",
+            (TIME, np.where(TIME < 0.1, np.nan, X)),
+            {},
+            "line 2, column 'x': no number",
+        ),
+        (
+            "t,x",
+            (TIME, X),
+            {"rate": 100.0},
+            "rate 100, while column 't' advances 250 times",
+        ),
         ("t,x", (TIME, X), {"path": [[0, 0]]}, "path or file: both are given"),
         ("t,x", (TIME, X), {"file": ""}, "path or file: neither is given"),
-        ("t,x", (TIME, X), {"file": "", "path": [[0, 0]], "rate": 5.0}, "are of a file"),
-        ("t,x", (TIME, X), {"repeat": 0.5}, r"repeat is 0.5 s, but the path ends at 1.196 s"),
+        (
+            "t,x",
+            (TIME, X),
+            {"file": "", "path": [[0, 0]], "rate": 5.0},
+            "are of a file",
+        ),
+        (
+            "t,x",
+            (TIME, X),
+            {"repeat": 0.5},
+            r"repeat is 0.5 s, but the path ends at 1.196 s",
+        ),
         ("t,x", (TIME, X), {"file": "no.csv"}, "No such file"),
         ("t,x", (TIME, X), {"file": "/dev/zero"}, "is no regular file"),
-        ("t,x", (TIME, X), {"columns": {"force": "x"}}, r"columns\.force: expected position"),
+        (
+            "t,x",
+            (TIME, X),
+            {"columns": {"force": "x"}},
+            r"columns\.force: expected position",
+        ),
     ],
 )
 def test_a_mistake_is_met_with_what_was_meant(
@@ -156,7 +203,9 @@ def test_an_axis_has_a_path_of_its_own_beside_a_file(walk: Walk) -> None:
     base = {"stiffness": 150.0, "file": str(one)}
     for own, wanted in (({"file": str(other)}, Y[9]), ({"path": [[0.0, 0.02]]}, 0.02)):
         model: DeviceModel = convert(
-            {"mass": 0.1, "hand": base, "axes": {"y": {"hand": own}}}, DeviceModel, "device"
+            {"mass": 0.1, "hand": base, "axes": {"y": {"hand": own}}},
+            DeviceModel,
+            "device",
         )
         first, second = (m.hand for m in along(model, ("x", "y")))
         assert first is not None
@@ -190,25 +239,34 @@ WALL = "{kind: plane, position: -0.01}"
 SPHERE = "{kind: sphere, position: [0.0, 0.0, -0.05], radius: 0.03}"
 
 
-def test_a_path_of_a_file_is_that_of_its_numbers_to_the_bit(walk: Walk, tmp_path: Path) -> None:
+def test_a_path_of_a_file_is_that_of_its_numbers_to_the_bit(
+    walk: Walk, tmp_path: Path
+) -> None:
     """One axis, written as corners or as a file."""
     path = walk("t,z", TIME, Z)
     numbers = [[float(t), float(z)] for t, z in zip(TIME, Z, strict=True)]
     played = []
     for name, given in (("file", f"file: {path}"), ("path", f"path: {numbers}")):
         launch = tmp_path / f"{name}.yaml"
-        launch.write_text(SCENE.format(axes="[z]", hand=given, surface=WALL), encoding="utf-8")
+        launch.write_text(
+            SCENE.format(axes="[z]", hand=given, surface=WALL), encoding="utf-8"
+        )
         played.append(haptic.play(str(launch)))
     assert np.abs(played[0].position_m).max() > 5e-3
     np.testing.assert_array_equal(played[0].position_m, played[1].position_m)
     np.testing.assert_array_equal(played[0].force_n, played[1].force_n)
 
 
-def test_motion_capture_leads_a_device_in_three_axes(walk: Walk, tmp_path: Path) -> None:
-    path = walk("time [ms],px [mm],py [mm],pz [mm]", 1e3 * TIME, 1e3 * X, 1e3 * Y, 1e3 * Z)
+def test_motion_capture_leads_a_device_in_three_axes(
+    walk: Walk, tmp_path: Path
+) -> None:
+    path = walk(
+        "time [ms],px [mm],py [mm],pz [mm]", 1e3 * TIME, 1e3 * X, 1e3 * Y, 1e3 * Z
+    )
     launch = tmp_path / "walk.yaml"
     launch.write_text(
-        SCENE.format(axes="[x, y, z]", hand=f"file: {path}", surface=SPHERE), encoding="utf-8"
+        SCENE.format(axes="[x, y, z]", hand=f"file: {path}", surface=SPHERE),
+        encoding="utf-8",
     )
     played = haptic.play(str(launch))
     # The hand's spring settles within 0.3 s; then the device follows, late by damping over
@@ -225,17 +283,25 @@ def test_an_array_is_a_path(tmp_path: Path) -> None:
     one = haptic.hand_path(Z, rate=250.0)
     assert list(one) == ["path"]
     # A product and a quotient round differently.
-    np.testing.assert_allclose(one["path"], np.stack((TIME, Z), axis=1), rtol=4e-16, atol=0)
+    np.testing.assert_allclose(
+        one["path"], np.stack((TIME, Z), axis=1), rtol=4e-16, atol=0
+    )
     three = haptic.hand_path(np.stack((X, Y, Z), axis=1), time=TIME + 5.0)
     model: DeviceModel = convert(
-        {"mass": 0.1, "hand": {"stiffness": 150.0, "path": three["path"]}, "axes": three["axes"]},
+        {
+            "mass": 0.1,
+            "hand": {"stiffness": 150.0, "path": three["path"]},
+            "axes": three["axes"],
+        },
         DeviceModel,
         "device",
     )
     for made, wanted in zip(along(model, ("x", "y", "z")), (X, Y, Z), strict=True):
         assert made.hand is not None
         # Times less 5 s are rounded to 9e-16 s.
-        assert path_position(made.hand.path, float(TIME[9])) == pytest.approx(wanted[9], abs=1e-15)
+        assert path_position(made.hand.path, float(TIME[9])) == pytest.approx(
+            wanted[9], abs=1e-15
+        )
     for given, words in (
         ({"position": Z}, "needs rate or time"),
         ({"position": Z, "rate": 250.0, "time": TIME}, "not both"),
@@ -253,14 +319,18 @@ def test_an_array_is_a_path(tmp_path: Path) -> None:
 def test_a_file_is_a_hand_in_python_as_in_a_launch_file(tmp_path: Path) -> None:
     path = tmp_path / "hand.csv"
     rows = [(0.004 * i, 1e-3 * math.sin(0.02 * i)) for i in range(250)]
-    path.write_text("t,position\n" + "".join(f"{t!r},{x!r}\n" for t, x in rows), "utf-8")
+    path.write_text(
+        "t,position\n" + "".join(f"{t!r},{x!r}\n" for t, x in rows), "utf-8"
+    )
     times, where = zip(*rows, strict=True)
     hand = haptic.hand_path(path)
     assert hand == haptic.hand_path(where, time=times)
 
     def played(own: Any) -> Any:
         device = {"hand": {"repeat": None, **own}}
-        return haptic.play("wall_press", duration=0.5, params={"driver": {"device": device}})
+        return haptic.play(
+            "wall_press", duration=0.5, params={"driver": {"device": device}}
+        )
 
     assert np.ptp(played(hand).position_m) > 1e-4
     in_a_file = played({"path": [], "file": str(path)})

@@ -47,4 +47,6 @@ def test_a_force_in_lockstep_begins_to_act_by_the_whole_delay_later(
         read_axis(device.state, seq)
         write_axis(device.state, 1.0 if seq == 3 else 0.0, seq, 0.0)
     begins = 3.0 + delay + (1.0 if next_tick else 0.0)
-    assert device.state.x == pytest.approx(T / MASS * (12.0 - begins - 0.5) * T, rel=1e-12)
+    assert device.state.x == pytest.approx(
+        T / MASS * (12.0 - begins - 0.5) * T, rel=1e-12
+    )

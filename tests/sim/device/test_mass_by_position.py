@@ -39,7 +39,9 @@ def mass(x: float) -> float:
 
 
 def test_a_free_device_keeps_the_energy_of_its_motion() -> None:
-    device = VirtualDevice(DeviceModel(mass=0.1, velocity=0.2, mass_by_position=ARM), 0.002)
+    device = VirtualDevice(
+        DeviceModel(mass=0.1, velocity=0.2, mass_by_position=ARM), 0.002
+    )
     for _ in range(400):
         device_tick(device.state, 0.0)
     assert device.state.x > 0.08
@@ -63,15 +65,28 @@ def test_its_motion_is_that_of_the_equation() -> None:
         for _ in range(round(0.6 / period)):
             device_tick(device.state, 0.5)
             found.append(device.state.x)
-        return float(np.abs(np.array(found) - exact(np.arange(1, len(found) + 1) * period)).max())
+        return float(
+            np.abs(np.array(found) - exact(np.arange(1, len(found) + 1) * period)).max()
+        )
 
     def slope(_: float, state: np.ndarray) -> list[float]:
         x, v = state
-        bend = (ARM[1][1] - ARM[0][1]) / (ARM[1][0] - ARM[0][0]) if 0.0 < x < 0.1 else 0.0
-        return [v, (0.5 + 20.0 * (0.05 - x) - 0.8 * v - 0.5 * bend * v * v) / (mass(x) + 0.05)]
+        bend = (
+            (ARM[1][1] - ARM[0][1]) / (ARM[1][0] - ARM[0][0]) if 0.0 < x < 0.1 else 0.0
+        )
+        return [
+            v,
+            (0.5 + 20.0 * (0.05 - x) - 0.8 * v - 0.5 * bend * v * v) / (mass(x) + 0.05),
+        ]
 
     solved: Any = solve_ivp(
-        slope, (0.0, 0.61), [0.0, 0.0], rtol=1e-10, atol=1e-12, dense_output=True, max_step=1e-3
+        slope,
+        (0.0, 0.61),
+        [0.0, 0.0],
+        rtol=1e-10,
+        atol=1e-12,
+        dense_output=True,
+        max_step=1e-3,
     )
 
     def exact(time: np.ndarray) -> np.ndarray:
@@ -84,7 +99,9 @@ def test_its_motion_is_that_of_the_equation() -> None:
 
 
 def test_corners_must_increase() -> None:
-    with pytest.raises((ValueError, msgspec.ValidationError), match=r"mass_by_position\[1\]"):
+    with pytest.raises(
+        (ValueError, msgspec.ValidationError), match=r"mass_by_position\[1\]"
+    ):
         DeviceModel(mass=0.1, mass_by_position=[(0.1, 0.1), (0.1, 0.2)])
 
 
@@ -105,7 +122,9 @@ def test_a_law_is_judged_with_all_the_masses_of_the_workspace() -> None:
         fine = [Plant(period, float(m), 0.5, 0.5) for m in np.geomspace(0.05, 0.5, 200)]
         radii = [pole_radius(law, device) for device in fine]
         # To a fiftieth of what the loop loses or gains in a tick.
-        assert verdict.pole_radius == pytest.approx(max(radii), abs=0.02 * abs(max(radii) - 1.0))
+        assert verdict.pole_radius == pytest.approx(
+            max(radii), abs=0.02 * abs(max(radii) - 1.0)
+        )
         told.add(round(verdict.plant.mass, 6))
         figures = book.figures(parameters, "pd", 0.5)
         assert figures["pole_radius"] == verdict.pole_radius
@@ -149,7 +168,9 @@ def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> N
 
 def test_the_map_is_of_all_masses() -> None:
     law, period = PD(stiffness=300.0, damping=2.0), 0.002
-    both = stability_map(law, period, PlantParameters(mass=0.05, heaviest=0.5, damping=0.5), 1.0)
+    both = stability_map(
+        law, period, PlantParameters(mass=0.05, heaviest=0.5, damping=0.5), 1.0
+    )
     ends = [
         stability_map(law, period, PlantParameters(mass=mass, damping=0.5), 1.0)
         for mass in (0.05, 0.5)
@@ -164,11 +185,15 @@ def test_the_map_is_of_all_masses() -> None:
                 mine_low, mine_high = rows[damping]
                 # What is stable with all is stable with each.
                 assert mine_low is None or (
-                    low is not None and low <= mine_low and (high is None or mine_high <= high)
+                    low is not None
+                    and low <= mine_low
+                    and (high is None or mine_high <= high)
                 )
 
 
-def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_masses() -> None:
+def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_masses() -> (
+    None
+):
     device = {
         "mass": 0.1,
         "damping": 0.5,
@@ -184,7 +209,9 @@ def test_a_device_that_is_not_declared_is_taken_from_the_driver_with_all_its_mas
 @pytest.mark.process
 def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
     scene = with_device(
-        term_scene(launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})),
+        term_scene(
+            launch_file.read("sphere_feel", {"duration": 1.0, "pace": "lockstep"})
+        ),
         mass_by_position=ARM,
     )
     played = play(scene.launch)
@@ -194,7 +221,12 @@ def test_a_launch_moves_as_one_process_does(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     figures = launch_json(
-        tmp_path, "sphere_feel", "duration:=1.0", "pace:=lockstep", "--params", str(given)
+        tmp_path,
+        "sphere_feel",
+        "duration:=1.0",
+        "pace:=lockstep",
+        "--params",
+        str(given),
     )
     states = Recording(tmp_path / figures["recording"]).messages(DEVICE_STATE)
     assert np.array_equal(played.measured, [state.position for state in states[:-1]])

@@ -40,16 +40,21 @@ durations = st.floats(1e-7, 1e-2)
 # Below 1e-9 of each unit lies nothing physical, only underflow.
 counts = st.integers(-(10**9), 10**9)
 states = st.tuples(
-    counts.map(lambda i: i * 1e-10), counts.map(lambda i: i * 1e-9), counts.map(lambda i: i * 1e-8)
+    counts.map(lambda i: i * 1e-10),
+    counts.map(lambda i: i * 1e-9),
+    counts.map(lambda i: i * 1e-8),
 )
 
 
-def exponential(mass: float, damping: float, stiffness: float, duration: float) -> Coefficients:
+def exponential(
+    mass: float, damping: float, stiffness: float, duration: float
+) -> Coefficients:
     """Return the same map as the exponential of an augmented matrix, with 50 digits."""
     with mpmath.workdps(50):
         m, b, k, h = map(mpmath.mpf, (mass, damping, stiffness, duration))
         power = mpmath.expm(
-            mpmath.matrix([[0, 1, 0], [-k / m, -b / m, 1 / m], [0, 0, 0]]) * h, method="taylor"
+            mpmath.matrix([[0, 1, 0], [-k / m, -b / m, 1 / m], [0, 0, 0]]) * h,
+            method="taylor",
         )
         cells = ((0, 0), (0, 1), (1, 0), (1, 1), (0, 2), (1, 2))
         a11, a12, a21, a22, b1, b2 = (float(power[cell]) for cell in cells)
@@ -58,7 +63,9 @@ def exponential(mass: float, damping: float, stiffness: float, duration: float) 
 
 @pytest.mark.parametrize("mass", MASSES)
 def test_map_is_the_matrix_exponential(mass: float) -> None:
-    for damping, stiffness, duration in itertools.product(DAMPINGS, STIFFNESSES, DURATIONS):
+    for damping, stiffness, duration in itertools.product(
+        DAMPINGS, STIFFNESSES, DURATIONS
+    ):
         ours = coefficients(mass, damping, stiffness, duration)
         # Oscillating terms pass through zero: there a rounding of the phase (up to ω h ≈ 32 rad
         # here) counts absolutely, against the amplitude. 1e-13 is 450 roundings; the worst seen is
@@ -94,7 +101,9 @@ def test_free_device_is_the_plant_of_the_theory(damping: float) -> None:
     expected = (1.0, q, 0.0, decay, (period - q) / damping, (1.0 - decay) / damping)
     # The printed form loses m/(bT) digits in T − q: at b = 1e-3 that is 5e4 roundings twice over.
     lost = 2.3e-16 * (1.0 + mass / (damping * period)) ** 2
-    assert coefficients(mass, damping, 0.0, period) == pytest.approx(expected, rel=max(1e-14, lost))
+    assert coefficients(mass, damping, 0.0, period) == pytest.approx(
+        expected, rel=max(1e-14, lost)
+    )
 
 
 def test_frictionless_undamped_free_device_is_a_parabola() -> None:
@@ -106,24 +115,37 @@ def test_frictionless_undamped_free_device_is_a_parabola() -> None:
 @given(mass_values, damping_values, stiffness_values, durations, durations, states)
 @settings(max_examples=300)
 def test_two_steps_are_one(
-    m: float, b: float, k: float, h1: float, h2: float, state: tuple[float, float, float]
+    m: float,
+    b: float,
+    k: float,
+    h1: float,
+    h2: float,
+    state: tuple[float, float, float],
 ) -> None:
     x, v, u = state
     once = advance(x, v, u, coefficients(m, b, k, h1 + h2))
-    twice = advance(*advance(x, v, u, coefficients(m, b, k, h1)), u, coefficients(m, b, k, h2))
+    twice = advance(
+        *advance(x, v, u, coefficients(m, b, k, h1)), u, coefficients(m, b, k, h2)
+    )
     # Rounding is relative to the largest term that enters, not to the result, which may be a small
     # difference.
     rate = math.sqrt(k / m) + b / m
     reach = abs(x) + (abs(v) + abs(u) / m * (h1 + h2)) * (h1 + h2)
-    assert twice[0] == pytest.approx(once[0], abs=2e-13 * reach * (1.0 + rate * (h1 + h2)))
+    assert twice[0] == pytest.approx(
+        once[0], abs=2e-13 * reach * (1.0 + rate * (h1 + h2))
+    )
     assert twice[1] == pytest.approx(
         once[1], abs=2e-13 * (abs(v) + abs(u) / m * (h1 + h2) + rate * reach) * 4.0
     )
 
 
-@given(mass_values, stiffness_values, durations, st.floats(-0.1, 0.1), st.floats(-1.0, 1.0))
+@given(
+    mass_values, stiffness_values, durations, st.floats(-0.1, 0.1), st.floats(-1.0, 1.0)
+)
 @settings(max_examples=200)
-def test_energy_is_kept_without_damping(m: float, k: float, h: float, x: float, v: float) -> None:
+def test_energy_is_kept_without_damping(
+    m: float, k: float, h: float, x: float, v: float
+) -> None:
     def energy(x: float, v: float) -> float:
         return 0.5 * m * v * v + 0.5 * k * x * x
 
@@ -132,17 +154,31 @@ def test_energy_is_kept_without_damping(m: float, k: float, h: float, x: float, 
     assert after == pytest.approx(energy(x, v), rel=1e-13, abs=1e-30)
 
 
-@given(mass_values, damping_values, stiffness_values, durations, states, st.floats(0.0, 5.0))
+@given(
+    mass_values,
+    damping_values,
+    stiffness_values,
+    durations,
+    states,
+    st.floats(0.0, 5.0),
+)
 @settings(max_examples=300)
 def test_nothing_but_the_force_adds_energy(
-    m: float, b: float, k: float, h: float, state: tuple[float, float, float], friction: float
+    m: float,
+    b: float,
+    k: float,
+    h: float,
+    state: tuple[float, float, float],
+    friction: float,
 ) -> None:
     x, v, u = state
     x1, v1 = move(x, v, u, h, coefficients(m, b, k, h), m, b, k, friction)
     before = 0.5 * m * v * v + 0.5 * k * x * x
     gained = 0.5 * m * v1 * v1 + 0.5 * k * x1 * x1 - before - u * (x1 - x)
     # Rounding of the terms of the balance themselves.
-    assert gained <= 1e-12 * (before + abs(u) * (abs(x) + abs(v) * h + abs(u) / m * h * h))
+    assert gained <= 1e-12 * (
+        before + abs(u) * (abs(x) + abs(v) * h + abs(u) / m * h * h)
+    )
 
 
 # Coulomb friction
@@ -151,8 +187,13 @@ def test_nothing_but_the_force_adds_energy(
 def test_sticks_up_to_friction_and_not_beyond() -> None:
     step = coefficients(0.1, 1.0, 0.0, 0.002)
     for sign in (1.0, -1.0):
-        assert slide(0.003, 0.0, sign * 0.06, 0.002, step, 0.1, 1.0, 0.0, 0.06) == (0.003, 0.0)
-        x, v = slide(0.0, 0.0, sign * math.nextafter(0.06, 1.0), 0.002, step, 0.1, 1.0, 0.0, 0.06)
+        assert slide(0.003, 0.0, sign * 0.06, 0.002, step, 0.1, 1.0, 0.0, 0.06) == (
+            0.003,
+            0.0,
+        )
+        x, v = slide(
+            0.0, 0.0, sign * math.nextafter(0.06, 1.0), 0.002, step, 0.1, 1.0, 0.0, 0.06
+        )
         assert x * sign > 0.0
         assert v * sign > 0.0
 
@@ -174,8 +215,12 @@ def test_halt_time_of_a_damped_device() -> None:
     # v(t) = v e^{−bt/m} + (u/b)(1 − e^{−bt/m}) = 0 at t = (m/b) ln(1 − b v/u).
     mass, damping, v, u = 0.1, 3.0, 0.5, -0.2
     expected = mass / damping * math.log1p(-damping * v / u)
-    assert halt_time(0.0, v, u, 1.0, mass, damping, 0.0) == pytest.approx(expected, rel=1e-14)
-    assert halt_time(0.0, -v, -u, -1.0, mass, damping, 0.0) == pytest.approx(expected, rel=1e-14)
+    assert halt_time(0.0, v, u, 1.0, mass, damping, 0.0) == pytest.approx(
+        expected, rel=1e-14
+    )
+    assert halt_time(0.0, -v, -u, -1.0, mass, damping, 0.0) == pytest.approx(
+        expected, rel=1e-14
+    )
     assert halt_time(0.0, v, 0.1, 1.0, mass, damping, 0.0) == math.inf
 
 
@@ -224,7 +269,13 @@ def _integrate(
         stop.terminal = True  # type: ignore[attr-defined]
         stop.direction = -1.0  # type: ignore[attr-defined]
         answer: Any = solve_ivp(
-            rate, (time, duration), [x, v], method="DOP853", events=stop, rtol=1e-12, atol=1e-15
+            rate,
+            (time, duration),
+            [x, v],
+            method="DOP853",
+            events=stop,
+            rtol=1e-12,
+            atol=1e-15,
         )
         x, v, time = float(answer.y[0, -1]), float(answer.y[1, -1]), float(answer.t[-1])
         if answer.status == 1:
@@ -233,7 +284,13 @@ def _integrate(
 
 
 @given(
-    mass_values, damping_values, stiffness_values, durations, durations, states, st.floats(0.0, 5.0)
+    mass_values,
+    damping_values,
+    stiffness_values,
+    durations,
+    durations,
+    states,
+    st.floats(0.0, 5.0),
 )
 @settings(max_examples=300)
 def test_two_sliding_steps_are_one(
@@ -254,7 +311,9 @@ def test_two_sliding_steps_are_one(
     reach = abs(x) + (abs(v) + pull / m * (h1 + h2)) * (h1 + h2)
     # A stop is found to a rounding of time, and then moved by at most that much velocity: a few
     # more roundings than above.
-    assert twice[0] == pytest.approx(once[0], abs=1e-12 * reach * (1.0 + rate * (h1 + h2)))
+    assert twice[0] == pytest.approx(
+        once[0], abs=1e-12 * reach * (1.0 + rate * (h1 + h2))
+    )
     assert twice[1] == pytest.approx(
         once[1], abs=1e-12 * (abs(v) + pull / m * (h1 + h2) + rate * reach) * 4.0
     )
@@ -289,7 +348,8 @@ def test_motor_saturates_at_its_peak() -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "whole", "part"), [(0.0, 0, 0.0), (1.0, 1, 0.0), (2.25, 2, 0.25), (0.999, 0, 0.999)]
+    ("delay", "whole", "part"),
+    [(0.0, 0, 0.0), (1.0, 1, 0.0), (2.25, 2, 0.25), (0.999, 0, 0.999)],
 )
 def test_delay_splits(delay: float, whole: int, part: float) -> None:
     found = split_delay(delay)
@@ -351,7 +411,11 @@ def test_hand_holds_along_its_path() -> None:
         },
         DeviceModel,
     )
-    assert (model.moving_mass, model.moving_damping, model.grip) == (0.045 + 0.1, 4.0, 400.0)
+    assert (model.moving_mass, model.moving_damping, model.grip) == (
+        0.045 + 0.1,
+        4.0,
+        400.0,
+    )
     device = VirtualDevice(model, 0.001)
     for _ in range(2000):
         device_tick(device.state, 0.0)
@@ -390,7 +454,9 @@ def test_path_is_linear_between_and_held_beyond() -> None:
         ),
     ],
 )
-def test_wrong_parameters_are_refused_by_path(fields: dict[str, object], text: str) -> None:
+def test_wrong_parameters_are_refused_by_path(
+    fields: dict[str, object], text: str
+) -> None:
     with pytest.raises(msgspec.ValidationError, match=text):
         msgspec.convert(fields, DeviceModel)
 
@@ -403,5 +469,7 @@ def test_a_hand_may_repeat_its_path() -> None:
         assert again.point(time) == again.point(time + 2.5) == once.point(time)
     assert once.point(3.5) == 0.0
     assert again.point(3.5) == 2.0
-    with pytest.raises(ValueError, match=r"repeat is 1\.5 s, but the path ends at 2\.0 s"):
+    with pytest.raises(
+        ValueError, match=r"repeat is 1\.5 s, but the path ends at 2\.0 s"
+    ):
         Hand(stiffness=1.0, path=once.path, repeat=1.5)

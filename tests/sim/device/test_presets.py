@@ -17,7 +17,13 @@ from sim.device.real_devices import HANDS, MEMORY, PRESETS, preset
 from sim.studies.device_options import hand
 from tests.support.launching import haptic
 
-SCENE = {"mass": 0.1, "damping": 0.7, "friction": 0.03, "delay": 0.4, "resolution": 1e-6}
+SCENE = {
+    "mass": 0.1,
+    "damping": 0.7,
+    "friction": 0.03,
+    "delay": 0.4,
+    "resolution": 1e-6,
+}
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -30,7 +36,10 @@ def test_known_values_take_the_place_of_the_scenarios(name: str) -> None:
     # Nobody published a damping or a delay.
     assert (parameters.device.damping, parameters.device.delay) == (0.7, 0.4)
     # What param dump writes is read back as the same.
-    assert convert(msgspec.to_builtins(parameters), SimDriverParameters, "driver") == parameters
+    assert (
+        convert(msgspec.to_builtins(parameters), SimDriverParameters, "driver")
+        == parameters
+    )
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -47,9 +56,13 @@ def test_every_value_has_a_source_and_a_place(name: str) -> None:
 def test_a_hand_has_sources_and_can_hold_a_device_and_bound_a_design(name: str) -> None:
     known = HANDS[name].model
     values = {field: fact.value for field, fact in known.items()}
-    assert convert(values | {"path": [(0.0, 0.0)]}, Hand, "hand").stiffness == values["stiffness"]
+    assert (
+        convert(values | {"path": [(0.0, 0.0)]}, Hand, "hand").stiffness
+        == values["stiffness"]
+    )
     assert all(
-        fact.source and fact.remembered == ("remembered" in fact.source) for fact in known.values()
+        fact.source and fact.remembered == ("remembered" in fact.source)
+        for fact in known.values()
     )
     assert hand(name) == (0.0, values["stiffness"])
 
@@ -74,7 +87,9 @@ def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
         launch_file.read(scenario, {}),
         launch_file.read(scenario, {"device": "touch_x"}),
     )
-    for name in (name for name, spec in launch.nodes.items() if spec.kind == "sim_driver"):
+    for name in (
+        name for name, spec in launch.nodes.items() if spec.kind == "sim_driver"
+    ):
         assert_stands_in(name, before, launch)
     assert launch.arguments["device"] == "touch_x"
 
@@ -85,7 +100,11 @@ def assert_stands_in(driver: str, before: Launch, launch: Launch) -> None:
         convert(one.nodes[driver].parameters, SimDriverParameters, driver).device
         for one in (launch, before)
     )
-    assert (device.mass, device.damping, device.hand) == (0.035, described.damping, described.hand)
+    assert (device.mass, device.damping, device.hand) == (
+        0.035,
+        described.damping,
+        described.hand,
+    )
     # Its own limit, or the scene's stricter one.
     limit = before.nodes[driver].parameters["safety"]["peak_force"]
     assert convert(
@@ -123,7 +142,7 @@ def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> No
     assert told["stopped"] == "done"
     assert told["mass_kg"]["value"] == pytest.approx(0.035, rel=0.01)
     assert told["friction_n"]["value"] == pytest.approx(0.06, rel=0.05)
-    listed = json.loads(haptic(tmp_path, "device", "presets", "--json").stdout.splitlines()[-1])[
-        "presets"
-    ]
+    listed = json.loads(
+        haptic(tmp_path, "device", "presets", "--json").stdout.splitlines()[-1]
+    )["presets"]
     assert {one["name"] for one in listed} == set(PRESETS | HANDS)

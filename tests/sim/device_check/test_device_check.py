@@ -31,7 +31,10 @@ def stand(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 def words(stand: Bench, **given: Any) -> list[str]:
     """Return its parameters as command-line words."""
     parameters = {**stand.parameters, **given}
-    return [f"{stand.section}.{name}:={json.dumps(value)}" for name, value in parameters.items()]
+    return [
+        f"{stand.section}.{name}:={json.dumps(value)}"
+        for name, value in parameters.items()
+    ]
 
 
 def felt(stand: Bench, question: str) -> str:
@@ -51,7 +54,11 @@ def felt(stand: Bench, question: str) -> str:
 
 
 def checked(
-    stand: Bench, folder: Path, answer: Callable[[Bench, str], str], *more: str, **given: Any
+    stand: Bench,
+    folder: Path,
+    answer: Callable[[Bench, str], str],
+    *more: str,
+    **given: Any,
 ) -> tuple[int, str, str]:
     """Run `haptic device check` with answers; return exit code, output and questions."""
     command = [*HAPTIC, "device", "check", stand.kind, *words(stand, **given), *more]
@@ -94,9 +101,14 @@ def test_check_ends_with_a_line_to_paste(stand: Bench, tmp_path: Path) -> None:
     line = out.strip().splitlines()[-1]
     assert line.startswith(f"haptic device check {stand.kind}: ")
     assert "right" in line
-    assert "0.1 N felt, 1 N felt, 8 N felt" in line or "0.1 N felt, 1 N felt, 7.9 N felt" in line
+    assert (
+        "0.1 N felt, 1 N felt, 8 N felt" in line
+        or "0.1 N felt, 1 N felt, 7.9 N felt" in line
+    )
     assert re.search(r"\d+ samples/s of 1000, \d+ missed, longest gap", line)
-    assert re.search(r"force to effect \d+\.\d ± \d+\.\d ms \(95 %, \d+ pulses\)$", line)
+    assert re.search(
+        r"force to effect \d+\.\d ± \d+\.\d ms \(95 %, \d+ pulses\)$", line
+    )
     assert stand.world.state.broken == 0
     assert not any(stand.world.force())
 
@@ -104,7 +116,9 @@ def test_check_ends_with_a_line_to_paste(stand: Bench, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_check_finds_wrong_axes_before_any_force(tmp_path: Path) -> None:
     with bench("inverse3_driver", tmp_path) as stand:
-        code, _, said = checked(stand, tmp_path, felt, 'mapping.axes:=["+x", "+y", "+z"]')
+        code, _, said = checked(
+            stand, tmp_path, felt, 'mapping.axes:=["+x", "+y", "+z"]'
+        )
         assert code == 1
         assert 'mapping: {axes: ["+y", "-x", "+z"]}' in said
         assert stand.world.state.largest == 0.0
@@ -137,7 +151,9 @@ def test_a_handle_that_is_moved_otherwise_gives_no_axes(
         return ""
 
     with bench("inverse3_driver", tmp_path) as stand:
-        code, _, said = checked(stand, tmp_path, otherwise, 'mapping.axes:=["+x", "+y", "+z"]')
+        code, _, said = checked(
+            stand, tmp_path, otherwise, 'mapping.axes:=["+x", "+y", "+z"]'
+        )
         assert code == 1
         assert told in said
         assert "left is your left" in said
@@ -177,7 +193,9 @@ def test_yes_to_everything_pushes_nobody(tmp_path: Path) -> None:
         assert code == 1
         assert "the position changed by +0, +0, +0 mm" in said
         assert stand.world.state.largest == 0.0
-        refused = typed_in(tmp_path, "device", "check", stand.kind, *words(stand), "--yes", code=2)
+        refused = typed_in(
+            tmp_path, "device", "check", stand.kind, *words(stand), "--yes", code=2
+        )
         assert "--yes" in refused.stderr
 
 
@@ -192,15 +210,17 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.process
 def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
     told = json.loads(
-        haptic(tmp_path, "device", "info", stand.kind, *words(stand), "--json").stdout.splitlines()[
-            -1
-        ]
+        haptic(
+            tmp_path, "device", "info", stand.kind, *words(stand), "--json"
+        ).stdout.splitlines()[-1]
     )
     assert told["facts"]["serial"] in ("1234", "04BA")
     assert told["limits"]["hold"] > 0.0
     if stand.kind == "force_dimension_driver":
         # The stand-in is half as heavy again to the operator, which is x here, too.
-        assert [one["mass_kg"] for one in told["edge"]["axes"]] == pytest.approx([0.15, 0.1, 0.1])
+        assert [one["mass_kg"] for one in told["edge"]["axes"]] == pytest.approx(
+            [0.15, 0.1, 0.1]
+        )
         stiffest = [one["k_max_n_per_m"] for one in told["edge"]["axes"]]
         assert stiffest[1] == stiffest[2] != stiffest[0]
         assert (
@@ -208,7 +228,12 @@ def test_info_and_free(stand: Bench, tmp_path: Path) -> None:
             in haptic(tmp_path, "device", "free", stand.kind, *words(stand)).stdout
         )
         done = haptic(
-            tmp_path, "device", "info", stand.kind, f"{stand.section}.nonsense:=1", code=2
+            tmp_path,
+            "device",
+            "info",
+            stand.kind,
+            f"{stand.section}.nonsense:=1",
+            code=2,
         )
         assert "nonsense" in done.stderr
     wait_for(lambda: stand.world.state.open == 0, "it is given back")
@@ -220,7 +245,10 @@ def test_free_names_who_holds_the_device(tmp_path: Path) -> None:
         path = stand.parameters["library"]
         code = f"import ctypes, sys; ctypes.CDLL({path!r}); print(1, flush=True); sys.stdin.read()"
         holder = subprocess.Popen(
-            ["python3", "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            ["python3", "-c", code],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         with holder:
             assert holder.stdout

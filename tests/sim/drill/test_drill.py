@@ -35,7 +35,11 @@ HELD = (0.0, 0.0, 1.0)
 
 
 def state(
-    seq: int, force_seq: int, z: float = 1.0, safety: str = "active", energy: float = 0.0
+    seq: int,
+    force_seq: int,
+    z: float = 1.0,
+    safety: str = "active",
+    energy: float = 0.0,
 ) -> DeviceState:
     return DeviceState(
         seq=seq,
@@ -66,7 +70,11 @@ def test_time_to_safe_runs_from_the_last_fresh_force_to_zero() -> None:
         *(state(k, 1) for k in range(3, 12)),
         state(12, 1, 0.1, "damping"),
     ]
-    run += [state(13, 1, 0.1, "damping"), state(14, 1, 0.0, "zero"), state(15, 1, 0.0, "zero")]
+    run += [
+        state(13, 1, 0.1, "damping"),
+        state(14, 1, 0.0, "zero"),
+        state(15, 1, 0.0, "zero"),
+    ]
     assert drill.time_to_safe(run, 25) == 11
 
 
@@ -107,12 +115,19 @@ def test_ticks_that_a_damping_driver_slept_through_are_the_device_s() -> None:
 def test_ticks_after_a_ramp_are_the_device_s_too() -> None:
     # Answered in 1 last, up by the ramp without answers until 10, away until 32: the device would
     # hold that force until 35.
-    ramp = [state(1, 0, 0.1, "ramp"), *(state(k, 1, 0.1 * k, "ramp") for k in range(2, 11))]
+    ramp = [
+        state(1, 0, 0.1, "ramp"),
+        *(state(k, 1, 0.1 * k, "ramp") for k in range(2, 11)),
+    ]
     run = [*ramp, state(32, 1, 1.0, "zero"), state(33, 1, 0.0, "zero")]
     assert drill.time_to_safe(run, 25) == 30
     assert drill.driven_to_safe(run, 25) == 30 - 21
     # A force that stayed the same is the one that was answered: no excuse.
-    held = [state(1, 0), *(state(k, 1) for k in range(2, 11)), state(32, 1, 0.0, "zero")]
+    held = [
+        state(1, 0),
+        *(state(k, 1) for k in range(2, 11)),
+        state(32, 1, 0.0, "zero"),
+    ]
     assert drill.driven_to_safe(held, 25) == 25
 
 
@@ -124,7 +139,10 @@ def test_energy_goes_on_through_a_respawned_driver() -> None:
         state(10, 9, energy=0.3),
     ]
     assert drill.energy_given_out(run) == pytest.approx(0.5)
-    assert drill.energy_given_out([state(1, 0, energy=0.5), state(2, 1, energy=0.4)]) == 0.0
+    assert (
+        drill.energy_given_out([state(1, 0, energy=0.5), state(2, 1, energy=0.4)])
+        == 0.0
+    )
 
 
 def test_damping_may_not_be_stronger_than_a_damper() -> None:
@@ -146,11 +164,16 @@ def test_damping_may_not_be_stronger_than_a_damper() -> None:
         # the factor on the allowed force
         assert drill.overdamped(run) == pytest.approx(excess, abs=1e-9)
     # A larger force on its way down is none of damping's.
-    assert drill.overdamped([moved(5, 0.0, 3.0), moved(6, 0.0, 2.0), moved(7, 0.0, 1.0)]) == 0.0
+    assert (
+        drill.overdamped([moved(5, 0.0, 3.0), moved(6, 0.0, 2.0), moved(7, 0.0, 1.0)])
+        == 0.0
+    )
 
 
 def test_a_cause_is_what_was_counted_for_long_enough() -> None:
-    def look(waited: float, ran: float, stolen: float) -> dict[tuple[str, int, str], float]:
+    def look(
+        waited: float, ran: float, stolen: float
+    ) -> dict[tuple[str, int, str], float]:
         return {
             ("coupling", 7, "waited"): waited,
             ("driver", 6, "computed"): ran,
@@ -158,16 +181,29 @@ def test_a_cause_is_what_was_counted_for_long_enough() -> None:
         }
 
     # A quarter of 2 ms is enough, a little less is not; computing counts beyond half of the time.
-    assert largest(look(0.0, 0.0, 0.0), look(0.0005, 0.0, 0.0), 0.01, 0.002) == "coupling waited"
-    assert largest(look(0.0, 0.0, 0.0), look(0.00049, 0.0049, 0.0), 0.01, 0.002) == UNEXPLAINED
-    assert largest(look(0.0, 0.0, 0.0), look(0.0005, 0.008, 0.0), 0.01, 0.002) == "driver computed"
+    assert (
+        largest(look(0.0, 0.0, 0.0), look(0.0005, 0.0, 0.0), 0.01, 0.002)
+        == "coupling waited"
+    )
+    assert (
+        largest(look(0.0, 0.0, 0.0), look(0.00049, 0.0049, 0.0), 0.01, 0.002)
+        == UNEXPLAINED
+    )
+    assert (
+        largest(look(0.0, 0.0, 0.0), look(0.0005, 0.008, 0.0), 0.01, 0.002)
+        == "driver computed"
+    )
     # A respawned node's counts begin anew: another process.
     assert largest({}, look(1.0, 1.0, 1.0), 0.01, 0.002) == UNEXPLAINED
 
 
 def _sunk(first: int, shares: Sequence[float], given: float = 0.0) -> list[DeviceState]:
     """Return states of a hand 20 mm deep: a force, none, then shares of the peak; energy [J]."""
-    told = [(0.2, "active", 0.0), (0.0, "zero", 0.0), *((share, "ramp", given) for share in shares)]
+    told = [
+        (0.2, "active", 0.0),
+        (0.0, "zero", 0.0),
+        *((share, "ramp", given) for share in shares),
+    ]
     return [
         DeviceState(
             seq=seq,
@@ -194,11 +230,16 @@ def test_a_force_that_comes_back_keeps_its_ramp_and_throws_nobody() -> None:
     )
     # 9 N over 20 mm, the damping of the way and the speed at its end: 0.217 J.
     assert people.thrown([*right, *_sunk(later, [0.0], 0.215)]) == []
-    assert "the return needs 217 mJ" in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
+    assert (
+        "the return needs 217 mJ"
+        in people.thrown([*right, *_sunk(later, [0.0], 0.22)])[0]
+    )
 
 
 def test_a_push_that_nobody_asked_for_is_seen() -> None:
-    assert people.unasked([state(1, 0, 1.7), state(2, 1, 1.75), state(3, 2, 1.62)]) == []
+    assert (
+        people.unasked([state(1, 0, 1.7), state(2, 1, 1.75), state(3, 2, 1.62)]) == []
+    )
     assert people.unasked([state(1, 0, 1.7), state(2, 1, 1.0)]) != []
     # Right after a gap of the machine's the hand is still on its way.
     late = [
@@ -215,14 +256,18 @@ def test_recovery_needs_calm() -> None:
     assert drill.in_order(run)
     assert not drill.in_order(run[1:])
     assert not drill.in_order([*run, state(drill.CALM, drill.CALM - 1, safety="ramp")])
-    assert not drill.in_order([*run[:10], *(state(k, 9) for k in range(10, 10 + drill.CALM))])
+    assert not drill.in_order(
+        [*run[:10], *(state(k, 9) for k in range(10, 10 + drill.CALM))]
+    )
 
 
 def test_the_limit_is_that_of_the_drill_s_own_safety(tmp_path: Path) -> None:
     path = tmp_path / "drill.yaml"
     path.write_text(json.dumps(drill.scene()))
     launch = launch_file.read(str(path), {})
-    parameters = convert(launch.nodes["driver"].parameters, SimDriverParameters, "driver")
+    parameters = convert(
+        launch.nodes["driver"].parameters, SimDriverParameters, "driver"
+    )
     limits = lower(parameters.safety, DeviceLimits(), launch.run.period)
     assert limits.peak is not None
     assert limits.slew is not None
@@ -264,7 +309,13 @@ class Unmoved:
             "garbage",
             "oversize message",
         ),
-        *("hung device", "driver exits", "huge position", "slow logger", "stopped reaper"),
+        *(
+            "hung device",
+            "driver exits",
+            "huge position",
+            "slow logger",
+            "stopped reaper",
+        ),
     ],
 )
 def test_a_fault_that_does_not_show_has_not_struck(
@@ -287,7 +338,9 @@ def test_the_virtual_device_lets_go_after_its_deadline(
 ) -> None:
     period = 0.002
     setup = setup_of(period=period)
-    model = convert({"device": {"mass": 1.0, "damping": 0.0}}, SimDriverParameters, "driver").device
+    model = convert(
+        {"device": {"mass": 1.0, "damping": 0.0}}, SimDriverParameters, "driver"
+    ).device
     device = SimDevice(model, setup, hold)
     device.read_position(0)
     device.write_force(HELD, 0, 0.0)
@@ -384,7 +437,9 @@ def test_faults_of_real_devices_leave_no_force_on_the_arm(name: str) -> None:
 
 
 @pytest.mark.process
-def test_a_force_that_stays_on_an_arm_fails_the_drill(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_force_that_stays_on_an_arm_fails_the_drill(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stand = devices.StandIn(devices.KINDS[1])
 
     def strike(rig: Rig) -> None:
@@ -414,7 +469,10 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
         content["nodes"]["link"] = {"kind": "link"}
 
     broken = drill.Fault(
-        name="ended", what="the launcher is ended half-way", strike=strike, change=change
+        name="ended",
+        what="the launcher is ended half-way",
+        strike=strike,
+        change=change,
     )
     outcome = drill.drill(broken, timeout=0.2)
     assert not outcome.passed
@@ -425,7 +483,9 @@ def test_a_launch_that_does_not_recover_fails_the_drill() -> None:
 
 @pytest.mark.process
 def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
-    listed = json.loads(typed_in(tmp_path, "drill", "--list", "--json").stdout)["faults"]
+    listed = json.loads(typed_in(tmp_path, "drill", "--list", "--json").stdout)[
+        "faults"
+    ]
     assert {
         "kill driver",
         "flood",
@@ -436,7 +496,9 @@ def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
     } <= set(listed)
     refused = typed_in(tmp_path, "drill", "earthquake", code=2)
     assert "no fault is named 'earthquake'" in refused.stderr
-    figures = json.loads(typed_in(tmp_path, "drill", "full disk", "--json").stdout.splitlines()[-1])
+    figures = json.loads(
+        typed_in(tmp_path, "drill", "full disk", "--json").stdout.splitlines()[-1]
+    )
     assert figures["passed"] is True
     assert (
         figures["drills"][0]["skipped"]
@@ -445,11 +507,15 @@ def test_verb_lists_refuses_and_answers(tmp_path: Path) -> None:
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("number", slowly([signal.SIGTERM, signal.SIGKILL], but=[signal.SIGKILL]))
+@pytest.mark.parametrize(
+    "number", slowly([signal.SIGTERM, signal.SIGKILL], but=[signal.SIGKILL])
+)
 def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(
     tmp_path: Path, number: signal.Signals
 ) -> None:
-    drilling = subprocess.Popen([*HAPTIC, "drill", "soak"], cwd=tmp_path, stderr=subprocess.DEVNULL)
+    drilling = subprocess.Popen(
+        [*HAPTIC, "drill", "soak"], cwd=tmp_path, stderr=subprocess.DEVNULL
+    )
 
     def children(parents: set[int]) -> set[int]:
         found = set()
@@ -463,12 +529,16 @@ def test_a_drill_that_is_ended_itself_leaves_no_launch_behind(
         # The drill's child is the launcher; the launcher's are the reaper and four nodes.
         launcher = wait_for(lambda: children({drilling.pid}), "the launcher starts")
         nodes = wait_for(
-            lambda: found if len(found := children(launcher)) >= 5 else None, "nodes start"
+            lambda: found if len(found := children(launcher)) >= 5 else None,
+            "nodes start",
         )
         folder = Path(f"/proc/{min(launcher)}/cwd").resolve()
         drilling.send_signal(number)
         drilling.wait()
-        wait_for(lambda: not any(map(alive, launcher | nodes)), "launcher, reaper and nodes end")
+        wait_for(
+            lambda: not any(map(alive, launcher | nodes)),
+            "launcher, reaper and nodes end",
+        )
         # What was killed cannot tidy up its own working folder; the sockets in it are gone all the
         # same.
         assert folder.exists() == (number == signal.SIGKILL)

@@ -35,7 +35,11 @@ TICKS = round(RAMP / T)
 
 
 def _given(
-    seq: int, z: float, position: Vector = (0.0, 0.0, -0.001), jumps: int = 0, late: float = 0.0
+    seq: int,
+    z: float,
+    position: Vector = (0.0, 0.0, -0.001),
+    jumps: int = 0,
+    late: float = 0.0,
 ) -> Sample:
     return Sample(Write(seq * T + late, (0.0, 0.0, z), seq * T), seq, jumps, position)
 
@@ -82,7 +86,9 @@ def test_what_a_hand_moves_meanwhile_is_no_push() -> None:
     assert pushed(still, [60])[0] != []
 
 
-def test_a_ramp_counts_ticks_and_a_force_that_is_written_late_is_none_too_fast() -> None:
+def test_a_ramp_counts_ticks_and_a_force_that_is_written_late_is_none_too_fast() -> (
+    None
+):
     step = PEAK / TICKS
     # The first force of the ramp comes 8 ms late, those after it in time.
     log = [
@@ -95,7 +101,8 @@ def test_a_ramp_counts_ticks_and_a_force_that_is_written_late_is_none_too_fast()
     fast = [sample.write._replace(due=4 * T + n * T) for n, sample in enumerate(log)]
     assert (
         judge(
-            [write._replace(force=(0.0, 0.0, 1.1 * write.force[2])) for write in fast], bounds
+            [write._replace(force=(0.0, 0.0, 1.1 * write.force[2])) for write in fast],
+            bounds,
         ).broken
         != []
     )
@@ -115,16 +122,25 @@ def test_each_tick_has_its_slew_however_late_it_is_written() -> None:
     assert judge(rising(0.08), bounds).broken[:-1] == []
     assert "within one tick" in judge(rising(0.081), bounds).broken[0]
     # Of one tick there is no more than that, however many writes it has.
-    assert len(judge([write._replace(due=0.0) for write in rising(0.08)], bounds).broken) > 1
+    assert (
+        len(judge([write._replace(due=0.0) for write in rising(0.08)], bounds).broken)
+        > 1
+    )
 
 
 def test_figures_of_a_log_count_what_is_above_a_limit_and_the_steepest_rise() -> None:
-    log = [Write(n * T, (0.0, 0.0, PEAK * min((n + 1) / TICKS, 1.0))) for n in range(2 * TICKS)]
-    right = judge([*log, Write(2 * TICKS * T, (0.0, 0.0, 0.0))], Promise(T, PEAK, ramp=RAMP))
+    log = [
+        Write(n * T, (0.0, 0.0, PEAK * min((n + 1) / TICKS, 1.0)))
+        for n in range(2 * TICKS)
+    ]
+    right = judge(
+        [*log, Write(2 * TICKS * T, (0.0, 0.0, 0.0))], Promise(T, PEAK, ramp=RAMP)
+    )
     assert (right.broken, right.above) == ([], 0)
     assert 0.9 < right.steepest <= 1.0
     wrong = judge(
-        [Write(at, (x, y, 1.2 * z)) for at, (x, y, z), _ in log], Promise(T, PEAK, ramp=RAMP)
+        [Write(at, (x, y, 1.2 * z)) for at, (x, y, z), _ in log],
+        Promise(T, PEAK, ramp=RAMP),
     )
     # Above the peak from 1/1.2 of the ramp on.
     assert wrong.above == 2 * TICKS - round(TICKS / 1.2)
@@ -132,20 +148,30 @@ def test_figures_of_a_log_count_what_is_above_a_limit_and_the_steepest_rise() ->
 
 
 def test_ramps_are_due_after_jumps_in_contact_faults_and_times_without_force() -> None:
-    log = [_given(n, 1.0) for n in range(10)] + [_given(n, 1.0, jumps=1) for n in range(10, 20)]
+    log = [_given(n, 1.0) for n in range(10)] + [
+        _given(n, 1.0, jumps=1) for n in range(10, 20)
+    ]
     assert begins_in(log, []) == [10 * T]
-    air = [_given(n, 0.0) for n in range(10)] + [_given(n, 0.0, jumps=1) for n in range(10, 20)]
+    air = [_given(n, 0.0) for n in range(10)] + [
+        _given(n, 0.0, jumps=1) for n in range(10, 20)
+    ]
     assert begins_in(air, []) == []
     # Nothing is given in ticks 10 to 39; the force of tick 40 is the first of a ramp.
     silent = [_given(n, 0.0 if 10 <= n < 40 else 1.0) for n in range(50)]
-    states = [_state(n, "active" if n <= 10 else "zero" if n <= 40 else "ramp") for n in range(50)]
+    states = [
+        _state(n, "active" if n <= 10 else "zero" if n <= 40 else "ramp")
+        for n in range(50)
+    ]
     assert begins_in(silent, states) == [40 * T]
     # A gap that costs a part of the ramp only is judged by its length; a fault costs all of it.
     short = [_given(n, 0.0 if n == 10 else 1.0) for n in range(50)]
-    assert begins_in(short, [_state(10, "active"), _state(11, "zero"), _state(12, "ramp")]) == []
-    assert begins_in(short, [_state(10, "fault"), _state(11, "zero"), _state(12, "ramp")]) == [
-        11 * T
-    ]
+    assert (
+        begins_in(short, [_state(10, "active"), _state(11, "zero"), _state(12, "ramp")])
+        == []
+    )
+    assert begins_in(
+        short, [_state(10, "fault"), _state(11, "zero"), _state(12, "ramp")]
+    ) == [11 * T]
 
 
 def test_a_launch_is_drawn_again_from_its_seed() -> None:
@@ -162,7 +188,9 @@ MOVES = given(
     # Where a hand goes to, in equal spans of time, and when a wall is moved where, a law taken up
     # within how many ticks.
     path=st.lists(st.floats(-0.002, 0.002), min_size=1, max_size=6),
-    moves=st.dictionaries(st.integers(1, LENGTH - 1), st.floats(-REACH, REACH), max_size=4),
+    moves=st.dictionaries(
+        st.integers(1, LENGTH - 1), st.floats(-REACH, REACH), max_size=4
+    ),
     swaps=st.dictionaries(
         st.integers(1, LENGTH - 1),
         st.tuples(st.sampled_from(sorted(LAWS)), st.sampled_from([5, 20, 75])),
@@ -221,9 +249,14 @@ def _felt(
 @settings(max_examples=150)
 @MOVES
 def test_whatever_is_moved_and_swapped_the_coupling_gives_no_push(
-    path: list[float], moves: dict[int, float], swaps: dict[int, tuple[str, int]], lost: set[int]
+    path: list[float],
+    moves: dict[int, float],
+    swaps: dict[int, tuple[str, int]],
+    lost: set[int],
 ) -> None:
-    assert pushed(_felt(path, moves, swaps, lost), sorted(moves), sorted(swaps))[0] == []
+    assert (
+        pushed(_felt(path, moves, swaps, lost), sorted(moves), sorted(swaps))[0] == []
+    )
 
 
 def test_a_coupling_that_does_not_ease_is_seen() -> None:

@@ -34,7 +34,9 @@ def _touch(path: Path, seconds: float) -> str:
 def test_a_lock_whose_holder_was_killed_is_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "world"
     state = World(path).state
-    killed = subprocess.run([sys.executable, "-c", _DIE, str(path)], timeout=60.0, check=False)
+    killed = subprocess.run(
+        [sys.executable, "-c", _DIE, str(path)], timeout=60.0, check=False
+    )
     assert killed.returncode == -signal.SIGKILL
     assert state.lock != 0
     assert _touch(path, 60.0) == "(0.0, 0.0, 0.0)\n"

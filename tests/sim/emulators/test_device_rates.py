@@ -59,9 +59,13 @@ class Turns:
     def take(self, name: str) -> float:
         """Run a turn; return its share of missed ticks."""
         told = _run(
-            StandIn(next(kind for kind in KINDS if kind.kind == name)) if name != VIRTUAL else None
+            StandIn(next(kind for kind in KINDS if kind.kind == name))
+            if name != VIRTUAL
+            else None
         )
-        missed = (told["missed"] + told["overruns"]) / (told["ticks"] + told["overruns"])
+        missed = (told["missed"] + told["overruns"]) / (
+            told["ticks"] + told["overruns"]
+        )
         self._turns.setdefault(name, []).append((missed, told["response_us"]["p99"]))
         return float(missed)
 
@@ -87,13 +91,18 @@ def turns(request: pytest.FixtureRequest) -> Iterator[Turns]:
 @pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.parametrize("kind", [kind.kind for kind in KINDS])
-def test_a_real_device_misses_no_more_ticks_than_the_virtual_one(kind: str, turns: Turns) -> None:
+def test_a_real_device_misses_no_more_ticks_than_the_virtual_one(
+    kind: str, turns: Turns
+) -> None:
     # Each turn with one of the virtual device right after it: within minutes a machine's own share
     # went from 0.2 to 12 %. One decides most of the time; where it does not, the machine may have
     # stalled in it, and the median of more decides.
     more: list[float] = []
     for rounds in ROUNDS:
-        more += [turns.take(kind) - TIMES * turns.take(VIRTUAL) for _ in range(len(more), rounds)]
+        more += [
+            turns.take(kind) - TIMES * turns.take(VIRTUAL)
+            for _ in range(len(more), rounds)
+        ]
         if median(more) <= MORE:
             return
     pytest.fail(

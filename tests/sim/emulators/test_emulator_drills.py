@@ -16,9 +16,12 @@ from tests.support.launching import running, wait_for
 @pytest.mark.process
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    "kind", slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"])
+    "kind",
+    slowly(["force_dimension_driver", "inverse3_driver"], but=["inverse3_driver"]),
 )
-def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path: Path) -> None:
+def test_a_driver_that_is_stopped_or_killed_leaves_no_force(
+    kind: str, tmp_path: Path
+) -> None:
     """The firmware's watchdog, and the service's expiry; a Touch has neither."""
     with bench(kind, tmp_path) as stand:
         stand.world.state.position[2] = -0.002
@@ -26,12 +29,15 @@ def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path:
         def pushes() -> bool:
             return stand.world.force()[2] == pytest.approx(0.3, abs=1e-9)
 
-        with running(tmp_path, through(stand, tmp_path), *SOFT, "duration:=0") as launch:
+        with running(
+            tmp_path, through(stand, tmp_path), *SOFT, "duration:=0"
+        ) as launch:
             wait_for(pushes, "2 mm of 150 N/m")
             driver = launch.pid("driver")
             os.kill(driver, signal.SIGSTOP)
             wait_for(
-                lambda: not any(stand.world.force()), "no force from a process that stands still"
+                lambda: not any(stand.world.force()),
+                "no force from a process that stands still",
             )
             os.kill(driver, signal.SIGCONT)
             wait_for(pushes, "the force again")
@@ -40,8 +46,13 @@ def test_a_driver_that_is_stopped_or_killed_leaves_no_force(kind: str, tmp_path:
             wait_for(lambda: not any(stand.world.force()), "no force without a law")
             launch.finish(code=1)
         (tmp_path / "run.mcap").unlink()
-        with running(tmp_path, through(stand, tmp_path), *SOFT, "duration:=0") as launch:
+        with running(
+            tmp_path, through(stand, tmp_path), *SOFT, "duration:=0"
+        ) as launch:
             wait_for(pushes, "2 mm of 150 N/m")
             os.kill(launch.pid("driver"), signal.SIGKILL)
-            wait_for(lambda: not any(stand.world.force()), "no force from a process that is gone")
+            wait_for(
+                lambda: not any(stand.world.force()),
+                "no force from a process that is gone",
+            )
             launch.finish(code=1)

@@ -46,7 +46,9 @@ def virtual() -> Forces:
     for delay in np.linspace(0.0, 1.5, 61):
         device = msgspec.structs.replace(played.scene.device, delay=float(delay))
         scene = replace(played.scene, device=device)
-        found[float(delay)] = run(scene, played.law, played.ticks, memory=played.memory).force
+        found[float(delay)] = run(
+            scene, played.law, played.ticks, memory=played.memory
+        ).force
     return found
 
 
@@ -67,7 +69,8 @@ def _compared(table: Table, virtual: Forces, drop: int) -> tuple[float, float, i
     # The device's own latency is not told: it is the delay at which the virtual device renders the
     # same.
     error, delay = min(
-        (float(np.sqrt(np.mean((force - of)[known] ** 2))), delay) for delay, of in virtual.items()
+        (float(np.sqrt(np.mean((force - of)[known] ** 2))), delay)
+        for delay, of in virtual.items()
     )
     peak, rest = virtual[delay].max(), float(np.nanmean(force[-50:]))
     return (
@@ -90,13 +93,17 @@ def _recorded(path: Path, tick: int) -> Table | None:
 
 @pytest.mark.process
 @pytest.mark.realtime
-def test_the_drop_renders_through_the_device(stand: Bench, virtual: Forces, tmp_path: Path) -> None:
+def test_the_drop_renders_through_the_device(
+    stand: Bench, virtual: Forces, tmp_path: Path
+) -> None:
     period, ticks = 0.002, len(virtual[0.0])
     drops = []
     with running(
         tmp_path, through(stand, tmp_path, servo_rate=2000), *SOFT, "duration:=0"
     ) as launch:
-        epoch = float(next(launch.runtime_dir.rglob("driver.epoch")).read_text(encoding="ascii"))
+        epoch = float(
+            next(launch.runtime_dir.rglob("driver.epoch")).read_text(encoding="ascii")
+        )
         for _ in range(DROPS):
             # Let go at a tick, as the virtual device is.
             drops.append(int((time.monotonic() - epoch) / period) + 100)

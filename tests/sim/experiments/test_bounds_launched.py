@@ -34,7 +34,9 @@ from tests.support.launching import launch_json
 T, STEP = 0.002, 2.3e-5
 
 
-def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np.ndarray:
+def swing(
+    folder: Path, law: CompiledLaw, delays: list[float], ticks: int
+) -> np.ndarray:
     """Release 0.1 kg 10 mm from an anchor in lockstep, with the given delays of the forces."""
     content = yaml.safe_load(Path(find("floor_drop")).read_text())
     driver = content["nodes"]["driver"]
@@ -56,10 +58,16 @@ def swing(folder: Path, law: CompiledLaw, delays: list[float], ticks: int) -> np
     scenario = folder / "jitter.yaml"
     scenario.write_text(yaml.safe_dump(content))
     figures = launch_json(
-        folder, str(scenario), "pace:=lockstep", f"duration:={ticks * T}", environment=INSTALLED
+        folder,
+        str(scenario),
+        "pace:=lockstep",
+        f"duration:={ticks * T}",
+        environment=INSTALLED,
     )
     return np.asarray(
-        Recording(folder / figures["recording"]).arrays("/device/state")["position"][:ticks, 2]
+        Recording(folder / figures["recording"]).arrays("/device/state")["position"][
+            :ticks, 2
+        ]
     )
 
 
@@ -68,9 +76,17 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
     """At 97 % of the worse delay's stiffness, and at 102 %, with the growing sequence."""
     delays = (0.6, 1.4)
     derivative = without_spring(parse_law({"kind": "paper_optimum", "damping": 3.0}), T)
-    limit = min(k_max(derivative, Plant(T, 0.1, 1.0, d)).k_max_n_per_m or math.inf for d in delays)
-    inside, outside = with_spring(derivative, 0.97 * limit), with_spring(derivative, 1.02 * limit)
-    assert every_delay(inside, Plant(T, 0.1, 1.0), delays).stable is Certificate.CERTIFIED
+    limit = min(
+        k_max(derivative, Plant(T, 0.1, 1.0, d)).k_max_n_per_m or math.inf
+        for d in delays
+    )
+    inside, outside = (
+        with_spring(derivative, 0.97 * limit),
+        with_spring(derivative, 1.02 * limit),
+    )
+    assert (
+        every_delay(inside, Plant(T, 0.1, 1.0), delays).stable is Certificate.CERTIFIED
+    )
     found = every_delay(outside, Plant(T, 0.1, 1.0), delays)
     assert found.stable is Certificate.UNSTABLE
     ticks = 1200 // len(found.growing) * len(found.growing)
@@ -80,7 +96,9 @@ def test_certified_jitter_decays_and_its_counterexample_grows(tmp_path: Path) ->
         folder.mkdir()
         position = np.abs(swing(folder, law, list(found.growing), ticks))
         quarter = ticks // 4
-        rate = (position[-quarter:].max() / position[:quarter].max()) ** (1.0 / (ticks - quarter))
+        rate = (position[-quarter:].max() / position[:quarter].max()) ** (
+            1.0 / (ticks - quarter)
+        )
         assert (rate < 1.0) == (name == "inside")
         # The launch swings as the replay of that sequence does, which other code plays; a history
         # that begins empty and the phase of the swing are left: a factor of 2 over all ticks.
@@ -128,23 +146,39 @@ def test_a_launch_stops_at_the_bounds_friction_and_buzzes_just_below_the_edge() 
 
 def rate(law: dict[str, Any], mass: float, delay: float, ticks: int = 1600) -> float:
     """Return the growth per tick of a launch that swings about an anchor, over its later half."""
-    scene = free_scene(DeviceModel(mass=mass, damping=1.0, delay=delay), T, amplitude=1e-3)
+    scene = free_scene(
+        DeviceModel(mass=mass, damping=1.0, delay=delay), T, amplitude=1e-3
+    )
     position = np.abs(launched(scene, law, ticks)[0])
     eighth = ticks // 8
     return float(
-        (position[-eighth:].max() / position[4 * eighth : 5 * eighth].max()) ** (1.0 / (3 * eighth))
+        (position[-eighth:].max() / position[4 * eighth : 5 * eighth].max())
+        ** (1.0 / (3 * eighth))
     )
 
 
 @pytest.mark.slow
-def test_launches_decay_just_below_colgates_k_at_the_occurring_frequency_and_grow_above() -> None:
-    described = {"kind": "pd_alpha", "order": 1.5, "taps": 4, "gains": "paper", "damping": 3.0}
+def test_launches_decay_just_below_colgates_k_at_the_occurring_frequency_and_grow_above() -> (
+    None
+):
+    described = {
+        "kind": "pd_alpha",
+        "order": 1.5,
+        "taps": 4,
+        "gains": "paper",
+        "damping": 3.0,
+    }
     edge = edge_of(
-        without_spring(parse_law({**described, "stiffness": 1.0}), T), Plant(T, 0.1, 1.0)
+        without_spring(parse_law({**described, "stiffness": 1.0}), T),
+        Plant(T, 0.1, 1.0),
     )
     assert edge is not None
-    assert rate({**described, "stiffness": 0.995 * edge.k_exact_n_per_m}, 0.1, 0.0) < 1.0
-    assert rate({**described, "stiffness": 1.005 * edge.k_exact_n_per_m}, 0.1, 0.0) > 1.0
+    assert (
+        rate({**described, "stiffness": 0.995 * edge.k_exact_n_per_m}, 0.1, 0.0) < 1.0
+    )
+    assert (
+        rate({**described, "stiffness": 1.005 * edge.k_exact_n_per_m}, 0.1, 0.0) > 1.0
+    )
 
 
 @pytest.mark.slow
@@ -173,10 +207,15 @@ def test_launches_land_within_the_margin_and_not_just_beyond() -> None:
         ]
         for mass in (0.05, 0.05 / 1.06)
     }
-    falls = [not settles(scene, [law.compile(T)], Criterion())[0] for scene in scenes[0.05 / 1.06]]
+    falls = [
+        not settles(scene, [law.compile(T)], Criterion())[0]
+        for scene in scenes[0.05 / 1.06]
+    ]
     assert any(falls)
     for mass, lands in ((0.05, True), (0.05 / 1.06, False)):
         assert (
-            settles_launched(scenes[mass][falls.index(True)], law_to_dict(law), Criterion())
+            settles_launched(
+                scenes[mass][falls.index(True)], law_to_dict(law), Criterion()
+            )
             == lands
         )

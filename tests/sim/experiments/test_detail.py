@@ -48,12 +48,16 @@ def over_an_edge() -> Array:
             [0.03, 0, 0],
         ]
     )
-    return np.concatenate([np.linspace(a, b, 60) for a, b in itertools.pairwise(corners)])
+    return np.concatenate(
+        [np.linspace(a, b, 60) for a, b in itertools.pairwise(corners)]
+    )
 
 
 def test_a_box_of_triangles_needs_a_box() -> None:
     turn = (0.3, -0.2, 0.5)
-    found = judged(turned(box_triangles((0.04, 0.06, 0.02)), *turn), turned(over_an_edge(), *turn))
+    found = judged(
+        turned(box_triangles((0.04, 0.06, 0.02)), *turn), turned(over_an_edge(), *turn)
+    )
     # 1 mm deep, and rounding; no part of the force was allowed.
     assert found.largest_n == pytest.approx(1.0, rel=1e-3)
     assert found.limit_n == found.force_step_n == STIFFNESS * RESOLUTION
@@ -69,7 +73,9 @@ def test_a_box_of_triangles_needs_a_box() -> None:
 
 
 @pytest.mark.parametrize(("halvings", "needs"), [(4, "sphere"), (1, "1 convex piece")])
-def test_a_ball_needs_a_sphere_once_its_triangles_are_fine(halvings: int, needs: str) -> None:
+def test_a_ball_needs_a_sphere_once_its_triangles_are_fine(
+    halvings: int, needs: str
+) -> None:
     """An edge a lies a²/8r below the sphere: 20 µm for 5120 triangles, over 1 mm for 80."""
     on, out = ring(400, 0.2, PERIOD, 0.05)
     depth = np.minimum(np.arange(400) / 20.0, 1.0)[:, None] * 4e-3 - 1e-4
@@ -79,7 +85,9 @@ def test_a_ball_needs_a_sphere_once_its_triangles_are_fine(halvings: int, needs:
 
 
 def test_friction_that_is_felt_is_needed() -> None:
-    found = judged(box_triangles((0.04, 0.06, 0.02)), over_an_edge(), Friction(0.3, 0.3))
+    found = judged(
+        box_triangles((0.04, 0.06, 0.02)), over_an_edge(), Friction(0.3, 0.3)
+    )
     smooth = next(level for level in found.levels if level.name == "without friction")
     assert not smooth.enough
     # Drawn along 1 mm deep, it trails by 0.3 of that.
@@ -97,12 +105,27 @@ def test_the_study_leads_a_real_run_through_the_levels(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert (
-        main(["study", "detail", "rough_plane", "duration:=1.2", "--json", "--out", str(tmp_path)])
+        main(
+            [
+                "study",
+                "detail",
+                "rough_plane",
+                "duration:=1.2",
+                "--json",
+                "--out",
+                str(tmp_path),
+            ]
+        )
         == 0
     )
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert_drawn(told["plot"], "without friction", "no difference: up to", "time of a call")
-    assert [level["name"] for level in told["levels"]] == ["as it is", "without friction"]
+    assert_drawn(
+        told["plot"], "without friction", "no difference: up to", "time of a call"
+    )
+    assert [level["name"] for level in told["levels"]] == [
+        "as it is",
+        "without friction",
+    ]
     assert told["needs"] == "as it is"
     # A Touch X's encoder step, times the stiffness.
     assert told["force_step_n"] == pytest.approx(800.0 * 2.3e-5)
@@ -115,7 +138,17 @@ def test_bodies_are_led_held_and_left_out(
 ) -> None:
     pytest.importorskip("mujoco")
     assert (
-        main(["study", "detail", "stack_boxes", "duration:=1.2", "--json", "--out", str(tmp_path)])
+        main(
+            [
+                "study",
+                "detail",
+                "stack_boxes",
+                "duration:=1.2",
+                "--json",
+                "--out",
+                str(tmp_path),
+            ]
+        )
         == 0
     )
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -136,7 +169,9 @@ def test_bodies_are_led_held_and_left_out(
     assert not levels["fixed"]["enough"]
     # Without any contact the tool keeps to the device, and all of the force from pushing is gone.
     assert levels["a tool alone"]["force_n"] > 0.5 * found["largest_n"]
-    assert all(0.0 < level["call_us"] <= level["call_p99_us"] for level in levels.values())
+    assert all(
+        0.0 < level["call_us"] <= level["call_p99_us"] for level in levels.values()
+    )
 
 
 OWN = """summary: somebody's own
@@ -159,7 +194,15 @@ def test_the_study_plays_a_file_by_a_relative_path_without_arguments(
     """A run without an end is played for as long as every study plays it."""
     (tmp_path / "own.yaml").write_text(OWN, encoding="ascii")
     monkeypatch.chdir(tmp_path)
-    words = ["study", "detail", "./own.yaml", "run.duration:=0.6", "--json", "--out", "out"]
+    words = [
+        "study",
+        "detail",
+        "./own.yaml",
+        "run.duration:=0.6",
+        "--json",
+        "--out",
+        "out",
+    ]
     assert main(words) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["levels"][0]["name"] == "as it is"

@@ -78,13 +78,17 @@ def test_free_swing_ends_where_the_pole_radius_says(
     # begins: ρ^(9000) = 1/200 times the share of that mode in the start, which is between 1/4 and 4
     # for these laws.
     at_limit = with_spring(derivative, found.k_max_n_per_m)
-    decay = 9000.0 * math.log(pole_radius(at_limit, Plant(PERIOD, mass, damping, delay)))
+    decay = 9000.0 * math.log(
+        pole_radius(at_limit, Plant(PERIOD, mass, damping, delay))
+    )
     assert decay == pytest.approx(math.log(1.0 / 200.0), abs=math.log(4.0))
     # And it swings with the angle of that pole; 20 crossings of a decaying sine are read to a part
     # in a thousand.
     assert found.frequency_hz is not None
     angle = largest_pole_angle(at_limit, model)
-    assert found.frequency_hz == pytest.approx(angle / (2.0 * math.pi * PERIOD), rel=2e-3)
+    assert found.frequency_hz == pytest.approx(
+        angle / (2.0 * math.pi * PERIOD), rel=2e-3
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 0.4])
@@ -94,12 +98,13 @@ def test_just_inside_and_just_outside(law: Law, delay: float) -> None:
     derivative = without_spring(law, PERIOD)
     exact = k_max(derivative, Plant(PERIOD, 0.1, 1.0, delay)).k_max_n_per_m
     assert exact is not None
-    inside, outside = (with_spring(derivative, exact * share) for share in (0.999, 1.001))
+    inside, outside = (
+        with_spring(derivative, exact * share) for share in (0.999, 1.001)
+    )
     # A part in a thousand of K moves ln ρ by some 1e-5 here: 10⁶ ticks tell e^{−10} from e^{+10}.
-    assert settles(free_scene(model, PERIOD), [inside, outside], Criterion(1_000_000)) == [
-        True,
-        False,
-    ]
+    assert settles(
+        free_scene(model, PERIOD), [inside, outside], Criterion(1_000_000)
+    ) == [True, False]
     assert (
         pole_radius(inside, Plant(PERIOD, 0.1, 1.0, delay))
         < 1.0
@@ -131,7 +136,8 @@ def test_press_is_judged_with_the_hand_in_the_loop() -> None:
         lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True)
     )
     held = simulated_k_max(
-        lambda K: with_spring(derivative, K), press_scene(model, PERIOD, False, True, hand)
+        lambda K: with_spring(derivative, K),
+        press_scene(model, PERIOD, False, True, hand),
     )
     exact = k_max(derivative, Plant(PERIOD, 0.125, 2.5, 0.0, 250.0)).k_max_n_per_m
     assert exact is not None
@@ -146,11 +152,20 @@ def test_bracket_is_as_narrow_as_asked() -> None:
     derivative = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
     scene = drop_scene(DeviceModel(mass=0.1, damping=1.0), PERIOD, False, True)
     criterion = Criterion(2500)
-    found = simulated_k_max(lambda K: with_spring(derivative, K), scene, criterion, precision=1e-6)
+    found = simulated_k_max(
+        lambda K: with_spring(derivative, K), scene, criterion, precision=1e-6
+    )
     assert found.k_max_n_per_m is not None
     assert found.unsettled_n_per_m is not None
-    assert 0.0 < found.unsettled_n_per_m - found.k_max_n_per_m <= 1e-6 * found.k_max_n_per_m
-    edge = [with_spring(derivative, K) for K in (found.k_max_n_per_m, found.unsettled_n_per_m)]
+    assert (
+        0.0
+        < found.unsettled_n_per_m - found.k_max_n_per_m
+        <= 1e-6 * found.k_max_n_per_m
+    )
+    edge = [
+        with_spring(derivative, K)
+        for K in (found.k_max_n_per_m, found.unsettled_n_per_m)
+    ]
     assert settles(scene, edge, criterion) == [True, False]
 
 
@@ -158,13 +173,19 @@ def test_divergence_that_ends_in_saturation_is_no_rest() -> None:
     # Far beyond its limit a motor of 7.9 N keeps the device bouncing by millimetres: bounded, but
     # never at rest.
     wild = PD(stiffness=20000.0, damping=2.0).compile(PERIOD)
-    scene = drop_scene(DeviceModel(mass=0.1, damping=1.0, peak_force=7.9), PERIOD, False, True)
+    scene = drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, peak_force=7.9), PERIOD, False, True
+    )
     assert settles(scene, [wild], Criterion()) == [False]
     # Held for so short a time that it hardly moves at all, it is the force at its limit, or the air
     # under it, that tells.
     brief = Criterion(8, tolerance=1.0)
     pressed = drop_scene(
-        DeviceModel(mass=0.1, damping=1.0, peak_force=7.9), PERIOD, False, True, height=1e-9
+        DeviceModel(mass=0.1, damping=1.0, peak_force=7.9),
+        PERIOD,
+        False,
+        True,
+        height=1e-9,
     )
     assert settles(pressed, [wild], brief) == [False]
     soft = PD(stiffness=2000.0, damping=2.0).compile(PERIOD)
@@ -174,10 +195,9 @@ def test_divergence_that_ends_in_saturation_is_no_rest() -> None:
 
 def test_overflow_is_no_rest() -> None:
     scene = free_scene(DeviceModel(mass=0.1), PERIOD)
-    assert settles(scene, [CompiledLaw((1e9, -1e9)), CompiledLaw((1e300, 1e300))], Criterion()) == [
-        False,
-        False,
-    ]
+    assert settles(
+        scene, [CompiledLaw((1e9, -1e9)), CompiledLaw((1e300, 1e300))], Criterion()
+    ) == [False, False]
 
 
 def test_no_stiffness_at_all_is_no_rest() -> None:
@@ -194,7 +214,9 @@ def test_ends_of_the_search() -> None:
     derivative = without_spring(PD(stiffness=1.0, damping=2.0), PERIOD)
     none = simulated_k_max(lambda K: CompiledLaw((-K,)), scene)
     assert none.k_max_n_per_m is None
-    every = simulated_k_max(lambda K: with_spring(derivative, K), scene, low=100.0, high=300.0)
+    every = simulated_k_max(
+        lambda K: with_spring(derivative, K), scene, low=100.0, high=300.0
+    )
     assert every.k_max_n_per_m == math.inf
 
 
@@ -223,14 +245,17 @@ def test_frequency_of_a_sine() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "text"), [({"ticks": 4}, "ticks is 4"), ({"tolerance": 0.0}, r"tolerance is 0\.0")]
+    ("fields", "text"),
+    [({"ticks": 4}, "ticks is 4"), ({"tolerance": 0.0}, r"tolerance is 0\.0")],
 )
 def test_wrong_criteria_are_refused(fields: dict[str, float], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Criterion(**fields)  # type: ignore[arg-type]
 
 
-def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[str]) -> None:
+def test_study_presses_with_the_grip_it_is_given(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     words = (
         "study kmax --law pd --gain 3 --mass 0.1 --damping 1 --method simulation --scene press"
         " --json"
@@ -238,7 +263,9 @@ def test_study_presses_with_the_grip_it_is_given(capsys: pytest.CaptureFixture[s
     found = []
     for hand in (100.0, 4000.0):
         assert main([*words.split(), "--hand", str(hand)]) == 0
-        found.append(json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"])
+        found.append(
+            json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"]
+        )
         exact = k_max(
             without_spring(PD(stiffness=1.0, damping=3.0), PERIOD),
             Plant(PERIOD, 0.1, 1.0, 0.0, hand),
@@ -265,7 +292,9 @@ def test_the_pages_simulated_limits_name_their_horizon() -> None:
     assert len(rows) == 4
     for kind, scene, horizon, *limits in rows:
         resolution = {"resolution": 2.3e-5} if kind else {}
-        law = parse_law({"kind": kind or "pd", "stiffness": 1.0, "damping": 3.0, **resolution})
+        law = parse_law(
+            {"kind": kind or "pd", "stiffness": 1.0, "damping": 3.0, **resolution}
+        )
         derivative = without_spring(law, PERIOD)
         for delay, limit in zip((0.0, 1.0), map(float, limits), strict=True):
             model = DeviceModel(mass=0.1, damping=1.0, delay=delay)

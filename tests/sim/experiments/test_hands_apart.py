@@ -34,7 +34,9 @@ def rest(k: int) -> float:
 
 
 @pytest.mark.parametrize("delay", [0, 3, 10])
-def test_a_spring_over_a_network_drags_by_stiffness_times_round_trip(delay: int) -> None:
+def test_a_spring_over_a_network_drags_by_stiffness_times_round_trip(
+    delay: int,
+) -> None:
     # F₁ = K (x₂ − x₁) with x₂ late by a ticks, and the partner's x₂ late by c behind x₁: −F₁/v → K
     # T (a + c) at ω → 0. At 1 Hz the partner's own mass and damping on the spring add terms of
     # (ωT(a + c))² and of b.
@@ -62,7 +64,9 @@ def test_play_swings_where_the_poles_say(share: float, stable: bool) -> None:
         middle = 0.5 * (low + high)
         # Both drift together freely: a pole at 1 that is not this one.
         low, high = (middle, high) if radius(middle) < 1.0 + 1e-7 else (low, middle)
-    run = play((DEVICE, DEVICE), (pd(share * low, 0.3),) * 2, Network(5, 5), (kick, rest), 6000)
+    run = play(
+        (DEVICE, DEVICE), (pd(share * low, 0.3),) * 2, Network(5, 5), (kick, rest), 6000
+    )
     apart = run.position[:, 0] - run.position[:, 1]
     assert (np.ptp(apart[-500:]) < np.ptp(apart[2500:3000])) == stable
 
@@ -78,11 +82,19 @@ def test_play_swings_where_the_poles_say(share: float, stable: bool) -> None:
     seed=st.integers(0, 1000),
 )
 def test_guards_at_both_ends_make_no_energy_over_any_network(
-    stiffness: float, gain: float, there: int, back: int, jitter: int, loss: float, seed: int
+    stiffness: float,
+    gain: float,
+    there: int,
+    back: int,
+    jitter: int,
+    loss: float,
+    seed: int,
 ) -> None:
     guard = EndGuard(stiffness, 1.0)
     network = Network(there, back, jitter, loss, seed)
-    run = play((DEVICE, DEVICE), (pd(stiffness, gain),) * 2, network, (kick, rest), 1500, guard)
+    run = play(
+        (DEVICE, DEVICE), (pd(stiffness, gain),) * 2, network, (kick, rest), 1500, guard
+    )
     # A guard looks one tick ahead: a tick gives out no more than its force times the change of a
     # step, F²T²/m at either end (nodes/driver/passivity.py), and what was given out too much is
     # owed, so it does not add up.
@@ -93,16 +105,24 @@ def test_guards_at_both_ends_make_no_energy_over_any_network(
 
 
 def test_without_a_guard_the_same_network_throws_the_hands() -> None:
-    run = play((DEVICE, DEVICE), (pd(300.0, 0.3),) * 2, Network(5, 5), (kick, rest), 1500)
+    run = play(
+        (DEVICE, DEVICE), (pd(300.0, 0.3),) * 2, Network(5, 5), (kick, rest), 1500
+    )
     assert float(np.abs(run.position).max()) > 1.0
 
 
-def test_a_law_each_bears_more_than_one_beside_the_first_device_and_a_damper_still_more() -> None:
+def test_a_law_each_bears_more_than_one_beside_the_first_device_and_a_damper_still_more() -> (
+    None
+):
     rows = over_delay(DEVICE, 500.0, 1.0, [0, 2], dampers=5)
     near, far = rows
-    assert near.one_law_n_per_m == pytest.approx(500.0, rel=1e-6)  # b/T at no delay, whichever way
+    assert near.one_law_n_per_m == pytest.approx(
+        500.0, rel=1e-6
+    )  # b/T at no delay, whichever way
     assert near.law_each_n_per_m == pytest.approx(500.0, rel=1e-6)
-    assert far.law_each_n_per_m == pytest.approx(1.0 / (T * 3.0), rel=1e-6)  # b/(T(1 + (a + c)/2))
+    assert far.law_each_n_per_m == pytest.approx(
+        1.0 / (T * 3.0), rel=1e-6
+    )  # b/(T(1 + (a + c)/2))
     assert far.one_law_n_per_m is not None
     assert far.law_each_n_per_m is not None
     assert far.damped_n_per_m is not None

@@ -36,25 +36,34 @@ SHORT = Criterion(ticks=1200)
 
 
 def dropped(delay: float = 0.0) -> Scene:
-    return drop_scene(DeviceModel(mass=0.1, damping=1.0, delay=delay), T, raw=False, clamp=True)
+    return drop_scene(
+        DeviceModel(mass=0.1, damping=1.0, delay=delay), T, raw=False, clamp=True
+    )
 
 
 @pytest.mark.process
 def test_settles_just_inside_and_not_just_outside() -> None:
     """Found in one process to 0.1 %, tried with processes on both sides."""
     law, scene = PD(stiffness=1.0, damping=3.0), dropped(delay=1.0)
-    found = simulated_k_max(lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT)
+    found = simulated_k_max(
+        lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT
+    )
     assert found.k_max_n_per_m is not None
     assert found.unsettled_n_per_m is not None
     assert found.unsettled_n_per_m < 1.0011 * found.k_max_n_per_m
     assert settles_launched(scene, with_stiffness(law, found.k_max_n_per_m), SHORT)
-    assert not settles_launched(scene, with_stiffness(law, found.unsettled_n_per_m), SHORT)
+    assert not settles_launched(
+        scene, with_stiffness(law, found.unsettled_n_per_m), SHORT
+    )
 
 
 @pytest.mark.slow
 def test_both_bisect_to_the_same_stiffness() -> None:
     """The paper's optimum, half a tick late: four taps, and two forces per tick."""
-    law, scene = parse_law({"kind": "paper_optimum", "stiffness": 1.0}), dropped(delay=0.5)
+    law, scene = (
+        parse_law({"kind": "paper_optimum", "stiffness": 1.0}),
+        dropped(delay=0.5),
+    )
     guess = simulated_k_max(
         lambda K: compiled(scene, with_stiffness(law, K)), scene, SHORT, low=500.0
     ).k_max_n_per_m
@@ -95,7 +104,8 @@ def test_a_run_judged_alone_is_judged_as_among_many(stiffness: float) -> None:
     scene, law = dropped(), PD(stiffness=stiffness, damping=3.0).compile(T)
     trace = run(scene, law, SHORT.ticks)
     assert (
-        settled(scene, law, trace.position, trace.force, SHORT) == settles(scene, [law], SHORT)[0]
+        settled(scene, law, trace.position, trace.force, SHORT)
+        == settles(scene, [law], SHORT)[0]
     )
 
 
@@ -114,14 +124,24 @@ def test_bisection_finds_the_last_that_settles(count: int, good: int) -> None:
 
 
 def test_what_the_launch_does_not_play_is_refused() -> None:
-    guarded = Scene(**{**vars(dropped()), "passivity": PassivityParameters(stiffness=1000.0)})
+    guarded = Scene(
+        **{**vars(dropped()), "passivity": PassivityParameters(stiffness=1000.0)}
+    )
     with pytest.raises(ValueError, match="no guard"):
         parameters(guarded, {"kind": "pd"})
     with pytest.raises(ValueError, match="fir has no nominal stiffness"):
         with_stiffness(FIR(taps=(1000.0,)), 500.0)
     short = run(dropped(), PD(stiffness=900.0, damping=3.0).compile(T), 100)
-    with pytest.raises(ValueError, match="100 positions and 100 forces, the horizon is 1200 ticks"):
-        settled(dropped(), PD(stiffness=900.0).compile(T), short.position, short.force, SHORT)
+    with pytest.raises(
+        ValueError, match="100 positions and 100 forces, the horizon is 1200 ticks"
+    ):
+        settled(
+            dropped(),
+            PD(stiffness=900.0).compile(T),
+            short.position,
+            short.force,
+            SHORT,
+        )
 
 
 @pytest.mark.slow
@@ -139,11 +159,15 @@ def test_study_tells_both(tmp_path: Path) -> None:
         "3",
         "--json",
     )
-    figures = json.loads(haptic(tmp_path, "study", "kmax", *words).stdout.splitlines()[-1])
+    figures = json.loads(
+        haptic(tmp_path, "study", "kmax", *words).stdout.splitlines()[-1]
+    )
     assert figures["same"] is True
     assert figures["k_max_n_per_m"] == figures["one_process_n_per_m"]
     # PD has no leak: its taps sum to K but for their rounding.
-    assert figures["h1_max_n_per_m"] == pytest.approx(figures["k_max_n_per_m"], rel=1e-12)
+    assert figures["h1_max_n_per_m"] == pytest.approx(
+        figures["k_max_n_per_m"], rel=1e-12
+    )
     assert figures["launches"] == 3
     assert list(tmp_path.iterdir()) == []
     assert (

@@ -52,9 +52,13 @@ CHAINS = [(name, chain) for name in LAUNCHES for chain in chains_of(LAUNCHES[nam
 APART = [(name, chain) for name, chain in CHAINS if name == "hands_apart"]
 """A network between two hands lives in real time."""
 
-SPATIAL = [name for name, chain in CHAINS if not chain and len(LAUNCHES[name].run.axes) > 1]
+SPATIAL = [
+    name for name, chain in CHAINS if not chain and len(LAUNCHES[name].run.axes) > 1
+]
 PLAYED = [
-    (name, chain) for name, chain in CHAINS if name not in SPATIAL and (name, chain) not in APART
+    (name, chain)
+    for name, chain in CHAINS
+    if name not in SPATIAL and (name, chain) not in APART
 ]
 
 
@@ -104,24 +108,46 @@ def test_a_curved_surface_that_is_hardly_curved_needs_a_plane(tmp_path: Path) ->
         data["nodes"]["driver"]["parameters"]["device"]["hand"] = hand
         data["run"]["duration"] = 0.3
 
-    found = needs(launch_file.read(changed(tmp_path, "sphere_feel", edit), {}), rounds=0)
+    found = needs(
+        launch_file.read(changed(tmp_path, "sphere_feel", edit), {}), rounds=0
+    )
     shape = next(f for f in found.findings if f.term == "shape")
     assert shape.verdict == "superfluous"
     assert shape.switched == "off: the plane that touches it"
 
 
 def test_needs_in_three_axes_by_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "needs", "rough_plane", "duration:=0.8", "--rounds", "0", "--json"]) == 0
+    assert (
+        main(
+            [
+                "study",
+                "needs",
+                "rough_plane",
+                "duration:=0.8",
+                "--rounds",
+                "0",
+                "--json",
+            ]
+        )
+        == 0
+    )
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert {finding["term"]: finding["verdict"] for finding in answer["terms"]}[
         "surface_friction"
     ] == "needed"
     assert answer["rest"] is None
-    assert main(["study", "needs", "sphere_feel", "duration:=0.1", "--rounds", "0"]) == 2
+    assert (
+        main(["study", "needs", "sphere_feel", "duration:=0.1", "--rounds", "0"]) == 2
+    )
     assert "touches nothing" in capsys.readouterr().err
 
 
-QUICK = [("floor_drop", ""), ("hands_coupled", ""), ("two_hands", "right"), ("world_edge", "")]
+QUICK = [
+    ("floor_drop", ""),
+    ("hands_coupled", ""),
+    ("two_hands", "right"),
+    ("world_edge", ""),
+]
 
 
 @pytest.mark.parametrize("where", slowly(PLAYED, but=QUICK), ids="/".join)
@@ -130,9 +156,13 @@ def test_shipped_scenarios_model_enough_and_no_more(where: tuple[str, str]) -> N
     found = needs(launch_file.read(scenario, {}), chain, rounds=0)
     assert found.superfluous == ()
     assert found.missing == ()
-    declared = [finding for finding in found.findings if finding.switched.startswith("off")]
+    declared = [
+        finding for finding in found.findings if finding.switched.startswith("off")
+    ]
     assert declared
-    assert all(finding.verdict in ("needed", "protects", "sought") for finding in declared)
+    assert all(
+        finding.verdict in ("needed", "protects", "sought") for finding in declared
+    )
     # The encoder of ``identify`` is there to be identified: the run itself does not feel it.
     sought = [finding.term for finding in declared if finding.verdict == "sought"]
     assert sought == (["resolution"] if scenario == "identify" else [])
@@ -191,7 +221,10 @@ def test_long_memory_that_nothing_depends_on_is_superfluous(tmp_path: Path) -> N
         }
 
     length = 400
-    assert verdicts(judge(changed(tmp_path, "floor_drop", edit)))["memory"] == "superfluous"
+    assert (
+        verdicts(judge(changed(tmp_path, "floor_drop", edit)))["memory"]
+        == "superfluous"
+    )
     length = 4
     assert verdicts(judge(changed(tmp_path, "floor_drop", edit)))["memory"] == "needed"
 
@@ -202,7 +235,8 @@ def test_costs_are_told_for_every_term() -> None:
     assert found.tick_us > 0.0
     # What is smaller than the spread of its rounds is not known.
     assert all(
-        f.cost_us is None or abs(f.cost_us) > (f.cost_spread_us or 0.0) for f in found.findings
+        f.cost_us is None or abs(f.cost_us) > (f.cost_spread_us or 0.0)
+        for f in found.findings
     )
     assert all(f.cost_us is None for f in found.findings if f.switched == "other")
 
@@ -251,30 +285,48 @@ def test_outcome_of_a_known_motion() -> None:
 
 def test_movement_ignores_swings_too_small_to_feel_and_sees_divergence() -> None:
     still = Outcome(1.0, 2.0, 1.0, 0.01, 1e-12, 1000.0)
-    assert movement(still, replace(still, limit_cycle_m=9e-7), 0.002)["limit_cycle"] == 0.0
+    assert (
+        movement(still, replace(still, limit_cycle_m=9e-7), 0.002)["limit_cycle"] == 0.0
+    )
     assert movement(still, replace(still, limit_cycle_m=5e-6), 0.002)[
         "limit_cycle"
     ] == pytest.approx(1.0, abs=1e-5)
-    assert movement(still, replace(still, peak_force_n=math.inf), 0.002)["peak_force"] == math.inf
-    assert movement(still, replace(still, h1_max_n_per_m=None), 0.002)["k_max"] == math.inf
-    assert movement(still, replace(still, h1_max_n_per_m=980.0), 0.002)["k_max"] == pytest.approx(
-        0.02
+    assert (
+        movement(still, replace(still, peak_force_n=math.inf), 0.002)["peak_force"]
+        == math.inf
     )
+    assert (
+        movement(still, replace(still, h1_max_n_per_m=None), 0.002)["k_max"] == math.inf
+    )
+    assert movement(still, replace(still, h1_max_n_per_m=980.0), 0.002)[
+        "k_max"
+    ] == pytest.approx(0.02)
 
 
 @pytest.mark.slow
-def test_command_answers_and_judges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_command_answers_and_judges(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert main(["study", "needs", "floor_drop", "--rounds", "1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert answer["superfluous"] == answer["missing"] == []
-    assert {"term", "switched", "verdict", "moved", "most", "changes", "cost_us"} <= set(
-        answer["terms"][0]
-    )
+    assert {
+        "term",
+        "switched",
+        "verdict",
+        "moved",
+        "most",
+        "changes",
+        "cost_us",
+    } <= set(answer["terms"][0])
 
     def edit(data: dict[str, Any]) -> None:
         data["nodes"]["driver"]["parameters"]["device"]["peak_force"] = 100.0
 
-    assert main(["study", "needs", changed(tmp_path, "floor_drop", edit), "--rounds", "1"]) == 1
+    assert (
+        main(["study", "needs", changed(tmp_path, "floor_drop", edit), "--rounds", "1"])
+        == 1
+    )
     assert "superfluous: peak_force" in capsys.readouterr().out
     assert main(["study", "needs", "no_such_scene"]) == 2
 
@@ -302,9 +354,13 @@ def test_what_is_left_out_although_it_matters_is_said() -> None:
     found = needs(launch, rounds=0)
     assert found.missing == ()
     assert "friction" in [finding.term for finding in found.left_out]
-    lines = _text(ChainNeeds(launch.scenario, launch.model, False, found, None)).splitlines()
+    lines = _text(
+        ChainNeeds(launch.scenario, launch.model, False, found, None)
+    ).splitlines()
     assert any(
-        line.startswith("left out on purpose although it matters: friction (settling by 21 %)")
+        line.startswith(
+            "left out on purpose although it matters: friction (settling by 21 %)"
+        )
         for line in lines
     )
     assert any(

@@ -49,7 +49,10 @@ class DeadBand(Law, frozen=True, forbid_unknown_fields=True, kw_only=True):
             depth = ring[head] - self.width
             if depth < 0.0:
                 return 0.0
-            return self.stiffness * depth + self.damping * (ring[head] - ring[head + 1]) / period
+            return (
+                self.stiffness * depth
+                + self.damping * (ring[head] - ring[head + 1]) / period
+            )
 
         return CompiledLaw((0.0, 0.0), evaluate=force)
 
@@ -81,7 +84,9 @@ class Limited(PD, frozen=True, forbid_unknown_fields=True, kw_only=True):
         return super().compile(period)
 
 
-def test_a_launch_s_floor_and_every_other_drop_have_the_convention_of_the_coupling() -> None:
+def test_a_launch_s_floor_and_every_other_drop_have_the_convention_of_the_coupling() -> (
+    None
+):
     launched = from_launch(launch_file.read("floor_drop", {})).scene
     assert (launched.raw, launched.clamp) == CONVENTION
     ours = drop_scene(held(PLANT), T)
@@ -97,7 +102,12 @@ def test_python_the_command_line_and_the_designer_drop_alike(
     law = PD(stiffness=share * 450.0 * damping, damping=damping)
     taps = law.compile(T)
     told = haptic.drop(law, PLANT, height, ticks=2500).settled
-    assert told == settles(drop_scene(held(PLANT), T, height=height), [taps], Criterion(2500))[0]
+    assert (
+        told
+        == settles(drop_scene(held(PLANT), T, height=height), [taps], Criterion(2500))[
+            0
+        ]
+    )
     asked = Demand((0.1, 0.1), 1.0, (0.0, 0.0), T, 0.99, 1e6)
     # A drop that the last bit decides may differ: two maps of one tick, each rounded in its own
     # order.
@@ -114,7 +124,11 @@ def test_a_wall_that_pulls_is_asked_for() -> None:
     assert not haptic.drop(stiff, PLANT, ticks=2500).settled
     pulled = haptic.drop(stiff, PLANT, ticks=2500, clamp=False)
     assert pulled.settled
-    assert pulled.force_n.min() < 0.0 <= haptic.drop(stiff, PLANT, ticks=2500).force_n.min()
+    assert (
+        pulled.force_n.min()
+        < 0.0
+        <= haptic.drop(stiff, PLANT, ticks=2500).force_n.min()
+    )
     with pytest.raises(ValueError, match="history is 'raw'"):
         haptic.drop(stiff, PLANT, history="raw")  # type: ignore[arg-type]
 
@@ -123,11 +137,15 @@ def test_the_integrators_drop_is_the_simulator_s() -> None:
     law = PD(stiffness=400.0, damping=1.0)
     trace = run(drop_scene(held(PLANT), T, height=0.005), law.compile(T), 250)
     # Two ways to write one exact map, 250 times rounded.
-    assert integrated(integrators()["exact map"], 250) == pytest.approx(trace.position, abs=1e-12)
+    assert integrated(integrators()["exact map"], 250) == pytest.approx(
+        trace.position, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("cubic", [0.0, 1e7, 1e8, 1e9])
-def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(cubic: float) -> None:
+def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(
+    cubic: float,
+) -> None:
     """EXTENDING's law: K x + C x³ = m g has one root, where the drop rests."""
 
     class Stiffening(Law, frozen=True, kw_only=True):
@@ -141,7 +159,9 @@ def test_a_law_with_code_of_its_own_settles_where_its_forces_balance(cubic: floa
             )
 
     played = haptic.drop(Stiffening(stiffness=500.0), Plant(T, 0.1, 3.0), ticks=4000)
-    roots = np.roots([cubic, 0.0, 500.0, -0.981]) if cubic else np.array([0.981 / 500.0])
+    roots = (
+        np.roots([cubic, 0.0, 500.0, -0.981]) if cubic else np.array([0.981 / 500.0])
+    )
     depth = float(roots[np.abs(roots.imag) < 1e-12].real[0])
     # The criterion's own tolerance of rest.
     assert played.final_position_m == pytest.approx(-depth, abs=1e-4)
@@ -152,20 +172,26 @@ def test_a_dead_band_that_hums_has_not_settled() -> None:
     """Inside and outside of the limit that the search finds."""
     scene = drop_scene(held(PLANT), T)
     told = settles(
-        scene, [DeadBand(stiffness=k).compile(T) for k in (2000.0, 6000.0)], Criterion(2500)
+        scene,
+        [DeadBand(stiffness=k).compile(T) for k in (2000.0, 6000.0)],
+        Criterion(2500),
     )
     assert told == [True, False]
     # Nothing holds it: it falls through.
-    assert settles(scene, [DeadBand(stiffness=0.0, damping=0.0).compile(T)], Criterion(2500)) == [
-        False
-    ]
+    assert settles(
+        scene, [DeadBand(stiffness=0.0, damping=0.0).compile(T)], Criterion(2500)
+    ) == [False]
 
 
-def test_k_max_of_a_law_with_code_of_its_own_does_not_depend_on_the_stiffness_given() -> None:
+def test_k_max_of_a_law_with_code_of_its_own_does_not_depend_on_the_stiffness_given() -> (
+    None
+):
     scene = drop_scene(held(PLANT), T)
     brief = Criterion(600)
     found = [
-        simulated_k_max(at_stiffness(DeadBand(stiffness=k), T), scene, brief, 500.0, 8000.0, 0.02)
+        simulated_k_max(
+            at_stiffness(DeadBand(stiffness=k), T), scene, brief, 500.0, 8000.0, 0.02
+        )
         for k in (1.0, 1000.0)
     ]
     assert found[0] == found[1]
@@ -188,7 +214,9 @@ def test_compiled_anew_is_the_spring_in_tap_0_for_laws_of_taps(
     assert taps == PD(stiffness=stiffness, damping=damping).compile(T).taps
     fir = haptic.law([damping / T, -damping / T])
     # K added to and taken from a tap is rounded twice.
-    assert at_stiffness(fir, T)(stiffness).taps == pytest.approx(taps, rel=1e-12, abs=1e-9)
+    assert at_stiffness(fir, T)(stiffness).taps == pytest.approx(
+        taps, rel=1e-12, abs=1e-9
+    )
 
 
 def test_a_law_whose_stiffness_cannot_be_raised_is_refused() -> None:

@@ -47,7 +47,9 @@ def test_a_spring_and_a_damper_have_their_closed_forms(
     assert found.damping_n_s_per_m[0] == pytest.approx(
         lost, abs=1e-4 * (damping + stiffness * T * (delay + 1.0) ** 3)
     )
-    assert found.stiffness_n_per_m[0] == pytest.approx(stiffness, rel=1e-4, abs=1e-4 * damping / T)
+    assert found.stiffness_n_per_m[0] == pytest.approx(
+        stiffness, rel=1e-4, abs=1e-4 * damping / T
+    )
 
 
 def test_the_port_is_the_force_that_is_played() -> None:
@@ -79,14 +81,19 @@ def test_the_passive_edge_is_colgate_s_from_both_sides(delay: float) -> None:
 
     edge = passive_stiffness(spring, plant)  # type: ignore[arg-type]
     if delay in (0.0, 1.0):
-        assert edge == pytest.approx(2.0 / (T * (1.0 + 2.0 * delay)), rel=1e-5)  # THEORY.md §2
+        assert edge == pytest.approx(
+            2.0 / (T * (1.0 + 2.0 * delay)), rel=1e-5
+        )  # THEORY.md §2
     for share, passive in ((0.999, True), (1.001, False)):
         assert (
-            damping_needed(PD(stiffness=share * edge, damping=0.0).compile(T), T, delay) <= 1.0
+            damping_needed(PD(stiffness=share * edge, damping=0.0).compile(T), T, delay)
+            <= 1.0
         ) is passive
     # B takes all of b = 1 N s/m without delay: nothing is passive beyond it.
     assert math.isnan(
-        passive_stiffness(lambda k: PD(stiffness=k, damping=1.5).compile(T), Plant(T, 0.1, 1.0))
+        passive_stiffness(
+            lambda k: PD(stiffness=k, damping=1.5).compile(T), Plant(T, 0.1, 1.0)
+        )
     )
 
 
@@ -97,12 +104,16 @@ def test_a_notebook_has_response_bode_and_plane_of_a_law() -> None:
     plant = haptic.Plant(T, 0.1, 1.0, 1.0)
     found = law.response(plant)
     assert found.frequency_hz[-1] == pytest.approx(0.5 / T)
-    assert (found.stiffness_n_per_m == haptic.response(law, plant).stiffness_n_per_m).all()
+    assert (
+        found.stiffness_n_per_m == haptic.response(law, plant).stiffness_n_per_m
+    ).all()
     plane = law.z_width(plant, gains=[0.0, 3.0])
     # Two methods have these two (THEORY.md §3): 251.7 and 1252.5 N/m at one tick.
     assert plane.of("pd").k_max_n_per_m == pytest.approx(
         [
-            haptic.k_max({"kind": "pd", "stiffness": 1, "damping": b}, plant).k_max_n_per_m
+            haptic.k_max(
+                {"kind": "pd", "stiffness": 1, "damping": b}, plant
+            ).k_max_n_per_m
             for b in (0, 3)
         ]
     )
@@ -129,7 +140,9 @@ def _has_pandas() -> bool:
 
 def test_what_has_no_response_says_so() -> None:
     with pytest.raises(ValueError, match="no response; play it"):
-        haptic.response({"kind": "pd_windowed", "stiffness": 500, "damping": 1, "resolution": 2e-5})
+        haptic.response(
+            {"kind": "pd_windowed", "stiffness": 500, "damping": 1, "resolution": 2e-5}
+        )
     with pytest.raises(ValueError, match="half the rate, 250 Hz"):
         haptic.response(haptic.law("pd", stiffness=1, damping=0), frequency_hz=[251.0])
     with pytest.raises(ValueError, match="no parameter 'stiffness'"):
@@ -159,7 +172,9 @@ def test_the_verb_tells_stiffness_damping_and_plane(
     assert first["plane"]["gain"] == [0.0, 3.0, 6.0]
     # by a referee's table
     assert first["plane"]["k_max_n_per_m"][1] == pytest.approx(1252.48, abs=0.01)
-    assert first["plane"]["passive_n_per_m"][0] == pytest.approx(2.0 / (3.0 * T), rel=1e-5)
+    assert first["plane"]["passive_n_per_m"][0] == pytest.approx(
+        2.0 / (3.0 * T), rel=1e-5
+    )
     assert Path(told["plot"]).exists()
     assert (
         main(
@@ -200,9 +215,14 @@ def test_a_faster_loop_errs_less_and_its_error_is_the_delay_s(order: float) -> N
 
 def test_the_loop_is_charted() -> None:
     groups = loop_groups(lambda _: None, quick=True)
-    assert [group.name for group in groups] == ["loop_impedance_1", "loop_impedance_0_5"]
+    assert [group.name for group in groups] == [
+        "loop_impedance_1",
+        "loop_impedance_0_5",
+    ]
     assert all(
-        point.cost > 0.0 and 0.0 < point.error < 1.0 for group in groups for point in group.points
+        point.cost > 0.0 and 0.0 < point.error < 1.0
+        for group in groups
+        for point in group.points
     )
     lines = conclusions(groups)
     assert len(lines) == 2

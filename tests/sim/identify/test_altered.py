@@ -37,31 +37,43 @@ def test_a_spring_and_a_gain_act_on_the_law_with_either_sign() -> None:
         return pole_radius(CompiledLaw(taps), Plant(T, 0.1, 1.0, 1.2))
 
     found = AlteredDevice("both", plant, spring=40.0, gain=1.1).radius(LAW, T)
-    ways = [radius(gain, spring) for gain in (1.1, 1.0 / 1.1) for spring in (40.0, -40.0)]
+    ways = [
+        radius(gain, spring) for gain in (1.1, 1.0 / 1.1) for spring in (40.0, -40.0)
+    ]
     assert found == pytest.approx(max(ways), abs=1e-9)
     assert found > radius(1.0, 0.0)
 
 
 def test_a_spring_of_the_device_acts_without_the_delay_of_the_law() -> None:
-    found = AlteredDevice("own", FlexiblePlant(0.1, 1.0, 1.2), own_spring=40.0).radius(LAW, T)
+    found = AlteredDevice("own", FlexiblePlant(0.1, 1.0, 1.2), own_spring=40.0).radius(
+        LAW, T
+    )
     ways = [
         flexible_radius(LAW, T, FlexiblePlant(0.1, 1.0, 1.2, stiffness=sign * 40.0))
         for sign in (1.0, -1.0)
     ]
     assert found == pytest.approx(max(ways), abs=1e-12)
-    assert found < AlteredDevice("law's", FlexiblePlant(0.1, 1.0, 1.2), spring=40.0).radius(LAW, T)
+    assert found < AlteredDevice(
+        "law's", FlexiblePlant(0.1, 1.0, 1.2), spring=40.0
+    ).radius(LAW, T)
 
 
 def test_a_sensor_that_averages_stands_in_the_taps_and_a_section_in_its_place() -> None:
     device = AlteredDevice("average", FlexiblePlant(0.1, 1.0, 1.5), average=0.5)
     averaged = CompiledLaw(tuple(np.convolve(LAW.taps, [0.5, 0.5]).tolist()))
     at_once = FlexiblePlant(0.1, 1.0, 1.0)
-    assert device.radius(LAW, T) == pytest.approx(flexible_radius(averaged, T, at_once), abs=1e-12)
+    assert device.radius(LAW, T) == pytest.approx(
+        flexible_radius(averaged, T, at_once), abs=1e-12
+    )
     filtered = CompiledLaw((300.0,), ((400.0, -400.0, -0.5, 0.0),))
-    assert AlteredDevice("gain", at_once, gain=1.2).radius(filtered, T) == pytest.approx(
+    assert AlteredDevice("gain", at_once, gain=1.2).radius(
+        filtered, T
+    ) == pytest.approx(
         max(
             flexible_radius(
-                CompiledLaw((300.0 * g,), ((400.0 * g, -400.0 * g, -0.5, 0.0),)), T, at_once
+                CompiledLaw((300.0 * g,), ((400.0 * g, -400.0 * g, -0.5, 0.0),)),
+                T,
+                at_once,
             )
             for g in (1.2, 1.0 / 1.2)
         ),
@@ -71,12 +83,19 @@ def test_a_sensor_that_averages_stands_in_the_taps_and_a_section_in_its_place() 
 
 def test_a_record_is_read_back_with_and_without_a_joint() -> None:
     for joint in ({}, {"share": 0.3, "frequency": 60.0, "loss": 0.02}):
-        device = AlteredDevice("one", FlexiblePlant(0.1, 1.0, 1.2, **joint), 0.1, 5.0, 1.01)
-        assert from_record(json.loads(json.dumps(as_record(device), allow_nan=False))) == device
+        device = AlteredDevice(
+            "one", FlexiblePlant(0.1, 1.0, 1.2, **joint), 0.1, 5.0, 1.01
+        )
+        assert (
+            from_record(json.loads(json.dumps(as_record(device), allow_nan=False)))
+            == device
+        )
 
 
 @pytest.mark.parametrize("odd", [{"gain_by_sign": 0.02}, {"cogging": 0.002}])
-def test_a_law_that_what_is_left_open_makes_unstable_is_refused(odd: dict[str, Any]) -> None:
+def test_a_law_that_what_is_left_open_makes_unstable_is_refused(
+    odd: dict[str, Any],
+) -> None:
     """Close to the edge of the fit it is; far below it is not, and the true device agrees."""
     device = NonidealDevice(RIGID, **odd)
     found = identify(excite_outside(device, T, 4.0, seed=1))
@@ -112,6 +131,10 @@ def test_a_device_whose_residual_is_noise_leaves_nothing_open() -> None:
 
 def test_it_is_told_beside_the_prediction() -> None:
     found = given_prediction(1.0)
-    told = dict(predicted_rows(replace(found, remainder_pole_radius=0.97, remainder_worst="X")))
-    assert told["on what the recording leaves open"] == "stable; pole radius 0.9700 with X"
+    told = dict(
+        predicted_rows(replace(found, remainder_pole_radius=0.97, remainder_worst="X"))
+    )
+    assert (
+        told["on what the recording leaves open"] == "stable; pole radius 0.9700 with X"
+    )
     assert "on what the recording leaves open" not in dict(predicted_rows(found))

@@ -65,7 +65,11 @@ def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(
 
 
 def test_rounding_is_not_told_in_digits() -> None:
-    assert [at_most(metres) for metres in (0.0, 3.47e-18, 2.5e-6)] == ["0 µm", "1e-06 µm", "2.5 µm"]
+    assert [at_most(metres) for metres in (0.0, 3.47e-18, 2.5e-6)] == [
+        "0 µm",
+        "1e-06 µm",
+        "2.5 µm",
+    ]
 
 
 @pytest.mark.process
@@ -101,7 +105,9 @@ def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
 
 
 @pytest.mark.process
-def test_a_drop_that_mostly_rests_is_identified_from_its_motion(buzz: tuple[Path, Path]) -> None:
+def test_a_drop_that_mostly_rests_is_identified_from_its_motion(
+    buzz: tuple[Path, Path],
+) -> None:
     """Windows at rest fit to the bit; moving ones must not count as spoilt."""
     found = identify(read(buzz[0]))
     assert found.dropped == 0
@@ -131,7 +137,9 @@ def undisturbed(folder: Path, *words: str) -> Path:
 
 @pytest.mark.slow
 def test_a_real_time_recording_is_replayed_on_its_own_delays(tmp_path: Path) -> None:
-    told = figures(undisturbed(tmp_path, "floor_drop", "duration:=0.5"), "stiffness:=500")
+    told = figures(
+        undisturbed(tmp_path, "floor_drop", "duration:=0.5"), "stiffness:=500"
+    )
     assert told["lockstep"] is False
     # The fall is 10 mm.
     assert told["self_error_m"] < 1e-3
@@ -152,7 +160,9 @@ def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_include
     one = run(scene, played.law, ticks, interpreted=True)
     when = np.arange(ticks, dtype=np.float64)
     arrivals = when, np.arange(ticks), np.zeros(ticks)
-    other = run(scene, played.law, ticks, interpreted=True, given=Given(arrivals=arrivals))
+    other = run(
+        scene, played.law, ticks, interpreted=True, given=Given(arrivals=arrivals)
+    )
     assert np.max(np.abs(one.force)) > 1.0
     # Rounding of the split grows with the bounces of a hard contact.
     assert np.max(np.abs(one.position - other.position)) < 1e-9
@@ -164,7 +174,9 @@ def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_include
 
 @pytest.mark.slow
 def test_a_guarded_run_in_real_time_comes_back(tmp_path: Path) -> None:
-    recorded = rebuild(undisturbed(tmp_path, "floor_guarded", "apply:=next_tick", "duration:=0.5"))
+    recorded = rebuild(
+        undisturbed(tmp_path, "floor_guarded", "apply:=next_tick", "duration:=0.5")
+    )
     assert np.max(np.abs(replay(recorded).measured - recorded.position)) < 1e-3
 
 
@@ -193,7 +205,10 @@ def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
 def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     """The model lacks the hand of wall_press; the missing force is the hand's."""
     recording = (
-        tmp_path / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")["recording"]
+        tmp_path
+        / launch_json(tmp_path, "wall_press", "pace:=lockstep", "duration:=2")[
+            "recording"
+        ]
     )
     hand = Hand(
         mass=0.1,
@@ -205,7 +220,9 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     recorded = rebuild(recording, bare)
     external = missing_force(recorded, 1e-7)
     times = np.arange(len(external)) * 0.002
-    pull = np.array([hand.stiffness * path_position(hand.path, t) for t in times.tolist()])
+    pull = np.array(
+        [hand.stiffness * path_position(hand.path, t) for t in times.tolist()]
+    )
     expected = pull - hand.stiffness * recorded.position
     middle = slice(50, -50)
     # Its spring pulls with up to 3 N; a smoothed random walk follows corners within a few per cent
@@ -219,7 +236,9 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     law, _ = another_law(recorded, {"law": "pd", "stiffness": 400.0})
     spring = rebuild(
         recording,
-        DeviceModel(mass=0.145, damping=3.1, hand=Hand(stiffness=300.0, path=[(0.0, 0.0)])),
+        DeviceModel(
+            mass=0.145, damping=3.1, hand=Hand(stiffness=300.0, path=[(0.0, 0.0)])
+        ),
     )
     pulled = missing_force(spring, 1e-7)
     predicted = replay(spring, law, pulled, nudges(spring, pulled))
@@ -229,7 +248,8 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("words", "message"), [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")]
+    ("words", "message"),
+    [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")],
 )
 def test_what_cannot_be_replayed_is_refused(
     buzz: tuple[Path, Path], words: tuple[str, ...], message: str
@@ -243,7 +263,17 @@ def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
     part = tmp_path / "part.mcap"
-    typed_in(tmp_path, "bag", "cut", str(buzz[0]), "--from", "0.1", "--out", str(part), code=0)
+    typed_in(
+        tmp_path,
+        "bag",
+        "cut",
+        str(buzz[0]),
+        "--from",
+        "0.1",
+        "--out",
+        str(part),
+        code=0,
+    )
     # Without its first ticks it cannot be rebuilt at all: who hears of the law has not tried.
     assert (
         "'nope' is not an installed law"
@@ -257,7 +287,9 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     buzz: tuple[Path, Path], tmp_path: Path, missing: int
 ) -> None:
     """With five ticks, the drop criterion's error named no recording."""
-    slept = rewritten(buzz[0], lambda topic, seq: topic != DEVICE_STATE or seq != missing)
+    slept = rewritten(
+        buzz[0], lambda topic, seq: topic != DEVICE_STATE or seq != missing
+    )
     if missing >= 8:
         assert len(replay(rebuild(slept)).measured) == missing
         return
@@ -274,14 +306,21 @@ def test_of_two_answers_in_one_tick_both_are_replayed(
 ) -> None:
     """A late answer, which held until its tick's own came, was ignored."""
     whole, late = Recording(buzz[0]), tmp_path / "late.mcap"
-    text, parameters = whole.metadata["launch_file"]["yaml"], whole.metadata["parameters"]
-    with RecordWriter(late, whole.manifest, launch_file=text, parameters=parameters) as writer:
+    text, parameters = (
+        whole.metadata["launch_file"]["yaml"],
+        whole.metadata["parameters"],
+    )
+    with RecordWriter(
+        late, whole.manifest, launch_file=text, parameters=parameters
+    ) as writer:
         for entry in whole.entries():
             message = entry.message
             if isinstance(message, DeviceState) and message.seq == 299:
                 # Tick 298 had no answer in its own time.
                 held = message.force
-                message = msgspec.structs.replace(message, force_seq=297, age=1, mean_force=held)
+                message = msgspec.structs.replace(
+                    message, force_seq=297, age=1, mean_force=held
+                )
             elif isinstance(message, DeviceState) and message.seq == 300:
                 # Of tick 299 a quarter as before, half of it 5 N, and the rest its own.
                 mean = (0.0, 0.0, 0.25 * held[2] + 0.5 * 5.0 + 0.25 * message.force[2])
@@ -307,13 +346,16 @@ def test_nothing_read_from_a_recording_names_a_file(
     whole = Recording(buzz[0])
     text = whole.metadata["launch_file"]["yaml"]
     watching = text.replace(
-        "    kind: coupling\n", "    kind: coupling\n    watch: /nonexistent/secret.yaml\n"
+        "    kind: coupling\n",
+        "    kind: coupling\n    watch: /nonexistent/secret.yaml\n",
     )
     assert watching != text
     manifest = {**whole.manifest, "scenario": str(precious.with_suffix(""))}
     parameters = whole.metadata["parameters"]
     forged = tmp_path / "forged.mcap"
-    with RecordWriter(forged, manifest, launch_file=watching, parameters=parameters) as writer:
+    with RecordWriter(
+        forged, manifest, launch_file=watching, parameters=parameters
+    ) as writer:
         for entry in whole.entries():
             writer.write(entry.topic, entry.message, entry.log_time)
     assert replay(rebuild(forged)).measured.tolist() == positions(buzz[0])
@@ -321,13 +363,17 @@ def test_nothing_read_from_a_recording_names_a_file(
     assert set(tmp_path.iterdir()) == {precious, forged}
 
 
-def test_the_smoother_is_the_conditional_mean_of_the_joint_normal_distribution() -> None:
+def test_the_smoother_is_the_conditional_mean_of_the_joint_normal_distribution() -> (
+    None
+):
     """Its likelihood and its force are those of one large normal distribution, solved densely."""
     ticks, noise, walk = 9, 0.3, 0.2
     step = (1.0, 0.5, 0.0, 0.9, 0.1, 0.4)
     rng = np.random.default_rng(1)
     y, known = rng.normal(size=ticks), rng.normal(size=(ticks, 2))
-    a = np.array([[step[0], step[1], step[4]], [step[2], step[3], step[5]], [0.0, 0.0, 1.0]])
+    a = np.array(
+        [[step[0], step[1], step[4]], [step[2], step[3], step[5]], [0.0, 0.0, 1.0]]
+    )
     # Mean and covariance of all states, from the first on.
     mean, covariance = [np.array([y[0], 0.0, 0.0])], np.zeros((3 * ticks, 3 * ticks))
     covariance[:3, :3] = np.diag([noise**2, 1.0, 1.0])
@@ -342,7 +388,9 @@ def test_the_smoother_is_the_conditional_mean_of_the_joint_normal_distribution()
     spread = covariance[seen, seen] + noise**2 * np.eye(ticks)
     off = y - np.array(mean)[:, 0]
     likelihood, force = counterfactual._smooth(y, known, step, noise, walk)
-    expected = -0.5 * (np.linalg.slogdet(spread)[1] + off @ np.linalg.solve(spread, off))
+    expected = -0.5 * (
+        np.linalg.slogdet(spread)[1] + off @ np.linalg.solve(spread, off)
+    )
     # Two orders of elimination of a 9 × 9 system of condition below 1e3.
     assert likelihood == pytest.approx(expected, rel=1e-10)
     means = np.array(mean)[:, 2] + covariance[2::3, seen] @ np.linalg.solve(spread, off)

@@ -34,7 +34,11 @@ def play(script: Script, axis: int, folder: Path) -> tuple[list[DeviceState], Tu
     for (seq, force, offset), (then, _, after) in pairwise(given):
         turn.append((seq + offset, force[axis]))
         # In a tick that it did not sleep through, the driver takes it for held until the end.
-        gone = seq + hold if math.floor(seq + hold) not in sampled else float(math.ceil(seq + hold))
+        gone = (
+            seq + hold
+            if math.floor(seq + hold) not in sampled
+            else float(math.ceil(seq + hold))
+        )
         if gone < min(then + after, TICKS):
             turn.append((gone, 0.0))
     return states, [one for one in turn if one[0] < TICKS]
@@ -63,7 +67,11 @@ def assert_rebuilt(states: list[DeviceState], turn: Turn, axis: int) -> int:
         if before.seq in found.unsure:
             continue
         cuts = sorted(
-            {before.seq, *(at for at, _ in turn + told if before.seq < at < state.seq), state.seq}
+            {
+                before.seq,
+                *(at for at, _ in turn + told if before.seq < at < state.seq),
+                state.seq,
+            }
         )
         for low, high in pairwise(cuts):
             if high - low > 1e-6:
@@ -92,7 +100,9 @@ def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_u
     script = driver(
         [
             answer(
-                seq, 2_600.0 if seq % 3 == 0 else 600.0, (0.0, 0.0, 2.0 * math.cos(0.2 * seq) + 1.0)
+                seq,
+                2_600.0 if seq % 3 == 0 else 600.0,
+                (0.0, 0.0, 2.0 * math.cos(0.2 * seq) + 1.0),
             )
             for seq in range(TICKS)
             if seq % 3 != 1
@@ -106,7 +116,9 @@ def test_a_guard_that_acts_at_the_end_of_a_tick_left_its_late_answer_as_it_was_u
         for before, state in pairwise(states)
         if state.force_seq == before.seq - 1 != before.force_seq
     ]
-    assert any(acting(turn, state.seq - 0.1) != acting(turn, state.seq) for state in ends)
+    assert any(
+        acting(turn, state.seq - 0.1) != acting(turn, state.seq) for state in ends
+    )
     assert_rebuilt(states, turn, 2)
 
 
@@ -130,7 +142,9 @@ def test_a_device_that_lets_go_while_the_driver_sleeps(
     assert unsure == (list(range(29, 30 + slept)) if answered else [])
 
 
-def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(tmp_path: Path) -> None:
+def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(
+    tmp_path: Path,
+) -> None:
     """Identification and replays use the mean until the first change."""
     script = driver(
         [
@@ -147,13 +161,22 @@ def test_what_was_held_behind_a_gap_of_the_recording_is_told_by_the_mean(tmp_pat
 
 def test_without_means_the_last_force_of_each_tick_is_told(tmp_path: Path) -> None:
     """For drivers and earlier recordings without means, a replay uses what there is."""
-    script = driver([answer(seq, 500.0, (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)])
+    script = driver(
+        [answer(seq, 500.0, (0.0, 0.0, 1.0 + 0.1 * seq)) for seq in range(TICKS)]
+    )
     states, turn = play(script, 2, tmp_path)
     found = handed_over(
-        [msgspec.structs.replace(state, mean_force=(0.0, 0.0, 0.0)) for state in states], 2
+        [
+            msgspec.structs.replace(state, mean_force=(0.0, 0.0, 0.0))
+            for state in states
+        ],
+        2,
     )
     told = list(zip(found.at.tolist(), found.force.tolist(), strict=True))
-    assert all(acting(told, seq + 0.9) == acting(turn, seq + 0.9) for seq in range(10, TICKS - 1))
+    assert all(
+        acting(told, seq + 0.9) == acting(turn, seq + 0.9)
+        for seq in range(10, TICKS - 1)
+    )
     assert len(found.unsure)
 
 
@@ -165,12 +188,20 @@ def test_a_late_answer_whose_delay_is_rounded_is_one_force() -> None:
     means = [(0.0, 0.0, 0.0)] * 2 + [(0.0, 0.0, 6.0 * (1.0 - at))]
     states = [
         DeviceState(
-            seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=force[seq], mean_force=means[seq]
+            seq=seq,
+            stamp=0.0,
+            position=(0.0, 0.0, 0.0),
+            force=force[seq],
+            mean_force=means[seq],
         )
         for seq in range(3)
     ]
-    states[2] = msgspec.structs.replace(states[2], force_seq=0, age=1, delay=at + 1, changed_at=at)
+    states[2] = msgspec.structs.replace(
+        states[2], force_seq=0, age=1, delay=at + 1, changed_at=at
+    )
     found = handed_over(states, 2)
     assert [
-        (force, answers) for force, answers in zip(found.force, found.answers, strict=True) if force
+        (force, answers)
+        for force, answers in zip(found.force, found.answers, strict=True)
+        if force
     ] == [(6.0, 0)]

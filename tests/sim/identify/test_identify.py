@@ -41,7 +41,9 @@ def holds(estimate: Estimate, truth: float) -> bool:
 @pytest.mark.parametrize("delay", [0.0, 1.0, 1.37])
 def test_a_known_device_comes_back(delay: float) -> None:
     """Differences give 0.059 kg here; sub-stepped friction is 6 % off."""
-    truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=delay, resolution=23e-6)
+    truth = DeviceModel(
+        mass=0.1, damping=1.0, friction=0.03, delay=delay, resolution=23e-6
+    )
     found = identify(excite(truth, T, 8.0, seed=1))
     # 0.1 %, 1 %, 2 %: ten times the errors that 4000 ticks of 23 µm leave; a systematic error of
     # method is larger.
@@ -57,7 +59,9 @@ def test_a_known_device_comes_back(delay: float) -> None:
 
 def test_what_joint_would_not_show_is_told_with_its_frequency() -> None:
     """A joint with a quarter of the mass is excluded up to the frequency that is told."""
-    truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6)
+    truth = DeviceModel(
+        mass=0.1, damping=1.0, friction=0.03, delay=1.2, resolution=23e-6
+    )
     found = identify(excite(truth, T, 2.6, seed=1)).frequency
     assert found.value is None
     assert found.low is not None
@@ -111,7 +115,16 @@ def test_forces_count_from_the_instant_they_take_effect() -> None:
         acting = force
     theta = np.array([1.0 / 0.08, 0.7 / 0.08, 0.05 / 0.08, *[0.0] * 9])
     out = np.empty(300)
-    window(theta, np.array([0.0, 0.0, 0.0, 0.0]), 0, 300, T, np.arange(300) + offsets, forces, out)
+    window(
+        theta,
+        np.array([0.0, 0.0, 0.0, 0.0]),
+        0,
+        300,
+        T,
+        np.arange(300) + offsets,
+        forces,
+        out,
+    )
     # Rounding of 600 steps of a motion of centimetres.
     assert np.max(np.abs(out - positions)) < 1e-13
 
@@ -122,7 +135,9 @@ def test_a_force_may_take_effect_next_to_a_tick(sliver: float) -> None:
     forces, found = np.random.default_rng(5).normal(0.0, 1.0, 50), []
     forces[0] = 0.0  # the window begins at rest, whichever force is the first
     for delay in (0.0, sliver):
-        theta = np.array([24.6, 89.3, 0.68, 0.0, 0.0, delay, 0.0, 1.3, 0.0, 0.0, 0.0, 0.0])
+        theta = np.array(
+            [24.6, 89.3, 0.68, 0.0, 0.0, delay, 0.0, 1.3, 0.0, 0.0, 0.0, 0.0]
+        )
         out = np.empty(50)
         window(theta, np.zeros(4), 0, 50, T, np.arange(50.0), forces, out)
         found.append(out)
@@ -135,14 +150,38 @@ def test_a_window_stuck_by_friction_stays() -> None:
     theta = np.array([10.0, 0.0, 1.0, *[0.0] * 9])
     out = np.empty(50)
     window(
-        theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.0999), out
+        theta,
+        np.array([0.01, 0.0, 0.0, 0.0]),
+        0,
+        50,
+        T,
+        np.arange(50.0),
+        np.full(50, 0.0999),
+        out,
     )
     assert set(out.tolist()) == {0.01}
     window(
-        theta, np.array([0.01, 0.0, 0.0, 0.0]), 0, 50, T, np.arange(50.0), np.full(50, 0.1001), out
+        theta,
+        np.array([0.01, 0.0, 0.0, 0.0]),
+        0,
+        50,
+        T,
+        np.arange(50.0),
+        np.full(50, 0.1001),
+        out,
     )
     # Just outside: the rest of the force moves it.
-    x, _ = slide(0.01, 0.0, 1.001, 49 * T, coefficients(1.0, 0.0, 0.0, 49 * T), 1.0, 0.0, 0.0, 1.0)
+    x, _ = slide(
+        0.01,
+        0.0,
+        1.001,
+        49 * T,
+        coefficients(1.0, 0.0, 0.0, 49 * T),
+        1.0,
+        0.0,
+        0.0,
+        1.0,
+    )
     assert out[-1] == pytest.approx(x, rel=1e-12)
     assert out[-1] > 0.01
 
@@ -165,7 +204,10 @@ def test_no_grid_no_step() -> None:
 
 def flat(force: float, ticks: int = 2000) -> Experiment:
     rng = np.random.default_rng(1)
-    position = np.round(np.sin(np.arange(ticks) * 0.01) * 0.01 / 2e-5) * 2e-5 + 0.0 * rng.normal()
+    position = (
+        np.round(np.sin(np.arange(ticks) * 0.01) * 0.01 / 2e-5) * 2e-5
+        + 0.0 * rng.normal()
+    )
     return lockstep(T, position, np.full(ticks, force))
 
 
@@ -197,19 +239,25 @@ def test_a_short_run_is_refused_with_what_to_do() -> None:
 
 
 def test_no_window_spans_a_gap() -> None:
-    truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.0, resolution=23e-6)
+    truth = DeviceModel(
+        mass=0.1, damping=1.0, friction=0.03, delay=1.0, resolution=23e-6
+    )
     whole = excite(truth, T, 8.0, seed=1)
     position = whole.position.copy()
     # What is missing is filled with nonsense that must not be looked at.
     position[1000:1010] = 1.0
-    gap = Experiment(T, position, ((0, 1000), (1010, 4000)), whole.at, whole.force, whole.delay)
+    gap = Experiment(
+        T, position, ((0, 1000), (1010, 4000)), whole.at, whole.force, whole.delay
+    )
     found = identify(gap)
     assert found.mass.value == pytest.approx(0.1, rel=1e-3)
 
 
 def test_ticks_that_were_slept_through_are_bridged() -> None:
     """20 of every 80 ticks are missing, but the forces held meanwhile are known."""
-    truth = DeviceModel(mass=0.1, damping=1.0, friction=0.03, delay=1.0, resolution=23e-6)
+    truth = DeviceModel(
+        mass=0.1, damping=1.0, friction=0.03, delay=1.0, resolution=23e-6
+    )
     whole = excite(truth, T, 8.0, seed=1)
     missing = np.arange(len(whole.position)) % 100 >= 80
     # What is filled in there must not be compared with.
@@ -226,8 +274,16 @@ def test_a_record_tells_where_an_answer_came_late(tmp_path: Path) -> None:
     with RecordWriter(path, {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
         for topic, message in drop(600):
             if isinstance(message, DeviceState) and not 200 <= message.seq < 210:
-                seq = 199 if message.seq == 210 else answered.get(message.seq, message.force_seq)
-                writer.write(topic, msgspec.structs.replace(message, force_seq=seq), message.stamp)
+                seq = (
+                    199
+                    if message.seq == 210
+                    else answered.get(message.seq, message.force_seq)
+                )
+                writer.write(
+                    topic,
+                    msgspec.structs.replace(message, force_seq=seq),
+                    message.stamp,
+                )
     late = read(path, "z").late
     assert late is not None
     # In 102 the answers of 100 and 101 may have come before its own, which is the one that state
@@ -243,7 +299,9 @@ def impulse(at: Array, force: Array, ticks: Array) -> Array:
 
 
 @pytest.mark.parametrize("slept", [0, 1, 7])
-def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Path) -> None:
+def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(
+    slept: int, tmp_path: Path
+) -> None:
     """Every seventh answer comes a tick later, before that tick's own.
 
     From 300 on the driver sleeps, and states 401 to 405 are not recorded.
@@ -256,7 +314,9 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
     sampled = np.concatenate([answered, [600]]).astype(np.float64)
     since = np.concatenate([[-1.0], sampled[:-1]])
     between = np.diff(impulse(at, force, sampled), prepend=0.0)
-    with RecordWriter(tmp_path / "run.mcap", {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
+    with RecordWriter(
+        tmp_path / "run.mcap", {"rate_hz": "500", "publishes": PUBLISHES}
+    ) as writer:
         for seq, before, given in zip(
             sampled.tolist(), since.tolist(), between.tolist(), strict=True
         ):
@@ -285,7 +345,9 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
             writer.write(DEVICE_STATE, state, seq * T)
     found = read(tmp_path / "run.mcap", "z")
     # Sums of 600 terms of up to 1, and a mean that is divided by a tenth of a tick at least.
-    rebuilt = impulse(found.at, found.force, sampled) - impulse(found.at, found.force, since)
+    rebuilt = impulse(found.at, found.force, sampled) - impulse(
+        found.at, found.force, since
+    )
     recorded = (sampled <= 400) | (sampled > 405)
     assert np.allclose(rebuilt[recorded], between[recorded], rtol=0.0, atol=1e-11)
     # Those that came late too.
@@ -299,7 +361,9 @@ def test_the_forces_of_a_tick_are_rebuilt_from_its_mean(slept: int, tmp_path: Pa
 
 
 def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
-    with RecordWriter(tmp_path / "old.mcap", {"rate_hz": "500", "publishes": PUBLISHES}) as writer:
+    with RecordWriter(
+        tmp_path / "old.mcap", {"rate_hz": "500", "publishes": PUBLISHES}
+    ) as writer:
         for topic, message in drop(600):
             told = (
                 msgspec.structs.replace(message, mean_force=(0.0, 0.0, 0.0))
@@ -314,7 +378,12 @@ def test_forces_without_their_mean_are_refused(tmp_path: Path) -> None:
 @pytest.mark.process
 def test_study_identify_reads_a_launch(tmp_path: Path) -> None:
     run = launch_json(
-        tmp_path, "identify", "pace:=lockstep", "apply:=next_tick", "delay:=0.4", "duration:=5"
+        tmp_path,
+        "identify",
+        "pace:=lockstep",
+        "apply:=next_tick",
+        "delay:=0.4",
+        "duration:=5",
     )
     done = typed_in(tmp_path, "study", "identify", run["recording"], "--json")
     figures = json.loads(done.stdout.splitlines()[-1])

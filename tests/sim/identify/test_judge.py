@@ -81,7 +81,9 @@ def test_a_joint_that_hides_in_the_residual_is_found() -> None:
         ({"warming": 0.5}, "changes during the run"),
     ],
 )
-def test_what_no_model_explains_is_refused_by_name(odd: dict[str, Any], named: str) -> None:
+def test_what_no_model_explains_is_refused_by_name(
+    odd: dict[str, Any], named: str
+) -> None:
     found = pushed(**odd)
     assert found.refuted
     assert re.search(named, found.why)
@@ -126,7 +128,9 @@ def test_unsteady_samples_widen_the_delay() -> None:
 @pytest.mark.slow
 def test_the_edge_of_what_is_seen() -> None:
     """Coarse encoder, small mass beyond the joint: found below the stated bound only."""
-    coarse = DeviceModel(mass=0.2, damping=1.0, friction=0.03, delay=1.2, resolution=2e-4)
+    coarse = DeviceModel(
+        mass=0.2, damping=1.0, friction=0.03, delay=1.2, resolution=2e-4
+    )
     bound = pushed(rigid=coarse).frequency.low
     assert bound is not None
     assert 20.0 < bound < 200.0
@@ -151,16 +155,24 @@ def closed_form(ticks: int) -> tuple[Array, Array]:
     position, velocity = np.zeros(ticks), 0.0
     for n in range(1, ticks):
         end = force[n - 1] / b
-        position[n] = position[n - 1] + end * T + (velocity - end) * (1.0 - decay) * m / b
+        position[n] = (
+            position[n - 1] + end * T + (velocity - end) * (1.0 - decay) * m / b
+        )
         velocity = end + (velocity - end) * decay
     return position, force
 
 
-@pytest.mark.parametrize(("ripple", "seen"), [(0.0, False), (0.27e-9, False), (0.31e-9, True)])
+@pytest.mark.parametrize(
+    ("ripple", "seen"), [(0.0, False), (0.27e-9, False), (0.31e-9, True)]
+)
 def test_what_no_encoder_would_show_is_no_evidence(ripple: float, seen: bool) -> None:
     """Residuals of arithmetic, or a ripple around 0.29 nm (1 nm / √12)."""
     position, force = closed_form(2000)
-    position += math.sqrt(2.0) * ripple * np.sin(2.0 * math.pi * 0.07 * np.arange(len(position)))
+    position += (
+        math.sqrt(2.0)
+        * ripple
+        * np.sin(2.0 * math.pi * 0.07 * np.arange(len(position)))
+    )
     found = identify(lockstep(T, position, force))
     assert bool(found.remainder) is seen
     # Seen or not, it moves K_max by a millionth.
@@ -173,7 +185,9 @@ def test_what_no_encoder_would_show_is_no_evidence(ripple: float, seen: bool) ->
     ("stalls", "told", "refuted"),
     [(3, False, True), (3, True, False), (14, True, False), (15, True, True)],
 )
-def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refuted: bool) -> None:
+def test_a_window_with_a_late_answer_need_not_fit(
+    stalls: int, told: bool, refuted: bool
+) -> None:
     """Some of 20 windows lack 0.1 mN for 0.1 ms; six others suffice."""
     position, force = closed_form(2000)
     late = np.zeros(len(position), dtype=bool)
@@ -183,7 +197,9 @@ def test_a_window_with_a_late_answer_need_not_fit(stalls: int, told: bool, refut
     )
     assert found.refuted == refuted
     assert found.dropped == (0 if refuted else stalls)
-    assert (f"in {stalls} of 20 windows answers came late" in found.why) == (told and refuted)
+    assert (f"in {stalls} of 20 windows answers came late" in found.why) == (
+        told and refuted
+    )
     assert (f"{stalls} left out" in text(found)) == (not refuted)
     if not refuted:
         # Arithmetic alone: no window that is left knows of a stall.

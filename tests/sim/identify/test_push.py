@@ -36,13 +36,20 @@ def stands_still(launch: Running) -> None:
         ticks.append(launch.call("driver", "progress")["tick"])
     assert ticks[0] == ticks[1]
     launch.call("driver", "stand", seconds=0.0)
-    wait_for(lambda: launch.call("driver", "progress")["tick"] > ticks[0], "the loop to go on")
+    wait_for(
+        lambda: launch.call("driver", "progress")["tick"] > ticks[0],
+        "the loop to go on",
+    )
 
 
 @pytest.mark.slow
-def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path) -> None:
+def test_three_axes_are_identified_in_three_places_held_by_a_hand(
+    tmp_path: Path,
+) -> None:
     hand = "hand: {mass: 0.1, damping: 3.0, stiffness: 150.0, path: [[0.0, 0.0]]}"
-    (tmp_path / "held.yaml").write_text(f"driver: {{device: {{{hand}}}}}", encoding="utf-8")
+    (tmp_path / "held.yaml").write_text(
+        f"driver: {{device: {{{hand}}}}}", encoding="utf-8"
+    )
     words = (
         "identify",
         "axes:=[x,y,z]",
@@ -72,14 +79,17 @@ def test_three_axes_are_identified_in_three_places_held_by_a_hand(tmp_path: Path
             ("damping_n_s_per_m", 4.0),
             ("hand_stiffness_n_per_m", 150.0),
         ):
-            assert one[key]["value"] == pytest.approx(truth, rel=0.05), (key, one["axis"])
+            assert one[key]["value"] == pytest.approx(truth, rel=0.05), (
+                key,
+                one["axis"],
+            )
 
 
 @pytest.mark.process
 def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
-    listed = json.loads(typed_in(tmp_path, "device", "list", "--json").stdout.splitlines()[-1])[
-        "devices"
-    ]
+    listed = json.loads(
+        typed_in(tmp_path, "device", "list", "--json").stdout.splitlines()[-1]
+    )["devices"]
     kinds = {entry["kind"]: entry for entry in listed}
     assert kinds["sim_driver"]["found"] is True
     assert kinds["touch_driver"]["library"]
@@ -90,7 +100,15 @@ def test_device_list_tells_where_it_looked(tmp_path: Path) -> None:
 
 def test_a_wrong_push_is_refused_by_its_path(tmp_path: Path) -> None:
     done = typed_in(
-        tmp_path, "device", "identify", "identify", "--amplitude", "-1", "--run", "none", code=2
+        tmp_path,
+        "device",
+        "identify",
+        "identify",
+        "--amplitude",
+        "-1",
+        "--run",
+        "none",
+        code=2,
     )
     assert "amplitude" in done.stderr
 
@@ -118,7 +136,9 @@ def test_the_push_stays_within_its_amplitude_and_ends() -> None:
 @pytest.mark.parametrize(("deflection", "sign"), [(0.0300001, 1.0), (-0.0300001, -1.0)])
 def test_beyond_the_reach_it_only_pushes_back(deflection: float, sign: float) -> None:
     """A deflection points from device to centre, so a force of its sign returns it."""
-    assert all(sign * force >= 0.0 for force in pushes(compiled(), [deflection, 0.0], 300))
+    assert all(
+        sign * force >= 0.0 for force in pushes(compiled(), [deflection, 0.0], 300)
+    )
     inside = pushes(compiled(), [0.0299999 * sign, 0.0], 300)
     assert min(inside) < 0.0 < max(inside)
     assert held_back(-0.2, 0.01, 0.03) == -0.2
@@ -148,7 +168,9 @@ def test_the_weight_is_carried_during_the_push_and_let_go_after_it() -> None:
     forces = pushes(compiled(duration=0.1, amplitude=1e-9, load=0.98), [0.0, 0.0], 600)
     assert forces[:50] == pytest.approx([0.98] * 50, abs=1e-8)
     # A second of fading: steps of 1/500 of it, down to nothing.
-    assert max(abs(b - a) for a, b in pairwise(forces[50:])) <= 0.98 / 500 * (1.0 + 1e-9)
+    assert max(abs(b - a) for a, b in pairwise(forces[50:])) <= 0.98 / 500 * (
+        1.0 + 1e-9
+    )
     assert set(forces[550:]) == {0.0}
     assert Excitation().load == 0.0
 

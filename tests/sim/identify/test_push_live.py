@@ -27,7 +27,9 @@ def parameters(launch: Running) -> tuple[str, Any]:
 @pytest.mark.realtime
 def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) -> None:
     # A mass that falls while the machine stalls comes back from anywhere.
-    (tmp_path / "wide.yaml").write_text("driver: {safety: {workspace: null}}", encoding="utf-8")
+    (tmp_path / "wide.yaml").write_text(
+        "driver: {safety: {workspace: null}}", encoding="utf-8"
+    )
     with running(tmp_path, *SCENE, "--params", "wide.yaml") as launch:
         before = parameters(launch)
         # The floor carries 0.98 N of weight, but that might as well be a hand that presses.
@@ -36,16 +38,27 @@ def test_identify_on_a_running_launch_and_put_everything_back(tmp_path: Path) ->
         # Dry friction of 0.06 N carries a part of it.
         assert abs(float(refused.stderr.rsplit("--load ", 1)[1]) - 0.981) <= 0.07
         assert parameters(launch) == before
-        heavy = typed(launch, "device", "identify", "--load", "60", "--amplitude", "50", code=1)
+        heavy = typed(
+            launch, "device", "identify", "--load", "60", "--amplitude", "50", code=1
+        )
         assert "more than" in heavy.stderr
         # Twelve windows of 100 ticks are needed: what a busy machine loses, or a short push lacks,
         # a longer one makes up for.
         short = typed(
-            launch, "device", "identify", "--duration", "1.2", "--load", "0.981", code=None
+            launch,
+            "device",
+            "identify",
+            "--duration",
+            "1.2",
+            "--load",
+            "0.981",
+            code=None,
         )
         assert "pushing again, for longer" in short.stderr
         assert parameters(launch) == before
-        done = typed(launch, "device", "identify", "--duration", "6", "--load", "0.981", "--json")
+        done = typed(
+            launch, "device", "identify", "--duration", "6", "--load", "0.981", "--json"
+        )
         figures = json.loads(done.stdout.splitlines()[-1])
         assert parameters(launch) == before
         assert before[0] == "pd"
@@ -70,7 +83,16 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
     with running(tmp_path, *SCENE) as launch:
         before = parameters(launch)
         process = subprocess.Popen(
-            [*HAPTIC, "device", "identify", "--duration", "600", "--load", "0.981", "--json"],
+            [
+                *HAPTIC,
+                "device",
+                "identify",
+                "--duration",
+                "600",
+                "--load",
+                "0.981",
+                "--json",
+            ],
             cwd=tmp_path,
             env=launch.environment,
             stdout=subprocess.PIPE,
@@ -84,7 +106,10 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
             # back just so.
             return process.poll() is not None
 
-        wait_for(lambda: ended() or parameters(launch)[0] == "identify", "the push to take over")
+        wait_for(
+            lambda: ended() or parameters(launch)[0] == "identify",
+            "the push to take over",
+        )
         if not ended():
             # Twice, as impatient people do.
             with contextlib.suppress(ProcessLookupError):
@@ -102,20 +127,31 @@ def test_ctrl_c_puts_everything_back_and_tells_what_is_known(tmp_path: Path) -> 
 
 
 @pytest.mark.process
-def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(tmp_path: Path) -> None:
+def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(
+    tmp_path: Path,
+) -> None:
     """After Ctrl-Z, expired leases and ``fg``, law and wall were changed for good."""
     with running(tmp_path, *SCENE) as launch:
         before = parameters(launch)
         words = (*HAPTIC, "device", "identify", "--duration", "600", "--load", "0.981")
-        pipes: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        pipes: dict[str, Any] = {
+            "stdout": subprocess.DEVNULL,
+            "stderr": subprocess.PIPE,
+        }
         process = subprocess.Popen(
-            words, cwd=tmp_path, env=launch.environment, text=True, process_group=0, **pipes
+            words,
+            cwd=tmp_path,
+            env=launch.environment,
+            text=True,
+            process_group=0,
+            **pipes,
         )
         try:
             wait_for(lambda: parameters(launch)[0] == "soft", "the soft spring", 60.0)
             os.killpg(process.pid, signal.SIGSTOP)
             wait_for(
-                lambda: parameters(launch) == before, "the launch to take law and surface back"
+                lambda: parameters(launch) == before,
+                "the launch to take law and surface back",
             )
             os.killpg(process.pid, signal.SIGCONT)
             _, err = process.communicate(timeout=60.0)
@@ -125,5 +161,8 @@ def test_a_push_that_is_suspended_changes_nothing_when_it_goes_on(tmp_path: Path
         assert parameters(launch) == before
         launch.finish(signal.SIGINT, code=None)
     assert process.returncode == 1
-    assert "refused: its lease 'borrowed' has run out" in err or "held up for too long" in err
+    assert (
+        "refused: its lease 'borrowed' has run out" in err
+        or "held up for too long" in err
+    )
     assert "Traceback" not in err

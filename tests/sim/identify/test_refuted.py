@@ -45,10 +45,14 @@ def recorded(folder: Path, device: NonidealDevice) -> Path:
 @pytest.fixture(scope="module")
 def cogging(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the recording of a motor whose force repeats with its poles."""
-    return recorded(tmp_path_factory.mktemp("cogging"), NonidealDevice(RIGID, cogging=0.05))
+    return recorded(
+        tmp_path_factory.mktemp("cogging"), NonidealDevice(RIGID, cogging=0.05)
+    )
 
 
-def identified(path: Path, capsys: pytest.CaptureFixture[str], code: int) -> dict[str, Any]:
+def identified(
+    path: Path, capsys: pytest.CaptureFixture[str], code: int
+) -> dict[str, Any]:
     assert main(["study", "identify", str(path), "--json"]) == code
     told: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
     return told
@@ -72,7 +76,10 @@ def test_a_refuted_recording_tells_no_figure_and_no_law_is_designed_on_it(
     assert told["mass_kg"]["value"] is told["damping_n_s_per_m"]["value"] is None
     tuning = tmp_path / "tuning"
     tuning.mkdir()
-    known = {"identified": {**told, "stopped": "done"}, "limits": {"peak_n": 3.3, "slew_n": None}}
+    known = {
+        "identified": {**told, "stopped": "done"},
+        "limits": {"peak_n": 3.3, "slew_n": None},
+    }
     (tuning / "tune.json").write_text(json.dumps(known))
     words = [
         "tune",

@@ -20,8 +20,21 @@ from sim.identify.identified import Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text, verdict
 from sim.identify.identify import identify
 from sim.identify.output_error import Fit
-from sim.identify.remainder import REFUSED, _by_parts, plant_of, reference_gain, stiffest
-from sim.lab.monte_carlo.study import FAR, NAMED, k_max_off, named, outcome, summary_outside
+from sim.identify.remainder import (
+    REFUSED,
+    _by_parts,
+    plant_of,
+    reference_gain,
+    stiffest,
+)
+from sim.lab.monte_carlo.study import (
+    FAR,
+    NAMED,
+    k_max_off,
+    named,
+    outcome,
+    summary_outside,
+)
 from sim.lab.monte_carlo.virtual import draw_outside, excite_outside
 from sim.play.nonideal import NonidealDevice
 from sim.play.nonideal import pushed as play_pushed
@@ -49,7 +62,9 @@ SMALL: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", SMALL)
-def test_what_changes_nothing_is_reported_and_the_device_is_identified(name: str) -> None:
+def test_what_changes_nothing_is_reported_and_the_device_is_identified(
+    name: str,
+) -> None:
     odd, words = SMALL[name]
     device, found = pushed(**odd)
     assert found.whiteness is not None
@@ -57,7 +72,9 @@ def test_what_changes_nothing_is_reported_and_the_device_is_identified(name: str
     assert found.remainder
     assert not found.refuted
     assert refusal(found) is None
-    if name != "force steps of 5 mN":  # whose grid of sizes names them as what repeats as well
+    if (
+        name != "force steps of 5 mN"
+    ):  # whose grid of sizes names them as what repeats as well
         assert words in found.remainder
     off = k_max_off(device, found, T)
     assert off is not None
@@ -75,7 +92,10 @@ def test_what_changes_nothing_is_reported_and_the_device_is_identified(name: str
 
 @pytest.mark.parametrize(
     ("odd", "words"),
-    [({"gain_by_sign": 0.06}, "more force one way"), ({"warming": 0.6}, "changes during")],
+    [
+        ({"gain_by_sign": 0.06}, "more force one way"),
+        ({"warming": 0.6}, "changes during"),
+    ],
 )
 def test_what_may_change_k_max_by_more_than_its_share_is_refused(
     odd: dict[str, Any], words: str
@@ -106,7 +126,9 @@ def test_a_sensor_that_averages_is_no_joint(part: float) -> None:
     assert from_figures(json.loads(json.dumps(figures(found)))) == found
 
 
-def test_a_joint_is_taken_only_where_it_beats_a_term_of_one_unknown_beyond_chance() -> None:
+def test_a_joint_is_taken_only_where_it_beats_a_term_of_one_unknown_beyond_chance() -> (
+    None
+):
     """A blur resembles a stiff joint with much loss, whose frequency would be told to 1 Hz."""
     fitted: Any = None
     rng = np.random.default_rng(1)
@@ -154,18 +176,26 @@ def test_a_record_of_an_earlier_version_is_read() -> None:
 
 
 @pytest.mark.parametrize("average", [0.0, 0.3, 0.5])
-def test_k_max_behind_a_sensor_that_averages_is_the_edge_of_the_poles(average: float) -> None:
+def test_k_max_behind_a_sensor_that_averages_is_the_edge_of_the_poles(
+    average: float,
+) -> None:
     plant = FlexiblePlant(0.1, 1.0, 0.7)
     gain = reference_gain(plant, T)
     edge = stiffest(plant, T, gain, average)
     assert edge is not None
     for share, stable in ((0.9999, True), (1.0001, False)):
-        taps = np.convolve([share * edge + gain / T, -gain / T], [1.0 - average, average])
-        assert (flexible_radius(CompiledLaw(tuple(taps.tolist())), T, plant) < 1.0) is stable
+        taps = np.convolve(
+            [share * edge + gain / T, -gain / T], [1.0 - average, average]
+        )
+        assert (
+            flexible_radius(CompiledLaw(tuple(taps.tolist())), T, plant) < 1.0
+        ) is stable
 
 
 @pytest.mark.parametrize("spring", [-150.0, 150.0])
-def test_k_max_beside_a_spring_of_the_device_is_the_edge_of_the_poles(spring: float) -> None:
+def test_k_max_beside_a_spring_of_the_device_is_the_edge_of_the_poles(
+    spring: float,
+) -> None:
     """Of either sign, acting without the loop's delay; what pushes away has to be held first."""
     plant = FlexiblePlant(0.1, 1.0, 0.7, stiffness=spring)
     gain = reference_gain(plant, T)
@@ -189,7 +219,9 @@ def test_friction_that_builds_up_is_a_spring_of_the_device_and_not_of_the_law() 
     gain = reference_gain(plant, T)
     edge = stiffest(plant, T, gain)
     assert edge is not None
-    fine = replace(device, rigid=msgspec.structs.replace(device.rigid, resolution=1e-12))
+    fine = replace(
+        device, rigid=msgspec.structs.replace(device.rigid, resolution=1e-12)
+    )
     law = np.array([0.97 * edge + gain / T, -gain / T])
     for start in (0.2, 3.0, 30.0):
         seen, _ = play_pushed(
@@ -199,7 +231,9 @@ def test_friction_that_builds_up_is_a_spring_of_the_device_and_not_of_the_law() 
 
 
 @pytest.mark.parametrize(("drift", "part"), [(0.0, 0.5), (1.0, 0.9)])
-def test_of_what_quarters_differ_by_chance_the_fit_has_half(drift: float, part: float) -> None:
+def test_of_what_quarters_differ_by_chance_the_fit_has_half(
+    drift: float, part: float
+) -> None:
     """White votes count half of their spread between quarters, a change in time in full."""
     rng, windows = np.random.default_rng(3), 400
     free = np.array([motion.MOBILITY, motion.DAMPING])
@@ -261,7 +295,15 @@ def test_both_errors_are_counted() -> None:
         "false",
         "false",
     ]
-    assert [named(one) for one in rows] == [False, True, True, False, False, False, False]
+    assert [named(one) for one in rows] == [
+        False,
+        True,
+        True,
+        False,
+        False,
+        False,
+        False,
+    ]
     found = summary_outside(rows)
     total = found.total
     assert (total.false, total.refused, total.good, total.needless) == (2, 3, 4, 1)

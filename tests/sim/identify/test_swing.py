@@ -49,7 +49,9 @@ def recorded(folder: Path, words: str, law: str = "", device: str = "{}") -> Pat
         f"coupling: {law or '{}'}\ndriver: {{device: {device}}}", encoding="utf-8"
     )
     assignments = f"duration:=1 {words}".split()
-    return one_process.recorded(folder, "floor_drop", *assignments, params=folder / "more.yaml")
+    return one_process.recorded(
+        folder, "floor_drop", *assignments, params=folder / "more.yaml"
+    )
 
 
 def limit_of(path: Path, delay: float = 0.0) -> float:
@@ -65,7 +67,11 @@ def limit_of(path: Path, delay: float = 0.0) -> float:
     [("law:=pd stiffness:=900 apply:=next_tick", "", 1.0), ("", PD_ALPHA, 0.0)],
 )
 def test_a_launch_far_inside_tells_where_the_edge_is(
-    tmp_path: Path, words: str, law: str, delay: float, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    words: str,
+    law: str,
+    delay: float,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = recorded(tmp_path, words, law)
     limit, found = limit_of(path, delay), recorded_swing(path)
@@ -77,7 +83,10 @@ def test_a_launch_far_inside_tells_where_the_edge_is(
     assert found.stiffness_n_per_m < 0.75 * limit
     assert found.edge.k_exact_n_per_m == pytest.approx(limit, rel=0.03)
     assert main(["study", "edge", str(path), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"] == [low, high]
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["k_max_n_per_m"] == [
+        low,
+        high,
+    ]
     # A damping that nobody knows leaves a wider interval, not another one.
     wide = _told_without_damping(path)
     assert wide[0] < low < high < 1.02 * wide[1]
@@ -90,7 +99,9 @@ def _told_without_damping(path: Path) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_friction_and_encoder_do_not_move_the_edge_out_of_the_interval(name: str) -> None:
+def test_friction_and_encoder_do_not_move_the_edge_out_of_the_interval(
+    name: str,
+) -> None:
     # Random devices, dropped: dry friction makes the swing die faster, which is not taken for
     # damping.
     rows = [dropped(number, name, LAWS[name], T) for number in range(6)]
@@ -104,7 +115,9 @@ def test_friction_and_encoder_do_not_move_the_edge_out_of_the_interval(name: str
 def test_drops_are_counted_law_by_law(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["study", "edge", "--drops", "5", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert figures["drops"] == sum(one["drops"] for one in figures["laws"].values()) == 5
+    assert (
+        figures["drops"] == sum(one["drops"] for one in figures["laws"].values()) == 5
+    )
     missed = DroppedSwing("pd", 0.9, 100.0, (90.0, 98.0))
     held = DroppedSwing("pd", 0.9, 100.0, (98.0, 102.0))
     told = counted([missed, held, DroppedSwing("pd", 0.9, 100.0)])
@@ -131,9 +144,13 @@ def test_what_does_not_swing_is_refused() -> None:
 
 
 def test_what_grows_is_refused() -> None:
-    derivative = without_spring(parse_law({"kind": "pd", "stiffness": 1.0, "damping": 3.0}), T)
+    derivative = without_spring(
+        parse_law({"kind": "pd", "stiffness": 1.0, "damping": 3.0}), T
+    )
     plant = Plant(T, 0.1, 1.0)
-    whole = with_spring(derivative, 1.02 * (k_max(derivative, plant).k_max_n_per_m or 0.0))
+    whole = with_spring(
+        derivative, 1.02 * (k_max(derivative, plant).k_max_n_per_m or 0.0)
+    )
     trace = run(free_scene(DeviceModel(mass=0.1, damping=1.0), T), whole, 400)
     with pytest.raises(CannotTellError, match="does not decay"):
         windows(trace.measured)
@@ -143,7 +160,11 @@ def test_what_grows_is_refused() -> None:
 @pytest.mark.parametrize(
     ("words", "law", "why"),
     [
-        ("law:=pd stiffness:=2500", "{schedule: [{at: 0.3, law: multi_term}]}", "the law changed"),
+        (
+            "law:=pd stiffness:=2500",
+            "{schedule: [{at: 0.3, law: multi_term}]}",
+            "the law changed",
+        ),
         (
             "",
             (
@@ -169,7 +190,11 @@ def test_where_nothing_was_touched_nothing_swings(
 ) -> None:
     assert (
         main(
-            ["study", "edge", str(recorded(tmp_path, "stiffness:=1000 height:=0.3 duration:=0.2"))]
+            [
+                "study",
+                "edge",
+                str(recorded(tmp_path, "stiffness:=1000 height:=0.3 duration:=0.2")),
+            ]
         )
         == 1
     )
@@ -177,10 +202,22 @@ def test_where_nothing_was_touched_nothing_swings(
 
 
 @pytest.mark.slow
-def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_study_edge_compares_laws(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert (
         main(
-            ["study", "edge", "--points", "4", "--gain", "3..25", "--out", str(tmp_path), "--json"]
+            [
+                "study",
+                "edge",
+                "--points",
+                "4",
+                "--gain",
+                "3..25",
+                "--out",
+                str(tmp_path),
+                "--json",
+            ]
         )
         == 0
     )
@@ -195,7 +232,11 @@ def test_study_edge_compares_laws(tmp_path: Path, capsys: pytest.CaptureFixture[
     ]
     assert 0.95 < min(ratios) < max(ratios) < 1.0
     assert 0.85 < figures["ratio_min"] < figures["ratio_max"] < 1.0
-    assert len(figures["points"]) == 4 * len({point["law"] for point in figures["points"]}) == 20
+    assert (
+        len(figures["points"])
+        == 4 * len({point["law"] for point in figures["points"]})
+        == 20
+    )
     assert Path(figures["plot"]).stat().st_size > 10_000
     assert main(["study", "edge", "--gain", "3", "--out", str(tmp_path)]) == 2
     assert main(["study", "edge", str(tmp_path / "none.mcap")]) == 2
@@ -207,17 +248,23 @@ def test_a_contact_with_ticks_that_are_missing_is_not_taken_for_a_faster_swing(
     """With every tenth tick lost, the interval did not contain K_max."""
     path = recorded(tmp_path, "law:=pd stiffness:=2500 duration:=2")
     limit = limit_of(path)
-    later = rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq < 300 or seq % 10 != 0)
+    later = rewritten(
+        path, lambda topic, seq: topic != DEVICE_STATE or seq < 300 or seq % 10 != 0
+    )
     low, high = recorded_swing(later).k_max_n_per_m
     assert low < limit < high
     with pytest.raises(CannotTellError, match="ticks of contact before it bounces"):
-        recorded_swing(rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq % 10 != 0))
+        recorded_swing(
+            rewritten(path, lambda topic, seq: topic != DEVICE_STATE or seq % 10 != 0)
+        )
 
 
 def test_a_law_that_changed_before_the_recording_began_is_not_taken_for_the_launch_file_s(
     tmp_path: Path,
 ) -> None:
-    path = recorded(tmp_path, "law:=pd stiffness:=2500", "{schedule: [{at: 0.01, law: pd_alpha}]}")
+    path = recorded(
+        tmp_path, "law:=pd stiffness:=2500", "{schedule: [{at: 0.01, law: pd_alpha}]}"
+    )
     late = rewritten(path, lambda _, seq: seq > 10)
     with pytest.raises(CannotTellError, match="the law changed"):
         recorded_swing(late)
@@ -240,10 +287,14 @@ def test_a_hand_that_holds_the_device_is_in_the_loop(stiffness: float) -> None:
     trace = run(drop_scene(body, T, raw=False, clamp=True), law.compile(T), 500)
     first, last = longest(np.abs(trace.force) > 0.0)
     loop = Plant(T, 1.0, 0.0, 0.0, stiffness)
-    limit = k_max(without_spring(law, T), replace(loop, mass=0.1, damping=2.5)).k_max_n_per_m
+    limit = k_max(
+        without_spring(law, T), replace(loop, mass=0.1, damping=2.5)
+    ).k_max_n_per_m
     assert limit is not None
     for damping in (2.5, None):
-        low, high = swing_of(law, loop, trace.measured[first:last], damping).k_max_n_per_m
+        low, high = swing_of(
+            law, loop, trace.measured[first:last], damping
+        ).k_max_n_per_m
         assert low < limit < high
     low, high = swing_of(
         law, replace(loop, stiffness=0.0), trace.measured[first:last], 0.5
@@ -255,7 +306,9 @@ def test_the_hand_of_a_recorded_scene_is_taken_into_account(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     device = "{hand: {mass: 0.05, damping: 2.0, stiffness: 1000.0, path: [[0.0, 0.0]]}}"
-    path = recorded(tmp_path, "law:=pd stiffness:=1500 damping:=1", "{stability: 'off'}", device)
+    path = recorded(
+        tmp_path, "law:=pd stiffness:=1500 damping:=1", "{stability: 'off'}", device
+    )
     limit = k_max(
         without_spring(_law(Recording(path), path), T), Plant(T, 0.15, 3.0, 0.0, 1000.0)
     ).k_max_n_per_m
@@ -269,7 +322,8 @@ def test_the_hand_of_a_recorded_scene_is_taken_into_account(
 
 
 @pytest.mark.parametrize(
-    "words", [("--mass", "0.2"), ("--damping", "2"), ("--drops", "3"), ("--gain", "3..20")]
+    "words",
+    [("--mass", "0.2"), ("--damping", "2"), ("--drops", "3"), ("--gain", "3..20")],
 )
 def test_what_a_recording_tells_is_not_asked_for(
     words: tuple[str, str], capsys: pytest.CaptureFixture[str]

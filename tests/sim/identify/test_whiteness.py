@@ -26,7 +26,9 @@ def coloured(rng: np.random.Generator, correlation: float) -> Array:
     white = rng.standard_normal((WINDOWS, LENGTH))
     found = white.copy()
     for k in range(1, LENGTH):
-        found[:, k] = correlation * found[:, k - 1] + np.sqrt(1 - correlation**2) * white[:, k]
+        found[:, k] = (
+            correlation * found[:, k - 1] + np.sqrt(1 - correlation**2) * white[:, k]
+        )
     return np.asarray(found, dtype=np.float64)
 
 

@@ -17,7 +17,21 @@ from sim.javascript.names import NotEmittedError, literal
 from sim.javascript.values import Plain, value
 from tests.support.in_node import node
 
-EDGES = (0.0, -0.0, 1.0, -1.0, 2.5, -2.5, 0.1, 7.0, -7.0, 1e300, 5e-324, math.inf, -math.inf)
+EDGES = (
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    2.5,
+    -2.5,
+    0.1,
+    7.0,
+    -7.0,
+    1e300,
+    5e-324,
+    math.inf,
+    -math.inf,
+)
 
 
 here: Any = sys.modules[__name__]
@@ -36,7 +50,11 @@ def remainder(a: float, b: float) -> float:
 
 
 def quotient(a: float, b: float) -> float:
-    return a // b if b != 0.0 and abs(a) < 1e6 and math.isfinite(b) and abs(b) > 0.01 else 0.0
+    return (
+        a // b
+        if b != 0.0 and abs(a) < 1e6 and math.isfinite(b) and abs(b) > 0.01
+        else 0.0
+    )
 
 
 def truncated(a: float, b: float) -> float:
@@ -66,7 +84,9 @@ def _share(a: float, b: float) -> float:
 
 
 def hidden(a: float, b: float) -> float:
-    share = _share(a, b)  # in JavaScript, a function without its underscore would be hidden
+    share = _share(
+        a, b
+    )  # in JavaScript, a function without its underscore would be hidden
     return share + _share(b, b)
 
 
@@ -106,12 +126,21 @@ def test_arithmetic_has_the_bits_of_python_at_every_edge(tmp_path: Path) -> None
         "const text = (x) => Object.is(x, -0) ? '-0.0' : String(x);\n"
         "console.log(JSON.stringify(all.map((row) => row.map(text))));\n"
     )
-    done = subprocess.run([node(), str(script)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [node(), str(script)], capture_output=True, text=True, check=True
+    )
     for function, row in zip(FUNCTIONS, json.loads(done.stdout), strict=True):
         for (a, b), got in zip(pairs, row, strict=True):
             want, found = function(a, b), float(got.replace("Infinity", "inf"))
-            same = found == want and math.copysign(1.0, found) == math.copysign(1.0, want)
-            assert same or (math.isnan(found) and math.isnan(want)), (function.__name__, a, b, got)
+            same = found == want and math.copysign(1.0, found) == math.copysign(
+                1.0, want
+            )
+            assert same or (math.isnan(found) and math.isnan(want)), (
+                function.__name__,
+                a,
+                b,
+                got,
+            )
 
 
 def with_star(*values: float) -> float:
@@ -156,7 +185,10 @@ def calls_another(a: float) -> str:
         (from_the_end, "an index from the end"),
         (with_comprehension, "expression ListComp"),
         (with_exception, "statement Raise"),
-        (with_a_hidden_function, "a variable that has the name of a function called, masked,"),
+        (
+            with_a_hidden_function,
+            "a variable that has the name of a function called, masked,",
+        ),
         (calls_another, "expression JoinedStr"),
         (with_unknown_call, ""),
     ],

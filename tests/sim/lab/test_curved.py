@@ -19,7 +19,9 @@ PERIOD, DEPTH, SPEED, GAIN, STIFFNESS, RADIUS = 0.002, 2e-3, 0.2, 2.0, 800.0, 0.
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str, str], dict[str, float]]:
+def found(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[tuple[str, str, str], dict[str, float]]:
     from contextlib import redirect_stdout
     from io import StringIO
 
@@ -43,7 +45,9 @@ def test_only_axes_that_turn_give_out_nothing_on_smooth_ways(
     # The deflection turns at v/r, the way's speed on the surface: B d v/r against K d.
     for surface, radius in (("sphere of 35 mm", RADIUS), ("rod of 6 mm", 0.006)):
         expected = GAIN * math.sin(SPEED / radius * PERIOD) / PERIOD / STIFFNESS
-        assert found[surface, "pd", "world"]["given_out"] == pytest.approx(expected, rel=0.02)
+        assert found[surface, "pd", "world"]["given_out"] == pytest.approx(
+            expected, rel=0.02
+        )
 
 
 def test_a_mesh_kicks_less_in_axes_that_turn(
@@ -52,7 +56,9 @@ def test_a_mesh_kicks_less_in_axes_that_turn(
     """In world axes a jump of the normal is a velocity of depth times jump per tick."""
     for surface in ("sphere of 320 triangles", "sphere of 5120 triangles"):
         for law in ("pd", "pd_alpha"):
-            world, turned = (found[surface, law, frame] for frame in ("world", "surface"))
+            world, turned = (
+                found[surface, law, frame] for frame in ("world", "surface")
+            )
             assert turned["kicks_n"] < 0.2 * world["kicks_n"]
             assert world["given_out"] > 0.0 > turned["given_out"]
 
@@ -85,14 +91,17 @@ def test_the_ends_of_the_search_are_not_told_as_k_max(
     assert sliding_k_max(launch, 0.02, "surface") == 0.0
     monkeypatch.setattr("sim.lab.curved.sliding_k_max", lambda *_: math.inf)
     monkeypatch.setattr(
-        "sim.lab.curved.along_ways", lambda *_: [AlongTheWay("plane", "pd", "world", 0.0, 0.0, 0.0)]
+        "sim.lab.curved.along_ways",
+        lambda *_: [AlongTheWay("plane", "pd", "world", 0.0, 0.0, 0.0)],
     )
-    assert main(["lab", "curved", "--slides", "0.02", "--json", "--out", str(tmp_path)]) == 0
+    assert (
+        main(["lab", "curved", "--slides", "0.02", "--json", "--out", str(tmp_path)])
+        == 0
+    )
     out = capsys.readouterr().out
-    assert [edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]] == [
-        None,
-        None,
-    ]
+    assert [
+        edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]
+    ] == [None, None]
 
 
 @pytest.mark.slow

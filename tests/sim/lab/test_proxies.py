@@ -18,7 +18,17 @@ from tests.support.launching import exit_code
 def test_the_study_tells_exact_shapes_from_meshes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["lab", "proxies", "--finest", "4", "--ticks", "600", "--steps", "100000", "--json"]
+    words = [
+        "lab",
+        "proxies",
+        "--finest",
+        "4",
+        "--ticks",
+        "600",
+        "--steps",
+        "100000",
+        "--json",
+    ]
     assert main([*words, "--out", str(tmp_path)]) == 0
     assert (tmp_path / "proxies.pdf").stat().st_size > 1000
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -42,7 +52,9 @@ def test_the_study_tells_exact_shapes_from_meshes(
     assert figures["plate"]["aside_max_m"] < 1e-12
 
 
-@pytest.mark.parametrize("words", [["--finest", "9"], ["--ticks", "3"], ["--depth", "0.04"]])
+@pytest.mark.parametrize(
+    "words", [["--finest", "9"], ["--ticks", "3"], ["--depth", "0.04"]]
+)
 def test_what_makes_no_sense_is_refused(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

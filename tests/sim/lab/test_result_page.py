@@ -46,7 +46,13 @@ def test_every_file_belongs_to_a_section() -> None:
 def test_a_section_names_command_machine_load_and_commit(tmp_path: Path) -> None:
     (tmp_path / "loop.json").write_bytes(msgspec.json.encode(RECORD))
     text = section("loop", tmp_path)
-    for told in ("$ haptic law list", "0123abcd", "load of 1 to 2.5", "a machine", "a figure"):
+    for told in (
+        "$ haptic law list",
+        "0123abcd",
+        "load of 1 to 2.5",
+        "a machine",
+        "a figure",
+    ):
         assert told in text
     assert "studies/" not in text
     assert max(map(len, text.splitlines())) <= 100
@@ -61,12 +67,16 @@ def test_a_command_is_one_of_haptic_or_of_the_interpreter() -> None:
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="names its commit: needs a checkout")
+@pytest.mark.skipif(
+    not (ROOT / ".git").exists(), reason="names its commit: needs a checkout"
+)
 def test_a_measured_section_replaces_what_was_measured_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(
-        SECTIONS, "loop", ResultSection("The loop", "?", "haptic study kmax --law pd --gain 3", 0.1)
+        SECTIONS,
+        "loop",
+        ResultSection("The loop", "?", "haptic study kmax --law pd --gain 3", 0.1),
     )
     (tmp_path / "loop.md").write_text("an earlier figure\n", encoding="utf-8")
     assert "an earlier figure" in section("loop", tmp_path)
@@ -79,13 +89,17 @@ def test_a_measured_section_replaces_what_was_measured_before(
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="names its commit: needs a checkout")
+@pytest.mark.skipif(
+    not (ROOT / ".git").exists(), reason="names its commit: needs a checkout"
+)
 def test_a_command_that_fails_leaves_its_section(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # No gain: exit code 2.
     monkeypatch.setitem(
-        SECTIONS, "loop", ResultSection("The loop", "?", "haptic study kmax --law pd", 0.1)
+        SECTIONS,
+        "loop",
+        ResultSection("The loop", "?", "haptic study kmax --law pd", 0.1),
     )
     (tmp_path / "loop.md").write_text("an earlier figure\n", encoding="utf-8")
     with pytest.raises(ResultsError, match="exit code 2; not recorded"):

@@ -11,7 +11,9 @@ from sim.measure.interrupts import SIGNALS, deferred, interrupted_once, undistur
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_request_that_was_sent_is_answered_before_the_verb_leaves(number: signal.Signals) -> None:
+def test_a_request_that_was_sent_is_answered_before_the_verb_leaves(
+    number: signal.Signals,
+) -> None:
     done: list[str] = []
 
     def ask() -> None:

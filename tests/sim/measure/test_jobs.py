@@ -60,7 +60,9 @@ class Counting(ThreadPoolExecutor):
 
 @pytest.mark.process
 @pytest.mark.smoke
-def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_path: Path) -> None:
+def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(
+    tmp_path: Path,
+) -> None:
     jobs = [{"x": x, "folder": str(tmp_path)} for x in range(7)]
 
     def begun() -> set[int]:
@@ -73,7 +75,9 @@ def test_workers_die_alone_hear_no_ctrl_c_and_end_when_nobody_wants_them(tmp_pat
             first, second = begun()
             os.kill(first, signal.SIGKILL)
             os.kill(second, signal.SIGINT)
-            wait_for(lambda: len(begun()) == 3, "another in the place of the killed one")
+            wait_for(
+                lambda: len(begun()) == 3, "another in the place of the killed one"
+            )
             (tmp_path / "go").touch()
             rows = result.result(timeout=120.0)
         assert squares(rows) == SQUARES
@@ -114,7 +118,11 @@ def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> Non
     # inherit that.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     study = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        process_group=0,
     )
     signal.signal(signal.SIGINT, before)
 
@@ -122,7 +130,9 @@ def test_ctrl_c_ends_a_study_with_its_workers_in_one_line(tmp_path: Path) -> Non
         listed = Path(f"/proc/{study.pid}/task").glob("*/children")
         return [int(child) for path in listed for child in path.read_text().split()]
 
-    workers = wait_for(lambda: len(found := children()) == 2 and found, "its workers are started")
+    workers = wait_for(
+        lambda: len(found := children()) == 2 and found, "its workers are started"
+    )
     os.killpg(study.pid, signal.SIGINT)
     try:
         told, complaint = study.communicate(timeout=DEADLINE)
@@ -145,7 +155,9 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
         assert squares(sweep(square, JOBS, pool, ledger)) == SQUARES
         assert pool.given == 5
         pool.given = 0
-        assert squares(sweep(square, list(reversed(JOBS)), pool, ledger)) == SQUARES[::-1]
+        assert (
+            squares(sweep(square, list(reversed(JOBS)), pool, ledger)) == SQUARES[::-1]
+        )
         assert pool.given == 0
     # Other parameters are another job.
     assert key_of({"x": 1, "y": 2}) == key_of({"y": 2, "x": 1}) != key_of({"x": 1})
@@ -180,9 +192,15 @@ def test_what_is_done_is_kept_when_a_job_fails(
 @pytest.mark.parametrize(
     ("address", "message"),
     [
-        ("tcp://192.0.2.7:8786", r"off this machine TLS is required: tls://192\.0\.2\.7:8786"),
+        (
+            "tcp://192.0.2.7:8786",
+            r"off this machine TLS is required: tls://192\.0\.2\.7:8786",
+        ),
         ("tcp://scheduler:8786", "TLS is required"),
-        ("tls://scheduler:8786", r"needs the files --tls-ca-file, --tls-cert, --tls-key"),
+        (
+            "tls://scheduler:8786",
+            r"needs the files --tls-ca-file, --tls-cert, --tls-key",
+        ),
         ("http://127.0.0.1:80", r"expected tcp://127\.0\.0\.1:PORT"),
         ("tcp://127.0.0.1", "expected tcp"),
     ],
@@ -229,7 +247,14 @@ def certificate(folder: Path) -> list[str]:
         check=True,
         capture_output=True,
     )
-    return ["--tls-ca-file", str(signed), "--tls-cert", str(signed), "--tls-key", str(key)]
+    return [
+        "--tls-ca-file",
+        str(signed),
+        "--tls-cert",
+        str(signed),
+        "--tls-key",
+        str(key),
+    ]
 
 
 @pytest.fixture
@@ -264,7 +289,9 @@ def test_a_cluster_with_tls_of_which_one_worker_is_killed_and_the_sweep_interrup
     ledger = tmp_path / "l.jsonl"
 
     def begun() -> set[int]:
-        return {int(mark.name.split("-")[1]) for mark in (tmp_path / "marks").glob("*-*")}
+        return {
+            int(mark.name.split("-")[1]) for mark in (tmp_path / "marks").glob("*-*")
+        }
 
     def ctrl_c(*_: object) -> None:
         raise KeyboardInterrupt

@@ -67,7 +67,9 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 """Beyond the files: every law, quantiser, friction, delay and rule of apply."""
 
-EVERY = [(name, dict[str, Any]()) for name in launch_file.scenarios() if name not in APART]
+EVERY = [
+    (name, dict[str, Any]()) for name in launch_file.scenarios() if name not in APART
+]
 CASES = [*EVERY, *VARIANTS]
 # Launched in every run, with the plain tick; the rest is launched on request.
 QUICK: list[tuple[str, dict[str, Any]]] = [
@@ -94,7 +96,9 @@ def in_lockstep(name: str, given: Mapping[str, Any]) -> Launch:
         if "pace" not in arguments(name)
         else {**given, "pace": "lockstep"},
     )
-    nodes = {node: spec for node, spec in launch.nodes.items() if spec.kind not in LISTENS}
+    nodes = {
+        node: spec for node, spec in launch.nodes.items() if spec.kind not in LISTENS
+    }
     run = msgspec.structs.replace(launch.run, duration=LONGER.get(name, SECONDS))
     return msgspec.structs.replace(launch, run=run, nodes=nodes)
 
@@ -112,7 +116,8 @@ def written(launch: Launch, folder: Path) -> Path:
         run["axes"] = list(launch.run.axes)
     path = folder / f"{launch.scenario}.yaml"
     path.write_text(
-        yaml.safe_dump({"summary": "A copy.", "run": run, "nodes": nodes}), encoding="utf-8"
+        yaml.safe_dump({"summary": "A copy.", "run": run, "nodes": nodes}),
+        encoding="utf-8",
     )
     return path
 
@@ -122,13 +127,25 @@ def bits(values: Any) -> Any:
 
 
 def rows(trace: ChainTrace) -> dict[str, Any]:
-    names = ("position", "velocity", "measured", "deflection", "proxy", "normal", "force", "final")
+    names = (
+        "position",
+        "velocity",
+        "measured",
+        "deflection",
+        "proxy",
+        "normal",
+        "force",
+        "final",
+    )
     found = {name: bits(getattr(trace, name)) for name in names}
     return {**found, "contact": trace.contact, "law": np.array(trace.law)}
 
 
 def needs_mujoco(launch: Launch) -> None:
-    if "mujoco" in {spec.kind for spec in launch.nodes.values()} and find_spec("mujoco") is None:
+    if (
+        "mujoco" in {spec.kind for spec in launch.nodes.values()}
+        and find_spec("mujoco") is None
+    ):
         pytest.skip("the extra is not installed: pip install 'haptic-nodes[mujoco]'")
 
 
@@ -143,7 +160,8 @@ def test_however_one_process_plays_it_all_columns_have_the_same_bits(
     for chain in chains_of(launch):
         several = len(launch.axes.get(chain) or launch.run.axes) > 1
         first, *others = (
-            rows(play(launch, chain, how=how)) for how in (ways[:1] if several else ways)
+            rows(play(launch, chain, how=how))
+            for how in (ways[:1] if several else ways)
         )
         assert np.abs(first["force"]).max() > 0 or case[0] == "free_space"
         for other in others:
@@ -152,7 +170,9 @@ def test_however_one_process_plays_it_all_columns_have_the_same_bits(
 
 
 @pytest.mark.parametrize("name", APART)
-def test_what_one_process_does_not_play_is_refused_by_the_node_that_it_is_about(name: str) -> None:
+def test_what_one_process_does_not_play_is_refused_by_the_node_that_it_is_about(
+    name: str,
+) -> None:
     launch = launch_file.read(name, {})
     with pytest.raises(ParameterError, match=APART[name]) as refused:
         play_launch(launch)
@@ -162,7 +182,11 @@ def test_what_one_process_does_not_play_is_refused_by_the_node_that_it_is_about(
 @pytest.mark.parametrize(
     ("node", "spec", "told"),
     [
-        ("driver", NodeSpec(kind="touch_driver"), "driver: touch_driver drives a real device"),
+        (
+            "driver",
+            NodeSpec(kind="touch_driver"),
+            "driver: touch_driver drives a real device",
+        ),
         ("environment", None, "0 nodes publish /environment/proxy"),
         ("coupling", None, "0 nodes publish /coupling/force"),
     ],
@@ -180,7 +204,9 @@ def test_a_chain_that_is_none_is_refused_by_name(
 
 def test_two_chains_are_played_by_name() -> None:
     launch = launch_file.read("two_hands", {})
-    with pytest.raises(ParameterError, match="2 chains \\(left, right\\); name one of them"):
+    with pytest.raises(
+        ParameterError, match="2 chains \\(left, right\\); name one of them"
+    ):
         play(launch)
     both = play_launch(launch, ticks=200)
     assert list(both) == ["left", "right"]
@@ -199,7 +225,9 @@ def compiled_before() -> None:
 @pytest.mark.smoke("floor_guarded", "floor_swap", "mesh_pebble", "two_hands")
 @pytest.mark.usefixtures("compiled_before")
 @pytest.mark.parametrize(
-    "case", slowly([case for case in CASES if case[0] not in ALIKE], but=OFTEN), ids=case_id
+    "case",
+    slowly([case for case in CASES if case[0] not in ALIKE], but=OFTEN),
+    ids=case_id,
 )
 def test_processes_with_the_compiled_tick_give_the_bits_of_one_process(
     case: tuple[str, dict[str, Any]], tmp_path: Path
@@ -216,7 +244,12 @@ def test_processes_with_the_plain_tick_and_a_replay_give_the_bits_of_one_process
     launch = in_lockstep(*case)
     recordings = assert_launched(launch, "plain", tmp_path)
     kinds = {spec.kind for spec in launch.nodes.values()}
-    if len(recordings) > 1 or not kinds <= {"sim_driver", "environment", "coupling", "logger"}:
+    if len(recordings) > 1 or not kinds <= {
+        "sim_driver",
+        "environment",
+        "coupling",
+        "logger",
+    }:
         return
     trace = play(launch)
     if len(trace.axes) == 1:
@@ -231,7 +264,9 @@ def assert_launched(launch: Launch, tick: str, folder: Path) -> list[Path]:
     """Launch in lockstep, compare each chain with one process, return the recordings."""
     needs_mujoco(launch)
     figures = launch_json(folder, str(written(launch, folder)), "--tick", tick)
-    paths = [folder / path for path in figures.get("recordings") or [figures["recording"]]]
+    paths = [
+        folder / path for path in figures.get("recordings") or [figures["recording"]]
+    ]
     # Each logger of two_loggers has the whole loop; each chain of a launch its own logger, which
     # names topics as if the chain were alone.
     for chain, path in zip(chains_of(launch), paths, strict=False):
@@ -247,7 +282,10 @@ def assert_launched(launch: Launch, tick: str, folder: Path) -> list[Path]:
             ("proxy", [proxy.proxy for proxy in proxies[:-1]]),
             ("normal", [proxy.normal for proxy in proxies[:-1]]),
         ):
-            assert np.array_equal(bits(values), bits(getattr(trace, name))), (chain, name)
+            assert np.array_equal(bits(values), bits(getattr(trace, name))), (
+                chain,
+                name,
+            )
         assert [proxy.contact for proxy in proxies[:-1]] == trace.contact.tolist()
         assert tuple(force.law for force in forces[:-1]) == trace.law
     return paths

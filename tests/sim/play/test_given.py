@@ -33,13 +33,18 @@ GIVEN: dict[str, tuple[str, Callable[[], Given]]] = {
     "force": ("wall_press", lambda: Given(force=some(1, 0.3))),
     "target": ("wall_press", lambda: Given(target=0.02 + some(2, 1e-3))),
     "nudged": ("floor_drop", jumps),
-    "force and target": ("wall_press", lambda: Given(force=some(3, 0.3), target=some(4, 0.02))),
+    "force and target": (
+        "wall_press",
+        lambda: Given(force=some(3, 0.3), target=some(4, 0.02)),
+    ),
 }
 
 
 @pytest.mark.parametrize("name", GIVEN)
 @pytest.mark.parametrize("apply", ["on_arrival", "next_tick"])
-def test_what_is_given_acts_the_same_however_it_is_played(name: str, apply: str) -> None:
+def test_what_is_given_acts_the_same_however_it_is_played(
+    name: str, apply: str
+) -> None:
     scenario, make = GIVEN[name]
     launch = launch_file.read(scenario, {"apply": apply})
     bare = play(launch, ticks=TICKS)
@@ -52,9 +57,13 @@ def test_what_is_given_acts_the_same_however_it_is_played(name: str, apply: str)
 
 def test_a_law_and_swaps_in_place_of_the_launch_files_own_render_the_same() -> None:
     launch = launch_file.read("floor_drop", {})
-    other = from_launch(launch_file.read("floor_swap", {"first": 0.2, "second": 0.5, "ramp": 20}))
+    other = from_launch(
+        launch_file.read("floor_swap", {"first": 0.2, "second": 0.5, "ramp": 20})
+    )
     instead = Instead(law=other.law, swaps=other.swaps)
-    first, *others = (play(launch, ticks=TICKS, instead=instead, how=how) for how in WAYS)
+    first, *others = (
+        play(launch, ticks=TICKS, instead=instead, how=how) for how in WAYS
+    )
     for trace in others:
         assert np.array_equal(trace.force, first.force)
         assert trace.law == first.law
@@ -76,7 +85,8 @@ def test_a_force_on_a_free_device_in_space_moves_it_by_newtons_law() -> None:
     sprung = device.grip * t**2 / (12.0 * device.moving_mass)
     moved = pushed.position[3, 0] - still.position[3, 0]
     assert moved == pytest.approx(
-        0.5 * 0.01 * t**2 / device.moving_mass * (1.0 - damped), rel=damped**2 + 1.1 * sprung
+        0.5 * 0.01 * t**2 / device.moving_mass * (1.0 - damped),
+        rel=damped**2 + 1.1 * sprung,
     )
 
 

@@ -54,7 +54,9 @@ def assert_same_bits(
     assert figures["ticks"] == ticks
     # One state a tick, and a last one that tells where the device came to rest.
     assert [state.seq for state in states] == list(range(ticks + 1))
-    assert bits([state.position[2] for state in states[:ticks]]) == bits(list(trace.measured))
+    assert bits([state.position[2] for state in states[:ticks]]) == bits(
+        list(trace.measured)
+    )
     assert bits([state.force[2] for state in states[1:]]) == bits(list(trace.force))
 
 
@@ -66,12 +68,15 @@ def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
     """With friction and encoder, at the outermost count inside, over a soft floor."""
     narrow = tmp_path / "narrow.yaml"
     narrow.write_text(
-        "driver: {safety: {workspace: [[-1, 1], [-1, 1], [-0.0009, 0.1]]}}", encoding="utf-8"
+        "driver: {safety: {workspace: [[-1, 1], [-1, 1], [-0.0009, 0.1]]}}",
+        encoding="utf-8",
     )
     words = ("floor_buzz", "stiffness:=50", "law:=pd", "apply:=next_tick", SHORT)
     assert_same_bits(tmp_path, *words, laid_over=(narrow,), tick=tick)
     trace = play(
-        launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (narrow,))
+        launch_file.read(
+            words[0], launch_file.parse_assignments([*words[1:]]), (narrow,)
+        )
     ).along()
     # 39.1 counts of 2.3e-5 m; without the stop it would rest 20 mm deep.
     assert trace.measured.min() == -39 * 2.3e-5
@@ -91,7 +96,9 @@ def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(
     )
     words = ("floor_drop", "stiffness:=1e5", "damping:=0", SHORT)
     assert_same_bits(tmp_path, *words, laid_over=(hard,), tick=tick)
-    launch = launch_file.read(words[0], launch_file.parse_assignments([*words[1:]]), (hard,))
+    launch = launch_file.read(
+        words[0], launch_file.parse_assignments([*words[1:]]), (hard,)
+    )
     force = play(launch).along().force
     # 500 N/s are 1 N a tick; the peak is that of the scenario.
     changes = np.abs(np.diff(force, prepend=0.0))
@@ -104,7 +111,17 @@ def test_designs_that_were_just_made_are_rendered_bit_for_bit(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Files of ``haptic study design`` start any scenario with a coupling."""
-    words = ("--mass", "0.1", "--taps", "3", "--delay", "1", "--out", str(tmp_path), "--json")
+    words = (
+        "--mass",
+        "0.1",
+        "--taps",
+        "3",
+        "--delay",
+        "1",
+        "--out",
+        str(tmp_path),
+        "--json",
+    )
     assert main(["study", "design", *words]) == 0
     made = json.loads(capsys.readouterr().out)
     files = tuple(Path(made[which]["yaml"]) for which in ("passive", "designed"))
@@ -124,18 +141,25 @@ def test_files_of_parameters_are_checked_before_anything_starts(tmp_path: Path) 
             "couplng: {law: pd}",
             "has no node 'couplng'; available: driver, environment, coupling, logger",
         ),
-        ("coupling: pd", "given.yaml.coupling: expected a mapping of parameters, got 'pd'"),
+        (
+            "coupling: pd",
+            "given.yaml.coupling: expected a mapping of parameters, got 'pd'",
+        ),
         ("[1, 2]", "given.yaml: expected a mapping from node to parameters"),
         ("driver: {device: {mass: -1.0}}", "driver.device.mass"),
     ):
         (tmp_path / "given.yaml").write_text(text, encoding="utf-8")
         assert (
             told
-            in haptic(tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2).stderr
+            in haptic(
+                tmp_path, "launch", "floor_drop", "--params", "given.yaml", code=2
+            ).stderr
         )
     assert (
         "elsewhere.yaml"
-        in haptic(tmp_path, "launch", "floor_drop", "--params", "elsewhere.yaml", code=2).stderr
+        in haptic(
+            tmp_path, "launch", "floor_drop", "--params", "elsewhere.yaml", code=2
+        ).stderr
     )
 
 
@@ -165,14 +189,17 @@ def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> N
         stalled = launch.call(node, "status")["pid"]
         os.kill(stalled, signal.SIGSTOP)
         try:
-            wait_for(lambda: "publishing it again" in launch.errors, "the driver asks again")
+            wait_for(
+                lambda: "publishing it again" in launch.errors, "the driver asks again"
+            )
             asked = launch.call("driver", "progress")["tick"]
         finally:
             os.kill(stalled, signal.SIGCONT)
         # Both answers are there: the one that was waited for, and the one that nobody waits for any
         # more.
         wait_for(
-            lambda: launch.call("driver", "progress")["tick"] > asked + 100, "the loop to go on"
+            lambda: launch.call("driver", "progress")["tick"] > asked + 100,
+            "the loop to go on",
         )
         figures = launch.finish(signal.SIGINT)
     for path in figures["recordings"]:
@@ -183,5 +210,7 @@ def test_a_question_asked_again_is_recorded_once(node: str, tmp_path: Path) -> N
             assert seqs == sorted(set(seqs))
             # A logger that is starved may lose messages, and counts them where it records all
             # topics of their sender.
-            sender = kept.get({PROXY: "environment", FORCE: "coupling"}.get(topic, "driver"))
+            sender = kept.get(
+                {PROXY: "environment", FORCE: "coupling"}.get(topic, "driver")
+            )
             assert sender is None or sender.lost == figures["ticks"] + 1 - len(seqs)

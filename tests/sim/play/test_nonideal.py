@@ -23,9 +23,13 @@ def test_a_device_without_defects_swings_as_the_player_s(delay: float) -> None:
     device = DeviceModel(mass=0.1, damping=1.0, delay=delay, position=0.0)
     law = PD(stiffness=200.0, damping=0.0).compile(T)
     place = (STEP, math.inf, math.inf, 0.0)
-    told = pushed(NonidealDevice(device), T, np.zeros(TICKS), np.array(law.taps), place, 0)
+    told = pushed(
+        NonidealDevice(device), T, np.zeros(TICKS), np.array(law.taps), place, 0
+    )
     away = DeviceModel(mass=0.1, damping=1.0, delay=delay, position=-STEP)
-    scene = Scene(device=away, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False)
+    scene = Scene(
+        device=away, surface=SceneSurface("anchor"), period=T, raw=False, clamp=False
+    )
     played = run(scene, law, TICKS)
     # 45 rad/s: a small step of T/64 errs by its square, 2e-6, of the swing in each radian; 36 of
     # them in 400 ticks. Readings are rounded to a nanometre.
@@ -47,6 +51,9 @@ def test_a_knock_on_a_model_is_the_knock_of_a_launch() -> None:
     for position in positions.tolist():
         head = (head - 1) % length
         ring[head] = ring[head + length] = -position
-        live.append(sum(tap * ring[head + m] for m, tap in enumerate(law.taps)) + trial(ring, head))
+        live.append(
+            sum(tap * ring[head + m] for m, tap in enumerate(law.taps))
+            + trial(ring, head)
+        )
     assert forces[0] == pytest.approx(STEP * taps[0])
     np.testing.assert_allclose(live, forces, rtol=1e-9)

@@ -31,8 +31,15 @@ DROPPED = DeviceModel(mass=0.1, damping=1.0, gravity=9.81, position=0.01)
 DROP = Scene(device=DROPPED, surface=FLOOR, period=PERIOD, raw=False, clamp=True)
 LAW = PD(stiffness=400.0, damping=1.0).compile(PERIOD)
 # A leaky integrator beside a spring-damper: 1/(1 − 0.9 w), two real poles for the second.
-RECURSIVE = CompiledLaw((300.0, -200.0), ((20.0, 5.0, -0.9, 0.0), (-15.0, 3.0, -0.5, 0.06)))
-HAND = Hand(mass=0.02, damping=1.5, stiffness=300.0, path=[(0.0, 0.01), (0.2, -0.02), (0.4, 0.015)])
+RECURSIVE = CompiledLaw(
+    (300.0, -200.0), ((20.0, 5.0, -0.9, 0.0), (-15.0, 3.0, -0.5, 0.06))
+)
+HAND = Hand(
+    mass=0.02,
+    damping=1.5,
+    stiffness=300.0,
+    path=[(0.0, 0.01), (0.2, -0.02), (0.4, 0.015)],
+)
 
 
 def scene(**changes: object) -> Scene:
@@ -40,7 +47,8 @@ def scene(**changes: object) -> Scene:
     of_scene = {name: value for name, value in changes.items() if name in fields}
     of_device = {name: value for name, value in changes.items() if name not in fields}
     device = DeviceModel(
-        **{name: getattr(DROPPED, name) for name in DROPPED.__struct_fields__} | of_device
+        **{name: getattr(DROPPED, name) for name in DROPPED.__struct_fields__}
+        | of_device
     )
     return dataclasses.replace(DROP, device=device, **of_scene)  # type: ignore[arg-type]
 
@@ -97,7 +105,11 @@ def test_what_a_scene_lacks_makes_no_version_of_its_own() -> None:
     # An encoder and friction are other arithmetic, and so are other versions.
     for here in [
         scene(workspace=(0.0, 0.1)),
-        *(SCENES[name] for name in SCENES if name not in ("encoder", "friction", "everything")),
+        *(
+            SCENES[name]
+            for name in SCENES
+            if name not in ("encoder", "friction", "everything")
+        ),
     ]:
         run(here, LAW, 10)
     assert play_compiled.signatures == versions
@@ -111,7 +123,9 @@ def test_compiled_bits_with_recursive_laws(name: str) -> None:
         PlannedSwap(105, RECURSIVE, ramp=40),
     )
     fast = run(SCENES[name], LAW, 400, swaps, memory=64)
-    assert same_bits(fast, run(SCENES[name], LAW, 400, swaps, memory=64, interpreted=True))
+    assert same_bits(
+        fast, run(SCENES[name], LAW, 400, swaps, memory=64, interpreted=True)
+    )
 
 
 def test_compiled_bits_of_a_diverging_run() -> None:
@@ -225,7 +239,9 @@ def test_delay_shifts_what_the_device_feels() -> None:
         )
         trace = run(here, far, 10)
         # 1e-6 N/m over 2 cm changes the force by 2e-8.
-        assert trace.final[0] == pytest.approx(0.5 * 10.0 * ((10 - delay) * PERIOD) ** 2, rel=1e-7)
+        assert trace.final[0] == pytest.approx(
+            0.5 * 10.0 * ((10 - delay) * PERIOD) ** 2, rel=1e-7
+        )
 
 
 def test_swap_is_one_tick_and_keeps_the_history() -> None:
@@ -235,7 +251,9 @@ def test_swap_is_one_tick_and_keeps_the_history() -> None:
     assert trace.force[:40].tobytes() == before.force[:40].tobytes()
     x = trace.deflection
     for k in (40, 41, 42):
-        assert trace.force[k] == max(stiff.taps[0] * x[k] + stiff.taps[1] * x[k - 1], 0.0)
+        assert trace.force[k] == max(
+            stiff.taps[0] * x[k] + stiff.taps[1] * x[k - 1], 0.0
+        )
 
 
 def test_cross_fade_mixes_both_laws_over_the_same_history() -> None:
@@ -247,14 +265,18 @@ def test_cross_fade_mixes_both_laws_over_the_same_history() -> None:
         share = min(max((k - 59) / 4.0, 0.0), 1.0)
         old, new = (law.taps[0] * x[k] + law.taps[1] * x[k - 1] for law in (LAW, stiff))
         # Same terms, other order of rounding.
-        assert trace.force[k] == pytest.approx((1.0 - share) * old + share * new, rel=1e-14)
+        assert trace.force[k] == pytest.approx(
+            (1.0 - share) * old + share * new, rel=1e-14
+        )
 
 
 def test_recursive_law_swaps_in_as_if_it_had_been_there() -> None:
     # Over a ring that reaches back to before tick 0 the replay is complete: the force equals that
     # of a law that ran all along over the same deflections. An open loop shows it: no force reaches
     # the device in time.
-    open_loop = scene(surface=SceneSurface("anchor", 0.0), gravity=None, velocity=0.5, delay=1000.0)
+    open_loop = scene(
+        surface=SceneSurface("anchor", 0.0), gravity=None, velocity=0.5, delay=1000.0
+    )
     always = run(open_loop, RECURSIVE, 100)
     swapped = run(open_loop, LAW, 100, (PlannedSwap(50, RECURSIVE),), memory=512)
     assert swapped.deflection.tobytes() == always.deflection.tobytes()

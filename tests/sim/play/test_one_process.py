@@ -22,7 +22,9 @@ def compared(message: Message) -> tuple[dict[str, object], list[float]]:
     """Return the fields that must be the same, and those that are sums."""
     fields = msgspec.structs.asdict(message)
     sums = [fields.pop(name) for name in SUMS & fields.keys()]
-    return {name: value for name, value in fields.items() if name not in OF_THE_MACHINE}, sums
+    return {
+        name: value for name, value in fields.items() if name not in OF_THE_MACHINE
+    }, sums
 
 
 @pytest.mark.process
@@ -33,7 +35,9 @@ def compared(message: Message) -> tuple[dict[str, object], list[float]]:
         (("height:=0.001",), "{schedule: [{at: 0.05, law: multi_term}]}"),
     ],
 )
-def test_it_is_the_launch_s(words: tuple[str, ...], coupling: str, tmp_path: Path) -> None:
+def test_it_is_the_launch_s(
+    words: tuple[str, ...], coupling: str, tmp_path: Path
+) -> None:
     more = tmp_path / "more.yaml"
     more.write_text(f"coupling: {coupling}\n", encoding="utf-8")
     words = ("floor_drop", *words, "duration:=0.2")

@@ -25,10 +25,15 @@ def test_b_has_the_bits_of_a_run_with_that_hand_and_law(late: float) -> None:
 
     scene = term_scene(launch)
     given = launch.nodes["driver"].parameters
-    hand = {**given["device"]["hand"], "path": [[k * 0.002, x] for k, x in enumerate(TARGETS)]}
+    hand = {
+        **given["device"]["hand"],
+        "path": [[k * 0.002, x] for k, x in enumerate(TARGETS)],
+    }
     begun = {"position": 0.001, "velocity": 0.02, "delay": late, "hand": hand}
     safety = {**given["safety"], "ramp": 0.0}
-    scene = with_drivers(scene, [{"device": {**given["device"], **begun}, "safety": safety}])
+    scene = with_drivers(
+        scene, [{"device": {**given["device"], **begun}, "safety": safety}]
+    )
     coupling = {"law": "alone", "laws": {"alone": LAW}, "ease": 0.0}
     scene = with_parameters(scene, "coupling", coupling)
     ways: tuple[How, ...] = ("fastest", "nodes")

@@ -31,7 +31,9 @@ def test_a_way_that_was_played_is_touched_the_same(scenario: str) -> None:
     """test_every_launch_file compares its player to the bit; this tests its shapes."""
     launch = launch_file.read(scenario, {"duration": 1.6})
     found = play(launch)
-    surface = parse_surface(launch.nodes["environment"].parameters["surface"], "surface")
+    surface = parse_surface(
+        launch.nodes["environment"].parameters["surface"], "surface"
+    )
     assert isinstance(surface, Touchable)
     path, contact = found.measured, found.contact
     assert 0.1 < contact.mean() < 0.95
@@ -40,7 +42,11 @@ def test_a_way_that_was_played_is_touched_the_same(scenario: str) -> None:
     # Interpreted here: tests/nodes/environment/test_proxy.py holds that the compiled one gives the
     # same bits.
     alone = touch(
-        surface.solids("surface"), path, surface.tool_radius, launch.run.period, interpreted=True
+        surface.solids("surface"),
+        path,
+        surface.tool_radius,
+        launch.run.period,
+        interpreted=True,
     )
     assert np.array_equal(alone.contact, contact)
     assert np.array_equal(np.where(contact[:, None], alone.proxy, path), found.proxy)

@@ -65,7 +65,13 @@ LAWS: dict[str, dict[str, Any]] = {
         "gains": "paper",
     },
     "pd": {"stiffness": 1200.0, "damping": 3.0},
-    "pd_alpha": {"stiffness": 1200.0, "damping": 3.0, "order": 1.2, "taps": 12, "gains": "paper"},
+    "pd_alpha": {
+        "stiffness": 1200.0,
+        "damping": 3.0,
+        "order": 1.2,
+        "taps": 12,
+        "gains": "paper",
+    },
     "pd_filtered": {"stiffness": 1200.0, "damping": 3.0, "cutoff": 60.0},
     "pd_windowed": {"stiffness": 1200.0, "damping": 3.0, "resolution": 1e-5},
 }
@@ -90,7 +96,11 @@ SURFACES: dict[str, dict[str, Any]] = {
 }
 
 SWAPS: tuple[Swap, ...] = tuple(
-    Swap(250 + 3 * n, ("pd_alpha", "multi_term", "pd", "recursive")[n % 4], (40, 90, 1, 60)[n % 4])
+    Swap(
+        250 + 3 * n,
+        ("pd_alpha", "multi_term", "pd", "recursive")[n % 4],
+        (40, 90, 1, 60)[n % 4],
+    )
     for n in range(24)
 )
 """More laws fade out at once than a coupling stores, some of them with recursive sections."""
@@ -109,7 +119,11 @@ def changed(launch: Launch, node: str, **parameters: Any) -> Launch:
 
 def with_law(law: Mapping[str, Any]) -> Launch:
     return changed(
-        read("wall_press"), "coupling", law="mine", laws={"mine": dict(law)}, stability="off"
+        read("wall_press"),
+        "coupling",
+        law="mine",
+        laws={"mine": dict(law)},
+        stability="off",
     )
 
 
@@ -122,10 +136,14 @@ def with_driver(name: str, given: Mapping[str, Any], **safety: Any) -> Launch:
 @cache
 def cases() -> dict[str, Case]:
     launches = {
-        name: read(name) for name in launch_file.scenarios() if name not in (*REFUSED, *MUJOCO)
+        name: read(name)
+        for name in launch_file.scenarios()
+        if name not in (*REFUSED, *MUJOCO)
     }
     launches |= {f"{name} {given}": read(name, given) for name, given in VARIANTS}
-    launches |= {f"law {kind}": with_law({"kind": kind, **law}) for kind, law in LAWS.items()}
+    launches |= {
+        f"law {kind}": with_law({"kind": kind, **law}) for kind, law in LAWS.items()
+    }
     launches |= {
         f"derivative {kind}": with_law(
             {
@@ -147,10 +165,14 @@ def cases() -> dict[str, Case]:
     found = {name: Case(launch, TICKS) for name, launch in launches.items()}
     recursive = {"kind": "fir", **LAWS["fir"]}
     laws = read("touch_wall").nodes["coupling"].parameters["laws"]
-    launch = changed(read("touch_wall"), "coupling", laws={**laws, "recursive": recursive})
+    launch = changed(
+        read("touch_wall"), "coupling", laws={**laws, "recursive": recursive}
+    )
     found["swaps"] = Case(launch, TICKS, swaps=SWAPS)
     # What rests of a mixed law is scaled as the rest of it.
-    launch = changed(launches["a softer shape"], "coupling", laws={**laws, "recursive": recursive})
+    launch = changed(
+        launches["a softer shape"], "coupling", laws={**laws, "recursive": recursive}
+    )
     found["swaps on a softer shape"] = Case(launch, TICKS, swaps=SWAPS)
     rng = np.random.default_rng(5)
     target = np.zeros((TICKS, 3))
@@ -198,19 +220,36 @@ def test_every_row_of_every_tick_has_the_bits_of_one_process(
     rows, want = np.ascontiguousarray(played[name]), expected(cases()[name])
     assert np.abs(want[ROWS.index("force")]).max() > 0.0 or name == "free_space"
     differs = rows.view(np.int64) != want.view(np.int64)
-    first = {row: int(np.argmax(one.any(axis=1))) for row, one in zip(ROWS, differs, strict=True)}
-    assert not differs.any(), f"first tick that differs: {first}, of {differs.sum(axis=(1, 2))}"
+    first = {
+        row: int(np.argmax(one.any(axis=1)))
+        for row, one in zip(ROWS, differs, strict=True)
+    }
+    assert not differs.any(), (
+        f"first tick that differs: {first}, of {differs.sum(axis=(1, 2))}"
+    )
 
 
-def test_all_kinds_of_law_are_played_but_one_whose_code_has_a_memory_of_its_own() -> None:
+def test_all_kinds_of_law_are_played_but_one_whose_code_has_a_memory_of_its_own() -> (
+    None
+):
     assert set(LAWS) | {"knock"} == set(law_kinds())
-    knock = {"kind": "knock", "stiffness": 1000.0, "damping": 3.0, "step": 1e-3, "taps": [900.0]}
-    with pytest.raises(ParameterError, match=r"coupling\.laws\.mine: Trial is code of its own"):
+    knock = {
+        "kind": "knock",
+        "stiffness": 1000.0,
+        "damping": 3.0,
+        "step": 1e-3,
+        "taps": [900.0],
+    }
+    with pytest.raises(
+        ParameterError, match=r"coupling\.laws\.mine: Trial is code of its own"
+    ):
         image_of(with_law(knock), TICKS)
 
 
 @pytest.mark.parametrize("name", sorted(REFUSED))
-def test_what_the_worker_cannot_play_is_refused_with_the_node_and_the_reason(name: str) -> None:
+def test_what_the_worker_cannot_play_is_refused_with_the_node_and_the_reason(
+    name: str,
+) -> None:
     with pytest.raises(ParameterError, match=REFUSED[name]):
         image_of(read(name), TICKS)
 
@@ -218,7 +257,9 @@ def test_what_the_worker_cannot_play_is_refused_with_the_node_and_the_reason(nam
 def test_moving_bodies_are_refused() -> None:
     launch = read("touch_wall")
     nodes = {**launch.nodes, "environment": NodeSpec(kind="mujoco", parameters={})}
-    with pytest.raises(ParameterError, match="environment: mujoco has code or bodies of its own"):
+    with pytest.raises(
+        ParameterError, match="environment: mujoco has code or bodies of its own"
+    ):
         image_of(msgspec.structs.replace(launch, nodes=nodes), TICKS)
 
 
@@ -238,12 +279,16 @@ def test_moving_bodies_are_refused() -> None:
         ),
     ],
 )
-def test_the_comparison_notices_a_changed_rule(tmp_path: Path, old: str, new: str) -> None:
+def test_the_comparison_notices_a_changed_rule(
+    tmp_path: Path, old: str, new: str
+) -> None:
     case = cases()["touch_wall"]
     script = program([case])
     assert old in script
     (rows,) = play_in_node([case], tmp_path, script.replace(old, new))
-    assert (np.ascontiguousarray(rows).view(np.int64) != expected(case).view(np.int64)).any()
+    assert (
+        np.ascontiguousarray(rows).view(np.int64) != expected(case).view(np.int64)
+    ).any()
 
 
 @pytest.mark.slow
@@ -258,6 +303,8 @@ def test_chromium_gives_the_same_bits_as_node(played: dict[str, Any]) -> None:
             "return results.map(([rows]) => Array.from(new Uint32Array(rows.buffer))); }"
         )
     for (name, case), numbers in zip(cases().items(), got, strict=True):
-        rows = np.array(numbers, dtype=np.uint32).view(np.int64).reshape(case.ticks, 5, 3)
+        rows = (
+            np.array(numbers, dtype=np.uint32).view(np.int64).reshape(case.ticks, 5, 3)
+        )
         same = np.ascontiguousarray(played[name].transpose(1, 0, 2)).view(np.int64)
         assert (rows == same).all(), name

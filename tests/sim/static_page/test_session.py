@@ -73,9 +73,13 @@ def numbers(values: Mapping[str, float]) -> list[float]:
     return [float(value) for value in values.values()]
 
 
-def test_coefficients_follow_both_sliders_with_the_bits_of_compile(tmp_path: Path) -> None:
+def test_coefficients_follow_both_sliders_with_the_bits_of_compile(
+    tmp_path: Path,
+) -> None:
     rng = np.random.default_rng(3)
-    pairs = np.exp(rng.uniform(np.log([1.0, 0.01]), np.log([1e5, 1e2]), (60, 2))).tolist()
+    pairs = np.exp(
+        rng.uniform(np.log([1.0, 0.01]), np.log([1e5, 1e2]), (60, 2))
+    ).tolist()
     parts = {name: parts_of(law_of(name, 1.0, 1.0), T, 100, 1, name) for name in LAWS}
     found = run(
         tmp_path,
@@ -95,11 +99,15 @@ def test_the_largest_stable_stiffness_is_that_of_the_poles(tmp_path: Path) -> No
     rng = np.random.default_rng(7)
     cases = []
     for n in range(90):
-        mass, damping = np.exp(rng.uniform(np.log([0.02, 0.05]), np.log([1.0, 8.0]))).tolist()
+        mass, damping = np.exp(
+            rng.uniform(np.log([0.02, 0.05]), np.log([1.0, 8.0]))
+        ).tolist()
         delay = float(rng.choice([0.0, 0.4, 1.0, 1.7, 3.25, 7.0]))
         hand = float(rng.choice([0.0, 150.0, 800.0]))
         gain = float(np.exp(rng.uniform(np.log(0.1), np.log(6.0))))
-        cases.append((list(LAWS)[n % len(LAWS)], gain, Plant(T, mass, damping, delay, hand)))
+        cases.append(
+            (list(LAWS)[n % len(LAWS)], gain, Plant(T, mass, damping, delay, hand))
+        )
     parts = {name: parts_of(law_of(name, 1.0, 1.0), T, 100, 1, name) for name in LAWS}
     given = [
         [
@@ -127,7 +135,11 @@ def test_the_largest_stable_stiffness_is_that_of_the_poles(tmp_path: Path) -> No
             continue
         assert edge is not None, (name, gain, plant)
         # Both find roots of the same real function to about 1e-10 of the angle.
-        assert edge == pytest.approx(want.stable[0], rel=1e-7, abs=1e-6), (name, gain, plant)
+        assert edge == pytest.approx(want.stable[0], rel=1e-7, abs=1e-6), (
+            name,
+            gain,
+            plant,
+        )
         for by, verdict in zip((0.9, 1.1), stable, strict=True):
             law = law_of(name, by * edge[1], gain).compile(T)
             assert verdict == (pole_radius(law, plant) < 1.0), (name, gain, plant, by)
@@ -135,7 +147,10 @@ def test_the_largest_stable_stiffness_is_that_of_the_poles(tmp_path: Path) -> No
 
 def state_of(**more: Any) -> DeviceState:
     return DeviceState(
-        seq=5, stamp=0.0, position=(0.0, 0.0, 0.0), **{"safety": "active", "force_seq": 5, **more}
+        seq=5,
+        stamp=0.0,
+        position=(0.0, 0.0, 0.0),
+        **{"safety": "active", "force_seq": 5, **more},
     )
 
 
@@ -143,10 +158,17 @@ def test_sentences_are_those_of_the_driver(tmp_path: Path) -> None:
     cases = []
     for safety in SAFETY:
         for force, asked in ((0.0, 0.0), (0.0049, 0.0049), (1.5, 1.5), (10.0, 31.25)):
-            for contact, normal in ((False, 0.0), (False, -1.0), (True, -1.0), (True, 0.0)):
+            for contact, normal in (
+                (False, 0.0),
+                (False, -1.0),
+                (True, -1.0),
+                (True, 0.0),
+            ):
                 for why in ("", "ramp of 50 ticks done"):
                     for ringing in ("", "It rings at 22 Hz, up to 3.1 N"):
-                        cases.append((safety, force, asked, contact, normal, why, ringing))
+                        cases.append(
+                            (safety, force, asked, contact, normal, why, ringing)
+                        )
     found = run(
         tmp_path,
         f"result = {json.dumps(cases)}.map(([safety, f, a, contact, n, why, ringing]) =>"
@@ -172,7 +194,19 @@ def test_sentences_are_those_of_the_driver(tmp_path: Path) -> None:
 
 def test_numbers_are_formatted_as_python_formats_them(tmp_path: Path) -> None:
     formats = (".0f", ".1f", ".2f", ".3g", ".2g", ".4g", "g")
-    values = [0.0, 1.0, -1.0, 0.1234567, 12.3456, 1234.56, 9.996e-5, 0.000123, 123456.7, 2e6, 1e-9]
+    values = [
+        0.0,
+        1.0,
+        -1.0,
+        0.1234567,
+        12.3456,
+        1234.56,
+        9.996e-5,
+        0.000123,
+        123456.7,
+        2e6,
+        1e-9,
+    ]
     found = run(
         tmp_path,
         f"result = {json.dumps(values)}.map((x) => {json.dumps(formats)}.map((f) =>"
@@ -184,7 +218,9 @@ def test_numbers_are_formatted_as_python_formats_them(tmp_path: Path) -> None:
 def test_ringing_is_found_in_the_same_ticks(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     time = np.arange(1500) * T
-    force = np.where((time > 0.5) & (time < 2.0), 4.0 * np.sin(2.0 * np.pi * 24.0 * time), 0.0)
+    force = np.where(
+        (time > 0.5) & (time < 2.0), 4.0 * np.sin(2.0 * np.pi * 24.0 * time), 0.0
+    )
     force = (force + rng.normal(0.0, 0.02, len(time))).tolist()
     found = run(
         tmp_path,
@@ -294,7 +330,9 @@ def test_a_delay_set_at_the_start_is_the_device_with_that_delay(
     launch = launch_file.read("touch_wall", {})
     spec = launch.nodes["driver"]
     device = {**spec.parameters["device"], "delay": delay}
-    changed = msgspec.structs.replace(spec, parameters={**spec.parameters, "device": device})
+    changed = msgspec.structs.replace(
+        spec, parameters={**spec.parameters, "device": device}
+    )
     coupling = launch.nodes["coupling"]
     unjudged = {**coupling.parameters, "plant": None, "stability": "off"}
     coupling = msgspec.structs.replace(coupling, parameters=unjudged)
@@ -377,7 +415,9 @@ def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> No
     assert np.ptp(end) < 0.1
 
 
-def test_a_law_rests_up_to_its_edge_and_one_with_own_code_is_not_judged(tmp_path: Path) -> None:
+def test_a_law_rests_up_to_its_edge_and_one_with_own_code_is_not_judged(
+    tmp_path: Path,
+) -> None:
     found = run(
         tmp_path,
         """

@@ -28,9 +28,18 @@ if TYPE_CHECKING:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site") / "page"
     done = typed_in(
-        folder.parent, "view", "--static", str(folder), "touch_wall", "sphere_feel", "--json"
+        folder.parent,
+        "view",
+        "--static",
+        str(folder),
+        "touch_wall",
+        "sphere_feel",
+        "--json",
     )
-    assert json.loads(done.stdout.splitlines()[-1])["scenarios"] == ["touch_wall", "sphere_feel"]
+    assert json.loads(done.stdout.splitlines()[-1])["scenarios"] == [
+        "touch_wall",
+        "sphere_feel",
+    ]
     return folder
 
 
@@ -44,14 +53,19 @@ def test_the_folder_is_small_and_loads_nothing_from_elsewhere(site: Path) -> Non
     for path in files:
         text = path.read_text(errors="replace")
         elsewhere = set(re.findall(r"https?://[\w.]+", text))
-        assert elsewhere <= {"http://www.w3.org", "https://github.com"}, (path, elsewhere)
+        assert elsewhere <= {"http://www.w3.org", "https://github.com"}, (
+            path,
+            elsewhere,
+        )
 
 
 def test_a_page_is_written_again_and_never_over_anything_else(tmp_path: Path) -> None:
     folder = tmp_path / "page"
     assert write_site(folder)["files"] == write_site(folder)["files"]
     (folder / "thesis.tex").write_text("mine")
-    with pytest.raises(UsageError, match=r"page: contains 'thesis\.tex', which is no file of a"):
+    with pytest.raises(
+        UsageError, match=r"page: contains 'thesis\.tex', which is no file of a"
+    ):
         write_site(folder)
     assert (folder / "thesis.tex").read_text() == "mine"
 
@@ -63,7 +77,9 @@ def test_a_folder_that_would_be_too_large_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "page").exists()
 
 
-def test_what_a_browser_cannot_play_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_what_a_browser_cannot_play_is_refused_before_anything_is_written(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(ParameterError, match="drives two devices"):
         write_site(tmp_path / "page", ["hands_coupled"])
     assert not (tmp_path / "page").exists()
@@ -90,7 +106,9 @@ def served(folder: Path) -> Iterator[str]:
         def log_message(self, *_: Any) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder))
+    server = ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(Quiet, directory=folder)
+    )
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
         yield f"http://127.0.0.1:{server.server_address[1]}/index.html"
@@ -107,7 +125,9 @@ def _visit(page: Page) -> None:
     page.mouse.move(box["x"] + 0.3 * box["width"], y)
     page.mouse.down()
     page.mouse.move(box["x"] + 0.9 * box["width"], y, steps=4)
-    page.wait_for_function("document.querySelector('#words').textContent.includes('pushes back')")
+    page.wait_for_function(
+        "document.querySelector('#words').textContent.includes('pushes back')"
+    )
     page.locator("#other").select_option("pd_alpha")
     page.wait_for_function("haptic.beside.on")
     page.mouse.up()
@@ -119,11 +139,16 @@ def _visit(page: Page) -> None:
 @pytest.mark.process
 @needs_browser
 @pytest.mark.parametrize("by", ["http", "file"])
-def test_a_visitor_touches_the_wall_without_any_process_of_ours(site: Path, by: str) -> None:
+def test_a_visitor_touches_the_wall_without_any_process_of_ours(
+    site: Path, by: str
+) -> None:
     wrong: list[str] = []
     with served(site) as url, chromium() as browser:
         page = browser.new_page()
-        page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+        page.on(
+            "console",
+            lambda said: wrong.append(said.text) if said.type == "error" else None,
+        )
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.goto(url if by == "http" else f"file://{site}/index.html")
         _visit(page)
@@ -148,7 +173,10 @@ def test_a_visitor_touches_the_wall_without_any_process_of_ours(site: Path, by: 
         page.wait_for_function(
             "haptic.space.shape !== null && !document.querySelector('#space').hidden"
         )
-        wait_for(lambda: page.evaluate("Number(document.body.dataset.bins) > 300"), "it plays")
+        wait_for(
+            lambda: page.evaluate("Number(document.body.dataset.bins) > 300"),
+            "it plays",
+        )
     assert wrong == []
 
 
@@ -177,7 +205,10 @@ def test_the_page_goes_on_offline_and_by_touch(site: Path) -> None:
                 {
                     "type": kind,
                     "touchPoints": [
-                        {"x": x + (0 if box["height"] > box["width"] else at - y), "y": at}
+                        {
+                            "x": x + (0 if box["height"] > box["width"] else at - y),
+                            "y": at,
+                        }
                     ],
                 },
             )
@@ -185,7 +216,8 @@ def test_the_page_goes_on_offline_and_by_touch(site: Path) -> None:
         page.wait_for_function("haptic.scene.grip.used")
         before = int(page.evaluate("Number(document.body.dataset.bins)"))
         wait_for(
-            lambda: page.evaluate("Number(document.body.dataset.bins)") > before + 200, "it plays"
+            lambda: page.evaluate("Number(document.body.dataset.bins)") > before + 200,
+            "it plays",
         )
         width = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
         assert width[0] <= width[1]
@@ -196,7 +228,9 @@ def test_the_page_goes_on_offline_and_by_touch(site: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.process
 @needs_browser
-def test_a_link_sets_h1_and_make_it_sing_shows_what_lies_past_the_edge(site: Path) -> None:
+def test_a_link_sets_h1_and_make_it_sing_shows_what_lies_past_the_edge(
+    site: Path,
+) -> None:
     """Also a link pasted into the open page."""
     stiffness = "haptic.dial.stiffness"
     with chromium() as browser:
@@ -204,12 +238,18 @@ def test_a_link_sets_h1_and_make_it_sing_shows_what_lies_past_the_edge(site: Pat
         page.goto(f"file://{site}/index.html#law=designed_d1&k=9000")
         page.wait_for_function(f"Math.abs({stiffness} - 9000) < 1")
         page.evaluate("location.hash = '#law=pd&k=1500'")
-        page.wait_for_function(f"haptic.laws.state.active === 'pd' && {stiffness} === 1500")
+        page.wait_for_function(
+            f"haptic.laws.state.active === 'pd' && {stiffness} === 1500"
+        )
         page.locator("#sing").click()
         page.wait_for_function("haptic.dial.isPast(haptic.dial.stiffness)")
-        page.wait_for_function("document.querySelector('#sung').textContent.includes('sings')")
+        page.wait_for_function(
+            "document.querySelector('#sung').textContent.includes('sings')"
+        )
         # Both dials show where the edge is: their ends are red.
         for dial in ("dial", "delay"):
             part = f"getComputedStyle({dial}).getPropertyValue('--safe-part')"
             page.wait_for_function(f"parseFloat({part}) < 99")
-        page.wait_for_function("document.querySelector('#sung').textContent.includes('rests')")
+        page.wait_for_function(
+            "document.querySelector('#sung').textContent.includes('rests')"
+        )

@@ -20,7 +20,9 @@ NAMES = (
 
 
 @given(st.lists(st.sampled_from(NAMES), unique=True, max_size=8))
-def test_a_law_has_its_colour_in_any_company_and_no_two_look_alike(names: list[str]) -> None:
+def test_a_law_has_its_colour_in_any_company_and_no_two_look_alike(
+    names: list[str],
+) -> None:
     looks = law_looks(names)
     for name, look in zip(names, looks, strict=True):
         if name not in ("my_own", "passive"):

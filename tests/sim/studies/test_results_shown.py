@@ -118,7 +118,10 @@ def test_a_result_shows_draws_and_tabulates_itself(name: str, run: haptic.Run) -
     drawn = figure.axes[0]
     assert drawn.lines or drawn.patches or drawn.images
     table = result.to_pandas()
-    assert len(table) == max([1, *map(len, result.columns().values())]) or name == "KMaxBoundary"
+    assert (
+        len(table) == max([1, *map(len, result.columns().values())])
+        or name == "KMaxBoundary"
+    )
     assert str(result).startswith(name)
     assert repr(result) == str(result)
 
@@ -136,7 +139,9 @@ def test_an_answer_is_the_rows_of_its_study_and_its_picture(place: Path) -> None
     assert (none.held, none["k_max_n_per_m"]) == (False, None)
     with pytest.raises(haptic.HapticError, match=r"--gain"):
         haptic.study("kmax", law="pd")
-    with pytest.raises(haptic.HapticError, match=r"^gan: no such option; did you mean gain\?$"):
+    with pytest.raises(
+        haptic.HapticError, match=r"^gan: no such option; did you mean gain\?$"
+    ):
         haptic.study("kmax", law="pd", gan=3)
     with pytest.raises(haptic.HapticError, match=r"^points: 1: must be between 2"):
         haptic.study("kmax", law="pd", gain=(1, 5), points=1)
@@ -150,9 +155,16 @@ def test_options_are_read_as_the_command_line_reads_them() -> None:
     assert options_of(design) is DesignOptions
     options = DesignOptions
     found = options.of(
-        land=False, every_delay=True, delays=[0, 1], rate=None, mass=(0.05, 0.2), hand="stylus_firm"
+        land=False,
+        every_delay=True,
+        delays=[0, 1],
+        rate=None,
+        mass=(0.05, 0.2),
+        hand="stylus_firm",
     )
-    typed: Any = options.of(delays=["0", "1"], mass="0.05..0.2", every_delay=True, land=False)
+    typed: Any = options.of(
+        delays=["0", "1"], mass="0.05..0.2", every_delay=True, land=False
+    )
     assert found.mass == typed.mass == (0.05, 0.2)
     assert found.delays == typed.delays == [0.0, 1.0]
     assert (found.land, found.every_delay, found.rate) == (False, True, None)
@@ -194,7 +206,11 @@ class Nested(Findings):
 def test_fields_are_figures_of_json_types() -> None:
     part = Part(np.array([1.0, np.nan]), Path("a.yaml"))
     found = Nested(
-        lines=("said",), part=part, kind=Certificate.UNDECIDED, parts=(part,), ledger=Path("l")
+        lines=("said",),
+        part=part,
+        kind=Certificate.UNDECIDED,
+        parts=(part,),
+        ledger=Path("l"),
     )
     told = {"g": [1.0, None], "h": "a.yaml"}
     assert found.answer == {**told, "kind": "undecided", "parts": [told], "ledger": "l"}
@@ -207,18 +223,25 @@ def test_figures_without_a_picture_are_bars() -> None:
     drawn = Shown(lines=(), a={"b": 1.0}, c=2, d="text", e=True, f=None).plot()
     (axes,) = drawn.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a.b", "c"]
-    np.testing.assert_array_equal([bar.get_bbox().width for bar in axes.patches], [1.0, 2.0])  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(
+        [bar.get_bbox().width for bar in axes.patches], [1.0, 2.0]
+    )  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
 def test_the_examples_run_and_there_is_one_for_each(place: Path) -> None:
-    finder, runner = doctest.DocTestFinder(), doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    finder, runner = (
+        doctest.DocTestFinder(),
+        doctest.DocTestRunner(optionflags=doctest.ELLIPSIS),
+    )
     run = set()
     for module in (*MODULES, importlib.import_module(haptic.Plant.__module__)):
         for example in finder.find(module):
             if example.examples:
                 report = io.StringIO()
-                assert runner.run(example, out=report.write).failed == 0, report.getvalue()
+                assert runner.run(example, out=report.write).failed == 0, (
+                    report.getvalue()
+                )
                 run.add(example.name.rpartition(".")[2])
     # Results come from functions; laws have examples of their own (test_described.py).
     others = (Result, msgspec.Struct, Exception)

@@ -33,7 +33,16 @@ STUDIES = {
 TINY: dict[str, list[str]] = {
     "chart": ["--quick", "--parts", "demand"],
     "curved": ["--slides", "0.02", "--rate", "400"],
-    "design": ["--compare", "--delays", "1", "--margins", "0", "--taps", "2", "--no-land"],
+    "design": [
+        "--compare",
+        "--delays",
+        "1",
+        "--margins",
+        "0",
+        "--taps",
+        "2",
+        "--no-land",
+    ],
     "edge": ["--points", "3"],
     "failures": [],
     "guard": ["--points", "3", "--duration", "2"],
@@ -50,7 +59,16 @@ TINY: dict[str, list[str]] = {
         "1000",
     ],
     "needs": ["floor_drop", "--rounds", "0"],
-    "optimise": ["--starts", "2", "--steps", "30", "--rates", "0.03", "--nyquist", "3.05"],
+    "optimise": [
+        "--starts",
+        "2",
+        "--steps",
+        "30",
+        "--rates",
+        "0.03",
+        "--nyquist",
+        "3.05",
+    ],
     "price": ["--no-land", "--hand", "0", "--known"],
     "proxies": ["--finest", "2", "--ticks", "400", "--steps", "2000"],
     "relatives": ["--families", "pd", "Maxwell", "--mass", "0.1"],
@@ -100,7 +118,11 @@ def answers(cluster: DaskCluster) -> bool:
 def without(told: Any) -> Any:
     """Remove facts of one machine or folder."""
     if isinstance(told, dict):
-        return {key: without(value) for key, value in told.items() if key not in TIMES | PLACES}
+        return {
+            key: without(value)
+            for key, value in told.items()
+            if key not in TIMES | PLACES
+        }
     return [without(value) for value in told] if isinstance(told, list) else told
 
 
@@ -134,9 +156,12 @@ def test_a_study_gives_the_same_bits_on_a_cluster(
     words = [name, *TINY[name]]
     # One study writes no files.
     alone, beside = (
-        [] if name == "curved" else ["--out", str(tmp_path / kind)] for kind in ("a", "b")
+        [] if name == "curved" else ["--out", str(tmp_path / kind)]
+        for kind in ("a", "b")
     )
-    here = study(capsys, *words, *alone, *(["--workers", "1"] if name in LEDGER else []))
+    here = study(
+        capsys, *words, *alone, *(["--workers", "1"] if name in LEDGER else [])
+    )
     assert here[1], "an empty answer is equal to any other"
     # The same answer makes the same picture, which has been drawn.
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)
@@ -152,16 +177,25 @@ def test_two_clients_from_python_give_the_same_bits_at_once(
 ) -> None:
     distributed: Any = importlib.import_module("distributed")
     monkeypatch.chdir(tmp_path)
-    asked = {"law": "pd", "gain": "1..5", "points": 3, "method": "simulation", "horizon": 1000}
+    asked = {
+        "law": "pd",
+        "gain": "1..5",
+        "points": 3,
+        "method": "simulation",
+        "horizon": 1000,
+    }
     _, here = study(capsys, "kmax", *TINY["kmax"], "--out", "alone", "--workers", "1")
     with ThreadPoolExecutor(2) as both, distributed.Client(cluster.address) as client:
         answers = [
-            both.submit(haptic.study, "kmax", client=client, out=f"{n}", **asked) for n in range(2)
+            both.submit(haptic.study, "kmax", client=client, out=f"{n}", **asked)
+            for n in range(2)
         ]
         for answer in answers:
             assert without(answer.result(timeout=240.0).answer) == here
     with (
-        distributed.Client(processes=False, n_workers=1, dashboard_address=":0") as inside,
+        distributed.Client(
+            processes=False, n_workers=1, dashboard_address=":0"
+        ) as inside,
         pytest.raises(haptic.LaunchError, match="is inside this process"),
     ):
         haptic.study("kmax", client=inside, **asked)
@@ -203,7 +237,9 @@ def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "other"
     for package in ("messages", "nodes", "sim", "tests"):
         shutil.copytree(
-            ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__")
+            ROOT / package,
+            other / package,
+            ignore=shutil.ignore_patterns("__pycache__"),
         )
     with open(other / "sim" / "measure" / "jobs.py", "a", encoding="utf-8") as file:
         file.write("# another version\n")
@@ -211,7 +247,8 @@ def test_a_worker_of_another_version_is_refused(tmp_path: Path) -> None:
         found.add_worker(root=other)
         wait_for(lambda: answers(found), "the scheduler", 120.0)
         with pytest.raises(
-            RefusedError, match=r"another version of haptic-nodes in .*other.*install the same"
+            RefusedError,
+            match=r"another version of haptic-nodes in .*other.*install the same",
         ):
             spread(options(*found.options()), [partial(pow, 2, 3)])
 
@@ -234,5 +271,7 @@ def test_an_address_of_this_machine_that_others_reach_needs_tls() -> None:
     host = own_address()
     if host == "127.0.0.1":
         pytest.skip("this machine has no other address than loopback")
-    with pytest.raises(UsageError, match=rf"TLS is required: tls://{host}:8786 with --tls-ca-file"):
+    with pytest.raises(
+        UsageError, match=rf"TLS is required: tls://{host}:8786 with --tls-ca-file"
+    ):
         spread(options("--cluster", f"tcp://{host}:8786"), [])

@@ -74,7 +74,8 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(
     assert main(["lab", *words, "20", "--out", str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert re.search(
-        r"believed rigid .* UNSTABLE, pole radius 1\.\d+, 0 of 12 drops settle, NOT certified", text
+        r"believed rigid .* UNSTABLE, pole radius 1\.\d+, 0 of 12 drops settle, NOT certified",
+        text,
     )
     assert re.search(
         r"joint to 20 % .* 958  stable, 12 of 12 drops settle; taps 3000, -2042$",
@@ -83,7 +84,9 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(
     )
     # The laws as a file that a coupling takes; what is for any hand is softer than for any world,
     # and both are proven.
-    laws = yaml.safe_load((tmp_path / "price.yaml").read_text(encoding="utf-8"))["coupling"]["laws"]
+    laws = yaml.safe_load((tmp_path / "price.yaml").read_text(encoding="utf-8"))[
+        "coupling"
+    ]["laws"]
     assert laws["joint_20_poles_free"]["taps"] == taps
     worlds = {row["world"]: row for row in told["worlds"]}
     assert worlds["any_hand"]["h1_n_per_m"] < worlds["any_world"]["h1_n_per_m"]
@@ -94,7 +97,9 @@ def test_a_joint_that_nobody_knows_of_costs_the_wall(
 
 
 @pytest.mark.parametrize("words", [("--share", "1"), ("--taps", "0"), ("--taps", "13")])
-def test_a_device_that_cannot_be_has_no_price(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_device_that_cannot_be_has_no_price(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
     assert exit_code("lab", "price", *words, "--out", str(tmp_path)) == 2
 
 
@@ -104,7 +109,11 @@ def recorded(folder: Path, delay: float) -> Path:
     with RecordWriter(path, {"rate_hz": str(1.0 / T), "pace": "realtime"}) as writer:
         for seq in range(200):
             state = DeviceState(
-                seq=seq, stamp=seq * T, position=(0.0, 0.0, 0.0), force_seq=seq - 1, delay=delay
+                seq=seq,
+                stamp=seq * T,
+                position=(0.0, 0.0, 0.0),
+                force_seq=seq - 1,
+                delay=delay,
             )
             writer.write(DEVICE_STATE, state, state.stamp)
     return path
@@ -128,12 +137,21 @@ def test_relatives_are_judged_at_the_delay_that_was_measured(
     assert 2.0 / (T * (1.0 + 2.3)) < passive["h1_n_per_m"] < 2.0 / (T * (1.0 + 1.0))
     soon = study(capsys, tmp_path, *words, "--delay", "1")
     for before, after in zip(soon["rows"], late["rows"], strict=True):
-        assert before["h1_n_per_m"] > after["h1_n_per_m"] or before["family"] == "Maxwell"
+        assert (
+            before["h1_n_per_m"] > after["h1_n_per_m"] or before["family"] == "Maxwell"
+        )
     assert len(read_ledger(Path(late["ledger"]))) == 6
     assert main(["lab", "relatives", "--damping", "0", "--out", str(tmp_path)]) == 2
     assert (
         main(
-            ["lab", "relatives", "--from-run", str(tmp_path / "none.mcap"), "--out", str(tmp_path)]
+            [
+                "lab",
+                "relatives",
+                "--from-run",
+                str(tmp_path / "none.mcap"),
+                "--out",
+                str(tmp_path),
+            ]
         )
         == 2
     )
@@ -143,12 +161,17 @@ def test_relatives_are_judged_at_the_delay_that_was_measured(
 def test_coverage_outside_counts_what_is_said_of_devices(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = study(capsys, tmp_path, "coverage", "--outside", "--devices", "1", "--seconds", "3")
+    told = study(
+        capsys, tmp_path, "coverage", "--outside", "--devices", "1", "--seconds", "3"
+    )
     assert told["devices"] == 1
     (kind,) = told["kinds"]
     assert kind == next(iter(KINDS))
     one = told["kinds"][kind]
-    assert sum(one[word] for word in ("rigid", "richer", "reported", "refused", "false")) == 1
+    assert (
+        sum(one[word] for word in ("rigid", "richer", "reported", "refused", "false"))
+        == 1
+    )
     (row,) = read_ledger(Path(told["ledger"])).values()
     assert row["refuted"] or row["off"]
     assert main(["lab", "coverage", "--outside", "--tune", "--out", str(tmp_path)]) == 2
@@ -189,8 +212,14 @@ def test_false_certainty_beyond_chance_is_a_failure(
             "seconds": 8.0,
             "rate": 500.0,
         }
-        put(tmp_path / "coverage_outside.jsonl", job, outside(kind, 2.5 if number < wrong else 1.5))
-    told = study(capsys, tmp_path, "coverage", "--outside", "--devices", "32", code=code)
+        put(
+            tmp_path / "coverage_outside.jsonl",
+            job,
+            outside(kind, 2.5 if number < wrong else 1.5),
+        )
+    told = study(
+        capsys, tmp_path, "coverage", "--outside", "--devices", "32", code=code
+    )
     assert (told["false"], told["missed"]) == (wrong, 32)
 
 
@@ -209,15 +238,25 @@ def test_needless_refusal_beyond_chance_is_a_failure(
             "seconds": 8.0,
             "rate": 500.0,
         }
-        put(tmp_path / "coverage_outside.jsonl", job, outside(kind, refuted=number < needless))
-    told = study(capsys, tmp_path, "coverage", "--outside", "--devices", "32", code=code)
+        put(
+            tmp_path / "coverage_outside.jsonl",
+            job,
+            outside(kind, refuted=number < needless),
+        )
+    told = study(
+        capsys, tmp_path, "coverage", "--outside", "--devices", "32", code=code
+    )
     assert (told["needless"], told["good"], told["false"]) == (needless, 32, 0)
 
 
 def test_what_is_refused_is_never_false() -> None:
     kinds = list(KINDS)
     told = summary_outside(
-        [outside(kinds[0], refuted=True), outside(kinds[0], 2.5), outside(kinds[1], 0.5)]
+        [
+            outside(kinds[0], refuted=True),
+            outside(kinds[0], 2.5),
+            outside(kinds[1], 0.5),
+        ]
     ).total
     assert (told.refused, told.false, told.intervals, told.missed) == (1, 1, 2, 1)
 
@@ -254,10 +293,14 @@ def test_the_true_edge_of_a_spring_is_its_k_max(
     assert limit is not None
     device = NonidealDevice(DeviceModel(mass=mass, damping=damping, delay=delay))
     # From below the edge and from above it; bisected 20 times from steps of 2 %.
-    assert true_edge(CompiledLaw((start * limit,)), device, T) == pytest.approx(limit, rel=1e-6)
+    assert true_edge(CompiledLaw((start * limit,)), device, T) == pytest.approx(
+        limit, rel=1e-6
+    )
 
 
-def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards() -> None:
+def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards() -> (
+    None
+):
     """Searched from below, its limit was 362 N/m, a twelfth of a stable law."""
     law = CompiledLaw(
         (14637.851675576338, -10684.824134320634, -7546.077294457547, 7797.369406764558)
@@ -268,7 +311,8 @@ def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards()
     assert edge is not None
     assert edge > 1.5 * law.h1
     inside, outside_it = (
-        true_radius(scaled(law, share * edge / law.h1), device, T) for share in (0.999, 1.001)
+        true_radius(scaled(law, share * edge / law.h1), device, T)
+        for share in (0.999, 1.001)
     )
     assert inside < 1.0 < outside_it
 
@@ -276,8 +320,12 @@ def test_a_law_that_is_unstable_far_below_itself_is_judged_from_itself_upwards()
 def test_a_delay_that_jitters_counts_at_its_worst() -> None:
     rigid = DeviceModel(mass=0.1, damping=1.0, delay=1.0)
     law = CompiledLaw((300.0,))
-    late, later = (true_edge(law, NonidealDevice(rigid, late=late), T) for late in (0.0, 0.7))
-    at_worst = true_edge(law, NonidealDevice(DeviceModel(mass=0.1, damping=1.0, delay=1.7)), T)
+    late, later = (
+        true_edge(law, NonidealDevice(rigid, late=late), T) for late in (0.0, 0.7)
+    )
+    at_worst = true_edge(
+        law, NonidealDevice(DeviceModel(mass=0.1, damping=1.0, delay=1.7)), T
+    )
     assert None not in (late, later, at_worst)
     assert later == at_worst
     assert (late or 0.0) > (later or 0.0)
@@ -285,22 +333,34 @@ def test_a_delay_that_jitters_counts_at_its_worst() -> None:
 
 def test_a_sensor_that_averages_lowers_the_true_edge() -> None:
     """Without the sensor the judge gave 2347 N/m instead of 1801."""
-    rigid, law = DeviceModel(mass=0.1, damping=1.0, delay=1.0), CompiledLaw((1500.0, -1000.0))
-    edges = [true_edge(law, NonidealDevice(rigid, average=part), T) for part in (0.0, 0.25, 0.5)]
+    rigid, law = (
+        DeviceModel(mass=0.1, damping=1.0, delay=1.0),
+        CompiledLaw((1500.0, -1000.0)),
+    )
+    edges = [
+        true_edge(law, NonidealDevice(rigid, average=part), T)
+        for part in (0.0, 0.25, 0.5)
+    ]
     assert None not in edges
     assert edges == sorted(edges, key=lambda edge: -(edge or 0.0))
     # By convolution: two samples averaged are the law's taps, half of them a tick later.
     averaged = CompiledLaw((750.0, 250.0, -500.0))
-    assert edges[2] == pytest.approx(true_edge(averaged, NonidealDevice(rigid), T), rel=1e-12)
+    assert edges[2] == pytest.approx(
+        true_edge(averaged, NonidealDevice(rigid), T), rel=1e-12
+    )
     with pytest.raises(ValueError, match="only taps are judged"):
         true_radius(
-            CompiledLaw((1.0,), ((1.0, 0.0, -0.5, 0.0),)), NonidealDevice(rigid, average=0.5), T
+            CompiledLaw((1.0,), ((1.0, 0.0, -0.5, 0.0),)),
+            NonidealDevice(rigid, average=0.5),
+            T,
         )
 
 
 def test_nothing_is_told_of_an_edge_far_above_the_law() -> None:
     assert (
-        true_edge(CompiledLaw((1.0,)), NonidealDevice(DeviceModel(mass=0.1, damping=1.0)), T)
+        true_edge(
+            CompiledLaw((1.0,)), NonidealDevice(DeviceModel(mass=0.1, damping=1.0)), T
+        )
         is None
     )
 
@@ -331,7 +391,12 @@ def device_row(**told: Any) -> dict[str, Any]:
         ({"edge_n_per_m": None, "true_edge_n_per_m": 1600.0}, False),
         ({"true_radius": 1.01}, False),
         (
-            {"true_radius": 1.01, "holds": False, "delivered": False, "edge_between_n_per_m": None},
+            {
+                "true_radius": 1.01,
+                "holds": False,
+                "delivered": False,
+                "edge_between_n_per_m": None,
+            },
             True,
         ),
     ],
@@ -349,7 +414,12 @@ def test_an_unstable_delivery_and_a_false_edge_are_failures(
         ({}, 0),
         ({"true_radius": 1.01, "edge_n_per_m": None}, 1),
         (
-            {"true_radius": 1.01, "holds": False, "delivered": False, "edge_between_n_per_m": None},
+            {
+                "true_radius": 1.01,
+                "holds": False,
+                "delivered": False,
+                "edge_between_n_per_m": None,
+            },
             0,
         ),
     ],
@@ -381,7 +451,11 @@ def test_the_verb_draws_and_fails_as_the_devices_say(
 
 
 def test_an_edge_is_within_5_percent_or_counted_as_off() -> None:
-    rows = [device_row(), device_row(true_edge_n_per_m=1590.0), device_row(edge_n_per_m=None)]
+    rows = [
+        device_row(),
+        device_row(true_edge_n_per_m=1590.0),
+        device_row(edge_n_per_m=None),
+    ]
     found = summary(rows)
     assert (found.edges, found.edges_within_5_percent) == (2, 1)
     assert (found.intervals, found.intervals_that_hold_the_edge) == (3, 2)

@@ -42,7 +42,9 @@ def test_the_study_is_called_by_its_name_with_checked_options(halving: Any) -> N
     # Independent of the study: all poles, from numpy's eigenvalues.
     plant = haptic.Plant(0.002, 0.1, 1.0)
     poles = haptic.poles({"kind": "pd", "stiffness": 1500, "damping": 3}, plant)
-    slowest = max(abs(complex(*pole)) for pole in zip(poles.real, poles.imaginary, strict=True))
+    slowest = max(
+        abs(complex(*pole)) for pole in zip(poles.real, poles.imaginary, strict=True)
+    )
     assert slowest ** found["halving_ticks"] == pytest.approx(0.5, rel=1e-9)
     assert found.held
     assert not haptic.study("halving", stiffness=1500, longest=5).held
@@ -52,13 +54,17 @@ def test_the_study_is_called_by_its_name_with_checked_options(halving: Any) -> N
         haptic.study("halving", stiffnes=1500)
 
 
-def test_the_study_is_typed_in(halving: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_study_is_typed_in(
+    halving: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert VERBS.load("study.halving") is halving
     parser = Parser(prog="haptic study halving")
     declare(halving, parser)
     # An unstable loop halves nothing: exit code 1, and null.
     for stiffness, code in (("1500", 0), ("4000", 1)):
-        arguments: argparse.Namespace = parser.parse_args(["--stiffness", stiffness, "--json"])
+        arguments: argparse.Namespace = parser.parse_args(
+            ["--stiffness", stiffness, "--json"]
+        )
         assert arguments.run(arguments) == code
         answer = json.loads(capsys.readouterr().out)
         assert (answer["halving_ticks"] is None) == (code == 1)

@@ -27,7 +27,9 @@ PD = (
     "--rate",
     "500",
 )
-ANY_WORLD = pytest.approx(2244.217, abs=5.1e-4)  # THEORY.md §18, to the digits of its table
+ANY_WORLD = pytest.approx(
+    2244.217, abs=5.1e-4
+)  # THEORY.md §18, to the digits of its table
 
 
 def answered(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
@@ -36,7 +38,9 @@ def answered(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     return found
 
 
-def test_study_world_answers_with_each_kind_of_world(capsys: pytest.CaptureFixture[str]) -> None:
+def test_study_world_answers_with_each_kind_of_world(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     found = answered(capsys, "study", "world", *PD)
     assert found["k_max_wall_n_per_m"] == pytest.approx(3781.866, abs=1e-3)
     assert found["k_max_any_world_n_per_m"] == ANY_WORLD
@@ -61,9 +65,13 @@ def test_options_add_their_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["k_max_two_hands_n_per_m"] == pytest.approx(
         1000.0 * (math.sqrt(5.0) - 2.0), rel=1e-6
     )
-    assert found["k_max_any_hand_tool_any_world_n_per_m"] == pytest.approx(500.0, rel=1e-9)
+    assert found["k_max_any_hand_tool_any_world_n_per_m"] == pytest.approx(
+        500.0, rel=1e-9
+    )
     assert found["k_max_tool_any_world_n_per_m"] > 500.0
-    assert found["k_max_euler_tool_any_world_n_per_m"] < found["k_max_any_world_n_per_m"]
+    assert (
+        found["k_max_euler_tool_any_world_n_per_m"] < found["k_max_any_world_n_per_m"]
+    )
     # A spring in series with one of at most 1000 N/m is softer than what the wall allows, 1003 N/m,
     # whatever its K.
     assert found["unlimited"] == ["springs"]
@@ -71,8 +79,12 @@ def test_options_add_their_figures(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["needed"] is None
     needed = answered(capsys, "study", "world", *device, "--stiffness", "500")["needed"]
     # b b_t/(b + b_t) = KT/2
-    assert needed["tool_damping_any_hand_any_world_n_s_per_m"] == pytest.approx(1.0, rel=1e-9)
-    assert needed["device_damping_any_hand_any_world_n_s_per_m"] == pytest.approx(0.5, rel=1e-9)
+    assert needed["tool_damping_any_hand_any_world_n_s_per_m"] == pytest.approx(
+        1.0, rel=1e-9
+    )
+    assert needed["device_damping_any_hand_any_world_n_s_per_m"] == pytest.approx(
+        0.5, rel=1e-9
+    )
 
 
 def test_what_does_not_fit_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -92,7 +104,21 @@ def test_what_does_not_fit_is_refused(capsys: pytest.CaptureFixture[str]) -> Non
     assert "code of its own" in capsys.readouterr().err
     assert main(["study", "world", "--gain", "1", "--spring-range", "0..10"]) == 2
     assert "expected 0 <" in capsys.readouterr().err
-    assert main(["study", "world", "--gain", "1", "--device2-damping", "1", "--delay2", "1e9"]) == 2
+    assert (
+        main(
+            [
+                "study",
+                "world",
+                "--gain",
+                "1",
+                "--device2-damping",
+                "1",
+                "--delay2",
+                "1e9",
+            ]
+        )
+        == 2
+    )
     assert "expected 0 to 1100" in capsys.readouterr().err
 
 
@@ -112,11 +138,17 @@ def test_law_show_and_analyse_print_the_same(
     assert analysed["k_max_any_world_n_per_m"] == ANY_WORLD
 
 
-def test_law_show_takes_the_least_over_a_devices_masses(capsys: pytest.CaptureFixture[str]) -> None:
+def test_law_show_takes_the_least_over_a_devices_masses(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     law = ("pd", "--stiffness", "500", "--gain", "3", "--delay", "1")
     one, other, both = (
         answered(capsys, "law", "show", *law, *mass)["k_max_any_world_n_per_m"]
-        for mass in (("--mass", "0.05"), ("--mass", "0.4"), ("--mass", "0.05", "--heaviest", "0.4"))
+        for mass in (
+            ("--mass", "0.05"),
+            ("--mass", "0.4"),
+            ("--mass", "0.05", "--heaviest", "0.4"),
+        )
     )
     assert both <= min(one, other)
     assert both == pytest.approx(min(one, other), rel=0.05)
@@ -146,7 +178,10 @@ def worst_spring() -> float:
 
 
 def test_k_max_from_python() -> None:
-    plant, pd = haptic.Plant(0.002, 0.1, 1.0), {"kind": "pd", "stiffness": 1.0, "damping": 3.0}
+    plant, pd = (
+        haptic.Plant(0.002, 0.1, 1.0),
+        {"kind": "pd", "stiffness": 1.0, "damping": 3.0},
+    )
     any_world = haptic.k_max(pd, plant, world="any")
     assert any_world.k_max_n_per_m == ANY_WORLD
     assert any_world.method == "certificate"
@@ -154,17 +189,18 @@ def test_k_max_from_python() -> None:
     assert haptic.k_max(pd, plant, world="any_hand").k_max_n_per_m is None
     spring = {"kind": "pd", "stiffness": 1.0, "damping": 0.0}
     late = haptic.Plant(0.002, 0.1, 1.0, 1.0)
-    assert haptic.k_max(spring, late, world="two_hands", other=late).k_max_n_per_m == pytest.approx(
-        500.0 / 3.0, rel=1e-9
-    )
+    assert haptic.k_max(
+        spring, late, world="two_hands", other=late
+    ).k_max_n_per_m == pytest.approx(500.0 / 3.0, rel=1e-9)
     assert haptic.k_max(
         spring, plant, world="any_hand_tool", tool_damping=1.0
     ).k_max_n_per_m == pytest.approx(500.0, rel=1e-9)
-    assert haptic.k_max(spring, plant, world="any_hand_wall").k_max_n_per_m == pytest.approx(
-        1000.0, rel=1e-9
-    )
+    assert haptic.k_max(
+        spring, plant, world="any_hand_wall"
+    ).k_max_n_per_m == pytest.approx(1000.0, rel=1e-9)
     assert (
-        haptic.k_max(spring, plant, world="euler_tool", tool_mass=0.1).k_max_n_per_m or 0.0
+        haptic.k_max(spring, plant, world="euler_tool", tool_mass=0.1).k_max_n_per_m
+        or 0.0
     ) < 1000.0
     assert haptic.k_max(
         pd, plant, world="spring", springs=(1e-3, float("inf"))

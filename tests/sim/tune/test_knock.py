@@ -62,7 +62,8 @@ def test_the_verdict_at_its_edge() -> None:
 
 
 @pytest.mark.parametrize(
-    ("radius", "rests"), [(0.9996, True), (0.9999, False), (1.0, False), (1.0003, False)]
+    ("radius", "rests"),
+    [(0.9996, True), (0.9999, False), (1.0, False), (1.0003, False)],
 )
 def test_what_is_left_must_go_on_dying(radius: float, rests: bool) -> None:
     # A third of the longest window is 533 ticks: a radius of 0.9998 leaves 0.9 of it.
@@ -106,7 +107,10 @@ def test_the_climb_begins_below_and_finds_the_step(edge: int) -> None:
     # Never further beyond what rests than a large step; and the law itself was tried where the way
     # leads past it.
     assert (
-        max(b - max([a for a in tried[:i] if a < edge], default=b) for i, b in enumerate(tried))
+        max(
+            b - max([a for a in tried[:i] if a < edge], default=b)
+            for i, b in enumerate(tried)
+        )
         <= 10
     )
     assert edge <= 0 or 0 in tried
@@ -141,8 +145,12 @@ def test_a_law_that_does_not_rest_does_not_hold(edge: int) -> None:
 def test_a_law_that_only_friction_holds_does_not_hold() -> None:
     # Knocks on the model see the edge at 1.32 where its poles have it at 1.1: friction. So 1.2 by
     # knocks is 1.0 by poles.
-    assert verified(predicted(1.27, 1.25), climbed(round(math.log(1.2) / math.log(STEP)))).holds
-    told = verified(predicted(1.32, 1.1), climbed(round(math.log(1.2) / math.log(STEP))))
+    assert verified(
+        predicted(1.27, 1.25), climbed(round(math.log(1.2) / math.log(STEP)))
+    ).holds
+    told = verified(
+        predicted(1.32, 1.1), climbed(round(math.log(1.2) / math.log(STEP)))
+    )
     assert told.edge_by_poles_between_n_per_m is not None
     low, high = told.edge_by_poles_between_n_per_m
     # A step on either side of what knocks and model say, 1000 and 1100 N/m; too far apart for one
@@ -152,11 +160,14 @@ def test_a_law_that_only_friction_holds_does_not_hold() -> None:
     assert told.edge_by_poles_h1_n_per_m is None
     assert low < 1000.0 * MARGIN
     assert not told.holds
-    assert f"a large motion may be unstable from {low / 1000.0:.3f} times on" in told.ended
+    assert (
+        f"a large motion may be unstable from {low / 1000.0:.3f} times on" in told.ended
+    )
 
 
 @pytest.mark.parametrize(
-    ("steps", "told_as_one"), [(0, True), (2, True), (3, False), (-2, True), (-3, False)]
+    ("steps", "told_as_one"),
+    [(0, True), (2, True), (3, False), (-2, True), (-3, False)],
 )
 def test_an_edge_that_is_not_known_to_5_percent_is_told_as_an_interval(
     steps: int, told_as_one: bool
@@ -189,7 +200,9 @@ def test_a_device_whose_edge_is_elsewhere_is_not_the_one_that_was_identified(
 ) -> None:
     # A joint that dry friction holds while knocks are small: its edge by poles may be anywhere
     # below.
-    told = verified(predicted(1.27, 1.25), climbed(round(math.log(measured) / math.log(STEP))))
+    told = verified(
+        predicted(1.27, 1.25), climbed(round(math.log(measured) / math.log(STEP)))
+    )
     assert told.holds is told.agrees is agrees
     assert (told.edge_by_poles_between_n_per_m is not None) is agrees
     assert ("differs from the identified one" in told.ended) is not agrees
@@ -209,7 +222,9 @@ def test_two_grids_of_two_per_cent_are_told_as_what_they_are() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("preset", "delay"), [("designed_d0", 0.0), ("designed_d1", 1.0)])
+@pytest.mark.parametrize(
+    ("preset", "delay"), [("designed_d0", 0.0), ("designed_d1", 1.0)]
+)
 def test_knocking_finds_the_edge_that_the_poles_have(preset: str, delay: float) -> None:
     """Without friction and encoder the loop is linear: pole radii give the limit."""
     law = parse_law({"kind": preset}).compile(T)
@@ -247,7 +262,8 @@ def rendered(law: Knock, deflections: list[float], length: int = 16) -> list[flo
         ring[head] = ring[head + length] = x
         if k > 0:
             forces.append(
-                sum(tap * ring[head + m] for m, tap in enumerate(compiled.taps)) + own(ring, head)
+                sum(tap * ring[head + m] for m, tap in enumerate(compiled.taps))
+                + own(ring, head)
             )
     return forces
 
@@ -271,7 +287,9 @@ def test_a_trial_that_goes_far_is_over_for_good() -> None:
     for end, over in ((1.9e-4, False), (2.1e-4, True)):
         # Its deflection is the step, and what the device adds.
         forces = rendered(law, [0.0, 0.0, end, 0.0, 0.0, 0.0])
-        soft = rendered(Knock(taps=(0.0,), step=1e-12, ticks=1), [0.0, 0.0, end, 0.0, 0.0, 0.0])
+        soft = rendered(
+            Knock(taps=(0.0,), step=1e-12, ticks=1), [0.0, 0.0, end, 0.0, 0.0, 0.0]
+        )
         assert (forces[1:] == pytest.approx(soft[1:], abs=1e-12)) is over
 
 

@@ -16,7 +16,15 @@ from messages.errors import RefusedError, UsageError
 from nodes.stability.rest import ComesToRest
 from sim.drill.given_design import given_design, given_prediction
 from sim.studies.result import plain
-from sim.tune.knocking import LOWEST, STEP, KnockedEdge, KnockVerdict, Plan, climb, factor_of
+from sim.tune.knocking import (
+    LOWEST,
+    STEP,
+    KnockedEdge,
+    KnockVerdict,
+    Plan,
+    climb,
+    factor_of,
+)
 from sim.tune.live_trial import STOPPED, Cut, Trials
 from sim.tune.outcome import headline, verified
 from sim.tune.record import AppliedStep, ForceLimits, PlannedKnocks, TuneRecord
@@ -26,16 +34,22 @@ from sim.tune.tune_options import TuneOptions
 DESIGNED = given_design([900.0, -800.0], 0.002, lands=True)
 PREDICTED = given_prediction(100.0, 1.3)
 PLANNED = PlannedKnocks((), "", Plan(0, 0, 1))
-HELD = verified(PREDICTED, climb(Plan(LOWEST, 20, 25), lambda n: KnockVerdict(STEP**n, 0.0, True)))
+HELD = verified(
+    PREDICTED, climb(Plan(LOWEST, 20, 25), lambda n: KnockVerdict(STEP**n, 0.0, True))
+)
 
-WHOLE = TuneRecord(designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD)
+WHOLE = TuneRecord(
+    designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD
+)
 
 
 def refuse() -> Any:
     raise RefusedError("let go first")
 
 
-def tuning(folder: Path, running: Callable[[], Any] = refuse, fresh: bool = False) -> Tuning:
+def tuning(
+    folder: Path, running: Callable[[], Any] = refuse, fresh: bool = False
+) -> Tuning:
     return Tuning(TuneOptions(out=folder), running, refuse, fresh)
 
 
@@ -51,7 +65,11 @@ def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_
     known = TuneRecord(
         designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD
     )
-    names = {"tune.json": json.dumps(plain(known)), "tuned.yaml": "a law", "tune.html": "a page"}
+    names = {
+        "tune.json": json.dumps(plain(known)),
+        "tuned.yaml": "a law",
+        "tune.html": "a page",
+    }
     for name, text in names.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     again = tuning(tmp_path, fresh=fresh)
@@ -60,7 +78,9 @@ def test_a_tuning_that_is_refused_at_its_first_step_leaves_an_earlier_one_as_it_
     again.record.refused = "let go first"
     again.keep()
     again.write()
-    assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()} == names
+    assert {
+        path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()
+    } == names
     assert (
         again.record.headline
         == f"Nothing new: let go first. {tmp_path / 'tune.json'} is as it was."
@@ -73,7 +93,9 @@ def test_a_launch_of_another_rate_gets_no_law(step: str, tmp_path: Path) -> None
     TuneRecord(
         designed=DESIGNED, predicted=PREDICTED, predicted_steps=PLANNED, verified=HELD
     ).write(tmp_path / "tune.json")
-    loop = SimpleNamespace(period=0.001, run=SimpleNamespace(run="fast"), read_limits=lambda: None)
+    loop = SimpleNamespace(
+        period=0.001, run=SimpleNamespace(run="fast"), read_limits=lambda: None
+    )
     with pytest.raises(
         RefusedError, match="fast: runs at 1000 Hz, and the law was designed for 500 Hz"
     ):
@@ -81,7 +103,8 @@ def test_a_launch_of_another_rate_gets_no_law(step: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("active", "name"), [("pd", "tuned"), ("tuned", "tuned_again"), ("tuned_again", "tuned")]
+    ("active", "name"),
+    [("pd", "tuned"), ("tuned", "tuned_again"), ("tuned_again", "tuned")],
 )
 def test_a_law_that_renders_is_faded_from_and_stays(
     active: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -96,7 +119,11 @@ def test_a_law_that_renders_is_faded_from_and_stays(
 
     monkeypatch.setattr("sim.tune.session.ask", ask)
     loop = SimpleNamespace(
-        period=0.002, run=None, coupling="coupling", read_limits=lambda: None, ready=lambda: None
+        period=0.002,
+        run=None,
+        coupling="coupling",
+        read_limits=lambda: None,
+        ready=lambda: None,
     )
     done = tuning(tmp_path, lambda: loop)
     done.do("apply")
@@ -119,7 +146,9 @@ def test_a_climb_that_was_cut_short_verifies_nothing() -> None:
     ):
         told = verified(PREDICTED, KnockedEdge(steps, "the machine stalled"))
         assert not told.holds
-        record = TuneRecord(designed=DESIGNED, verified=told, refused="the machine stalled")
+        record = TuneRecord(
+            designed=DESIGNED, verified=told, refused="the machine stalled"
+        )
         assert headline(record).startswith("Not verified: ")
 
 
@@ -177,7 +206,9 @@ def stand_in(ready: Callable[[], Any], safety: list[str]) -> Any:
 
 def trials(loop: Any, monkeypatch: pytest.MonkeyPatch) -> Trials:
     monkeypatch.setattr("sim.tune.live_trial.ask", lambda *_, **__: None)
-    held: Any = SimpleNamespace(check=lambda: None, borrow=lambda *_, **__: None, not_put_back="")
+    held: Any = SimpleNamespace(
+        check=lambda: None, borrow=lambda *_, **__: None, not_put_back=""
+    )
     return Trials(loop, held, [900.0, -800.0], 1e-3, 0.0, lambda _: None)
 
 
@@ -199,8 +230,13 @@ def test_a_driver_that_stops_right_after_a_knock_judges_that_one(
     safety = ["stopped"]
     trial = trials(stand_in(lambda: None, safety), monkeypatch)
     rests = KnockVerdict(1.0, 0.0, True)
-    monkeypatch.setattr(trial, "_window", lambda _: (np.linspace(0.0, 1e-3, 100), Cut(), ""))
+    monkeypatch.setattr(
+        trial, "_window", lambda _: (np.linspace(0.0, 1e-3, 100), Cut(), "")
+    )
     monkeypatch.setattr("sim.tune.live_trial.judge", lambda *_: rests)
-    assert trial._try(1.0) == (KnockVerdict(1.0, 0.0, False, f"{STOPPED}: swings", "stop"), "")
+    assert trial._try(1.0) == (
+        KnockVerdict(1.0, 0.0, False, f"{STOPPED}: swings", "stop"),
+        "",
+    )
     safety[0] = "active"
     assert trial._try(1.0) == (rests, "")

@@ -68,11 +68,15 @@ def designed(
         given_prediction(sum(taps), edge_factor=edge, knock_m=2e-3),
     )
     (folder / "tuning").mkdir()
-    given_record(law, predicted, Plan(first, near, last)).write(folder / "tuning" / "tune.json")
+    given_record(law, predicted, Plan(first, near, last)).write(
+        folder / "tuning" / "tune.json"
+    )
 
 
 @pytest.mark.slow
-def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_path: Path) -> None:
+def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(
+    tmp_path: Path,
+) -> None:
     """Without it every later trial met a dead driver."""
     (tmp_path / "held.yaml").write_text(json.dumps(SCENE))
     designed(tmp_path, [20000.0, -19500.0])
@@ -80,7 +84,8 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
         typed(launch, "tune", "--steps", "verify", "--json", code=1)
         # It takes forces again, and the launch has its own law back.
         wait_for(
-            lambda: launch.call("driver", "progress")["safety"] == "active", "forces to be back"
+            lambda: launch.call("driver", "progress")["safety"] == "active",
+            "forces to be back",
         )
         assert launch.call("coupling", "law.list")["active"] == "pd"
         figures = launch.finish(signal.SIGINT)
@@ -104,13 +109,16 @@ def test_a_trial_that_the_driver_stops_is_a_verdict_and_the_launch_goes_on(tmp_p
             back = [one for one in states if state.seq <= one.seq < state.seq + ramp]
             # Two roundings.
             assert all(
-                abs(one.force[0]) <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15)
+                abs(one.force[0])
+                <= PEAK * (one.seq - before.seq + 1) / ramp * (1.0 + 1e-15)
                 for one in back
             )
 
 
 @pytest.mark.process
-def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_path: Path) -> None:
+def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(
+    tmp_path: Path,
+) -> None:
     """The second tuning restored the first one's soft spring as the user's law."""
     (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
     with running(tmp_path, "held.yaml") as launch:
@@ -119,7 +127,9 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
             launch.call(
                 "coupling",
                 "param.set",
-                values={"laws.trial": {"kind": "pd", "stiffness": 200.0, "damping": 2.0}},
+                values={
+                    "laws.trial": {"kind": "pd", "stiffness": 200.0, "damping": 2.0}
+                },
             )
             launch.call("coupling", "law.switch", law="trial", ramp=0)
             with (
@@ -128,7 +138,10 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
             ):
                 raise AssertionError
             assert launch.call("coupling", "law.list")["active"] == "trial"
-            assert launch.call("coupling", "lease.renew", names=["borrowed"])["run_out"] == []
+            assert (
+                launch.call("coupling", "lease.renew", names=["borrowed"])["run_out"]
+                == []
+            )
         assert launch.call("coupling", "law.list")["active"] == "pd"
         # And is there for the next one.
         with borrowed(PushedLaunch(launch.run)) as held:
@@ -137,7 +150,9 @@ def test_a_launch_that_somebody_tunes_already_is_refused_and_left_to_him(tmp_pat
 
 
 @pytest.mark.slow
-def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(tmp_path: Path) -> None:
+def test_of_a_launch_of_several_chains_the_one_that_is_pushed_is_recorded(
+    tmp_path: Path,
+) -> None:
     """The recorder subscribed to `/device/state`, which the whole launch lacks."""
     with running(tmp_path, "two_hands", "duration:=0") as launch:
         loop = PushedLaunch(launch.run.within("left"))
@@ -213,17 +228,26 @@ NO = "the law holds                                      NO"
         (f"{SCALE}10", NO, [2000.0, -1750.0], -3),
         (f"{LATE}10", NO, [800.0, -700.0], -6),
         # A quarter of it: every knock rests, far beyond where the model has the edge.
-        (f"{SCALE}0.25", "the device differs from the identified one", [800.0, -700.0], 0),
+        (
+            f"{SCALE}0.25",
+            "the device differs from the identified one",
+            [800.0, -700.0],
+            0,
+        ),
     ],
 )
 def test_a_device_that_lies_while_its_law_is_tried_gets_none(
     lie: str, told: str, taps: list[float], first: int, tmp_path: Path
 ) -> None:
-    assert told in verified_with(lie, tmp_path, taps, edge=1.5, first=first, last=3 * STRIDE)
+    assert told in verified_with(
+        lie, tmp_path, taps, edge=1.5, first=first, last=3 * STRIDE
+    )
 
 
 @pytest.mark.slow
-def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path) -> None:
+def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(
+    tmp_path: Path,
+) -> None:
     """−1 h, +2 h, five times a second, in every process of launch and verb."""
     (tmp_path / "held.yaml").write_text(json.dumps(unrecorded()))
     designed(tmp_path, [8000.0, -7600.0], first=45, near=45)
@@ -251,7 +275,9 @@ def test_a_wall_clock_that_is_set_in_mid_trial_changes_no_verdict(tmp_path: Path
                     if environment:
                         stepping.join()
                 launch.finish(signal.SIGINT)
-            told = json.loads((tmp_path / "tuning" / "tune.json").read_text())["verified"]
+            told = json.loads((tmp_path / "tuning" / "tune.json").read_text())[
+                "verified"
+            ]
             steps.append([(step["factor"], step["rests"]) for step in told["steps"]])
             over.clear()
     finally:

@@ -56,7 +56,10 @@ def test_other_poses_widen_the_masses_that_a_law_is_designed_for() -> None:
     asked = demand(found, Wanted(spread=1.0, poses=(0.02, 0.05)))
     assert asked.mass == (lightest - 0.02, heaviest + 0.05)
     # A pose never takes all of it away.
-    assert demand(found, Wanted(spread=1.0, poses=(1.0, 0.0))).mass == (0.1 * lightest, heaviest)
+    assert demand(found, Wanted(spread=1.0, poses=(1.0, 0.0))).mass == (
+        0.1 * lightest,
+        heaviest,
+    )
 
 
 @pytest.mark.slow
@@ -139,7 +142,12 @@ def test_the_law_itself_was_tried_from_below_and_the_edge_is_the_predicted_one(
     # All steps but the last one came to rest: it stopped at the first sign.
     assert all(step["rests"] for step in verified["steps"][:-1])
     low, high = verified["edge_by_poles_between_n_per_m"]
-    assert low < told["predicted"]["edge_linear_h1_n_per_m"] < high < (1.0 + AGREES) * STEP**2 * low
+    assert (
+        low
+        < told["predicted"]["edge_linear_h1_n_per_m"]
+        < high
+        < (1.0 + AGREES) * STEP**2 * low
+    )
 
 
 @pytest.mark.slow
@@ -151,14 +159,18 @@ def test_what_does_not_land_says_so_everywhere_and_is_compared_with_nothing(
         pytest.skip("this design lands although nobody asked for it")
     assert told["designed"]["gain_over_pd"] is None
     assert "fails the drop test" in told["headline"]
-    assert "fails the drop test" in (folder / told["files"]["html"]).read_text(encoding="utf-8")
+    assert "fails the drop test" in (folder / told["files"]["html"]).read_text(
+        encoding="utf-8"
+    )
     assert "FAILS the drop test" in Path(folder / told["files"]["params"]).read_text(
         encoding="utf-8"
     )
 
 
 @pytest.mark.slow
-def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, Any]]) -> None:
+def test_the_report_and_the_parameters_are_there(
+    tuned: tuple[Path, dict[str, Any]],
+) -> None:
     folder, told = tuned
     page = (folder / told["files"]["html"]).read_text(encoding="utf-8")
     assert "data:image/png;base64," in page
@@ -180,7 +192,12 @@ def test_the_report_and_the_parameters_are_there(tuned: tuple[Path, dict[str, An
         told["designed"]["taps_n_per_m"], rel=1e-5
     )
     run = launch_json(
-        folder, "floor_drop", "duration:=0.2", "pace:=lockstep", "--params", told["files"]["params"]
+        folder,
+        "floor_drop",
+        "duration:=0.2",
+        "pace:=lockstep",
+        "--params",
+        told["files"]["params"],
     )
     assert run["exit_reason"] == "done"
 
@@ -203,13 +220,19 @@ def test_a_new_design_drops_what_was_measured_of_another_law(
     assert again["predicted"] == tuned[1]["predicted"]
     # The law is the same: what was measured of it stays.
     assert again["verified"] == tuned[1]["verified"]
-    other = last_line(tune("--steps", "design", "predict", "--taps", "2", "--no-land", "--json"))
+    other = last_line(
+        tune("--steps", "design", "predict", "--taps", "2", "--no-land", "--json")
+    )
     assert "verified" not in other
     assert "applied" not in other
     assert other["headline"].startswith("Not tried")
     assert not (tmp_path / "tuning" / "tuned.yaml").exists()
-    assert "NOT tried" in (tmp_path / "tuning" / "designed.yaml").read_text(encoding="utf-8")
-    assert "run that step first" in tune("--steps", "design", "--out", "nowhere", code=1)
+    assert "NOT tried" in (tmp_path / "tuning" / "designed.yaml").read_text(
+        encoding="utf-8"
+    )
+    assert "run that step first" in tune(
+        "--steps", "design", "--out", "nowhere", code=1
+    )
 
 
 def softer(folder: Path, factor: float) -> None:
@@ -247,7 +270,11 @@ def test_a_law_that_does_not_rest_is_not_delivered(
     # edge.
     assert 0.6 < told["verified"]["edge_factor"] < 0.85
     # It came down to what does rest, and says how much that is.
-    assert 0.0 < told["verified"]["stiffest_at_rest_n_per_m"] < told["designed"]["h1_n_per_m"]
+    assert (
+        0.0
+        < told["verified"]["stiffest_at_rest_n_per_m"]
+        < told["designed"]["h1_n_per_m"]
+    )
     assert not (tmp_path / "tuning" / "tuned.yaml").exists()
     assert "applied" not in told
 
@@ -285,16 +312,22 @@ def test_a_signal_while_a_law_is_tried_leaves_the_launch_as_it_was(
         process.wait(timeout=60.0)
         assert state(launch) == before, launch.errors
         assert process.returncode == 128 + signal.SIGINT
-        known = json.loads((tmp_path / "tuning" / "tune.json").read_text(encoding="utf-8"))
+        known = json.loads(
+            (tmp_path / "tuning" / "tune.json").read_text(encoding="utf-8")
+        )
         assert known["interrupted"] == "verify"
         assert known["verified"]["ended"] == "interrupted"
-        assert "Interrupted" in (tmp_path / "tuning" / "tune.html").read_text(encoding="utf-8")
+        assert "Interrupted" in (tmp_path / "tuning" / "tune.html").read_text(
+            encoding="utf-8"
+        )
         assert "not_put_back" not in known
         launch.finish(signal.SIGINT, code=None)
 
 
 @pytest.mark.process
-def test_a_launch_that_the_verb_started_ends_with_it_even_when_it_is_killed(tmp_path: Path) -> None:
+def test_a_launch_that_the_verb_started_ends_with_it_even_when_it_is_killed(
+    tmp_path: Path,
+) -> None:
     with private_runtime_dir() as place:
         process = subprocess.Popen(
             [*HAPTIC, "tune", *SCENE, "--duration", "600"],
@@ -305,7 +338,9 @@ def test_a_launch_that_the_verb_started_ends_with_it_even_when_it_is_killed(tmp_
             process_group=0,
         )
         try:
-            wait_for(lambda: list(place.glob("runs/*/run.json")), "the launch to be there")
+            wait_for(
+                lambda: list(place.glob("runs/*/run.json")), "the launch to be there"
+            )
         finally:
             process.kill()
             process.wait()

@@ -24,18 +24,36 @@ def part_of(mutations: tuple[Mutation, ...], part: str) -> list[Mutation]:
 
 def main() -> int:
     """Try the mutations that the arguments select; print a line for each, and the score."""
-    parser = argparse.ArgumentParser(prog="python -m tests.support.mutations", description=__doc__)
-    parser.add_argument("--part", default="0/1", help="which of the named: i/n is every n-th")
-    parser.add_argument("--drawn", type=int, default=0, help="how many to draw from the syntax")
-    parser.add_argument("--only-drawn", action="store_true", help="leave out the named ones")
-    parser.add_argument("--room", action="append", choices=list(ROOMS), help="draw from this room")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.support.mutations", description=__doc__
+    )
     parser.add_argument(
-        "--near", action="store_true", help="only tests that name or import the file, if several do"
+        "--part", default="0/1", help="which of the named: i/n is every n-th"
+    )
+    parser.add_argument(
+        "--drawn", type=int, default=0, help="how many to draw from the syntax"
+    )
+    parser.add_argument(
+        "--only-drawn", action="store_true", help="leave out the named ones"
+    )
+    parser.add_argument(
+        "--room", action="append", choices=list(ROOMS), help="draw from this room"
+    )
+    parser.add_argument(
+        "--near",
+        action="store_true",
+        help="only tests that name or import the file, if several do",
     )
     parser.add_argument("--seed", help="what they are drawn by (default: the commit)")
-    parser.add_argument("--json", type=Path, help="file for the score, written after each")
+    parser.add_argument(
+        "--json", type=Path, help="file for the score, written after each"
+    )
     arguments = parser.parse_args()
-    named = [] if arguments.only_drawn else part_of((*SAFETY_RULES, *NAMED_RULES), arguments.part)
+    named = (
+        []
+        if arguments.only_drawn
+        else part_of((*SAFETY_RULES, *NAMED_RULES), arguments.part)
+    )
     drawn = draw(arguments.drawn, arguments.seed or commit(), arguments.room)
     if arguments.near:
         drawn = [one._replace(tests=near(one.tests)) for one in drawn]

@@ -21,7 +21,13 @@ from tests.support.mutations.mutation import Mutation
 ROOMS: Final = {
     room: (f"tests/{room}",)
     for room in (
-        *("nodes/driver", "nodes/laws", "nodes/stability", "nodes/coupling", "nodes/recording"),
+        *(
+            "nodes/driver",
+            "nodes/laws",
+            "nodes/stability",
+            "nodes/coupling",
+            "nodes/recording",
+        ),
         "sim/identify",
     )
 }
@@ -72,12 +78,18 @@ class _Places:
 
     def changes(self, node: ast.AST) -> Iterator[tuple[int, str, str]]:
         """Yield the changes of a node: place, present text, new text."""
-        if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in _COMPARED:
+        if (
+            isinstance(node, ast.Compare)
+            and len(node.ops) == 1
+            and type(node.ops[0]) in _COMPARED
+        ):
             old, new = _COMPARED[type(node.ops[0])]
             yield from self._between(node.left, node.comparators[0], old, new)
         elif isinstance(node, ast.BinOp) and type(node.op) in _COMPUTED:
             if not isinstance(node.left, (ast.JoinedStr,)) and not _is_text(node):
-                yield from self._between(node.left, node.right, *_COMPUTED[type(node.op)])
+                yield from self._between(
+                    node.left, node.right, *_COMPUTED[type(node.op)]
+                )
         elif isinstance(node, ast.BoolOp):
             pair = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
             yield from self._between(node.values[0], node.values[1], *pair)
@@ -121,9 +133,14 @@ def _of_code(tree: ast.AST) -> Iterator[ast.AST]:
                 continue
             value = getattr(node, name, None)
             for child in value if isinstance(value, list) else (value,):
-                if not isinstance(child, ast.AST) or isinstance(child, (ast.Raise, ast.JoinedStr)):
+                if not isinstance(child, ast.AST) or isinstance(
+                    child, (ast.Raise, ast.JoinedStr)
+                ):
                     continue
-                if isinstance(child, ast.If) and getattr(child.test, "id", "") == "TYPE_CHECKING":
+                if (
+                    isinstance(child, ast.If)
+                    and getattr(child.test, "id", "") == "TYPE_CHECKING"
+                ):
                     continue
                 yield child
                 waiting.append(child)
@@ -136,7 +153,10 @@ def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
     found = []
     for node in _of_code(ast.parse(text)):
         for place, old, new in places.changes(node):
-            line, column = text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place)
+            line, column = (
+                text.count("\n", 0, place) + 1,
+                place - text.rfind("\n", 0, place),
+            )
             said = f"{name}:{line}:{column}: {' '.join(old.split())} → {' '.join(new.split())}"
             found.append(Mutation(said, name, old, new, (), place))
     return sorted(found, key=lambda one: one.place or 0)
@@ -177,9 +197,13 @@ def _tests(room: str, file: Path) -> tuple[str, ...]:
     folders: tuple[str, ...] = ROOMS[room]
     if file.stem in COMPILED:
         folders = ("tests/nodes/compiled", *folders)
-    tests = [path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))]
+    tests = [
+        path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))
+    ]
 
-    own = re.compile(rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b")
+    own = re.compile(
+        rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b"
+    )
     # What drives a node in many tests stands in tests/support.
     through = [path.stem for path in SUPPORT.glob("*.py") if own.search(_text(path))]
     shared = re.compile(rf"tests\.support\.(?:{'|'.join(through) or '-'})\b")

@@ -33,7 +33,9 @@ class Mutation(NamedTuple):
     old: str  # stands there once, or `place` says where
     new: str
     tests: tuple[str, ...]
-    place: int | None = None  # index of `old` in the text; None where it stands there once
+    place: int | None = (
+        None  # index of `old` in the text; None where it stands there once
+    )
 
 
 def mutated(text: str, mutation: Mutation) -> str:
@@ -47,7 +49,9 @@ def mutated(text: str, mutation: Mutation) -> str:
             )
         place = text.index(old)
     if not text.startswith(old, place):
-        raise ValueError(f"{mutation.name}: {old!r} does not stand at {place} of {mutation.file}")
+        raise ValueError(
+            f"{mutation.name}: {old!r} does not stand at {place} of {mutation.file}"
+        )
     return text[:place] + mutation.new + text[place + len(old) :]
 
 
@@ -89,14 +93,32 @@ def _passes(folder: Path, tests: tuple[str, ...]) -> bool:
 
 def _stage_passes(folder: Path, words: tuple[str, ...]) -> bool:
     command = [
-        *(sys.executable, "-m", "pytest", "-n", "0", "-q", "-x", "-p", "no:cacheprovider"),
+        *(
+            sys.executable,
+            "-m",
+            "pytest",
+            "-n",
+            "0",
+            "-q",
+            "-x",
+            "-p",
+            "no:cacheprovider",
+        ),
         *("-m", "not slow and not process", *words),
     ]
     # Compiled code belongs to the path of its sources: it is of no use when the copy is gone.
-    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": f"{folder}/cache"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(folder),
+        "NUMBA_CACHE_DIR": f"{folder}/cache",
+    }
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     with subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        command,
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     ) as process:
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (LONGEST, LONGEST))
         code = process.wait()
@@ -106,6 +128,8 @@ def _stage_passes(folder: Path, words: tuple[str, ...]) -> bool:
 def copy_sources(folder: Path) -> None:
     """Copy everything that the tests of rules need."""
     for name in ("messages", "nodes", "sim", "tests", "launch"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__")
+        )
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, folder)

@@ -140,7 +140,7 @@ SAFETY_RULES: Final = (
     Mutation(
         "a jump has no ramp",
         f"{DRIVER}safety.py",
-        "s.ramp_ticks, s.regained, s.fading = s.recovery_ticks, 0.0, float",
+        "s.ramp_ticks = s.recovery_ticks\n        s.regained = 0.0\n        s.fading = float",
         "_ = float",
         (NO_PUSH,),
     ),

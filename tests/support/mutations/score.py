@@ -54,7 +54,8 @@ def as_lines(tried: list[Tried]) -> list[str]:
     """Return the score as a table, all that were drawn last, then what survives."""
     lines = [f"{'room':16}{'tried':>6}{'noticed':>9}{'%':>5}   95 % interval"]
     for group, (noticed, number) in sorted(
-        counts(tried).items(), key=lambda item: (item[0] == "all drawn", item[0] == "named")
+        counts(tried).items(),
+        key=lambda item: (item[0] == "all drawn", item[0] == "named"),
     ):
         low, high = wilson(noticed, number)
         lines.append(

@@ -37,7 +37,11 @@ def test_the_guard_is_on_and_a_fade_goes_on_to_the_end(tmp_path: Path) -> None:
 def test_the_stand_in_is_driven_by_its_own_driver(tmp_path: Path) -> None:
     with launches(list(CASES)) as cases:
         run = launch_json(
-            tmp_path, *cases["stand_in"], f"rate:={SERVO_RATE}", "duration:=0.5", "stiffness:=500"
+            tmp_path,
+            *cases["stand_in"],
+            f"rate:={SERVO_RATE}",
+            "duration:=0.5",
+            "stiffness:=500",
         )
     # Held 1 mm deep in a wall of 500 N/m. At 4 kHz a busy machine's pause of 3 ms takes the force
     # away, and its ramp begins anew: so it is looked for in all ticks, not in the last one.

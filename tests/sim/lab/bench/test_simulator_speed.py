@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from nodes.cli.main import main
-from sim.lab.bench.simulator_speed import NoCompilerError, compile_c, in_c, laws, ours, scene
+from sim.lab.bench.simulator_speed import (
+    NoCompilerError,
+    compile_c,
+    in_c,
+    laws,
+    ours,
+    scene,
+)
 from sim.play.one_axis import run
 from tests.support.launching import exit_code
 
@@ -32,14 +39,18 @@ def test_no_compiler_is_told(
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(NoCompilerError, match="neither cc nor gcc"):
         compile_c(tmp_path)
-    assert main(["bench", "simulator", "--rounds", "1", "--ticks", "100", "--json"]) == 0
+    assert (
+        main(["bench", "simulator", "--rounds", "1", "--ticks", "100", "--json"]) == 0
+    )
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert "install one" in answer["no_c_because"]
     assert [point["ratio"] for point in answer["points"]] == [None, None, None]
     assert all(point["ticks_per_s"] > 0.0 for point in answer["points"])
 
 
-def test_a_broken_compiler_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_compiler_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fake = tmp_path / "cc"
     fake.write_text("#!/bin/sh\necho 'cc: out of ink' >&2\nexit 1\n")
     fake.chmod(0o755)

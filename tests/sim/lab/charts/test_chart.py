@@ -96,7 +96,9 @@ def test_files_hold_every_figure(tmp_path: Path) -> None:
     )
     whole, table = save([group], {"cpu": "?"}, 1.0, tmp_path / "new")
     points = json.loads(whole.read_text())["points"]
-    assert [(p["group"], p["name"], p["cost"], p["error"], p["on_front"]) for p in points] == [
+    assert [
+        (p["group"], p["name"], p["cost"], p["error"], p["on_front"]) for p in points
+    ] == [
         ("g", "a", 1.0, 2.0, True),
         ("g", "b", 2.0, 1.0, True),
         ("g", "c", 3.0, 3.0, False),
@@ -127,7 +129,9 @@ def test_interleaved_runs_every_job_in_every_round() -> None:
     assert all(sorted(order[i : i + 3]) == ["a", "b", "c"] for i in range(0, 21, 3))
     assert len({tuple(order[i : i + 3]) for i in range(3, 21, 3)}) > 1
     assert len(told) == 6
-    assert all(0.0 < t.low <= t.median <= t.high and t.rounds == 6 for t in timings.values())
+    assert all(
+        0.0 < t.low <= t.median <= t.high and t.rounds == 6 for t in timings.values()
+    )
 
 
 def test_machine_is_named() -> None:
@@ -150,7 +154,9 @@ def test_crossover_lies_between_the_lengths_where_the_order_changes() -> None:
 
 
 def test_largest_stable_finds_the_first_change() -> None:
-    assert largest_stable(lambda k: k / 321.0, 1.0, 1e4, 1e-9) == pytest.approx(321.0, rel=1e-8)
+    assert largest_stable(lambda k: k / 321.0, 1.0, 1e4, 1e-9) == pytest.approx(
+        321.0, rel=1e-8
+    )
     # Unstable at first (a leak), then stable, then not.
     assert largest_stable(
         lambda k: 0.5 if 10.0 < k < 50.0 else 1.5, 1.0, 1e4, 1e-9
@@ -167,7 +173,9 @@ def test_leak_does_not_change_the_stiffness_that_is_compared() -> None:
 
 
 @pytest.mark.parametrize("radius", [0.99, 1.0 - 1e-9])
-def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float) -> None:
+def test_equal_demand_is_kept_just_inside_and_broken_just_outside(
+    radius: float,
+) -> None:
     unit = without_spring(PD(stiffness=1.0, damping=1.0), 0.002)
 
     def way(stiffness: float, gain: float) -> CompiledLaw:
@@ -182,7 +190,9 @@ def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float)
     # The design's own search, global and with linear programmes over 801 masses, finds the same
     # best PD.
     if radius == 0.99:
-        best = best_pd(Demand((0.05, 0.2), 1.0, (1.0, 1.0), 0.002, radius, NYQUIST)).found
+        best = best_pd(
+            Demand((0.05, 0.2), 1.0, (1.0, 1.0), 0.002, radius, NYQUIST)
+        ).found
         assert best is not None
         assert stiffness == pytest.approx(best.h1_n_per_m, rel=5e-3)
 
@@ -190,7 +200,8 @@ def test_equal_demand_is_kept_just_inside_and_broken_just_outside(radius: float)
 def test_a_long_fir_is_less_precise_than_a_short_recursive_filter_and_easier() -> None:
     """The paper's section 3 (THEORY.md §11), over three decades to half of Nyquist."""
     fir, filtered = (
-        analyse(kind, 0.5, taps, 0.002) for kind, taps in (("gl", 64), ("oustaloup_matched", 13))
+        analyse(kind, 0.5, taps, 0.002)
+        for kind, taps in (("gl", 64), ("oustaloup_matched", 13))
     )
     for figure in ("error_aligned", "error_raw", "multiplies"):
         assert fir[figure] > filtered[figure]
@@ -211,9 +222,13 @@ def test_exact_map_is_right_to_rounding() -> None:
 
 @pytest.mark.parametrize("count", [2, 4, 10, 40])
 def test_semi_implicit_euler_overstates_k_max(count: int) -> None:
-    ratio = spring_limit(integrators()[f"semi-implicit Euler {count}"]) / spring_limit(reference())
+    ratio = spring_limit(integrators()[f"semi-implicit Euler {count}"]) / spring_limit(
+        reference()
+    )
     # 1/(1 − 1/n) for b → 0; here bT/m = 0.02, which moves it by as much.
-    assert ratio == pytest.approx(1.0 / (1.0 - 1.0 / count), rel=DAMPING * PERIOD / MASS)
+    assert ratio == pytest.approx(
+        1.0 / (1.0 - 1.0 / count), rel=DAMPING * PERIOD / MASS
+    )
 
 
 def test_rk4_is_of_fourth_order() -> None:
@@ -238,7 +253,9 @@ def test_pole_radius_is_the_closed_form_where_there_is_one() -> None:
 
 def test_longer_horizons_read_closer_and_always_low() -> None:
     limit = poles(1.0, 1e-9)
-    readings = [simulated(1.0, horizon, dropped=False) for horizon in (0.3, 1.0, 3.0, 10.0)]
+    readings = [
+        simulated(1.0, horizon, dropped=False) for horizon in (0.3, 1.0, 3.0, 10.0)
+    ]
     assert readings == sorted(readings)
     # Within 1e-3, the precision of the search, never above the linear limit.
     assert readings[-1] <= limit * 1.001
@@ -279,7 +296,9 @@ def test_forces_of_the_processes_are_those_of_one_process() -> None:
         next_tick=True,
     )
     trace = run(
-        scene, PD(stiffness=stiffness, damping=GAIN).compile(scene.period), len(found.force)
+        scene,
+        PD(stiffness=stiffness, damping=GAIN).compile(scene.period),
+        len(found.force),
     )
     # Lockstep through four processes: the same bits, and exactly one tick late.
     assert found.force.tolist() == trace.force.tolist()
@@ -318,7 +337,9 @@ def chart(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 
 @pytest.mark.slow
-def test_chart_answers_with_points_and_fronts(chart: tuple[Path, dict[str, Any]]) -> None:
+def test_chart_answers_with_points_and_fronts(
+    chart: tuple[Path, dict[str, Any]],
+) -> None:
     _, answer = chart
     points = answer["points"]
     for group in {p["group"] for p in points}:
@@ -337,35 +358,42 @@ def test_chart_has_every_realisation(chart: tuple[Path, dict[str, Any]]) -> None
     _, answer = chart
     for order in ("0.5", "1.5"):
         families = {
-            p["family"] for p in answer["points"] if p["group"] == f"derivative_time_{order}"
+            p["family"]
+            for p in answer["points"]
+            if p["group"] == f"derivative_time_{order}"
         }
         assert families == set(derivative_kinds())
 
 
 @pytest.mark.slow
-def test_chart_conclusions_are_true_to_the_data(chart: tuple[Path, dict[str, Any]]) -> None:
+def test_chart_conclusions_are_true_to_the_data(
+    chart: tuple[Path, dict[str, Any]],
+) -> None:
     folder, answer = chart
     page = (folder / "chart.md").read_text()
     for line in answer["conclusions"]:
         assert line in page
     points = {(p["group"], p["name"]): p for p in answer["points"]}
-    equal = next(line for line in answer["conclusions"] if line.startswith("At equal demand"))
+    equal = next(
+        line for line in answer["conclusions"] if line.startswith("At equal demand")
+    )
     for order in ("0.5", "1.5"):
-        group = [p for p in answer["points"] if p["group"] == f"equal_demand_{order}_stable"]
+        group = [
+            p for p in answer["points"] if p["group"] == f"equal_demand_{order}_stable"
+        ]
         stiffest = max(group, key=lambda p: p["detail"]["h1_tuned_n_per_m"])
         assert stiffest["error"] == 0.0
         assert (
             f"the stiffest, {stiffest['name']}, has"
             f" {stiffest['detail']['h1_tuned_n_per_m']:.0f} N/m" in equal
         )
-    assert {p["family"] for p in answer["points"] if p["group"] == "equal_demand_1_calm"} >= {
-        "gl",
-        "pd_filtered",
-    }
+    assert {
+        p["family"] for p in answer["points"] if p["group"] == "equal_demand_1_calm"
+    } >= {"gl", "pd_filtered"}
     assert points["integrator_k_max", "exact map"]["error"] < 1e-9
-    assert points["integrator_k_max", "semi-implicit Euler 10"]["error"] == pytest.approx(
-        1.0 / 9.0, rel=0.05
-    )
+    assert points["integrator_k_max", "semi-implicit Euler 10"][
+        "error"
+    ] == pytest.approx(1.0 / 9.0, rel=0.05)
     best = min(
         (p for p in answer["points"] if p["group"] == "derivative_time_0.5"),
         key=lambda p: p["error"],
@@ -393,7 +421,17 @@ def test_unknown_part_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
 def test_bench_taps_answers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert (
         main(
-            ["bench", "taps", "--taps", "4,300", "--rounds", "2", "--json", "--out", str(tmp_path)]
+            [
+                "bench",
+                "taps",
+                "--taps",
+                "4,300",
+                "--rounds",
+                "2",
+                "--json",
+                "--out",
+                str(tmp_path),
+            ]
         )
         == 0
     )
@@ -440,7 +478,9 @@ def test_a_stopped_chart_leaves_what_it_has_and_goes_on(
         del step, quick
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sim.lab.charts.integrators.integrator_groups", integrator_groups)
+    monkeypatch.setattr(
+        "sim.lab.charts.integrators.integrator_groups", integrator_groups
+    )
     monkeypatch.setattr("sim.lab.charts.k_max_ways.kmax_groups", stopped)
     words = [
         "study",
@@ -471,7 +511,18 @@ def test_the_panel_of_proxies_has_closed_forms_meshes_and_bodies(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (
-        main(["study", "chart", "--parts", "proxies", "--quick", "--json", "--out", str(tmp_path)])
+        main(
+            [
+                "study",
+                "chart",
+                "--parts",
+                "proxies",
+                "--quick",
+                "--json",
+                "--out",
+                str(tmp_path),
+            ]
+        )
         == 0
     )
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -495,7 +546,10 @@ def test_ranks_of_a_few_laws_are_no_verdict() -> None:
     """Perfect order of seven happens by chance once in 2520, and is not reported."""
     for count in (3, 6, FEWEST - 1):
         told = _correlation(list(range(count)), list(range(count)))
-        assert told == f"{count} laws, too few for a rank correlation of error and stiffness"
+        assert (
+            told
+            == f"{count} laws, too few for a rank correlation of error and stiffness"
+        )
     rising = list(map(float, range(12)))
     ranks = "rank correlation of error and stiffness"
     assert _correlation(rising, rising).startswith(

@@ -21,7 +21,11 @@ from sim.lab.paper.claims import FAILS
 
 @pytest.mark.slow
 def test_both_methods_put_every_boundary_in_the_same_place() -> None:
-    found = [edge for edge in map(failures.both_sides, failures.boundaries()) if edge is not None]
+    found = [
+        edge
+        for edge in map(failures.both_sides, failures.boundaries())
+        if edge is not None
+    ]
     assert len(found) == 11
     for edge in found:
         assert edge.agreed, edge.name
@@ -73,7 +77,10 @@ def test_leak_eats_the_stiffness() -> None:
 
 @pytest.mark.slow
 def test_tustin_expanded_for_the_whole_order_runs_away_in_the_loop() -> None:
-    whole, split = failures.tustin_whole(500.0, 0.05), failures.tustin_split(500.0, 0.05)
+    whole, split = (
+        failures.tustin_whole(500.0, 0.05),
+        failures.tustin_split(500.0, 0.05),
+    )
     assert not whole.stable_sections()
     assert split.stable_sections()
     scene = drop_scene(DeviceModel(mass=0.1, damping=1.0), failures.PERIOD, False, True)
@@ -111,7 +118,10 @@ def test_tight_tuning_does_not_travel() -> None:
 
 
 def test_friction_above_the_bound_stops_all_chatter() -> None:
-    for law in (with_spring(failures.optimum(3.0), 1000.0), CompiledLaw((2500.0, -1500.0))):
+    for law in (
+        with_spring(failures.optimum(3.0), 1000.0),
+        CompiledLaw((2500.0, -1500.0)),
+    ):
         bound = 0.5 * 2.3e-5 * law.h_nyquist
         assert not failures.chatter(law, 1.01 * bound)
     # Without friction the encoder's edge feeds the buzz.

@@ -52,7 +52,10 @@ def test_term_is_the_f_of_the_law_that_the_loop_renders(order: float) -> None:
     law = PDAlpha(stiffness=1.0, damping=1.0, order=order, taps=4096, gains="unlimited")
     theta = np.pi * np.array([0.2, 0.5, 0.8, 1.0])
     derivative = without_spring(law, period)
-    ours = effective_damping(derivative, period, theta / period) + 0.5 * period * derivative.h1
+    ours = (
+        effective_damping(derivative, period, theta / period)
+        + 0.5 * period * derivative.h1
+    )
     # Truncation leaves a share of order n^{−α}/Γ(1−α) of the low-frequency part: at α = 0.3 that is
     # 6 %.
     share = 4096.0**-order / math.gamma(1.0 - order) if order < 1.0 else 1e-5
@@ -92,8 +95,13 @@ def test_optimum_is_flattest_at_n_3_and_has_the_sum_of_its_gains_at_nyquist() ->
 def test_optimum_of_figure_3_is_the_preset_that_launches_use() -> None:
     period = 0.002
     theta = figure_3(4)["theta"][::40]
-    derivative = without_spring(parse_law({"kind": "paper_optimum", "damping": 1.0}), period)
-    ours = effective_damping(derivative, period, theta / period) + 0.5 * period * derivative.h1
+    derivative = without_spring(
+        parse_law({"kind": "paper_optimum", "damping": 1.0}), period
+    )
+    ours = (
+        effective_damping(derivative, period, theta / period)
+        + 0.5 * period * derivative.h1
+    )
     assert ours == pytest.approx(figure_3(4)["optimum"][::40], rel=1e-10, abs=1e-12)
 
 
@@ -101,13 +109,19 @@ def test_verdicts_of_figures_2_and_3() -> None:
     claims = claims_2(4)
     # Seven of the paper's statements depend on n, which it does not print; none is false for every
     # n.
-    assert [claim.verdict for claim in claims] == [HOLDS, *7 * [ONLY_IF], HOLDS, HOLDS, HOLDS]
+    assert [claim.verdict for claim in claims] == [
+        HOLDS,
+        *7 * [ONLY_IF],
+        HOLDS,
+        HOLDS,
+        HOLDS,
+    ]
     by = {claim.claim: claim.number for claim in claims}
     rises = by["0 < α < 1: f rises monotonically with ω"]
     assert "not n = 2, 4, 8, 10, 20, 50, 100, 1000; unlimited memory: yes" in rises
-    assert by["1 < α < 2: less passive than PD at low frequencies, more at middle ones"].endswith(
-        "not n = 1; unlimited memory: yes"
-    )
+    assert by[
+        "1 < α < 2: less passive than PD at low frequencies, more at middle ones"
+    ].endswith("not n = 1; unlimited memory: yes")
     assert "unlimited memory: no" in by["1 < α < 2: f(0) rises to zero with α"]
     assert [claim.verdict for claim in claims_3(4, 0.002)] == [
         ONLY_IF,
@@ -122,19 +136,23 @@ def test_verdicts_of_figures_2_and_3() -> None:
 
 
 def test_words_of_a_verdict() -> None:
-    assert (verdict(True), verdict(False, True), verdict(False), verdict(False, False)) == (
-        HOLDS,
-        ONLY_IF,
-        FAILS,
-        FAILS,
-    )
+    assert (
+        verdict(True),
+        verdict(False, True),
+        verdict(False),
+        verdict(False, False),
+    ) == (HOLDS, ONLY_IF, FAILS, FAILS)
     assert "does not hold  a  [b]" in table([Claim("b", "a", FAILS, "1")])
 
 
 @pytest.fixture(scope="module")
 def setting() -> Setting:
     return Setting(
-        mass=0.1, damping=1.0, period=0.002, gains=(2.0, 20.0), criterion=Criterion(1500)
+        mass=0.1,
+        damping=1.0,
+        period=0.002,
+        gains=(2.0, 20.0),
+        criterion=Criterion(1500),
     )
 
 
@@ -142,14 +160,21 @@ def setting() -> Setting:
 def ledger(setting: Setting, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fig4") / "fig4.jsonl"
     with ThreadPoolExecutor(2) as pool:
-        sweep(point, drops(setting, sweep(point, designs(setting), pool, path)), pool, path)
+        sweep(
+            point,
+            drops(setting, sweep(point, designs(setting), pool, path)),
+            pool,
+            path,
+        )
     return path
 
 
 @pytest.fixture(scope="module")
 def everything(setting: Setting, ledger: Path) -> list[Curve]:
     rows = read_ledger(ledger)
-    return curves_of(drops(setting, [rows[key_of(job)] for job in designs(setting)]), rows)
+    return curves_of(
+        drops(setting, [rows[key_of(job)] for job in designs(setting)]), rows
+    )
 
 
 @pytest.fixture(scope="module")
@@ -158,13 +183,22 @@ def curves(everything: list[Curve]) -> list[Curve]:
 
 
 @pytest.mark.slow
-def test_figure_4_has_every_law_delay_and_sensor(setting: Setting, curves: list[Curve]) -> None:
+def test_figure_4_has_every_law_delay_and_sensor(
+    setting: Setting, curves: list[Curve]
+) -> None:
     assert [(c.law, c.delay, c.touch) for c in curves] == [
-        (law, delay, touch) for delay in (0.0, 1.0) for law in LAWS for touch in (False, True)
+        (law, delay, touch)
+        for delay in (0.0, 1.0)
+        for law in LAWS
+        for touch in (False, True)
     ]
     for curve in curves:
         for found, linear in zip(curve.found, curve.linear, strict=True):
-            if not curve.touch and found.k_max_n_per_m is not None and linear is not None:
+            if (
+                not curve.touch
+                and found.k_max_n_per_m is not None
+                and linear is not None
+            ):
                 # The drop never outlives the linear loop it lands in; friction, with the Touch X's
                 # sensor, may help.
                 assert found.k_max_n_per_m < linear
@@ -175,19 +209,23 @@ def test_figure_4_has_every_law_delay_and_sensor(setting: Setting, curves: list[
 
 
 @pytest.mark.slow
-def test_designed_law_has_the_damping_of_the_axis(setting: Setting, ledger: Path) -> None:
+def test_designed_law_has_the_damping_of_the_axis(
+    setting: Setting, ledger: Path
+) -> None:
     rows = read_ledger(ledger)
     for job in designs(setting):
         family = _family(setting, job["law"], rows[key_of(job)]["taps"])
         for gain in setting.gains:
             taps = family(gain).taps
-            assert -setting.period * sum(m * tap for m, tap in enumerate(taps)) == pytest.approx(
-                gain, rel=1e-9
-            )
+            assert -setting.period * sum(
+                m * tap for m, tap in enumerate(taps)
+            ) == pytest.approx(gain, rel=1e-9)
 
 
 @pytest.mark.slow
-def test_claims_of_figure_4(setting: Setting, everything: list[Curve], curves: list[Curve]) -> None:
+def test_claims_of_figure_4(
+    setting: Setting, everything: list[Curve], curves: list[Curve]
+) -> None:
     claims = claims_4(setting, curves, spread_of_conventions(setting, everything))
     by = {claim.claim: claim.verdict for claim in claims}
     assert len(claims) == 30
@@ -204,7 +242,9 @@ def test_claims_of_figure_4(setting: Setting, everything: list[Curve], curves: l
         ]
         == HOLDS
     )
-    assert by["the smaller f at the frequency that occurs, the stiffer the wall"] == HOLDS
+    assert (
+        by["the smaller f at the frequency that occurs, the stiffer the wall"] == HOLDS
+    )
     assert by["a long sampling period forces a low stiffness"] == HOLDS
     assert by["PD, b → 0, d = 0: κ_max peaks at 0.6863 at β = 2√2 − 2"] == HOLDS
     assert (
@@ -228,7 +268,9 @@ def test_an_interrupted_figure_keeps_its_points_and_goes_on(
     rows = read_ledger(ledger)
     jobs = drops(setting, [rows[key_of(job)] for job in designs(setting)])
     half = tmp_path / "half.jsonl"
-    half.write_text("".join(ledger.read_text().splitlines(keepends=True)[: len(rows) // 2]))
+    half.write_text(
+        "".join(ledger.read_text().splitlines(keepends=True)[: len(rows) // 2])
+    )
     part = curves_of(jobs, read_ledger(half))
     assert (
         0
@@ -265,7 +307,9 @@ def test_verbs_answer_people_and_machines(
 
 
 @pytest.mark.slow
-def test_figure_4_verb(ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_figure_4_verb(
+    ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     # What was found before is read, not found again.
     shutil.copy(ledger, tmp_path / "fig4.jsonl")
     few = ["--gain", "2..20", "--points", "2", "--horizon", "1500"]
@@ -274,6 +318,9 @@ def test_figure_4_verb(ledger: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert answer["complete"]
     assert len(answer["curves"]) == 24
     assert all(
-        math.isfinite(f) for c in answer["curves"] for f in c["frequency_hz"] if f is not None
+        math.isfinite(f)
+        for c in answer["curves"]
+        for f in c["frequency_hz"]
+        if f is not None
     )
     assert main(["lab", "fig4", "--gain", "3", "--out", str(tmp_path)]) == 2

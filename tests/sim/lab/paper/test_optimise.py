@@ -32,7 +32,9 @@ BAND = (0.02, 0.55)
 @pytest.mark.parametrize("order", [0.3, 1.0, 1.5, 3.47])
 @pytest.mark.parametrize("taps", [2, 4, 30])
 @pytest.mark.parametrize("leak", [True, False])
-def test_f_of_a_term_is_that_of_the_compiled_law(order: float, taps: int, leak: bool) -> None:
+def test_f_of_a_term_is_that_of_the_compiled_law(
+    order: float, taps: int, leak: bool
+) -> None:
     """Normalised at T = 2 here, in SI at T = 2 ms there: equal by another sum."""
     data = {
         "kind": "pd_alpha",
@@ -47,16 +49,18 @@ def test_f_of_a_term_is_that_of_the_compiled_law(order: float, taps: int, leak: 
     offset = 0.001 * (law.h1 - 1.0) if leak else 0.0
     expected = effective_damping(law, 0.002, theta / 0.002) + offset
     # Taps of some 1e3 N/m times T: rounding of a few 1e-12 at 30 taps.
-    assert term_damping(theta, order, taps, leak)[0] == pytest.approx(expected, abs=1e-10)
+    assert term_damping(theta, order, taps, leak)[0] == pytest.approx(
+        expected, abs=1e-10
+    )
 
 
 def test_slope_along_the_order_is_the_difference_quotient() -> None:
     theta = np.linspace(0.1, np.pi, 9)
     h = 1e-6
     for order in (0.4, 1.5, 2.0, 3.6):
-        quotient = (term_damping(theta, order + h, 5)[0] - term_damping(theta, order - h, 5)[0]) / (
-            2 * h
-        )
+        quotient = (
+            term_damping(theta, order + h, 5)[0] - term_damping(theta, order - h, 5)[0]
+        ) / (2 * h)
         # Central difference: h² f'''/6, and rounding 1e-16/h.
         assert term_damping(theta, order, 5)[1] == pytest.approx(quotient, abs=1e-8)
 
@@ -66,7 +70,9 @@ def test_the_optimum_has_its_normalisations_f_at_nyquist() -> None:
     targets = paper_targets()
     at_nyquist = float(damping_curve(np.array([np.pi]), A, ALPHA, 4)[0])
     assert at_nyquist == pytest.approx(3.0, abs=0.05)
-    assert cost(A, ALPHA, targets, 4) == pytest.approx((at_nyquist - 1.0) ** 2, rel=0.02)
+    assert cost(A, ALPHA, targets, 4) == pytest.approx(
+        (at_nyquist - 1.0) ** 2, rel=0.02
+    )
 
 
 def test_descent_goes_down_when_its_steps_are_small() -> None:
@@ -81,7 +87,9 @@ def test_descent_from_the_same_cost_ends_elsewhere_from_elsewhere() -> None:
     """Three targets, four unknowns: optima with J ≈ 0 form a curve."""
     targets = Targets(np.pi * np.array([0.1, 0.5, 1.0]), np.array([-1.0, -1.0, 3.0]))
     ends = [
-        steepest_descent(np.array(gains), np.array(orders), targets, rate=0.01, steps=20000)
+        steepest_descent(
+            np.array(gains), np.array(orders), targets, rate=0.01, steps=20000
+        )
         for gains, orders in (([1.7, 1.3], [1.5, 3.4]), ([1.7, 2.4], [0.5, 2.6]))
     ]
     assert [end.outcome for end in ends] == ["converged", "converged"]
@@ -93,11 +101,15 @@ def test_descent_from_the_same_cost_ends_elsewhere_from_elsewhere() -> None:
 def test_descent_fails_in_every_way_it_can() -> None:
     targets = paper_targets()
     assert (
-        steepest_descent(np.ones(2), np.array([1.5, 3.47]), targets, rate=0.01, steps=2000).outcome
+        steepest_descent(
+            np.ones(2), np.array([1.5, 3.47]), targets, rate=0.01, steps=2000
+        ).outcome
         == "out_of_range"
     )
     assert (
-        steepest_descent(np.ones(2), np.array([1.2, 3.0]), targets, rate=0.01, steps=500).outcome
+        steepest_descent(
+            np.ones(2), np.array([1.2, 3.0]), targets, rate=0.01, steps=500
+        ).outcome
         == "slow"
     )
     assert steepest_descent(
@@ -107,7 +119,9 @@ def test_descent_fails_in_every_way_it_can() -> None:
 
 def least_squares(orders: Array, targets: Targets, taps: int) -> Array:
     """Return the gains of least cost (13) for given orders; of several, the shortest."""
-    basis = np.array([term_damping(targets.theta, order, taps)[0] for order in orders.tolist()])
+    basis = np.array(
+        [term_damping(targets.theta, order, taps)[0] for order in orders.tolist()]
+    )
     gains, *_ = np.linalg.lstsq(basis.T, targets.value, rcond=None)
     return np.asarray(gains, dtype=np.float64)
 
@@ -134,9 +148,9 @@ def test_the_cost_is_cheated_by_a_negative_spring() -> None:
     assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4) == pytest.approx(
         -np.ones(20), abs=1e-8
     )
-    assert damping_curve(theta, np.array([-1.0]), almost_a_spring, 4, leak=False) == pytest.approx(
-        np.zeros(20), abs=1e-8
-    )
+    assert damping_curve(
+        theta, np.array([-1.0]), almost_a_spring, 4, leak=False
+    ) == pytest.approx(np.zeros(20), abs=1e-8)
 
 
 @pytest.mark.parametrize("orders", [[1.5, 3.47], [0.3, 2.2], [1.0, 2.0]])
@@ -187,7 +201,9 @@ def test_impossible_bounds_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_optimise_answers_for_machines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_optimise_answers_for_machines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = "lab optimise --rates 0.03 --steps 30 --starts 3 --nyquist 3.05 --json --out".split()  # noqa: SIM905
     assert main([*words, str(tmp_path)]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[-1])

@@ -46,7 +46,9 @@ def test_a_delay_is_rounded_up_to_the_servo_s_next_tick(
     """1.3 ticks were rounded down to 1.25."""
     late: list[int] = []
 
-    def noted(job: object, period: float, damper: float, servo_ticks: int, most: float) -> float:
+    def noted(
+        job: object, period: float, damper: float, servo_ticks: int, most: float
+    ) -> float:
         late.append(servo_ticks)
         return 100.0
 
@@ -61,7 +63,9 @@ def test_the_stiffest_spring_is_at_its_edge_or_at_the_bound() -> None:
     assert two_rate_radius(CompiledLaw((edge,)), T, device) <= 0.99
     # Bisected 20 times within one step of its grid.
     assert two_rate_radius(CompiledLaw((1.0001 * edge,)), T, device) > 0.99
-    assert relatives._stiffest_spring(job(1.0), T, 2.0, 4, 0.9 * edge) == pytest.approx(0.9 * edge)
+    assert relatives._stiffest_spring(job(1.0), T, 2.0, 4, 0.9 * edge) == pytest.approx(
+        0.9 * edge
+    )
     assert relatives._stiffest_spring(job(1.0), T, 2.0, 4, 10.0) == 0.0
 
 
@@ -69,4 +73,6 @@ def test_the_stiffest_spring_is_at_its_edge_or_at_the_bound() -> None:
 def test_what_a_short_memory_leaks_is_told() -> None:
     found = relatives.tune_family(job(1.0) | {"family": "standard linear solid"})
     law = found["law"]
-    assert found["leak_n_per_m"] == pytest.approx(found["h1_n_per_m"] - law["stiffness"])
+    assert found["leak_n_per_m"] == pytest.approx(
+        found["h1_n_per_m"] - law["stiffness"]
+    )
