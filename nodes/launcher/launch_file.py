@@ -131,6 +131,12 @@ def read_arguments(path: Path) -> tuple[str, dict[str, Argument]]:
     return file.summary, {**_offered(path, file, Including()), **file.arguments}
 
 
+def _substitutes_device(kind: type[Node]) -> bool:
+    """Return whether nodes of a kind have another device than the one they name."""
+    own, inherited = (each.substitute_device for each in (kind, Node))
+    return own.__func__ is not inherited.__func__  # type: ignore[attr-defined]
+
+
 def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Argument]:
     """Return the implicit arguments: `DEVICE`, if the launch has a virtual device."""
     kinds = node_kinds()
@@ -139,11 +145,8 @@ def _offered(path: Path, file: LaunchText, including: Including) -> dict[str, Ar
         factory = kinds.get(kind) if isinstance(kind, str) else None
         # Reading the launch reports unknown or broken kinds.
         with contextlib.suppress(ParameterError, AttributeError):
-            if (
-                factory
-                and load(factory).substitute_device.__func__
-                is not Node.substitute_device.__func__  # type: ignore[attr-defined]
-            ):
+            made = factory and load(factory)
+            if made and _substitutes_device(made):
                 return {DEVICE: _DEVICE}
     # Reading the launch also reports broken includes.
     with contextlib.suppress(ParameterError):

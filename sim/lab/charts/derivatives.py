@@ -129,9 +129,11 @@ def derivative_groups(
         jobs_beside: list[Callable[[], Any]] = [
             partial(_figures, kind, taps, order) for kind, taps, _ in found
         ]
-        figures = spread(
-            jobs_beside, lambda done, _, order=order: step(f"D^{order:g} {done}")
-        )  # type: ignore[misc]
+
+        def told(done: str, _: int, order: float = order) -> None:
+            step(f"D^{order:g} {done}")
+
+        figures = spread(jobs_beside, told)
         for (kind, taps, _), measured in zip(found, figures, strict=True):
             name = f"{kind} {taps}"
             node, fast = timings[f"{name}|node"], timings[f"{name}|compiled"]

@@ -84,8 +84,9 @@ def test_a_running_device_tells_its_masses_to_whoever_judges_a_loop(
         assert told()["least_kg"] == pytest.approx(0.1)
         stand.world.state.position[1] = 0.0
         wait_for(
-            lambda: told()["here_kg"][2] == pytest.approx(0.1), "the first pose again"
-        )  # type: ignore[index]
+            lambda: told()["here_kg"][2] == pytest.approx(0.1),  # type: ignore[index]
+            "the first pose again",
+        )
         info = launch.haptic("node", "info", "driver")
         assert (
             "mass: 0.15, 0.1, 0.1 kg along x, y, z at its position; 0.1 to 0.3 kg in all poses"

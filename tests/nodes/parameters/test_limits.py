@@ -113,8 +113,8 @@ def put(tree: Any, info: inspect.Type, way: tuple[str | int, ...], value: Any) -
     inner = (
         info.item_types[int(way[0])]
         if isinstance(info, inspect.TupleType)
-        else info.item_type
-    )  # type: ignore[attr-defined]
+        else info.item_type  # type: ignore[attr-defined]
+    )
     tree[way[0]] = put(tree[int(way[0])], inner, way[1:], value)
     return tree
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 from collections.abc import Iterator
@@ -283,9 +284,9 @@ def test_what_is_refused_is_shown_with_its_reason(page: Page, launch: Running) -
         exact.fill(value)
         page.keyboard.press("Enter")
         wait_for(
-            lambda reason=reason: reason in shown(page, "#refusal"),
+            functools.partial(lambda reason: reason in shown(page, "#refusal"), reason),
             f"the reason: {reason}",
-        )  # type: ignore[misc]
+        )
         assert launch.call("coupling", "param.get", name="laws.pd.stiffness") == before
         # The control goes back to what holds.
         wait_for(
@@ -349,9 +350,7 @@ def test_laws_are_swapped_in_two_tabs(
             other.locator("#laws label").filter(has_text=name).first.click()
             for tab in (page, other):
                 checked = tab.locator(f"#laws input[value={name}]")
-                wait_for(
-                    lambda checked=checked: checked.is_checked(), f"{name} is marked"
-                )  # type: ignore[misc]
+                wait_for(checked.is_checked, f"{name} is marked")
             assert launch.call("coupling", "law.list")["active"] == name
         wait_for(
             lambda: "→ pd" in shown(page, "#log li.receipt >> nth=0"),

@@ -187,9 +187,9 @@ def test_an_ended_page_goes_on_when_its_view_comes_again(
         wait_for(
             lambda: page.evaluate("document.getElementById('dial').inert"), "the end"
         )
-        asyncio.run_coroutine_threadsafe(first.stop(), first._server.get_loop()).result(
-            20.0
-        )  # type: ignore[union-attr]
+        assert first._server is not None
+        loop = first._server.get_loop()
+        asyncio.run_coroutine_threadsafe(first.stop(), loop).result(20.0)
         with served(script, first.port):
             wait_for(lambda: len(script.pages) == 2, "the page comes back")
             wait_for(

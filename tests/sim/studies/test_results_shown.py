@@ -223,9 +223,8 @@ def test_figures_without_a_picture_are_bars() -> None:
     drawn = Shown(lines=(), a={"b": 1.0}, c=2, d="text", e=True, f=None).plot()
     (axes,) = drawn.axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a.b", "c"]
-    np.testing.assert_array_equal(
-        [bar.get_bbox().width for bar in axes.patches], [1.0, 2.0]
-    )  # type: ignore[attr-defined]
+    widths = [bar.get_bbox().width for bar in axes.patches]  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(widths, [1.0, 2.0])
 
 
 @pytest.mark.slow
