@@ -307,7 +307,7 @@ WITH_ARGUMENTS = {
 FUNCTIONS = ("sim.studies", "sim.lab.studies")
 """Where functions of options stand that are sub-verbs: one a file, called as it is."""
 
-LONGEST_VERB = 80
+LONGEST_VERB = 60
 """Lines of a function of a command, which parses, calls and prints."""
 
 
@@ -362,7 +362,7 @@ def test_verbs_are_in_one_place() -> None:
 
 
 OTHER_QUANTITIES = {
-    ("nodes.cli.bag", "--rate"),  # of `bag play`, a speed as in ROS 2
+    ("nodes.cli.bag_arguments", "--rate"),  # of `bag play`, a speed as in ROS 2
     ("nodes.cli.publish", "--rate"),  # of `topic pub`, messages a second as in ROS 2
     ("sim.cli.bench.taps", "--taps"),  # several
     # a range, or a published hand by its name

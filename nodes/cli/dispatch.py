@@ -65,27 +65,25 @@ def dispatch(
             prog=f"{parser.prog} {arguments.chosen}", description=first_line(full)
         )
         declare(VERBS.load(full), own)
-        chosen, left_over = own.parse_known_args(arguments.rest)
-        if left_over:
-            chosen.parser.refuse(left_over)
-        out = getattr(chosen, "out", None)
-        if isinstance(out, Path):
-            refuse_unwritable(out)
-        try:
-            return int(chosen.run(chosen))
-        except KeyboardInterrupt as interrupt:
-            sys.stderr.write(erased(sys.stderr))
-            complain(
-                ": ".join(
-                    [
-                        f"{verb} {arguments.chosen} was interrupted",
-                        *map(str, interrupt.args),
-                    ]
-                )
-            )
-            raise
+        return _call(own, arguments.rest, f"{verb} {arguments.chosen}")
 
     parser.set_defaults(run=run, sub_verbs=known, declare=declare)
+
+
+def _call(own: Parser, rest: list[str], name: str) -> int:
+    """Parse a sub-verb's arguments and run it; an interrupted one is named."""
+    chosen, left_over = own.parse_known_args(rest)
+    if left_over:
+        chosen.parser.refuse(left_over)
+    out = getattr(chosen, "out", None)
+    if isinstance(out, Path):
+        refuse_unwritable(out)
+    try:
+        return int(chosen.run(chosen))
+    except KeyboardInterrupt as interrupt:
+        sys.stderr.write(erased(sys.stderr))
+        complain(": ".join([f"{name} was interrupted", *map(str, interrupt.args)]))
+        raise
 
 
 def _current(verb: str, moved: Mapping[str, str], name: str) -> str:

@@ -12,14 +12,13 @@ from typing import Any
 import msgspec
 
 from messages.errors import UsageError
-from messages.transport.endpoints import is_remote
 from messages.transport.requests import ControlError
 from nodes.base import realtime
 from nodes.base.printable import printable
-from nodes.base.setup import Setup
 from nodes.base.stderr_queue import drain_stderr, instead_of_stderr
 from nodes.cli.debugging import Debugging
 from nodes.cli.dispatch import refuse_unwritable
+from nodes.cli.launch_report import note_cut, recordings_of, summarise, text_of
 from nodes.cli.main import add_json, answer, coloured, heeding
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.status_line import StatusLine
@@ -33,7 +32,14 @@ from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.logger import LoggerParameters, file_of
-from nodes.recording.writer import Ended, write_ended
+
+_FLAGS = (
+    (("--list",), "list the scenarios"),
+    (("--show-args", "-s"), "show the arguments of a scenario"),
+    (("--debug", "-d"), "print the resolved launch and each process"),
+    (("--no-plot",), "do not draw the recording at the end"),
+    (("--view",), "serve a page to see and touch the scene; print its URL first"),
+)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -44,13 +50,6 @@ def add(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="name:=value",
         help="arguments of the launch file",
-    )
-    parser.add_argument("--list", action="store_true", help="list the scenarios")
-    parser.add_argument(
-        "--show-args",
-        "-s",
-        action="store_true",
-        help="show the arguments of a scenario",
     )
     parser.add_argument(
         "--without",
@@ -87,20 +86,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="directory of recordings and plot (default: from the launch file)",
     )
-    parser.add_argument(
-        "--debug",
-        "-d",
-        action="store_true",
-        help="print the resolved launch and each process",
-    )
-    parser.add_argument(
-        "--no-plot", action="store_true", help="do not draw the recording at the end"
-    )
-    parser.add_argument(
-        "--view",
-        action="store_true",
-        help="serve a page to see and touch the scene; print its URL first",
-    )
+    for names, text in _FLAGS:
+        parser.add_argument(*names, action="store_true", help=text)
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -134,230 +121,6 @@ def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
             "help": argument.help,
         }
     return {"scenario": path.stem, "arguments": figures}, "\n".join(lines)
-
-
-def _recordings(launch: Launch, supervisor: Supervisor) -> list[tuple[str, str]]:
-    """Return host (``host:``, empty for this machine) and path of each recording, as for scp."""
-    found = []
-    for name, child in supervisor.children.items():
-        # A killed logger leaves no report, but a file.
-        path = supervisor.reports.get(name, {}).get("recording") or _path_of(
-            child.setup, supervisor.run
-        )
-        if path:
-            host = launch.nodes[name].host
-            place = f"[{host}]:" if ":" in host else f"{host}:"
-            found.append((place if host and is_remote(f"tcp://{place}1") else "", path))
-    return found
-
-
-def _path_of(setup: Setup, run: str) -> str:
-    """Return the existing file that a local logger records to; else an empty string."""
-    if setup.kind != "logger" or setup.control.startswith("tcp://"):
-        return ""
-    path = file_of(
-        msgspec.convert(setup.parameters, LoggerParameters).path, run, setup.name
-    )
-    return path if os.path.exists(path) else ""
-
-
-def _note_cut(supervisor: Supervisor, ticks: int) -> None:
-    """Write the run's number of ticks beside each recording that its logger did not finish."""
-    for child in supervisor.children.values():
-        path = _path_of(child.setup, supervisor.run) if child.ended_badly else ""
-        if path:
-            write_ended(Path(path), Ended(ticks, child.end))
-
-
-def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
-    """Collect the figures of a run from the reports of its nodes."""
-    drivers = {
-        name.rpartition("/")[0]: name
-        for name, child in supervisor.children.items()
-        if child.drives
-    }
-    chains = {
-        chain: _of_chain(launch, chain, supervisor.reports.get(name, {}))
-        for chain, name in drivers.items()
-    }
-    recordings = [place + path for place, path in _recordings(launch, supervisor)]
-    return {
-        "scenario": launch.scenario,
-        "run": supervisor.run,
-        # Of several chains the first; all are listed below.
-        **next(iter(chains.values()), _of_chain(launch, "", {})),
-        "tick": supervisor.tick,
-        "tick_by_node": {
-            name: tick
-            for name, report in supervisor.reports.items()
-            if (tick := report.get("tick"))
-        },
-        "ticks_compiled": {
-            name: report.get("ticks_compiled", 0)
-            for name, report in supervisor.reports.items()
-        },
-        "spent_us": {
-            name: spent
-            for name, report in supervisor.reports.items()
-            if (spent := report.get("spent_us"))
-        },
-        "moved": {
-            name: moved
-            for name, report in supervisor.reports.items()
-            if (moved := report.get("moved"))
-        },
-        "recording": recordings[0] if recordings else None,
-        "recordings": recordings,
-        "plot": None,
-        "exit_reason": supervisor.exit_reason,
-        "failures": supervisor.failures,
-        "not_judged": supervisor.unjudged,
-        "load": None
-        if supervisor.load is None
-        else msgspec.to_builtins(supervisor.load),
-        "startup_s": round(supervisor.startup_s, 3),
-        "nodes": {
-            name: report["status"] for name, report in supervisor.reports.items()
-        },
-        **({"chains": chains} if len(chains) > 1 else {}),
-    }
-
-
-def _of_chain(launch: Launch, chain: str, driver: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures of one chain from its driver's report."""
-    axes = launch.axes.get(chain) or launch.run.axes
-    axis = "xyz".index(axes[0])
-    single = len(axes) == 1
-    final = driver.get("final", {})
-    nothing = {
-        "ticks": 0,
-        "missed": 0,
-        "overruns": 0,
-        "rate_hz": 0.0,
-        "response_us": {},
-        "age_ticks_max": 0,
-    }
-    nothing |= {"energy_j": 0.0, "energy_max_j": 0.0, "guard": None, "safety": {}}
-    return {key: driver.get(key, none) for key, none in nothing.items()} | {
-        "final": {
-            key: (final[key][axis] if single else final[key]) if key in final else None
-            for key in (
-                "position_m",
-                "force_n",
-                "motion",
-                "swing_m",
-                "frequency_hz",
-                "velocity_m_per_s",
-            )
-        }
-    }
-
-
-def _safety_text(safety: dict[str, Any]) -> list[str]:
-    """Return lines about the driver's safety actions; none if there were none."""
-    counts = [
-        f"{number} refused ({why})"
-        for why, number in safety.get("refused", {}).items()
-        if number
-    ]
-    counts += [
-        f"{number} lowered ({which})"
-        for which, number in safety.get("limited", {}).items()
-        if number
-    ]
-    first = ("waiting", "active")  # happens in every run, so not shown
-    changes = [
-        one["reason"]
-        for one in safety.get("changes", [])
-        if (one["before"], one["after"]) != first
-    ]
-    lines = [f"  safety    forces {', '.join(counts)}"] if counts else []
-    lines += [f"  safety    {text}" for text in (*safety.get("told", []), *changes)]
-    return lines
-
-
-def _ending(final: dict[str, Any], stopped: bool) -> str:
-    """Return a line about the final motion: stopped, at rest, swinging, falling or moving."""
-    motion = final["motion"]
-    where = (
-        f"position {final['position_m'] * 1e3:+.4f} mm, force {final['force_n']:+.4f} N"
-    )
-    swing = f"{final['swing_m'] * 1e3:.3g} mm"
-    speed = f"{final['velocity_m_per_s']:+.3g} m/s"
-    if stopped:
-        return f"  stopped   {where}, {motion}: no force acts any more"
-    if motion == "swinging":
-        return (
-            f"  swinging  {where}, {swing} to and fro at {final['frequency_hz']:.3g} Hz"
-        )
-    if motion == "falling":
-        return f"  falling   {where}, {speed}: it touches nothing"
-    return (
-        f"  at rest   {where}"
-        if motion == "at rest"
-        else f"  moving    {where}, {speed}"
-    )
-
-
-def _text(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
-    lines = [
-        f"{launch.scenario}: {figures['exit_reason']} after {figures['ticks']} ticks"
-    ]
-    lines += [
-        f"  failed    {failure}"
-        for failure in figures["failures"]
-        if failure != figures["exit_reason"]
-    ]
-    by_node = figures["tick_by_node"]
-    if by_node:
-        ticks = sorted(set(by_node.values()))
-        shown = [
-            f"{tick}: {', '.join(name for name in by_node if by_node[name] == tick)}"
-            for tick in ticks
-        ]
-        lines.append(f"  tick      {'; '.join(shown) if len(ticks) > 1 else ticks[0]}")
-    if overload:
-        lines.append(f"  overload  {overload}")
-    lines += [
-        f"  stability not judged: {why}" for why in figures["not_judged"].values()
-    ]
-    for chain, own in figures.get("chains", {"": figures}).items():
-        lines += [f" /{chain}"] if chain else []
-        lines += _chain_text(own)
-    lines += [
-        f"  moved     shapes of {name} put {1e3 * moved['energy_j']:.3g} mJ into the device, at"
-        f" most {moved['power_w']:.3g} W"
-        for name, moved in figures["moved"].items()
-    ]
-    lines += [f"  recording {path}" for path in figures["recordings"]]
-    return "\n".join(lines)
-
-
-def _chain_text(figures: dict[str, Any]) -> list[str]:
-    """Return lines about one chain."""
-    response = figures["response_us"]
-    lines = list[str]()
-    if response and figures["ticks"]:
-        lines = [
-            (
-                f"  rate      {figures['rate_hz']:.2f} Hz, missed {figures['missed']}, overruns"
-                f" {figures['overruns']}, oldest force {figures['age_ticks_max']} ticks"
-            ),
-            (
-                f"  response  p50 {response['p50']:.0f} µs, p99 {response['p99']:.0f} µs, "
-                f"p99.9 {response['p999']:.0f} µs, max {response['max']:.0f} µs"
-            ),
-        ]
-    if guard := figures["guard"]:
-        lines.append(
-            f"  guard     lowered {guard['lowered']} and raised {guard['raised']} forces; energy"
-            f" owed: at most {guard['highest_j'] * 1e3:.4g} mJ"
-        )
-    lines += _safety_text(figures["safety"])
-    final = figures["final"]
-    if figures["ticks"] and isinstance(final["position_m"], float):
-        lines.append(_ending(final, figures["safety"].get("state") == "stopped"))
-    return lines
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -488,23 +251,27 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             supervisor.exit_reason = str(error)
             say(str(error))
     status.clear()
+    return _end(launch, supervisor, arguments, page, say)
+
+
+def _end(
+    launch: Launch,
+    supervisor: Supervisor,
+    arguments: argparse.Namespace,
+    page: PageAnnouncer,
+    say: Callable[[str], None],
+) -> int:
+    """Print what came of a run, draw its recording, and return the exit code."""
     figures = summarise(launch, supervisor)
-    _note_cut(supervisor, figures["ticks"])
+    note_cut(supervisor, figures["ticks"])
+    overload = "" if supervisor.load is None else supervisor.load.text
     if not arguments.json:
         # Print before drawing, which takes a second.
-        _print(
-            printable(
-                _text(
-                    launch,
-                    figures,
-                    "" if supervisor.load is None else supervisor.load.text,
-                )
-            )
-        )
+        _print(printable(text_of(launch, figures, overload)))
     if launch.run.tick == "auto" and supervisor.tick == "plain" and figures["ticks"]:
         _compile_later(launch, supervisor, say)
     # A recording on another machine is drawn there, with haptic bag plot.
-    here = [path for place, path in _recordings(launch, supervisor) if not place]
+    here = [path for place, path in recordings_of(launch, supervisor) if not place]
     if here and not arguments.no_plot and figures["ticks"]:
         try:
             figures["plot"] = _plot(here[0], say)

@@ -34,6 +34,15 @@ REPORT_PERIOD = 1.0  # time between interim results of hz, bw and delay [s]
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
+    measured: tuple[tuple[str, type[_Measure], str], ...] = (
+        ("hz", _Measure, "Measure rate and intervals of a topic, as received."),
+        ("bw", _Bandwidth, "Measure the bandwidth of a topic."),
+        (
+            "delay",
+            _Delay,
+            "Measure the time from a message's stamp to its receipt (realtime runs).",
+        ),
+    )
     sub = parser.add_subparsers(
         dest="chosen", metavar="list|info|echo|hz|bw|delay|pub", required=True
     )
@@ -48,11 +57,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     declare(
         "info", _info, "Show a topic's type, fields with units, and publisher."
     ).add_argument("topic")
-    echo = declare(
-        "echo",
-        _echo,
-        "Print the messages of a topic (with --json: one JSON object per line).",
-    )
+    text = "Print the messages of a topic (with --json: one JSON object per line)."
+    echo = declare("echo", _echo, text)
     echo.add_argument(
         "--once", action="store_true", help="print one message, then exit (-n 1)"
     )
@@ -61,27 +67,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="print only this field, e.g. position or position[2]",
     )
-    add_publish(
-        declare(
-            "pub",
-            publish,
-            "Publish an external force or hand target, within the driver's limits.",
-        )
-    )
+    text = "Publish an external force or hand target, within the driver's limits."
+    add_publish(declare("pub", publish, text))
     figures = [
-        declare(
-            "hz",
-            partial(_measure, _Measure),
-            "Measure rate and intervals of a topic, as received.",
-        ),
-        declare(
-            "bw", partial(_measure, _Bandwidth), "Measure the bandwidth of a topic."
-        ),
-        declare(
-            "delay",
-            partial(_measure, _Delay),
-            "Measure the time from a message's stamp to its receipt (realtime runs).",
-        ),
+        declare(name, partial(_measure, measure), text)
+        for name, measure, text in measured
     ]
     for own in figures:
         own.add_argument(
@@ -93,22 +83,27 @@ def add(parser: argparse.ArgumentParser) -> None:
             help="measure only the last N messages (default: all)",
         )
     for own in (echo, *figures):
-        own.add_argument("topic")
-        own.add_argument(
-            "--count",
-            "-n",
-            type=_count,
-            default=0,
-            metavar="N",
-            help="exit after N messages",
-        )
-        own.add_argument(
-            "--duration",
-            type=above_zero,
-            default=0.0,
-            metavar="S",
-            help="exit after S seconds",
-        )
+        _add_ends(own)
+
+
+def _add_ends(own: argparse.ArgumentParser) -> None:
+    """Declare a topic, and when to stop listening to it."""
+    own.add_argument("topic")
+    own.add_argument(
+        "--count",
+        "-n",
+        type=_count,
+        default=0,
+        metavar="N",
+        help="exit after N messages",
+    )
+    own.add_argument(
+        "--duration",
+        type=above_zero,
+        default=0.0,
+        metavar="S",
+        help="exit after S seconds",
+    )
 
 
 def _count(text: str) -> int:

@@ -11,6 +11,18 @@ from sim.cli.answers import add_answer, report
 from sim.cli.functions import declare as declare_function
 from sim.studies.device_identify import device_identify
 
+_INFO = (
+    "Connect to a device with forces off; print what it is and which force it can give."
+)
+_CHECK = (
+    "Check a device by hand: noise, rate, axes without a force, then a first force in"
+    " steps, each asked for."
+)
+_FREE = (
+    "Name the process that holds a device; where there is none, switch its forces off"
+    " and release it."
+)
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the sub-verbs."""
@@ -22,27 +34,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     listed = sub.add_parser("list", help="which devices can be driven from here")
     add_answer(listed, _list, files=False)
     for name, run, text in (
-        (
-            "info",
-            _info,
-            "Connect to a device with forces off; print what it is and which force it can give.",
-        ),
-        (
-            "check",
-            _check,
-            (
-                "Check a device by hand: noise, rate, axes without a force, then a first force in"
-                " steps, each asked for."
-            ),
-        ),
-        (
-            "free",
-            _free,
-            (
-                "Name the process that holds a device; where there is none, switch its forces off"
-                " and release it."
-            ),
-        ),
+        ("info", _info, _INFO),
+        ("check", _check, _CHECK),
+        ("free", _free, _FREE),
     ):
         one = sub.add_parser(name, help=text, description=text)
         one.add_argument("kind", help="kind of node that drives it: haptic device list")

@@ -56,6 +56,18 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_answer(parser, run, files=False)
 
 
+_PARAMETERS: dict[str, dict[str, Any]] = {
+    "environment": {
+        "surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}
+    },
+    "coupling": {
+        "law": "pd",
+        "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
+        "stability": "off",
+    },
+}
+
+
 class _Loop:
     """Environment and coupling over tcp or ipc, driven by this process."""
 
@@ -82,38 +94,16 @@ class _Loop:
         stack.callback(self._publisher.close, 0)
         self._inbox = Subscription(context, [force], [topics.FORCE])
         stack.callback(self._inbox.close)
-        law = {
-            "law": "pd",
-            "laws": {"pd": {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}},
-            "stability": "off",
-        }
-        surface = {
-            "surface": {"kind": "plane", "axis": "z", "position": 0.0, "normal": 1}
-        }
-        for kind, factory, place, topic, source, parameters in (
-            (
-                "environment",
-                "nodes.environment.node:Environment",
-                proxy,
-                topics.DEVICE_STATE,
-                state,
-                surface,
-            ),
-            (
-                "coupling",
-                "nodes.coupling.node:Coupling",
-                force,
-                topics.PROXY,
-                proxy,
-                law,
-            ),
+        for kind, place, topic, source in (
+            ("environment", proxy, topics.DEVICE_STATE, state),
+            ("coupling", force, topics.PROXY, proxy),
         ):
             setup = Setup(
                 run=name,
                 run_dir=str(folder),
                 name=f"{kind}_{name}",
                 kind=kind,
-                factory=factory,
+                factory=f"nodes.{kind}.node:{kind.capitalize()}",
                 period=period,
                 pace="lockstep",
                 apply="on_arrival",
@@ -124,7 +114,7 @@ class _Loop:
                 sources={topic: source},
                 listeners=1,
                 scheduling=scheduling,
-                parameters=parameters,
+                parameters=_PARAMETERS[kind],
             )
             path = folder / f"{kind}_{name}.json"
             path.write_bytes(msgspec.json.encode(setup))

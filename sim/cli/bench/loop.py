@@ -210,39 +210,17 @@ def realtime(
         for name, rate in pairs[k % len(pairs) :] + pairs[: k % len(pairs)]:
             if name in programs:
                 # The bare loop gets the same machine settings as the launch.
+                ticks = round(seconds * rate)
+                program = programs[name]
                 with awake() if rate >= AWAKE_RATE else contextlib.nullcontext():
-                    run = bare_loop(
-                        round(seconds * rate),
-                        core,
-                        fifo,
-                        float(rate),
-                        True,
-                        programs[name],
-                    )
+                    run = bare_loop(ticks, core, fifo, float(rate), True, program)
             else:
                 one, _, case = name.partition(" ")
-                words = (
-                    f"rate:={rate}",
-                    f"duration:={seconds}",
-                    "stiffness:=500",
-                    "--tick",
-                    one,
-                )
-                run = launch(*launches[case], *words)
+                words = (f"rate:={rate}", f"duration:={seconds}", "stiffness:=500")
+                run = launch(*launches[case], *words, "--tick", one)
             found[name, rate].append(run)
             progress.step(f"{rate} Hz, {name}")
-    names = ("p50", "p99", "p999", "max")
-    figures: dict[str, Any] = {}
-    for (name, rate), runs in found.items():
-        key = f"{rate}_hz"
-        response = {
-            n: statistics.median(r["response_us"][n] for r in runs) for n in names
-        }
-        lost = sum(r["missed"] + r.get("overruns", 0) for r in runs)
-        share = lost / max(1, sum(r["ticks"] + r.get("overruns", 0) for r in runs))
-        for prefix in (f"{name}_", *([""] if name == tick else [])):
-            figures.setdefault(f"{prefix}response_us", {})[key] = response
-            figures.setdefault(f"{prefix}missed_share", {})[key] = share
+    figures = _responses(found, tick)
     slow = found[tick, rates[0]]
     nodes = slow[0]["nodes"]
     figures["memory_mb"] = {
@@ -259,6 +237,36 @@ def realtime(
     return figures
 
 
+def _responses(
+    found: dict[tuple[str, int], list[dict[str, Any]]], tick: Tick
+) -> dict[str, Any]:
+    """Return response and share of missed ticks by kind and rate; those of `tick` first."""
+    figures: dict[str, Any] = {}
+    for (name, rate), runs in found.items():
+        key = f"{rate}_hz"
+        response = {
+            quantile: statistics.median(run["response_us"][quantile] for run in runs)
+            for quantile in ("p50", "p99", "p999", "max")
+        }
+        left_out = sum(run.get("overruns", 0) for run in runs)
+        missed = sum(run["missed"] for run in runs)
+        ticks = sum(run["ticks"] for run in runs)
+        share = (missed + left_out) / max(1, ticks + left_out)
+        for prefix in (f"{name}_", *([""] if name == tick else [])):
+            figures.setdefault(f"{prefix}response_us", {})[key] = response
+            figures.setdefault(f"{prefix}missed_share", {})[key] = share
+    return figures
+
+
+def _speeds(figures: dict[str, Any], names: Sequence[str], key: str = "") -> str:
+    """Return the ticks per second of the kinds that were measured, as text."""
+    return ", ".join(
+        f"{NAMES[name]} {rate:.0f}"
+        for name in names
+        if (rate := figures.get(f"{name}{key}_ticks_per_s")) is not None
+    )
+
+
 def text(figures: dict[str, Any]) -> str:
     """Format the figures as text."""
     low, high = figures["ratio_range"]
@@ -266,26 +274,10 @@ def text(figures: dict[str, Any]) -> str:
         figures["machine"]
         + (", SCHED_FIFO granted" if figures["fifo"] else ", no SCHED_FIFO")
     ]
+    alone = [name for name in NAMES if " " not in name]
     for key, label in (("", "without a logger"), ("_with_logger", "with one")):
-        rates = {
-            name: figures.get(f"{name}{key}_ticks_per_s")
-            for name in NAMES
-            if " " not in name
-        }
-        found = ", ".join(
-            f"{NAMES[name]} {rate:.0f}"
-            for name, rate in rates.items()
-            if rate is not None
-        )
-        lines.append(f"lockstep   {label}, ticks/s: {found}")
-    cases = {
-        label: figures.get(f"{name}_ticks_per_s")
-        for name, label in NAMES.items()
-        if " " in name
-    }
-    if found := ", ".join(
-        f"{label} {rate:.0f}" for label, rate in cases.items() if rate is not None
-    ):
+        lines.append(f"lockstep   {label}, ticks/s: {_speeds(figures, alone, key)}")
+    if found := _speeds(figures, [name for name in NAMES if " " in name]):
         lines.append(f"           without a logger, ticks/s: {found}")
     lines += [
         f"           bare/ours {figures['ratio']:.2f} ({low:.2f} to {high:.2f})",
@@ -298,10 +290,8 @@ def text(figures: dict[str, Any]) -> str:
         key = f"{rate}_hz"
         for name, label in NAMES.items():
             if key in figures.get(f"{name}_response_us", {}):
-                response, missed = (
-                    figures[f"{name}_response_us"][key],
-                    figures[f"{name}_missed_share"][key],
-                )
+                response = figures[f"{name}_response_us"][key]
+                missed = figures[f"{name}_missed_share"][key]
                 lines.append(
                     f"{rate:5} Hz   {label:32} response p50 {response['p50']:4.0f} µs, p99"
                     f" {response['p99']:4.0f} µs, max {response['max']:5.0f} µs, missed"

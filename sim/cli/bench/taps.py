@@ -1,6 +1,7 @@
 """Time a tick over the number of taps: plain loop, unrolled, numpy and numba."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +75,18 @@ def run(arguments: argparse.Namespace) -> int:
     ) / 3.0
     if arguments.out is not None:
         figures["files"] = [str(path) for path in _write(figures, arguments.out)]
+    return report(arguments, figures, _lines(figures, WAYS))
+
+
+def _lines(figures: dict[str, Any], ways: Sequence[str]) -> list[str]:
+    """Return the figures as text."""
     lines = [
         "   taps"
-        + "".join(f"{way:>12}" for way in WAYS)
+        + "".join(f"{way:>12}" for way in ways)
         + "   fastest with the kernel's bits   [µs per tick]"
     ]
     for point in figures["points"]:
-        cells = "".join(f"{point[f'{way}_us']:12.3g}" for way in WAYS)
+        cells = "".join(f"{point[f'{way}_us']:12.3g}" for way in ways)
         lines.append(
             f"{point['taps']:7d}{cells}   {figures['fastest'][str(point['taps'])]}"
         )
@@ -110,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
     lines.append(
         f"same bits: {'yes' if figures['same_bits'] else 'NO'}; {figures['machine']['cpu']}"
     )
-    return report(arguments, figures, lines)
+    return lines
 
 
 @styled
