@@ -11,7 +11,7 @@ import ast
 import inspect
 import textwrap
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from sim.javascript.expressions import Expressions, Scope
@@ -34,6 +34,7 @@ class Emitter(Expressions):
         """
         super().__init__()
         self._host = dict(host or {})
+        self._reserved: dict[Callable[..., Any], str] = {}
         self._names: dict[Callable[..., Any], str] = {}
         self._texts: list[str] = []
 
@@ -78,11 +79,23 @@ class Emitter(Expressions):
             self._texts.append(text)
         return self._names[function]
 
+    def reserve(self, functions: Iterable[Callable[..., Any]]) -> None:
+        """Reserve the plain names of functions that scripts call; ValueError if one is taken."""
+        for function in functions:
+            name = identifier(function.__name__)
+            if name in {*self._reserved.values(), *self._names.values()}:
+                raise ValueError(
+                    f"two functions are named {name}; scripts call one of them"
+                )
+            self._reserved[function] = name
+
     def _new_name(self, function: Callable[..., Any]) -> str:
+        if function in self._reserved:
+            return self._reserved[function]
         name = identifier(function.__name__.lstrip("_"))
         if function.__name__.startswith("_"):
             name += "$"  # its name without the underscore may be that of a variable
-        taken = {*self._names.values(), *self._host.values()}
+        taken = {*self._names.values(), *self._host.values(), *self._reserved.values()}
         return (
             name
             if name not in taken

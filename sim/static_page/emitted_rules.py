@@ -81,6 +81,7 @@ _SPACES: Final = re.compile(r" ?([{}()\[\],;=<>*/?:&|]) ?")
 def emitted() -> Emitter:
     """Return the emitted rules."""
     emitter = Emitter(_HOST)
+    emitter.reserve(_ROOTS)
     for root in _ROOTS:
         emitter.function(root)
     return emitter

@@ -5,7 +5,7 @@ Python builds and checks the nodes as for a launch; the worker only continues fr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from nodes.compiled.memory import reals_at
@@ -32,6 +32,8 @@ _ADDRESSES: Final = {
 }
 """Fields that hold an address of floats: the field with their count, and floats per count."""
 
+_ADDRESS: Final = range(2**32, 2**48)
+"""Whole numbers of a state that are addresses of this process; counts are smaller."""
 
 _BODIES: Final = (
     "mujoco",
@@ -87,8 +89,8 @@ def image_of(launch: Launch, ticks: int) -> dict[str, Any]:
         "axes": list(nodes.axes),
         "driver": _fields(driver, "driver"),
         "devices": [_fields(part, "device") for part in parts[""]],
-        "environment": fields_of(state),
-        "coupling": fields_of(nodes.coupling.counters),
+        "environment": _placeless(fields_of(state)),
+        "coupling": _placeless(fields_of(nodes.coupling.counters)),
         "table": list(reals_at(state.table, state.table_count)),
         "memory": list(reals_at(state.memory, state.memory_count)),
         **_laws(launch, hops, ticks, len(nodes.axes)),
@@ -110,10 +112,22 @@ def _fields(state: Any, name: str) -> dict[str, Any]:
         address: list(_flat(reals_at(fields[address], fields[count] * each)))
         for address, (count, each) in _ADDRESSES[name].items()
     }
+    rest = {key: one for key, one in fields.items() if key not in placed}
+    return {"fields": _placeless(rest), **placed}
+
+
+def _placeless(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with 0 for addresses, so that a launch has the same image each time."""
     return {
-        "fields": {key: one for key, one in fields.items() if key not in placed},
-        **placed,
+        name: [_no_address(part) for part in one]
+        if hasattr(one, "__len__")
+        else _no_address(one)
+        for name, one in fields.items()
     }
+
+
+def _no_address(value: Any) -> Any:
+    return 0 if isinstance(value, int) and value in _ADDRESS else value
 
 
 def _flat(values: Any) -> list[float]:

@@ -1,12 +1,16 @@
 """Write the page of scenarios as a folder of plain files, for any static host.
 
 The page is that of ``haptic launch --view``; in place of the server stands a worker that plays the
-loop. No file is loaded from elsewhere, and paths are relative.
+loop. No file is loaded from elsewhere, and paths are relative. Worker and scenarios are compressed:
+much of their numbers is the same in all of them.
 """
 
 from __future__ import annotations
 
+import base64
+import re
 import shutil
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -44,6 +48,9 @@ _TICKS: Final = (
 )
 LONGEST_DELAY: Final = 20  # longest delay of the device that the page plays [ticks]
 LARGEST: Final = 500_000  # largest folder [bytes]
+# An array that several scenarios may have; a marker that is in no script stands for it.
+_ARRAY: Final = re.compile(r"\[[-+\d.e, ]{80,}\]")
+_MARK: Final = "\x01"
 
 
 def write_site(directory: Path, scenarios: Sequence[str] = ()) -> dict[str, Any]:
@@ -64,12 +71,11 @@ def write_site(directory: Path, scenarios: Sequence[str] = ()) -> dict[str, Any]
         If a launch file is invalid, or has what a browser cannot play.
     """
     launches = [launch_file.read(name, {}) for name in scenarios or _FIRST]
-    files = site_files(launches)
+    texts = {launch.scenario: data_script(launch) for launch in launches}
+    files = site_files(texts)
     size = sum(len(content) for content in files.values())
     if size > LARGEST:
-        raise UsageError(
-            f"{directory}: {size} bytes, limit {LARGEST}; name fewer scenarios, or a coarser mesh"
-        )
+        raise UsageError(f"{directory}: {_too_large(texts, size)}")
     if directory.exists():
         strange = [
             path.name for path in directory.iterdir() if path.name not in _tops(files)
@@ -96,8 +102,21 @@ def _tops(files: Mapping[str, bytes]) -> set[str]:
     return {name.partition("/")[0] for name in files}
 
 
-def site_files(launches: Sequence[Launch]) -> dict[str, bytes]:
-    """Return the content of each file by its relative path."""
+def _too_large(texts: Mapping[str, str], size: int) -> str:
+    """Return why the folder is too large, the share of each scenario, and the remedy."""
+    page = sum(len(content) for content in site_files({}).values())
+    each = {name: len(packed({name: text})) for name, text in texts.items()}
+    most = sorted(each, key=lambda name: -each[name])
+    sizes = ", ".join(f"{name} {each[name] / 1000:.0f} kB" for name in most)
+    return (
+        f"{size / 1000:.0f} kB, limit {LARGEST / 1000:.0f} kB: the page itself"
+        f" {page / 1000:.0f} kB, {sizes}; leave out {most[0]}, or give it a coarser"
+        " mesh or a shorter push"
+    )
+
+
+def site_files(texts: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the content of each file by its relative path; `texts` by scenario."""
     import nodes.view
 
     web = Path(nodes.view.__file__).with_name("web")
@@ -112,7 +131,7 @@ def site_files(launches: Sequence[Launch]) -> dict[str, bytes]:
     texts = {
         "index.html": html,
         "main.js": smaller(bundle(modules, "main")),
-        "static.js": static_script(launches),
+        "static.js": static_script(texts),
         "voice.js": modules["voice.js"],
         "voice_worklet.js": modules["voice_worklet.js"],
     }
@@ -125,14 +144,25 @@ def site_files(launches: Sequence[Launch]) -> dict[str, bytes]:
     return found
 
 
-def static_script(launches: Sequence[Launch]) -> str:
+def static_script(texts: Mapping[str, str]) -> str:
     """Return the script that stands for the server: the worker's text and all scenarios."""
-    scenarios = {launch.scenario: data_script(launch) for launch in launches}
     return (
-        constant("SCENARIOS", scenarios)
-        + constant("WORKER", worker())
+        constant("NAMES", Plain(list(texts)))
+        + constant("PACKED", packed({**texts, "": worker()}))
         + script("static")
     )
+
+
+def packed(texts: Mapping[str, str]) -> str:
+    """Return texts by name, compressed; an array that is in several of them, once."""
+    arrays: dict[str, int] = {}
+
+    def number(found: re.Match[str]) -> str:
+        return f"{_MARK}{arrays.setdefault(found[0], len(arrays))}{_MARK}"
+
+    short = {name: _ARRAY.sub(number, text) for name, text in texts.items()}
+    found = msgspec.json.encode({"arrays": list(arrays), "texts": short})
+    return base64.b64encode(zlib.compress(found, 9)).decode()
 
 
 def worker() -> str:

@@ -17,6 +17,25 @@ from sim.static_page.image import image_of
 
 ROWS = ("position", "velocity", "measured", "deflection", "force")
 
+PLAYED = (
+    "box_edges",
+    "floor_buzz",
+    "floor_drop",
+    "floor_drop_fast",
+    "floor_guarded",
+    "floor_swap",
+    "free_space",
+    "identify",
+    "mesh_pebble",
+    "ros2_wall",
+    "rough_plane",
+    "sphere_feel",
+    "touch_wall",
+    "two_loggers",
+    "wall_press",
+)
+"""Scenarios that a page in the browser plays."""
+
 _RUN = """
 const played = (image, ticks, targets) => {
   top_ = 8; PAIRS.clear(); now = 0.0;

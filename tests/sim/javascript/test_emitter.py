@@ -200,6 +200,19 @@ def test_what_has_no_form_in_javascript_is_refused_with_file_and_line(
         Emitter().function(function)
 
 
+def test_what_scripts_call_keeps_its_name_whatever_is_emitted_before() -> None:
+    def other(a: float) -> float:
+        return least(a, 1.0)
+
+    other.__name__ = "greatest"
+    emitter = Emitter()
+    emitter.reserve([greatest])
+    assert emitter.function(other) == "greatest_test_emitter"
+    assert emitter.function(greatest) == "greatest"
+    with pytest.raises(ValueError, match="two functions are named greatest"):
+        emitter.reserve([other])
+
+
 def test_functions_that_engines_round_differently_are_counted() -> None:
     def root(a: float) -> float:
         return math.exp(a) * a**3

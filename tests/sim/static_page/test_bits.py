@@ -27,7 +27,7 @@ from sim.play.one_axis import PlannedSwap
 from sim.play.player import play
 from sim.static_page.image import image_of
 from tests.support.browser import chromium, needs_browser
-from tests.support.in_node import ROWS, Case, Swap, play_in_node, program
+from tests.support.in_node import PLAYED, ROWS, Case, Swap, play_in_node, program
 from tests.support.realisations import KINDS, LENGTH
 
 TICKS = 400
@@ -95,6 +95,50 @@ SURFACES: dict[str, dict[str, Any]] = {
     },
 }
 
+STILL: list[float] = [0.0, 0.0, 0.0, 0.0]
+
+BALL: dict[str, Any] = {
+    "kind": "sphere",
+    "position": [0.05, 0.01, -0.03],
+    "radius": 0.035,
+}
+
+UNIONS: dict[str, list[dict[str, Any]]] = {
+    "a factor for each shape": [
+        {"kind": "box", "position": [0.02, 0.0, -0.02], "size": [0.02, 0.04, 0.045]}
+        | {"stiffness": 0.3, "damping": 0.6},
+        {"kind": "capsule", "start": [0.04, -0.02, -0.01], "end": [0.06, 0.02, -0.01]}
+        | {"radius": 0.012, "stiffness": 0.7},
+        {"kind": "cylinder", "start": [0.08, -0.02, -0.01], "end": [0.08, 0.02, -0.01]}
+        | {"radius": 0.014, "friction": {"static": 0.3}},
+    ],
+    "regions": [
+        {**BALL, "friction": {"static": 0.4, "dynamic": 0.2}},
+        {"kind": "viscosity", "within": {**BALL, "radius": 0.05}, "time": 0.01},
+        {"kind": "viscosity", "time": 0.02, "band": 0.004}
+        | {"within": {"kind": "box", "size": [0.05, 0.05, 0.05]}},
+    ],
+    "magnetic lines": [
+        {
+            "kind": "magnetic_line",
+            "start": [0.0, 0.004, 0.01],
+            "end": [0.1, 0.004, 0.01],
+        }
+        | {"reach": 0.03, "stiffness": 0.5},
+        {"kind": "magnetic_line", "start": [0.03, 0.0, 0.01], "end": [0.03, 0.0, 0.01]}
+        | {"reach": 0.02},
+        {**BALL, "radius": 0.03},
+    ],
+    "shapes that move, one limited by its power": [
+        {**BALL, "friction": {"static": 0.4}}
+        | {"motion": {"path": [STILL, [0.4, 0.0, 0.0, 0.02]], "repeat": 0.5}},
+        {"kind": "box", "position": [0.01, 0.02, 0.0], "size": [0.1, 0.02, 0.06]}
+        | {"motion": {"path": [STILL, [0.3, 0.0, -0.02, 0.0]], "power": 0.001}},
+        {"kind": "viscosity", "within": {**BALL, "radius": 0.05}, "time": 0.01},
+    ],
+}
+"""Scenes of several shapes and regions, all met on the path of sphere_feel."""
+
 SWAPS: tuple[Swap, ...] = tuple(
     Swap(
         250 + 3 * n,
@@ -135,11 +179,7 @@ def with_driver(name: str, given: Mapping[str, Any], **safety: Any) -> Launch:
 
 @cache
 def cases() -> dict[str, Case]:
-    launches = {
-        name: read(name)
-        for name in launch_file.scenarios()
-        if name not in (*REFUSED, *MUJOCO)
-    }
+    launches = {name: read(name) for name in PLAYED}
     launches |= {f"{name} {given}": read(name, given) for name, given in VARIANTS}
     launches |= {
         f"law {kind}": with_law({"kind": kind, **law}) for kind, law in LAWS.items()
@@ -162,6 +202,9 @@ def cases() -> dict[str, Case]:
         launch = read("sphere_feel", {"friction": 0.4})
         surface = {**launch.nodes["environment"].parameters["surface"], **more}
         launches[name] = changed(launch, "environment", surface=surface)
+    for name, shapes in UNIONS.items():
+        surface = {"kind": "union", "shapes": shapes}
+        launches[name] = changed(read("sphere_feel"), "environment", surface=surface)
     found = {name: Case(launch, TICKS) for name, launch in launches.items()}
     recursive = {"kind": "fir", **LAWS["fir"]}
     laws = read("touch_wall").nodes["coupling"].parameters["laws"]
@@ -229,6 +272,10 @@ def test_every_row_of_every_tick_has_the_bits_of_one_process(
     )
 
 
+def test_every_scenario_is_played_or_refused() -> None:
+    assert {*PLAYED, *REFUSED, *MUJOCO} == set(launch_file.scenarios())
+
+
 def test_all_kinds_of_law_are_played_but_one_whose_code_has_a_memory_of_its_own() -> (
     None
 ):
@@ -294,13 +341,17 @@ def test_the_comparison_notices_a_changed_rule(
 @pytest.mark.slow
 @pytest.mark.process
 @needs_browser
-def test_chromium_gives_the_same_bits_as_node(played: dict[str, Any]) -> None:
+def test_chromium_gives_the_same_bits_as_node_from_a_file(
+    played: dict[str, Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "bits.html"
     script = program(list(cases().values()))
+    path.write_text(f"<meta charset=utf-8><script>{script}</script>", encoding="utf-8")
     with chromium() as browser:
         page = browser.new_page()
+        page.goto(f"file://{path}")
         got = page.evaluate(
-            f"() => {{ {script}\n"
-            "return results.map(([rows]) => Array.from(new Uint32Array(rows.buffer))); }"
+            "() => results.map(([rows]) => Array.from(new Uint32Array(rows.buffer)))"
         )
     for (name, case), numbers in zip(cases().items(), got, strict=True):
         rows = (

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import json
 import re
+import subprocess
 import threading
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -15,9 +16,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from messages.errors import UsageError
+from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
-from sim.static_page.site import LARGEST, smaller, write_site
+from sim.static_page import site as site_module
+from sim.static_page.site import LARGEST, data_script, smaller, worker, write_site
 from tests.support.browser import chromium, needs_browser
+from tests.support.in_node import PLAYED, node
 from tests.support.launching import typed_in, wait_for
 
 if TYPE_CHECKING:
@@ -61,7 +65,9 @@ def test_the_folder_is_small_and_loads_nothing_from_elsewhere(site: Path) -> Non
 
 def test_a_page_is_written_again_and_never_over_anything_else(tmp_path: Path) -> None:
     folder = tmp_path / "page"
-    assert write_site(folder)["files"] == write_site(folder)["files"]
+    written = [write_site(folder), (folder / "static.js").read_bytes()]
+    # The same page of the same scenario, to the byte.
+    assert [write_site(folder), (folder / "static.js").read_bytes()] == written
     (folder / "thesis.tex").write_text("mine")
     with pytest.raises(
         UsageError, match=r"page: contains 'thesis\.tex', which is no file of a"
@@ -70,11 +76,73 @@ def test_a_page_is_written_again_and_never_over_anything_else(tmp_path: Path) ->
     assert (folder / "thesis.tex").read_text() == "mine"
 
 
-def test_a_folder_that_would_be_too_large_is_refused(tmp_path: Path) -> None:
-    every = ["touch_wall", "sphere_feel", "box_edges", "mesh_pebble", "rough_plane"]
-    with pytest.raises(UsageError, match=f"limit {LARGEST}; name fewer scenarios"):
+@pytest.mark.slow
+@pytest.mark.process
+@needs_browser
+def test_all_scenarios_that_a_browser_plays_fit_in_one_folder_and_play(
+    tmp_path: Path,
+) -> None:
+    """They are those whose bits test_bits.py compares."""
+    written = write_site(tmp_path / "page", PLAYED)
+    assert written["scenarios"] == list(PLAYED)
+    assert written["bytes"] < LARGEST
+    wrong: list[str] = []
+    with chromium() as browser:
+        page = browser.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        for name in PLAYED:
+            page.goto("about:blank")
+            page.goto(f"file://{tmp_path}/page/index.html#scenario={name}")
+            page.wait_for_function("Number(document.body.dataset.bins) > 50")
+            assert page.locator("#scenarios").input_value() == name
+            assert page.evaluate("haptic.laws.state.active") in page.evaluate(
+                "Object.keys(haptic.laws.state.laws)"
+            )
+    assert wrong == []
+
+
+def test_a_folder_that_would_be_too_large_is_refused_with_the_size_of_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = ["touch_wall", "box_edges", "mesh_pebble"]
+    found = write_site(tmp_path / "fits", every)["bytes"]
+    monkeypatch.setattr(site_module, "LARGEST", found - 1)
+    why = (
+        r"page: (\d+) kB, limit \d+ kB: the page itself (\d+) kB, mesh_pebble (\d+) kB,"
+        r" touch_wall (\d+) kB, box_edges (\d+) kB; leave out mesh_pebble, or give it"
+    )
+    with pytest.raises(UsageError, match=why) as refused:
         write_site(tmp_path / "page", every)
     assert not (tmp_path / "page").exists()
+    kilobytes = re.search(why, str(refused.value))
+    assert kilobytes is not None
+    whole, page, *each = map(int, kilobytes.groups())
+    # Apart, each carries what they share.
+    assert page < whole <= page + sum(each)
+    monkeypatch.setattr(site_module, "LARGEST", found)
+    assert write_site(tmp_path / "page", every)["bytes"] == found
+
+
+_UNPACK = """
+const fs = require("fs"), [, , file, scenario, out] = process.argv;
+globalThis.location = { hash: `#scenario=${scenario}` };
+const unpacked = (0, eval)(
+  `${fs.readFileSync(file, "utf8")} workerText(staticPage.scenario)`);
+unpacked.then((text) => fs.writeFileSync(out, text));
+"""
+
+
+@pytest.mark.process
+@pytest.mark.smoke
+def test_the_page_unpacks_what_the_build_packed(site: Path, tmp_path: Path) -> None:
+    script, out = tmp_path / "unpack.js", tmp_path / "worker.js"
+    script.write_text(_UNPACK)
+    words = [node(), str(script), str(site / "static.js"), "sphere_feel", str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert (
+        out.read_text() == data_script(launch_file.read("sphere_feel", {})) + worker()
+    )
 
 
 def test_what_a_browser_cannot_play_is_refused_before_anything_is_written(
