@@ -117,36 +117,16 @@ def _draw_positions(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
     axes.set_ylabel("position [mm]")
 
 
-def _draw_forces(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
-    """Draw the force handed over along several axes."""
+def _draw_force(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
+    """Draw the force handed over along the axes; of a single one also the law's."""
+    begin, alone = lines.begin, len(drawn) == 1
     for axis in drawn:
-        _line(
-            axes,
-            lines.force,
-            axis,
-            lines.begin,
-            1.0,
-            COLOURS[axis],
-            f"after limits {'xyz'[axis]}",
-            drawstyle="steps-post",
-        )
-    axes.set_ylabel("force [N]")
-    _draw_safety(axes, lines)
-
-
-def _draw_force(axes: Axes, lines: Lines, axis: int) -> None:
-    _line(axes, lines.asked, axis, lines.begin, 1.0, COLORS["asked"], "law", lw=0.9)
-    _line(
-        axes,
-        lines.force,
-        axis,
-        lines.begin,
-        1.0,
-        COLORS["device"],
-        "after limits",
-        drawstyle="steps-post",
-    )
-    axes.set_ylabel(f"force {'xyz'[axis]} [N]")
+        color, label = COLOURS[axis], f"after limits {'xyz'[axis]}"
+        if alone:
+            _line(axes, lines.asked, axis, begin, 1.0, COLORS["asked"], "law", lw=0.9)
+            color, label = COLORS["device"], "after limits"
+        _line(axes, lines.force, axis, begin, 1.0, color, label, drawstyle="steps-post")
+    axes.set_ylabel(f"force {'xyz'[drawn[0]]} [N]" if alone else "force [N]")
     _draw_safety(axes, lines)
 
 
@@ -382,10 +362,10 @@ def figure_of(
         axes.tick_params(labelbottom=False)
     if len(drawn := whole.axes) > 1:
         _draw_positions(panels[0], lines, drawn)
-        _draw_forces(panels[1], lines, drawn)
     else:
         draw_position(panels[0], lines, axis)
-        _draw_force(panels[1], lines, axis)
+        drawn = [axis]
+    _draw_force(panels[1], lines, drawn)
     if energy:
         _draw_energy(panels[2], lines, guard)
     realtime = recording.manifest.get("pace") != "lockstep"
