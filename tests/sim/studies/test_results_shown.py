@@ -21,8 +21,8 @@ import pytest
 import sim.api
 from messages.errors import UsageError
 from nodes.parameters.options import options_of
-from nodes.stability.every_delay import Certificate
 from sim.api.recordings import TickTable
+from sim.stability.every_delay import Certificate
 from sim.studies.design import design
 from sim.studies.design_options import DesignOptions
 from sim.studies.kmax import KMaxBoundary, KMaxFound
