@@ -23,7 +23,7 @@ from nodes.recording.facts import refuse_foreign_files
 from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.device.model import DeviceModel
-from sim.experiments.drop import SHORTEST
+from sim.experiments.settling import SHORTEST
 from sim.identify.forces import handed_over
 from sim.play.hops import UNJUDGED
 from sim.play.launched import LaunchedScene, from_launch

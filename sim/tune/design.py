@@ -18,7 +18,8 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, certificate, designed, latest_delay
 from sim.design.hands import STYLUS, judge_grasps
 from sim.design.landing import drops
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.identify.altered import worst_altered
 from sim.identify.identified import Identified
 from sim.play.nonideal import NonidealDevice

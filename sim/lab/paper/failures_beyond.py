@@ -248,7 +248,8 @@ def bounce() -> BeyondEdge:
     """
     from sim.design.demand import Demand
     from sim.design.fall import falls, settled
-    from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
+    from sim.experiments.drop import CONVENTION, drop_scene, held
+    from sim.experiments.settling import Criterion, settles
 
     horizon = Criterion(20_000)
     gain, margin, plant = 8.0, 0.03, Plant(PERIOD, MASS, DAMPING)

@@ -43,7 +43,7 @@ from sim.design.landing import MARGIN, drops, landings
 from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure, replayed_radius
 from sim.design.robust import stiffest
-from sim.experiments.drop import Criterion, settles
+from sim.experiments.settling import Criterion, settles
 from sim.stability.every_delay import Certificate
 from tests.support import slowly
 

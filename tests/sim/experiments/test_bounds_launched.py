@@ -21,11 +21,13 @@ from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped
 from sim.design.recorded_loop import replayed_radius
 from sim.device.model import DeviceModel
-from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
+from sim.experiments.drop import drop_scene, free_scene
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
+from sim.experiments.settling import Criterion, settles
 from sim.lab.charts.derivatives import with_stiffness as with_gain
 from sim.lab.charts.equal_demand import tuned
-from sim.play.one_axis import Scene, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene
 from sim.stability.every_delay import Certificate, every_delay
 from sim.stability.rest import rest
 from tests.support import INSTALLED

@@ -12,7 +12,8 @@ from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 from sim.stability.rest import ComesToRest, absolute_sum, rest, stiffest_at_rest
 
 T, STEP = 0.002, 2.3e-5
