@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from nodes.recording.figure_style import keep_best
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.patheffects import AbstractPathEffect
+    from matplotlib.text import Annotation
     from matplotlib.transforms import BboxBase
 
 # Positions tried for a label relative to its point [points], and its alignment there.
@@ -45,7 +50,23 @@ def name_points(
     from matplotlib.text import Text
 
     inside = axes.get_window_extent()
-    for text, x, y in named:
+    # A line that passes behind a label must not cross it out.
+    outline: list[AbstractPathEffect] = [withStroke(linewidth=2.5, foreground="white")]
+    leader = {"arrowstyle": "-", "color": color, "lw": 0.4}
+
+    def box_of(note: Annotation) -> BboxBase:
+        # Places the text; the line to the point is not part of its box.
+        note.get_window_extent()
+        return Text.get_window_extent(note)
+
+    def cost(note: Annotation) -> float:
+        box = box_of(note)
+        within = inside.x0 <= box.x0 and box.x1 <= inside.x1
+        within = within and inside.y0 <= box.y0 and box.y1 <= inside.y1
+        free = within and not any(box.overlaps(other) for other in taken)
+        return 0.0 if free else math.inf
+
+    def write(text: str, x: float, y: float) -> Iterator[Annotation]:
         for dx, dy, side in _NEAR + (_FAR if must else ()):
             note = axes.annotate(
                 text,
@@ -55,28 +76,16 @@ def name_points(
                 ha=side,
                 fontsize=size,
                 color=color,
-                arrowprops=(
-                    {"arrowstyle": "-", "color": color, "lw": 0.4}
-                    if (dx, dy, side) in _FAR
-                    else None
-                ),
+                arrowprops=leader if (dx, dy, side) in _FAR else None,
             )
             note.set_in_layout(False)
-            # A line that passes behind a label must not cross it out.
-            note.set_path_effects([withStroke(linewidth=2.5, foreground="white")])
-            # Places the text; the line to the point is not part of its box.
-            note.get_window_extent()
-            box = Text.get_window_extent(note)
-            within = (
-                inside.x0 <= box.x0
-                and box.x1 <= inside.x1
-                and inside.y0 <= box.y0
-                and box.y1 <= inside.y1
-            )
-            if within and not any(box.overlaps(other) for other in taken):
-                taken.append(box)
-                break
-            note.remove()
+            note.set_path_effects(outline)
+            yield note
+
+    for text, x, y in named:
+        note = keep_best(write(text, x, y), cost)
+        if note is not None:
+            taken.append(box_of(note))
 
 
 def plain_log(axis: Axis, low: float, high: float) -> None:

@@ -17,6 +17,7 @@ __all__ = [
     "Scheduling",
     "Setup",
     "Tick",
+    "least_delay",
 ]
 
 Pace = Literal["realtime", "lockstep"]
@@ -24,6 +25,22 @@ Apply = Literal["on_arrival", "next_tick"]
 Tick = Literal["plain", "compiled"]
 Axis = Literal["x", "y", "z"]
 AXIS_INDEX: dict[str, int] = {"x": 0, "y": 1, "z": 2}
+
+
+def least_delay(apply: Apply) -> float:
+    """Return the least delay of a loop [ticks]: under ``next_tick`` a force waits for one.
+
+    Parameters
+    ----------
+    apply : str
+        When a force takes effect: ``on_arrival`` or ``next_tick``.
+
+    Returns
+    -------
+    float
+        0 or 1 [ticks].
+    """
+    return 1.0 if apply == "next_tick" else 0.0
 
 
 class Scheduling(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

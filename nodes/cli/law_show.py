@@ -219,6 +219,7 @@ def _described(arguments: argparse.Namespace) -> dict[str, Any]:
 def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     import msgspec
 
+    from nodes.base.setup import least_delay
     from nodes.coupling.law_book import LawBook
     from nodes.coupling.parameters import CouplingParameters, PlantParameters
     from nodes.launcher import launch_file
@@ -247,7 +248,7 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     period = 1.0 / arguments.rate if arguments.rate is not None else launch.run.period
     book = LawBook(arguments.node, period)
     name = arguments.law or parameters.law
-    delay = 1.0 if launch.run.apply == "next_tick" else 0.0
+    delay = least_delay(launch.run.apply)
     proof = {}
     if parameters.plant is not None:
         contact = (

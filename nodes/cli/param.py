@@ -20,6 +20,7 @@ from nodes.environment.surfaces import SURFACES
 from nodes.laws.base import LAWS
 from nodes.laws.presets import PRESETS
 from nodes.parameters.describe import described, names_below
+from nodes.parameters.refusals import cut
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml, read_yaml, write_yaml
 
@@ -163,8 +164,7 @@ def receipt_text(node: str, receipt: dict[str, Any]) -> str:
 
 
 def _short(value: Any) -> str:
-    text = "none" if value is None else _flow(value)
-    return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 1]}…"
+    return cut("none" if value is None else _flow(value), VALUE_LENGTH)
 
 
 def _stability(receipt: dict[str, Any]) -> list[str]:

@@ -6,15 +6,21 @@ All of this runs on the control thread, or before the launch.
 from __future__ import annotations
 
 import enum
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from messages.schema import attributes, unit_of
 from nodes.base.setup import Effect
+from nodes.coupling.contradictions import contradictions
 from nodes.coupling.felt_law import effective, felt_laws
 from nodes.coupling.law_book import LawBook
+from nodes.coupling.law_numbers import (
+    numbers_of,
+    rounded_towards,
+    scaled_law,
+    with_numbers,
+)
 from nodes.coupling.parameters import CouplingParameters, PlantParameters
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, parse_law
@@ -24,8 +30,6 @@ if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
 
 _SOFTEST = 1e-12  # part of the requested stiffness from which a stable one is searched
-# significant digits of a suggested value; the measured delay changes the fourth
-_DIGITS = 3
 
 
 class StartAnyway(enum.Enum):
@@ -340,16 +344,16 @@ class Judgement:
         start = self._start(now, name, asked)
         if not start:
             whole = self._compiled(asked)
-            share = furthest_stable(lambda part: _scaled(whole, part), verdict.plant)
+            share = furthest_stable(lambda part: scaled_law(whole, part), verdict.plant)
             part = (
-                f"all taps of {where} times {_rounded(share, 0.0):g}"
+                f"all taps of {where} times {rounded_towards(share, 0.0):g}"
                 if share
                 else f"no part of {where}"
             )
             return f"{part} would be accepted"
 
         def at(share: float) -> Any:
-            return _mapped(
+            return with_numbers(
                 asked,
                 lambda path, end: (
                     between(start[path], end, share) if path in start else end
@@ -362,16 +366,16 @@ class Judgement:
                 f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
                 "the rest as requested"
             )
-        reached = _numbers(at(share))
-        ends = _numbers(asked)
+        reached = numbers_of(at(share))
+        ends = numbers_of(asked)
         if len(start) > 1:
             return f"together, {where} is accepted up to " + ", ".join(
                 f"{path} {reached[path]:.4g}" for path in start
             )
         ((path, begin),) = start.items()
-        value = _rounded(reached[path], begin)
+        value = rounded_towards(reached[path], begin)
         rounded = self._compiled(
-            _mapped(asked, lambda at, end: value if at == path else end)
+            with_numbers(asked, lambda at, end: value if at == path else end)
         )
         found = judge(rounded, verdict.plant)
         shown = (
@@ -391,10 +395,10 @@ class Judgement:
 
         Empty if the law has no such value.
         """
-        ends = _numbers(asked)
+        ends = numbers_of(asked)
         if now is not None and name in self._book.names(now):
             before = self._book.description(now, name)
-            begins = _numbers(before)
+            begins = numbers_of(before)
             changed = {
                 path: begins[path]
                 for path in ends
@@ -402,7 +406,8 @@ class Judgement:
             }
             if (
                 changed
-                and _mapped(before, lambda path, value: ends.get(path, value)) == asked
+                and with_numbers(before, lambda path, value: ends.get(path, value))
+                == asked
             ):
                 return changed
         return (
@@ -413,8 +418,6 @@ class Judgement:
         return compile_law(parse_law(description), self._period)
 
 
-# relative difference up to which a written value equals the known one, because of rounding
-_CLOSE = 0.01
 _MOVABLE = ("device_delay", "scale")  # fields that a driver may change while it runs
 _WHOSE = {
     "tool_mass": "the tool of the scene weighs",
@@ -430,52 +433,6 @@ _WHOSE = {
 }
 
 
-def contradictions(
-    plant: PlantParameters, known: Mapping[str, float]
-) -> dict[str, str]:
-    """Return the fields of a plant with which a loop looks more stable than it is.
-
-    Less mass or damping, a stiffer hand, a lighter tool and a longer delay make a worse device,
-    which a user may ask for.
-
-    Parameters
-    ----------
-    plant : PlantParameters
-        The plant as written.
-    known : mapping of str to float
-        What the nodes of the chain know of it.
-
-    Returns
-    -------
-    dict of str to str
-        Field to the known value, in the field's unit.
-    """
-    limits = dict(known)
-    if "mass" in known:
-        limits.setdefault("heaviest", known["mass"])
-    found = {}
-    for field, limit in limits.items():
-        value = getattr(plant, field)
-        low = limit * (1.0 - _CLOSE)
-        high = limit * (1.0 + _CLOSE)
-        if field in ("scale", "tool_stiffness", "tool_lag"):
-            kept = value is not None and low <= value <= high
-        elif field == "tool_step":
-            # A shorter step, or none, promises less.
-            kept = value is None or value <= high
-        elif field == "heaviest":
-            kept = value is None or value >= low
-        elif field == "partner_later":
-            kept = True  # no value shows whether earlier or later is worse
-        elif field in ("stiffness", "partner_stiffness", "device_delay"):
-            kept = value >= low
-        else:
-            kept = value is not None and value <= high
-        if not kept:
-            found[field] = f"{limit:g}"
-    return found
-
-
 def _rendering(parameters: CouplingParameters) -> list[str]:
     """Return the names of the laws of tick 0 and of the schedule."""
     return list(
@@ -485,44 +442,3 @@ def _rendering(parameters: CouplingParameters) -> list[str]:
 
 def _shown(value: float | None, unit: str) -> str:
     return "none" if value is None else f"{value:g} {unit}".strip()
-
-
-def _numbers(tree: Any) -> dict[str, float]:
-    """Return all floats of a law's description by path."""
-    found: dict[str, float] = {}
-
-    def note(path: str, value: float) -> float:
-        return found.setdefault(path, value)
-
-    _mapped(tree, note)
-    return found
-
-
-def _mapped(tree: Any, change: Callable[[str, float], float], path: str = "") -> Any:
-    """Return a description with its floats changed."""
-    if isinstance(tree, float):
-        return change(path, tree)
-    if isinstance(tree, dict):
-        return {
-            key: _mapped(inner, change, f"{path}.{key}" if path else key)
-            for key, inner in tree.items()
-        }
-    if isinstance(tree, list):
-        return [_mapped(inner, change, f"{path}[{i}]") for i, inner in enumerate(tree)]
-    return tree
-
-
-def _scaled(law: CompiledLaw, factor: float) -> CompiledLaw:
-    sections = tuple(
-        (factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections
-    )
-    return replace(law, taps=tuple(factor * tap for tap in law.taps), sections=sections)
-
-
-def _rounded(value: float, towards: float) -> float:
-    """Return a value rounded to a few digits towards another value."""
-    if value == 0.0:
-        return value
-    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)
-    rounded = math.floor(value / unit) if towards < value else math.ceil(value / unit)
-    return rounded * unit

@@ -20,7 +20,7 @@ from messages.types import ZERO, Proxy, Receipt, Vector
 from nodes.arithmetic import SMOOTHING
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
-from nodes.base.setup import AXIS_INDEX, Setup
+from nodes.base.setup import AXIS_INDEX, Setup, least_delay
 from nodes.compiled.layout import NEVER, state_of
 from nodes.compiled.published import payload_of
 from nodes.coupling.judgement import Judgement, StartAnyway, refuses_start
@@ -44,10 +44,6 @@ Scheduled: TypeAlias = tuple[int, ActiveLaw, int]
 ATTEMPTS = 5  # tests of a law's own code before it counts as too slow
 
 _payload = payload_of(PUBLISHED)
-
-
-def _least_delay(setup: Setup) -> float:
-    return 1.0 if setup.apply == "next_tick" else 0.0
 
 
 def _check_frame(parameters: CouplingParameters, setup: Setup) -> None:
@@ -83,7 +79,7 @@ class Coupling(Node):
         judgement.refuse_contradiction(parameters)
         reason = StartAnyway.VIRTUAL if setup.virtual else StartAnyway.NO_REASON
         if refuses_start(parameters.stability, reason):
-            judgement.at_start(parameters, _least_delay(setup), reason)
+            judgement.at_start(parameters, least_delay(setup.apply), reason)
 
     @classmethod
     def unjudged(cls, setup: Setup) -> str:
@@ -105,7 +101,7 @@ class Coupling(Node):
         """Compile laws and schedule, and import what later requests need."""
         parameters: CouplingParameters = self.store.current
         self._realtime = self.setup.pace == "realtime"
-        self.counters.delay = _least_delay(self.setup)
+        self.counters.delay = least_delay(self.setup.apply)
         self._failed_text = ""
         # names of laws that a switch was given by kind and parameters
         self._given_laws: set[str] = set()

@@ -68,6 +68,14 @@ class Port(NamedTuple):
 
 
 @rule
+def drop_waiting(s: DriverState) -> None:
+    """Drop the force that waits for the next deadline; what acts remains."""
+    s.has_following = 0
+    for i in range(3):
+        s.force[i] = s.handed[i]
+
+
+@rule
 def lost(s: DriverState, seq: int, late: float) -> None:
     """Skip ticks that are over: they can only be counted. The device may let go meanwhile."""
     ticks = min(int(late / s.period), s.until - seq)
@@ -83,16 +91,13 @@ def lost(s: DriverState, seq: int, late: float) -> None:
         s.has_following = 0
         let_go(s, s.seq, s.written + s.device_hold_ticks)
         note(s, HELD_UP, s.seq, -1, float(s.written))
-    elif not held and s.safety == RAMP:
+        return
+    if not held and s.safety == RAMP:
         # Nothing is felt meanwhile: it costs the ramp, and what waits has the share from before.
         s.regained = max(s.regained - REGAIN * ticks, 0.0)
-        s.has_following = 0
-        for i in range(3):
-            s.force[i] = s.handed[i]
+        drop_waiting(s)
     elif s.has_following != 0 and s.seq - s.force_seq > s.max_age:
-        s.has_following = 0  # the force for the next deadline is too old by now
-        for i in range(3):
-            s.force[i] = s.handed[i]
+        drop_waiting(s)  # the force for the next deadline is too old by now
 
 
 @rule

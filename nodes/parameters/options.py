@@ -7,7 +7,6 @@ call by the same rules; who has the values calls the dataclass itself, which is 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import inspect
 import json
 from argparse import ArgumentTypeError
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, Self, TypeAlias
 
 from messages.errors import UsageError
+from nodes.parameters.nearest import did_you_mean
 from nodes.parameters.quantities import QUANTITIES, Interval, interval
 
 # Called with what is done and how many parts that is, one by default.
@@ -195,12 +195,8 @@ class Options:
                 found[name] = value
                 continue
             if name not in declared:
-                near = difflib.get_close_matches(name, declared, 1)
-                hint = (
-                    f"; did you mean {near[0]}?"
-                    if near
-                    else f"; there are {', '.join(declared)}"
-                )
+                known = f"; there are {', '.join(declared)}"
+                hint = did_you_mean(name, declared) or known
                 raise UsageError(f"{name}: no such option{hint}")
             found[name] = declared[name].read(name, value)
         missing = [

@@ -87,8 +87,12 @@ def missing_words(names: Sequence[str]) -> str:
 
 def short(value: object) -> str:
     """Return a value's repr, cut to 80 characters."""
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
+    return cut(repr(value), 80)
+
+
+def cut(text: str, most: int) -> str:
+    """Return a text of at most `most` characters, with an ellipsis if cut."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def find_misfit(data: Any, target: Any) -> Misfit | None:

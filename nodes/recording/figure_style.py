@@ -11,16 +11,18 @@ import contextlib
 import functools
 import io
 import itertools
+import math
 import re
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Annotation
 
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -316,11 +318,11 @@ def threshold(
             **text,
         )
         return
-    curves = _pixels(axes)
+    curves, inside = _pixels(axes), axes.get_window_extent()
     axes.axhline(value, **look)
-    inside, notes = axes.get_window_extent(), []
-    for side, over in _SIDES:
-        note = axes.annotate(
+
+    def write(side: str, over: bool) -> Annotation:
+        return axes.annotate(
             name,
             (0.01 if side == "left" else 0.99, value),
             xycoords=("axes fraction", "data"),
@@ -329,13 +331,34 @@ def threshold(
             va="bottom" if over else "top",
             **text,
         )
+
+    def cost(note: Annotation) -> float:
         box = note.get_window_extent()
-        outside = box.y0 < inside.y0 or box.y1 > inside.y1
-        notes.append((outside, sum(box.contains(x, y) for x, y in curves), note))
-    best = min(notes, key=lambda one: one[:2])
-    for one in notes:
-        if one is not best:
-            one[2].remove()
+        if box.y0 < inside.y0 or box.y1 > inside.y1:
+            return float(len(curves) + 1)
+        return float(sum(box.contains(x, y) for x, y in curves))
+
+    keep_best((write(*side) for side in _SIDES), cost)
+
+
+def keep_best(
+    notes: Iterable[Annotation], cost: Callable[[Annotation], float]
+) -> Annotation | None:
+    """Write notes one by one until one costs nothing; remove all but the cheapest.
+
+    A note of infinite cost is removed too.
+    """
+    best, least = None, math.inf
+    for note in notes:
+        if (found := cost(note)) >= least:
+            note.remove()
+            continue
+        if best is not None:
+            best.remove()
+        best, least = note, found
+        if least == 0.0:
+            break
+    return best
 
 
 # Places of a horizontal threshold's name, in the order they are tried: side, above the line.

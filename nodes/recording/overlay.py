@@ -17,15 +17,8 @@ from messages.types import DeviceState
 from nodes.base.printable import printable
 from nodes.recording.difference import difference
 from nodes.recording.figure_style import COLOURS, LINES
-from nodes.recording.plot import (
-    COLORS,
-    end_of,
-    form_of,
-    head,
-    new_figure,
-    render,
-    style,
-)
+from nodes.recording.plot import end_of, form_of, head, new_figure, render
+from nodes.recording.plot_panels import COLORS, style
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
 from nodes.recording.summary import summarise

@@ -15,7 +15,7 @@ from typing import Any
 
 from messages.errors import HapticError
 from messages.types import DeviceState, Message
-from nodes.base.setup import AXIS_INDEX
+from nodes.base.setup import AXIS_INDEX, least_delay
 from nodes.base.workers import Workers
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.registry import Registry
@@ -54,7 +54,7 @@ class Comparison:
         self.there = self._kind in PLAYERS.names() and all(
             one.kind != "world" for one in run.nodes.values()
         )
-        self._late = 1.0 if setup and setup.apply == "next_tick" else 0.0
+        self._late = least_delay(setup.apply) if setup else 0.0
         self._pool: Workers | None = None
         self._described: Mapping[str, Any] = {}
         self._restart()

@@ -11,9 +11,10 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.topics import message_type, split
 from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
 from nodes.base.node_kinds import load
-from nodes.base.setup import AXIS_INDEX
+from nodes.base.setup import AXIS_INDEX, Apply, least_delay
 from nodes.driver.force_words import cause_of, explain
 from nodes.launcher.runs import RunEnd, RunInfo, end_of
+from nodes.parameters.refusals import cut
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
@@ -79,7 +80,7 @@ class Facts(NamedTuple):
     period: float  # sampling period T [s]
     # See nodes/base/setup.py.
     pace: str
-    apply: str
+    apply: Apply
     axes: list[str]  # axes that the scene computes
     driver: str  # name of the driver node
     run_dir: str = (
@@ -143,7 +144,7 @@ class LiveRun:
         )
         self.board = Board()  # everything else
         # Measured delay of the loop, smoothed over 64 ticks [ticks].
-        self.delay = 1.0 if facts.apply == "next_tick" else 0.0
+        self.delay = least_delay(facts.apply)
         # Whether the laws must be read again after a receipt; reset by the reader.
         self.changed = True
         self._end = RunEnd()
@@ -382,7 +383,4 @@ def _law(text: str) -> dict[str, Any]:
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    text = str(value)
-    return text if len(text) < 40 else f"{text[:37]}…"
+    return f"{value:.4g}" if isinstance(value, float) else cut(str(value), 39)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.rest import rest
 from sim.api.laws import LawLike, compiled, law_name
 from sim.api.laws import law as made
 from sim.api.loops import k_max
 from sim.api.played import drop
 from sim.api.responses import USUAL, Response, response
 from sim.arrays import Array
+from sim.stability.rest import rest
 from sim.studies.notebook_results import Result, overlay
 
 if TYPE_CHECKING:

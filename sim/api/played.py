@@ -32,7 +32,7 @@ class Played(Result):
     name: str  # scenario or experiment
     rate_hz: float  # tick rate of the loop [Hz]
     axes: str  # computed axes, e.g. ``z`` or ``xyz``
-    # Whether a drop came to rest in the wall (sim.experiments.drop.Criterion); None if nothing
+    # Whether a drop came to rest in the wall (sim.experiments.settling.Criterion); None if nothing
     # falls or the run is too short.
     settled: bool | None
     stopped_at_tick: (
@@ -253,7 +253,7 @@ def play(
 
 def _settled(launch: Launch, chain: str, trace: ChainTrace) -> bool | None:
     """Return whether a drop came to rest; None if it is no drop or too short to decide."""
-    from sim.experiments.drop import SHORTEST, Criterion, settled
+    from sim.experiments.settling import SHORTEST, Criterion, settled
     from sim.play.launched import NotOneAxisError, from_launch
 
     try:

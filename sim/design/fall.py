@@ -21,15 +21,8 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant
 from sim.design.demand import RIGID, Demand
 from sim.experiments.drop import CONVENTION as USUAL
-from sim.experiments.drop import (
-    GRAVITY,
-    Convention,
-    Criterion,
-    fall,
-    floor_force,
-    rests,
-    rises,
-)
+from sim.experiments.drop import GRAVITY, Convention, fall, floor_force
+from sim.experiments.settling import Criterion, rests, rises
 from sim.play.compiled import compiled
 
 CLOSE = 0.01  # a quick drop settles if it stays this close to its rest [share of the tolerance]

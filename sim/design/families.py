@@ -16,13 +16,13 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.parameters.yaml_io import write_yaml
-from nodes.stability.every_delay import Certificate, every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import tolerance
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.design.demand import Demand, Robust, corners
 from sim.design.robust import stiffest
+from sim.stability.every_delay import Certificate, every_delay
 
 # orders at which PDα is tuned before the best is refined
 ORDERS = tuple(round(0.1 * i, 1) for i in range(1, 40, 2))

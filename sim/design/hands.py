@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import tick_matrix
-from nodes.stability.every_delay import Certificate
-from nodes.stability.grasp import Grasp
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.design.demand import Demand
+from sim.stability.every_delay import Certificate
+from sim.stability.grasp import Grasp
 
 _POINTS = 5  # grid points per side of the box in the first search
 _ZOOMS = 3

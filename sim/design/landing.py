@@ -33,8 +33,9 @@ from sim.design.demand import (
 from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
 from sim.device.model import DeviceModel
-from sim.experiments.drop import Criterion, drop_scene, settles
-from sim.play.one_axis import Scene
+from sim.experiments.drop import drop_scene
+from sim.experiments.settling import Criterion, settles
+from sim.play.one_axis_inputs import Scene
 
 MARGIN = (
     0.03  # how far the masses of the drops lie outside the demanded range, relative

@@ -19,9 +19,11 @@ from nodes.recording.facts import period_of
 from nodes.recording.reader import Recording
 from nodes.recording.summary import quantile
 from nodes.stability.plant import Plant
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.play.given import Given
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ PRESETS: dict[str, Preset] = {
     ),
 }
 _ARM = (("mass", 2.0), ("damping", 2.0), ("stiffness", 10.0))
-# Published hands and arms: fields of `sim.device.model.Hand`. Arm and grasp are in series: above
+# Published hands and arms: fields of `sim.device.hand.Hand`. Arm and grasp are in series: above
 # some 10 Hz, where loops ring, the arm's mass hardly moves and the grasp dominates.
 HANDS: dict[str, Preset] = {
     "stylus_soft": Preset(

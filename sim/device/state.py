@@ -13,6 +13,7 @@ from nodes.compiled.layout import address_of, state_of, struct
 from nodes.compiled.memory import monotonic, pairs_at, shared_real, shared_whole
 from nodes.compiled.rules import rule
 from sim.device.friction import move
+from sim.device.hand import path_position
 from sim.device.model import (
     Coefficients,
     DeviceModel,
@@ -20,7 +21,6 @@ from sim.device.model import (
     end_stop,
     ends_of,
     move_towards,
-    path_position,
     quantise,
     saturate,
     split_delay,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from nodes.stability.every_delay import Certificate
-from nodes.stability.grasp import Grasp
 from sim.design.demand import Demand
 from sim.design.hands import STYLUS, JudgedGrasps, WorstGrasp
 from sim.design.landing import ProvenLanding
+from sim.stability.every_delay import Certificate
+from sim.stability.grasp import Grasp
 from sim.tune.knocking import Plan
 from sim.tune.record import DesignedStep, PlannedKnocks, PredictedStep, TuneRecord
 

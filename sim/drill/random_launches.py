@@ -22,26 +22,19 @@ import msgspec
 from messages.transport.requests import ControlError
 from messages.types import DeviceState
 from sim.drill.device_log import Sample, read_log
-from sim.drill.drill import HOLD, PEAK, RATE, SLEW, await_another, in_order, scene
+from sim.drill.drawn_launches import DAMPING, LAWS, LOG, ORDER, RAMP, STIFFNESS, drawn
+from sim.drill.drill import HOLD, PEAK, RATE, SLEW, await_another, in_order
 from sim.drill.faulty_device import BLOCKS, FAILS, MOVED
 from sim.drill.writes import EPSILON, Promise, judge
 from sim.measure.haptic_commands import MeasurementError, within
 from sim.measure.rig import Rig
 
-RAMP: Final = 0.15  # ramp of driver and coupling for forces not caused by motion [s]
-STIFFNESS, DAMPING = 1200.0, 3.0  # upper limits of the laws below [N/m, N s/m]
-LAWS: Final[Mapping[str, dict[str, Any]]] = {
-    "pd": {"kind": "pd", "stiffness": 1000.0, "damping": DAMPING},
-    "soft": {"kind": "pd", "stiffness": 500.0, "damping": 2.0},
-    "light": {"kind": "pd", "stiffness": 500.0, "damping": 1.0},
-}
 # Time without force after which the whole ramp is due: a fifth of it, plus two ticks [ticks].
 AWAY: Final = 17
 FADE: Final = 80  # longest fade of a swap, plus some ticks [ticks]
 # Largest move of a surface, such that no law requests more than the peak [m].
 REACH: Final = 0.0015
 OUTSIDE: Final = "1.0"  # order of a position far outside the workspace [m]
-ORDER, LOG = "order", "writes.log"
 RECOVERY_TIMEOUT: Final = 20.0  # time limit until a launch has recovered [s]
 DONE: Final = (3, 7)  # smallest and largest number of actions per launch
 
@@ -87,73 +80,6 @@ class RandomLaunches(msgspec.Struct, kw_only=True):
     done: dict[str, int] = {}
     failed: list[LaunchOutcome] = []
     passed: bool = False
-
-
-def _floor(random: Random, content: dict[str, Any]) -> str:
-    """Set a hand that presses into a floor, starting inside or outside; return a description."""
-    height = random.uniform(-0.004, 0.004)
-    content["nodes"]["driver"]["parameters"]["device"]["position"] = height
-    return f"floor, begins at {1e3 * height:.2g} mm"
-
-
-def _drop(random: Random, content: dict[str, Any]) -> str:
-    """Set a mass without a hand, dropped on a floor or inside it; return a description."""
-    height = random.uniform(-0.002, 0.01)
-    device = content["nodes"]["driver"]["parameters"]["device"]
-    del device["hand"]
-    device |= {"gravity": 9.81, "position": height}
-    return f"drop from {1e3 * height:.2g} mm"
-
-
-def _sphere(random: Random, content: dict[str, Any]) -> str:
-    """Set a hand that moves over a sphere, in three axes; return a description."""
-    content["run"]["axes"] = ["x", "y", "z"]
-    device = content["nodes"]["driver"]["parameters"]["device"]
-    device["hand"] = {
-        "mass": 0.05,
-        "damping": 3.0,
-        "stiffness": 150.0,
-        "path": [[0.0, -0.02], [1.0, 0.02], [2.0, -0.02]],
-    }
-    device["hand"]["repeat"] = 2.0
-    depth = random.uniform(-0.002, 0.002)
-    surface = {
-        "kind": "sphere",
-        "position": [0.0, 0.0, -0.03],
-        "radius": 0.03 + depth,
-        "tool_radius": 0.001,
-    }
-    content["nodes"]["environment"]["parameters"]["surface"] = surface
-    return f"sphere, begins {1e3 * depth:.2g} mm inside"
-
-
-SCENES: Final[tuple[Callable[[Random, dict[str, Any]], str], ...]] = (
-    _floor,
-    _drop,
-    _sphere,
-)
-
-
-def drawn(
-    random: Random, ticks: Sequence[str] = ("plain", "compiled")
-) -> tuple[dict[str, Any], str]:
-    """Return a random launch file, and its description."""
-    content = scene()
-    driver = content["nodes"]["driver"]
-    driver["kind"] = "faulty_driver"
-    driver["parameters"] |= {"order": ORDER, "log": LOG}
-    driver["parameters"]["safety"] |= {"ramp": None, "recovery": RAMP}
-    content["nodes"]["coupling"]["parameters"] |= {
-        "laws": dict(LAWS),
-        "law": random.choice(list(LAWS)),
-        "ease": RAMP,
-    }
-    del content["nodes"]["logger"]
-    what = random.choice(SCENES)(random, content)
-    tick = random.choice(list(ticks))
-    apply = random.choice(("on_arrival", "next_tick"))
-    content["run"] |= {"tick": tick, "apply": apply}
-    return content, f"{what}, {tick} tick, {apply}"
 
 
 class _Course:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +24,7 @@ from nodes.environment.shapes.tables import BOX, MESH, PLANE
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
-from sim.play.chain import Instead
-from sim.play.given import Given
 from sim.play.launched import parameters_of
-from sim.play.player import play
 from sim.play.touch import call_times, touch
 from sim.play.trace import ChainTrace
 
@@ -347,10 +343,10 @@ def _capsule(points: Array) -> Solid:
     )
 
 
-_HEAVY = 1e6  # mass factor of a prescribed body: contacts do not move it
+HEAVY = 1e6  # mass factor of a prescribed body: contacts do not move it
 
 
-class _Watched(MovingScene):
+class Watched(MovingScene):
     """A scene that times its ticks and records its bodies at every step."""
 
     def __init__(self, launch: Launch, held: bool = False) -> None:
@@ -388,84 +384,10 @@ class _Watched(MovingScene):
         super().step()
 
 
-class _Led(_Watched):
-    """A scene whose bodies follow a recorded motion, whatever pushes them."""
-
-    def __init__(self, launch: Launch, went: list[tuple[Array, Array]]) -> None:
-        super().__init__(launch)
-        self._led = iter(went)
-        others = self.model.body_rootid != self.tool
-        self.model.body_mass[others] *= _HEAVY
-        self.model.body_inertia[others] *= _HEAVY
-        # Contact regularisation depends on the masses.
-        self._mujoco.mj_setConst(self.model, self.data)
-        places: Any = np.ones(self.model.nq, dtype=bool)
-        speeds: Any = np.ones(self.model.nv, dtype=bool)
-        places[self._slides] = False
-        speeds[
-            [
-                int(self.model.jnt_dofadr[j])
-                for j in range(self.model.njnt)
-                if self.model.jnt_qposadr[j] in self._slides
-            ]
-        ] = False
-        self._places, self._speeds = places, speeds
-
-    def step(self) -> None:
-        """Advance by one step."""
-        places, speeds = next(self._led)
-        self.data.qpos[self._places], self.data.qvel[self._speeds] = (
-            places[self._places],
-            speeds[self._speeds],
-        )
-        super().step()
-
-
-def body_detail(
-    launch: Launch,
-    stiffness: float,
-    resolution: float,
-    fraction: float,
-    step: Callable[[str], None] = lambda _: None,
-) -> Detail:
-    """Play the path of a run through all levels of a moving scene, dynamic to static."""
-    finest = _Watched(launch)
-    path = play(launch, instead=Instead(world=finest)).measured
-    # Played again, with the path prescribed as for all other levels.
-    finest = _Watched(launch)
-    ideal = play(launch, instead=Instead(world=finest), given=Given(path=path))
-    largest = float(np.linalg.norm(ideal.force, axis=1).max())
-    limit = max(stiffness * resolution, fraction * largest)
-    levels = [_level("dynamic", finest, ideal, ideal, limit)]
-    step("dynamic")
-    coarser: list[tuple[str, Callable[[], _Watched]]] = [
-        ("dynamic, without friction", lambda: _frictionless(_Watched(launch))),
-        ("kinematic: led as they went", lambda: _Led(launch, finest.went)),
-        ("fixed", lambda: _Watched(launch, held=True)),
-        ("a tool alone", lambda: _untouched(_Watched(launch, held=True))),
-    ]
-    for name, made in coarser:
-        world = made()
-        found = play(launch, instead=Instead(world=world), given=Given(path=path))
-        levels.append(_level(name, world, found, ideal, limit))
-        step(name)
-    return Detail(tuple(levels), limit, stiffness * resolution, largest, ())
-
-
-def _frictionless(world: _Watched) -> _Watched:
-    world.model.geom_friction[:] = 0.0
-    world.model.dof_frictionloss[:] = 0.0
-    return world
-
-
-def _untouched(world: _Watched) -> _Watched:
-    world.model.geom_contype[:] = world.model.geom_conaffinity[:] = 0
-    return world
-
-
-def _level(
-    name: str, world: _Watched, found: ChainTrace, ideal: ChainTrace, limit: float
+def level(
+    name: str, world: Watched, found: ChainTrace, ideal: ChainTrace, limit: float
 ) -> Level:
+    """Return a level with its error against the finest."""
     difference = np.linalg.norm(found.force - ideal.force, axis=1)
     away = np.linalg.norm(found.proxy - ideal.proxy, axis=1)
     times = np.array(world.times, dtype=np.float64) / 1e3

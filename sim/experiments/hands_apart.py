@@ -344,7 +344,7 @@ def over_delay(
         One per delay.
     """
     from nodes.laws.pd import PD
-    from nodes.stability.two_hands import TwoHands, k_max_two_hands
+    from sim.stability.two_hands import TwoHands, k_max_two_hands
 
     period = plant.period
     both = (plant.damping, plant.damping)

@@ -22,11 +22,11 @@ from nodes.laws import CompiledLaw, Law
 from nodes.laws.parse import law_to_dict
 from nodes.recording.reader import Recording
 from sim.arrays import Array
-from sim.experiments.drop import Criterion, settled, settles
+from sim.experiments.settling import Criterion, settled, settles
 from sim.measure import measured_launch
 from sim.measure.haptic_commands import MeasurementError
 from sim.play.launched import LaunchedScene, from_launch
-from sim.play.one_axis import Scene
+from sim.play.one_axis_inputs import Scene
 
 SCENARIO = "floor_drop"  # launch file whose nodes get the experiment's parameters
 # No force ramp either for a swing that begins with a force: nobody holds the device.

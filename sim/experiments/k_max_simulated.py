@@ -14,8 +14,9 @@ import numpy as np
 from nodes.laws import CompiledLaw, Law
 from nodes.stability.k_max import with_spring, without_spring
 from sim.arrays import Array
-from sim.experiments.drop import Criterion, linear_at_rest, rest_position, settles
-from sim.play.one_axis import Scene, run
+from sim.experiments.settling import Criterion, linear_at_rest, rest_position, settles
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene
 
 LawOfStiffness = Callable[[float], CompiledLaw]
 SEARCHED = (1e-3, 4.0)  # lowest and highest K of the search, in units of m/T²

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nodes.base.setup import least_delay
 from nodes.coupling.parameters import PlantParameters
 from nodes.launcher.launch_spec import Launch, Model
 from nodes.launcher.plants import known_plant
@@ -110,7 +111,7 @@ def plant_of(scene: TermScene) -> Plant | None:
     if "mass" not in known:
         return None
     plant: PlantParameters = convert(known, PlantParameters, scene.hops.coupling)
-    return plant.at(run.period, float(run.apply == "next_tick"))
+    return plant.at(run.period, least_delay(run.apply))
 
 
 def stiffest(scene: TermScene) -> float | None:

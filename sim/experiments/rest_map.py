@@ -11,9 +11,9 @@ from nodes.laws import CompiledLaw
 from nodes.recording.figure_style import COLOURS, new_figure, save_figure, styled
 from nodes.stability.k_max import k_max, with_spring
 from nodes.stability.plant import Plant
-from nodes.stability.rest import ComesToRest, Rest, rest, stiffest_at_rest
 from sim.axes import plain_log
 from sim.results import fresh
+from sim.stability.rest import ComesToRest, Rest, rest, stiffest_at_rest
 
 DECADES = 1.5  # range of the map on either side of the device [decades]
 _SHOWN, _TOLD = 121, 13

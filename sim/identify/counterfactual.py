@@ -15,7 +15,7 @@ import numpy as np
 from nodes.laws import CompiledLaw
 from sim.arrays import Array
 from sim.device.model import coefficients
-from sim.experiments.drop import Criterion, settled
+from sim.experiments.settling import Criterion, settled
 from sim.identify.recorded_scene import RecordedScene
 from sim.play.chain import Instead
 from sim.play.given import Given

@@ -219,41 +219,22 @@ def _rigid(
     for k in range(length):
         out[k] = x
         now = 0.0
-        while j + 1 < len(at) and at[j + 1] + delay < start + k + 1:
-            until = at[j + 1] + delay - (start + k)
-            if until > now:
-                duration = (until - now) * period
+        arrives = True
+        while arrives:
+            # To the next force, or to the end of the tick.
+            arrives = j + 1 < len(at) and at[j + 1] + delay < start + k + 1
+            until = at[j + 1] + delay - (start + k) if arrives else 1.0
+            duration = (until - now) * period
+            if until > now and (arrives or duration > 1e-12 * period):
                 if abs(duration - known) > 1e-12 * period:
                     coefs = coefficients(1.0, damping, stiffness, duration)
                     known = duration
-                x, v = _slide(
-                    x,
-                    v,
-                    mobility * acting + load,
-                    duration,
-                    coefs,
-                    damping,
-                    stiffness,
-                    friction,
-                )
+                u = mobility * acting + load
+                x, v = _slide(x, v, u, duration, coefs, damping, stiffness, friction)
                 now = until
-            j += 1
-            acting = force[j]
-        duration = (1.0 - now) * period
-        if duration > 1e-12 * period:
-            if abs(duration - known) > 1e-12 * period:
-                coefs = coefficients(1.0, damping, stiffness, duration)
-                known = duration
-            x, v = _slide(
-                x,
-                v,
-                mobility * acting + load,
-                duration,
-                coefs,
-                damping,
-                stiffness,
-                friction,
-            )
+            if arrives:
+                j += 1
+                acting = force[j]
 
 
 # Long: one compiled function.

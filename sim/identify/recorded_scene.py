@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from messages.topics import DEVICE_STATE, RECEIPT
+from nodes.base.setup import least_delay
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
@@ -22,7 +23,7 @@ from nodes.recording.facts import refuse_foreign_files
 from nodes.recording.reader import Recording
 from sim.arrays import Array
 from sim.device.model import DeviceModel
-from sim.experiments.drop import SHORTEST
+from sim.experiments.settling import SHORTEST
 from sim.identify.forces import handed_over
 from sim.play.hops import UNJUDGED
 from sim.play.launched import LaunchedScene, from_launch
@@ -99,7 +100,7 @@ def rebuild(path: Path, device: DeviceModel | None = None) -> RecordedScene:
         position=np.array([state.position[axis] for state in states]),
         force=np.array([state.force[axis] for state in states]),
         took=handed.at,
-        came=handed.at - float(launch.run.apply == "next_tick"),
+        came=handed.at - least_delay(launch.run.apply),
         answers=handed.answers,
         given=handed.force,
         target=(

@@ -29,7 +29,7 @@ from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.arrays import Array
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from sim.measure.measured_launch import launch as run_launch
 from sim.play.player import play
 from sim.play.touch import touch

@@ -1,9 +1,9 @@
 """Compile the very functions that the nodes call.
 
-The kernels of `nodes.arithmetic` and `sim.device.model` are registered with numba as they are,
-without copies and without fastmath, so compiled and interpreted runs give the same bits. Compiled
-code is stored in the cache of compiled code (nodes/compiled/cache.py), each version of a function
-with the digests of all its sources.
+The rules of the nodes and of the virtual device are registered with numba as they are, without
+copies and without fastmath, so compiled and interpreted runs give the same bits. Compiled code is
+stored in the cache of compiled code (nodes/compiled/cache.py), each version of a function with the
+digests of all its sources.
 """
 
 import contextlib
@@ -20,51 +20,17 @@ from numba.core import serialize
 from numba.core.compiler import CompileResult
 from numba.extending import overload
 
-import nodes.arithmetic
-import nodes.driver.passivity
-import nodes.laws.pd_windowed
-import sim.device.friction
-import sim.device.model
+from nodes.arithmetic import settle, warm_up
 from nodes.compiled import cache
-from nodes.compiled.kernels.sources import kernel
+from nodes.compiled.kernels.sources import kernel, register_rules
 from nodes.laws.excitation import Push, faded, held_back, went_on
-from nodes.laws.pd_windowed import WindowedDamper
+from nodes.laws.pd_windowed import WindowedDamper, windowed_slope
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-KERNELS: tuple[Callable[..., Any], ...] = (
-    nodes.arithmetic.plane_distance,
-    nodes.arithmetic.deflection,
-    nodes.arithmetic.push,
-    nodes.arithmetic.fir,
-    nodes.arithmetic.one_sided,
-    nodes.arithmetic.limit,
-    nodes.arithmetic.limit_within_tick,
-    nodes.arithmetic.sections,
-    nodes.arithmetic.warm_up,
-    nodes.arithmetic.settle,
-    nodes.arithmetic.cross_fade,
-    nodes.arithmetic.eased,
-    nodes.laws.pd_windowed.windowed_slope,
-    nodes.driver.passivity.observe,
-    nodes.driver.passivity.forget,
-    nodes.driver.passivity.control,
-    nodes.driver.passivity.through,
-    nodes.driver.passivity.backlog,
-    sim.device.model.decay_mean,
-    sim.device.model.coefficients,
-    sim.device.model.advance,
-    sim.device.friction.halt_time,
-    sim.device.friction.slide,
-    sim.device.friction.move,
-    sim.device.model.end_stop,
-    sim.device.model.quantise,
-    sim.device.model.saturate,
-)
-
-
-for _kernel in KERNELS:
-    kernel(_kernel)
+# What compiled functions call, and is no rule of a node's tick.
+for _function in (warm_up, settle, windowed_slope, held_back, went_on, faded):
+    kernel(_function)
 
 
 class Pushing(NamedTuple):
@@ -109,7 +75,7 @@ def own_force(
 
 def windowed_force(own: Any, history: Any, head: int) -> float:
     """Return the force of a windowed damper [N]; `own` is gain, error and window."""
-    damped: float = own[0] * _slope(history, head, own[1], int(own[2]))
+    damped: float = own[0] * windowed_slope(history, head, own[1], int(own[2]))
     return damped
 
 
@@ -131,10 +97,6 @@ def pushed_force(own: Any, history: Any, head: int) -> float:
     return force
 
 
-_slope = nodes.laws.pd_windowed.windowed_slope
-kernel(held_back)
-kernel(went_on)
-kernel(faded)
 # Compiled, a law's own code is passed as its numbers. Not strict: numba takes annotations for part
 # of an argument's name.
 overload(own_force, strict=False)(
@@ -228,6 +190,8 @@ def compiled() -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
+        # Its module has imported the rules that it calls.
+        register_rules()
         # A type checker knows only the common options of numba. C does not call the function.
         compile_: Any = numba.njit
         made = compile_(nogil=True, no_cfunc_wrapper=True)(function)

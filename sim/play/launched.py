@@ -24,7 +24,8 @@ from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.device.driver import SimDriverParameters, along
 from sim.play.hops import Hops, hops_of
-from sim.play.one_axis import PlannedSwap, Scene, SceneSurface, Trace
+from sim.play.one_axis import PlannedSwap, Trace
+from sim.play.one_axis_inputs import Scene, SceneSurface
 from sim.play.trace import ChainTrace
 
 

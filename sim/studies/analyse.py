@@ -22,7 +22,6 @@ from nodes.recording.figure_style import (
 )
 from nodes.stability.closed_loop import Rendered, rendered
 from nodes.stability.effective_damping import effective_damping
-from nodes.stability.every_delay import Certificate, EveryDelay, every_delay
 from nodes.stability.k_max import (
     KMax,
     Tolerance,
@@ -33,10 +32,11 @@ from nodes.stability.k_max import (
 )
 from nodes.stability.occurring import Edge
 from nodes.stability.plant import Plant
-from nodes.stability.rest import rest, stiffest_at_rest
 from nodes.stability.world_limits import WorldLimits, finite, world_limits
 from sim.experiments.rest_map import RestFound, rest_map
 from sim.results import fresh
+from sim.stability.every_delay import Certificate, EveryDelay, every_delay
+from sim.stability.rest import rest, stiffest_at_rest
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions
 from sim.studies.result import Findings, at_top

@@ -22,9 +22,7 @@ from nodes.recording.figure_style import (
 )
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import effective_damping
-from nodes.stability.every_delay import Certificate
 from nodes.stability.plant import Plant
-from nodes.stability.rest import ComesToRest, rest
 from sim.axes import plain_log
 from sim.design.demand import CONVENTIONS, Demand, Robust
 from sim.design.families import (
@@ -44,6 +42,8 @@ from sim.design.recorded_loop import Measured, replayed_radius
 from sim.experiments.rest_map import RestFound, rest_map
 from sim.experiments.terms import RESOLUTION
 from sim.results import fresh
+from sim.stability.every_delay import Certificate
+from sim.stability.rest import ComesToRest, rest
 from sim.studies import any_world_design as any_world
 from sim.studies import device_options as shared
 from sim.studies.design_found import (

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nodes.stability.every_delay import Certificate
 from sim.design.demand import Demand
 from sim.design.families import Tuned, latest_delay
 from sim.design.hands import JudgedGrasps
 from sim.design.landing import ProvenLanding, drops
 from sim.design.passive import Passive
 from sim.experiments.rest_map import RestFound
+from sim.stability.every_delay import Certificate
 from sim.studies.result import Findings
 
 

@@ -61,7 +61,7 @@ def detail(options: DetailOptions) -> DetailFound:
     from nodes.coupling.parameters import CouplingParameters
     from nodes.launcher import launch_file
     from nodes.parameters.store import ParameterError, convert
-    from sim.experiments.detail import body_detail
+    from sim.experiments.body_detail import body_detail
     from sim.experiments.terms import RESOLUTION
 
     try:

@@ -34,7 +34,8 @@ from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 
 if TYPE_CHECKING:
     from nodes.stability.occurring import Edge
-    from sim.identify.swing import DroppedSwing, Swing, SwingCount
+    from sim.identify.swing import Swing
+    from sim.identify.swing_drops import DroppedSwing, SwingCount
 
 # The compared laws.
 LAWS: dict[str, dict[str, Any]] = {
@@ -194,7 +195,7 @@ def _ring(name: str, gain: float, device: Plant) -> RingingLoop | None:
 
 
 def _drops(options: EdgeOptions, drops: int) -> SwingsCounted:
-    from sim.identify.swing import counted, dropped
+    from sim.identify.swing_drops import counted, dropped
 
     named = [list(LAWS)[number % len(LAWS)] for number in range(drops)]
     jobs = [

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,27 +17,28 @@ from nodes.parameters.quantities import Interval, whole
 from nodes.recording.figure_style import label_ends, new_figure, save_figure, styled
 from nodes.stability.k_max import KMax, k_max, without_spring
 from nodes.stability.plant import Plant
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions, LawOptions, grasp_option
-from sim.studies.result import Findings, StudyResult
+from sim.studies.kmax_found import (
+    KMaxBoundary,
+    KMaxFound,
+    KMaxLaunched,
+    KMaxPoint,
+    SearchedKMax,
+    bounded,
+    nothing_found,
+)
+from sim.studies.result import StudyResult
 from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 
 if TYPE_CHECKING:
     from sim.design.hands import HandBox
-    from sim.experiments.k_max_launched import SameKMax
-    from sim.play.one_axis import Scene
+    from sim.play.one_axis_inputs import Scene
 
 _PRESSING = 100.0  # default stiffness of the pressing hand [N/m]
-
-
-@dataclass(frozen=True)
-class _Found(KMax):
-    """Result of a simulation."""
-
-    # softest and stiffest tried K [N/m]
-    searched: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,188 +82,6 @@ class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
         help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: 257)",
     )
     grasp: HandBox | None = grasp_option("K_max in the worst grasp of a box too")
-
-
-@dataclass(frozen=True, repr=False)
-class KMaxFound(StudyResult):
-    """K_max of one law at one gain, optionally by launches too."""
-
-    loop: str  # law, device and loop
-    found: KMax
-    grasp: HandBox | None = None
-    # in the worst grasp of the box; None: no stable stiffness
-    k_max_grasp_n_per_m: float | None = None
-
-    @property
-    def k_max_n_per_m(self) -> float | None:
-        """Largest stable nominal stiffness [N/m]; None if none is stable or no limit was found."""
-        return _bounded(self.found.k_max_n_per_m)
-
-    @property
-    def held(self) -> bool:
-        """Whether any stiffness is stable."""
-        return self.found.k_max_n_per_m is not None
-
-    @property
-    def answer(self) -> dict[str, Any]:
-        """Figures by name."""
-        stable = [
-            [low, high if math.isfinite(high) else None]
-            for low, high in self.found.stable
-        ]
-        figures = (
-            {"loop": self.loop} | _figures(self.found) | {"stable_n_per_m": stable}
-        )
-        if self.grasp is not None:
-            figures["k_max_grasp_n_per_m"] = self.k_max_grasp_n_per_m
-            figures["grasp"] = asdict(self.grasp)
-        return figures
-
-    @property
-    def text(self) -> str:
-        """Text for the terminal."""
-        lines, limit = [self.loop, _said(self.found)], self.k_max_grasp_n_per_m
-        if self.grasp is not None:
-            text = (
-                "no stiffness is stable"
-                if limit is None
-                else f"{limit:.6g} N/m (nominal)"
-            )
-            lines.append(f"K_max    {text} in the worst {self.grasp.text()}")
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True, repr=False, kw_only=True)
-class KMaxLaunched(StudyResult):
-    """K_max on a grid of stiffnesses, by launches in lockstep and in one process."""
-
-    loop: str
-    found: SameKMax
-    grid: tuple[float, float, float]  # softest, next and stiffest K [N/m]
-
-    @property
-    def same(self) -> bool:
-        """Whether both found the same stiffness."""
-        return self.found.launched_n_per_m == self.found.one_process_n_per_m
-
-    @property
-    def held(self) -> bool:
-        """Whether they did, and it lies on the grid."""
-        return self.same and _bounded(self.found.launched_n_per_m) is not None
-
-    @property
-    def answer(self) -> dict[str, Any]:
-        """Figures by name."""
-        return {
-            "loop": self.loop,
-            "k_max_n_per_m": _bounded(self.found.launched_n_per_m),
-            "h1_max_n_per_m": self.found.h1_n_per_m,
-            "method": "lockstep",
-            "one_process_n_per_m": _bounded(self.found.one_process_n_per_m),
-            "searched_n_per_m": [self.grid[0], self.grid[2]],
-            "same": self.same,
-            "launches": self.found.launches,
-            "grid_ratio": self.grid[1] / self.grid[0],
-        }
-
-    @property
-    def text(self) -> str:
-        """Text for the terminal."""
-        # Beyond the ends of the grid nothing was tried.
-        ends = {
-            0.0: f"below {self.grid[0]:.6g} N/m",
-            math.inf: f"above {self.grid[2]:.6g} N/m",
-        }
-        both = self.found.launched_n_per_m, self.found.one_process_n_per_m
-        launched, alone = (ends.get(k or 0.0, f"{k or 0.0:.6g} N/m") for k in both)
-        verdict, step = (
-            "the same" if self.same else "NOT the same",
-            self.grid[1] / self.grid[0],
-        )
-        return (
-            f"{self.loop}\nK_max    {launched} (nominal), by {self.found.launches} launches in"
-            f" lockstep\n         {alone} in one process: {verdict}, on steps of {step - 1.0:.2%}"
-        )
-
-
-@dataclass(frozen=True)
-class KMaxPoint:
-    """K_max at one gain."""
-
-    gain: float
-    found: KMax
-
-    @property
-    def k(self) -> float | None:
-        """Largest stable nominal stiffness [N/m]; None if none is stable or no limit was found."""
-        return _bounded(self.found.k_max_n_per_m)
-
-    @property
-    def h1(self) -> float | None:
-        """The felt one [N/m]; None for a law that is not linear too."""
-        return None if self.k is None else self.found.h1_max_n_per_m
-
-    @property
-    def endless(self) -> bool:
-        """Whether no limit was found."""
-        return self.found.k_max_n_per_m == math.inf
-
-    @property
-    def line(self) -> str:
-        """The point as a line of a table."""
-        least = _figures(self.found).get("at_least_n_per_m")
-        end = "no limit" if least is None else f"> {least:.6g}"
-        missing = end if self.endless else "-"
-        return (
-            f"{self.gain:10.4g}  {missing if self.k is None else f'{self.k:.6g}':>12} "
-            f" {'-' if self.h1 is None else f'{self.h1:.6g}':>12}"
-        )
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the figures by name."""
-        return {"gain": self.gain, **_figures(self.found)}
-
-
-@dataclass(frozen=True, repr=False, kw_only=True)
-class KMaxBoundary(Findings):
-    """K_max over a range of gains."""
-
-    loop: str
-    points: list[KMaxPoint]
-
-    @property
-    def best(self) -> KMaxPoint | None:
-        """The stiffest gain; None if none is stable, or a limit is missing."""
-        if any(one.endless for one in self.points):
-            return None
-        stable = [one for one in self.points if one.k is not None]
-        felt = all(one.h1 is not None for one in stable)
-        return max(
-            stable, key=lambda one: (one.h1 if felt else one.k) or 0.0, default=None
-        )
-
-    @property
-    def answer(self) -> dict[str, Any]:
-        """Figures by name, those of the stiffest gain at the top level."""
-        return {**({} if self.best is None else self.best.as_json()), **super().answer}
-
-
-def _said(found: KMax) -> str:
-    if found.k_max_n_per_m is None:
-        return f"{_nothing(found)}: lower the gain, the delay or the order"
-    if not math.isfinite(found.k_max_n_per_m):
-        if isinstance(found, _Found):
-            return f"K_max    above {found.searched[1]:.6g} N/m (nominal), where the search ends"
-        return "stable however stiff: no K_max"
-    felt = (
-        f"{found.h1_max_n_per_m:.6g} N/m (felt)"
-        if found.h1_max_n_per_m is not None
-        else "none: the law is not linear"
-    )
-    return (
-        f"K_max    {found.k_max_n_per_m:.6g} N/m (nominal)\nH(1)_max {felt}\nmethod  "
-        f" {found.method}"
-    )
 
 
 def kmax(options: KMaxOptions) -> StudyResult:
@@ -313,13 +132,8 @@ def _grasped(grasp: HandBox, law: Law, device: Plant, found: KMax) -> float | No
     from sim.experiments.k_max_simulated import SEARCHED
 
     derivative = without_spring(law, device.period)
-    top = _bounded(found.k_max_n_per_m) or SEARCHED[1] * device.mass / device.period**2
+    top = bounded(found.k_max_n_per_m) or SEARCHED[1] * device.mass / device.period**2
     return k_max_over(lambda k: with_spring(derivative, k), device, grasp, 10.0 * top)
-
-
-def _bounded(k: float | None) -> float | None:
-    """Return a finite limit, else None."""
-    return k if k is not None and math.isfinite(k) else None
 
 
 def _refuse_idle(options: KMaxOptions, several: bool) -> None:
@@ -357,8 +171,8 @@ def _found(options: KMaxOptions, law: Law, device: Plant) -> KMax:
 
 def _lockstep(options: KMaxOptions, gain: float | None, device: Plant) -> KMaxLaunched:
     """Bisect one grid twice, by launches and in one process, around the simulation's K_max."""
-    from sim.experiments.drop import Criterion
     from sim.experiments.k_max_launched import same_k_max
+    from sim.experiments.settling import Criterion
     from sim.measure.haptic_commands import MeasurementError
 
     law = shared.law(options, options.law, gain)
@@ -400,45 +214,22 @@ def _scene(options: KMaxOptions, device: Plant) -> Scene:
     return drop_scene(held(device), device.period, raw=raw, clamp=True)
 
 
-def _simulated(options: KMaxOptions, law: Law, device: Plant) -> _Found:
+def _simulated(options: KMaxOptions, law: Law, device: Plant) -> SearchedKMax:
     """Raise K until the drop no longer settles."""
-    from sim.experiments.drop import Criterion
     from sim.experiments.k_max_simulated import at_stiffness, simulated_k_max
+    from sim.experiments.settling import Criterion
 
     scene = _scene(options, device)
     found = simulated_k_max(
         at_stiffness(law, device.period), scene, Criterion(ticks=options.horizon)
     )
-    return _Found(
+    return SearchedKMax(
         found.k_max_n_per_m,
         found.h1_max_n_per_m,
         "simulation",
         (),
         found.searched_n_per_m,
     )
-
-
-def _nothing(found: KMax) -> str:
-    if not isinstance(found, _Found):
-        return "no stiffness is stable"
-    return (
-        f"nothing from {found.searched[0]:.4g} to {found.searched[1]:.4g} N/m settles"
-    )
-
-
-def _figures(found: KMax) -> dict[str, Any]:
-    # JSON has no infinity: without a limit the figure is null, and the stable interval is open.
-    limit = _bounded(found.k_max_n_per_m)
-    figures = {
-        "k_max_n_per_m": limit,
-        "h1_max_n_per_m": None if limit is None else found.h1_max_n_per_m,
-        "method": found.method,
-    }
-    if found.k_max_n_per_m == math.inf:
-        figures["at_least_n_per_m"] = (
-            found.searched[1] if isinstance(found, _Found) else None
-        )
-    return figures
 
 
 def _boundary(
@@ -455,7 +246,7 @@ def _boundary(
     points = [KMaxPoint(gain, one) for gain, one in zip(gains, found, strict=True)]
     loop = _loop(options, low, device, f"B {low:g} .. {high:g}")
     if not any(one.endless or one.k is not None for one in points):
-        text = f"{_nothing(found[0])} anywhere in this range"
+        text = f"{nothing_found(found[0])} anywhere in this range"
         return KMaxBoundary(lines=[text], held=False, loop=loop, points=points)
     lines = [
         loop,

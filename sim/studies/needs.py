@@ -164,10 +164,10 @@ def _rest(launch: Launch, chain: str, path: Path) -> RestNeeds | None:
 
     Also None if the device is not rigid or the law is not linear.
     """
-    from nodes.stability.rest import rest
     from sim.experiments.rest_map import RestFound, rest_map
     from sim.experiments.terms import FRICTION, RESOLUTION
     from sim.play.launched import NotOneAxisError, from_launch
+    from sim.stability.rest import rest
 
     try:
         scene = from_launch(launch, chain)

@@ -14,15 +14,16 @@ from nodes.laws import CompiledLaw
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.plant import Plant
-from nodes.stability.rest import rest
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.families import Tuned, best_pd, certificate, designed, latest_delay
 from sim.design.hands import STYLUS, judge_grasps
 from sim.design.landing import drops
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.identify.altered import worst_altered
 from sim.identify.identified import Identified
 from sim.play.nonideal import NonidealDevice
+from sim.stability.rest import rest
 from sim.tune.knocking import knocked, planned, scaled
 from sim.tune.record import PlannedKnocks, PredictedStep
 

@@ -11,13 +11,13 @@ from typing import Any, Self, get_type_hints
 import msgspec
 
 from messages.errors import UsageError
-from nodes.stability.every_delay import Certificate
-from nodes.stability.rest import ComesToRest
 from sim.design.demand import Demand
 from sim.design.hands import JudgedGrasps
 from sim.design.landing import ProvenLanding
 from sim.identify.identified import Identified
 from sim.identify.identified_text import figures, from_figures
+from sim.stability.every_delay import Certificate
+from sim.stability.rest import ComesToRest
 from sim.studies.result import plain
 from sim.tune.knocking import KnockVerdict, Plan
 

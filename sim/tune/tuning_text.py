@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from nodes.stability.every_delay import Certificate
-from nodes.stability.rest import ComesToRest
+from sim.stability.every_delay import Certificate
+from sim.stability.rest import ComesToRest
 from sim.tune.record import DesignedStep, PredictedStep, TuneRecord, VerifiedStep
 
 TextRow = tuple[str, str]

@@ -18,7 +18,8 @@ from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel, advance, coefficients
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 T = 0.002
 

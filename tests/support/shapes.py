@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from nodes.environment.shapes.scene import Solid, rotation
 from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE
-from sim.lab.proxies import nearest_on
+from sim.lab.proxy_shapes import nearest_on
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Poles of two coupled devices with hands: oracle of nodes/stability/two_hands.py."""
+"""Poles of two coupled devices with hands: oracle of sim/stability/two_hands.py."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from nodes.stability.two_hands import TwoHands
+from sim.stability.two_hands import TwoHands
 
 T = 0.002  # sampling period [s]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.base.setup import Tick
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from sim.measure.measured_launch import launch, machine
 from sim.measure.stopwatch import Progress
 

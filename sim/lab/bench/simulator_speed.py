@@ -25,10 +25,11 @@ from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.k_max import with_spring
 from sim.arrays import Array
 from sim.device.model import DeviceModel, coefficients
-from sim.experiments.drop import Criterion, drop_scene, settles
+from sim.experiments.drop import drop_scene
+from sim.experiments.settling import Criterion, settles
 from sim.measure.haptic_commands import MeasurementError
 from sim.measure.stopwatch import Timing, interleaved
-from sim.play.one_axis import Scene, contact_of, motion_of
+from sim.play.one_axis_inputs import Scene, contact_of, motion_of
 from sim.play.one_axis_loop import play_compiled
 from sim.play.one_axis_tables import LawTables, Records
 

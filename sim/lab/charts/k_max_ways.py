@@ -19,7 +19,8 @@ from sim.device.model import DeviceModel
 from sim.lab.charts.derivatives import largest_stable
 from sim.lab.charts.points import Extra, Group, Point
 from sim.measure.stopwatch import interleaved
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 PERIOD, MASS, DAMPING, GAIN = 0.002, 0.1, 0.1, 3.0
 _ROUNDS, _QUICK_ROUNDS = 5, 2

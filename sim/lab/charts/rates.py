@@ -27,7 +27,8 @@ from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.lab.charts.points import Extra, Group, Point
 from sim.measure import measured_launch
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 RATES = (250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
 _QUICK_RATES = (500.0, 1000.0)

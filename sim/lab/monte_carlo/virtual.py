@@ -13,10 +13,12 @@ import numpy as np
 
 from nodes.laws.excitation import Excitation, Telegraph
 from sim.arrays import Array
-from sim.device.model import DeviceModel, Hand, quantise
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel, quantise
 from sim.identify.experiment import Experiment, lockstep
 from sim.play.nonideal import NonidealDevice, pushed
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 PUSH = Excitation()  # excitation: a launch's default
 

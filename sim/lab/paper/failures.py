@@ -22,7 +22,8 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
-from sim.experiments.drop import Criterion, drop_scene, free_scene, held, settles
+from sim.experiments.drop import drop_scene, free_scene, held
+from sim.experiments.settling import Criterion, settles
 from sim.lab.charts.integrators import euler, spring_limit
 from sim.lab.paper.claims import Claim, verdict
 from sim.lab.paper.descent import paper_targets, starting, steepest_descent

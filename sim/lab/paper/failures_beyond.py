@@ -16,16 +16,16 @@ import numpy as np
 
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
-from nodes.stability.every_delay import Certificate, every_delay
 from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant, held_plant
-from nodes.stability.rest import rest
-from nodes.stability.two_rate import TwoRate, two_rate_k_max
 from nodes.stability.world_loop import Body, world_radius
 from nodes.stability.worlds import AnyWorld, world_k_max
 from sim.arrays import Array
 from sim.device.model import DeviceModel, advance, coefficients, quantise
+from sim.stability.every_delay import Certificate, every_delay
+from sim.stability.rest import rest
+from sim.stability.two_rate import TwoRate, two_rate_k_max
 
 PERIOD = 0.002  # T of everything below [s]: the paper's
 MASS, DAMPING = 0.1, 1.0  # of the device [kg], [N s/m]
@@ -248,7 +248,8 @@ def bounce() -> BeyondEdge:
     """
     from sim.design.demand import Demand
     from sim.design.fall import falls, settled
-    from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
+    from sim.experiments.drop import CONVENTION, drop_scene, held
+    from sim.experiments.settling import Criterion, settles
 
     horizon = Criterion(20_000)
     gain, margin, plant = 8.0, 0.03, Plant(PERIOD, MASS, DAMPING)

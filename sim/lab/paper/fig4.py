@@ -26,8 +26,9 @@ from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.robust import stiffest
 from sim.device.model import DeviceModel
-from sim.experiments.drop import Criterion, drop_scene
+from sim.experiments.drop import drop_scene
 from sim.experiments.k_max_simulated import SimulatedKMax, simulated_k_max
+from sim.experiments.settling import Criterion
 from sim.measure.jobs import SweepRow, key_of
 
 Family = Callable[[float], CompiledLaw]

@@ -66,7 +66,8 @@ def chart(options: ChartOptions) -> ChartFound:
             raise UsageError(
                 f"--parts {part}: no such part; choose from {', '.join(PARTS)}"
             )
-    from sim.lab.charts.chart_page import conclusions, draw, page
+    from sim.lab.charts.chart_page import draw, page
+    from sim.lab.charts.conclusions import conclusions
     from sim.lab.charts.points import save
     from sim.measure.stopwatch import machine
 

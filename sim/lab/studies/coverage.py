@@ -23,7 +23,8 @@ from sim.studies.result import Findings, at_top
 from sim.studies.sweeps import SweepOptions, swept
 
 if TYPE_CHECKING:
-    from sim.lab.monte_carlo.study import OutsidePopulation, Population
+    from sim.lab.monte_carlo.outside import OutsidePopulation
+    from sim.lab.monte_carlo.study import Population
 
 WANTED = 0.90  # minimum coverage of a 95 % interval
 
@@ -89,12 +90,8 @@ def _outside(options: CoverageOptions) -> CoverageFound:
     """Sweep over devices that are not rigid."""
     from scipy.stats import binom
 
-    from sim.lab.monte_carlo.study import (
-        ALLOWED,
-        NEEDLESS,
-        study_outside,
-        summary_outside,
-    )
+    from sim.lab.monte_carlo.outside import study_outside, summary_outside
+    from sim.lab.monte_carlo.study import ALLOWED, NEEDLESS
     from sim.lab.monte_carlo.virtual import KINDS
 
     if options.tune:

@@ -32,7 +32,7 @@ class Fig2Options(FileOptions):
 def fig2(options: Fig2Options) -> PaperFigure:
     """Plot the figure and check the claims."""
     from sim.lab.paper.claims import save, table
-    from sim.lab.paper.fig2_fig3 import claims_2, figure_2
+    from sim.lab.paper.fig2_claims import claims_2, figure_2
 
     if options.taps < 2:
         raise UsageError(f"--taps {options.taps}: a derivative needs at least 2")

@@ -26,7 +26,7 @@ class Fig3Options(FileOptions):
 def fig3(options: Fig3Options) -> PaperFigure:
     """Plot the figure and check the claims."""
     from sim.lab.paper.claims import save, table
-    from sim.lab.paper.fig2_fig3 import claims_3, figure_3
+    from sim.lab.paper.fig3_claims import claims_3, figure_3
 
     if options.taps < 2:
         raise UsageError(f"--taps {options.taps}: a derivative needs at least 2")

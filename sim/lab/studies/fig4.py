@@ -50,7 +50,7 @@ class Fig4Options(SweepOptions, FileOptions):
 def _setting(options: Fig4Options) -> Setting:
     import numpy as np
 
-    from sim.experiments.drop import Criterion
+    from sim.experiments.settling import Criterion
     from sim.lab.paper.fig4 import Setting
 
     low, high = options.gain

@@ -36,7 +36,7 @@ from sim.lab.paper.descent import (
     starting,
     steepest_descent,
 )
-from sim.lab.paper.fig2_fig3 import optimum_terms
+from sim.lab.paper.fig3_claims import optimum_terms
 from sim.results import fresh
 from sim.studies import device_options as shared
 from sim.studies.device_options import DeviceOptions

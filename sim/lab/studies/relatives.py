@@ -217,7 +217,7 @@ def _stiffest_spring(
     """
     import numpy as np
 
-    from nodes.stability.two_rate import TwoRate, two_rate_radius
+    from sim.stability.two_rate import TwoRate, two_rate_radius
 
     devices = [
         TwoRate(mass, job["damping"], float(damper), SERVO, late)

@@ -66,7 +66,7 @@ class TwoRateFound(Findings):
 
 def two_rate(options: TwoRateOptions) -> TwoRateFound:
     """Compare servo rates."""
-    from nodes.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max
+    from sim.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max
 
     period, rows = 1.0 / options.rate, []
     for ratio in options.ratios:

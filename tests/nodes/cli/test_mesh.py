@@ -12,7 +12,7 @@ import pytest
 
 from nodes.cli.main import main
 from nodes.environment.shapes.mesh_file import read_triangles
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from tests.support import ROOT
 from tests.support.shapes import box_triangles
 

@@ -32,7 +32,8 @@ from nodes.launcher import launch_file
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from sim.device.model import DeviceModel
-from sim.play.one_axis import Scene, SceneSurface, Trace, run
+from sim.play.one_axis import Trace, run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 from sim.play.player import play
 from tests.support.launching import haptic, launch_json, running, wait_for
 from tests.support.safety import state_of

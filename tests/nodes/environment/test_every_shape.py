@@ -13,7 +13,7 @@ from nodes.environment.shapes.kinds import Shape
 from nodes.environment.shapes.scene import scene_table
 from nodes.environment.surfaces import SURFACES, parse_surface
 from nodes.view.shape import ACROSS, AROUND, shape_of
-from sim.lab.proxies import nearest_on
+from sim.lab.proxy_shapes import nearest_on
 
 RADIUS = 0.01
 EXAMPLES: dict[str, dict[str, Any]] = {

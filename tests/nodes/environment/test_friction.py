@@ -21,7 +21,7 @@ from nodes.environment.shapes.scene import (
     sphere,
 )
 from nodes.environment.shapes.tables import SKIN
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from sim.play.touch import Touched, touch
 from tests.support.setups import setup_of
 from tests.support.shapes import Array, wander

@@ -26,7 +26,7 @@ from nodes.environment.shapes.scene import mesh, new_memory, scene_table
 from nodes.environment.shapes.tree import mesh_gap, mesh_winding
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from tests.support import ROOT
 from tests.support.shapes import Array, box_triangles, turned
 

@@ -15,7 +15,7 @@ from nodes.environment.shapes.scene import mesh
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from sim.play.touch import touch
 from tests.support.launching import launch_json
 from tests.support.shapes import Array, box_triangles

@@ -22,7 +22,7 @@ from nodes.environment.shapes.scene import (
     sphere,
 )
 from nodes.environment.shapes.tables import INSIDE, SKIN
-from sim.lab.proxies import icosphere, ideal_proxy
+from sim.lab.proxy_shapes import icosphere, ideal_proxy
 from sim.play.touch import Touched, touch
 from tests.support import slowly
 from tests.support.shapes import (

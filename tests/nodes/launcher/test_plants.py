@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from nodes.base.node_kinds import load
-from nodes.coupling.judgement import contradictions
+from nodes.coupling.contradictions import contradictions
 from nodes.coupling.node import Coupling
 from nodes.coupling.parameters import PlantParameters
 from nodes.launcher import launch_file

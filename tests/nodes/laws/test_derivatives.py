@@ -23,7 +23,8 @@ from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
 from sim.lab.charts.derivative_errors import largest_pole, lengths_taken
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 from tests.support.realisations import (
     BDF,
     EPS,

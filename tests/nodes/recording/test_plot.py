@@ -21,7 +21,7 @@ from matplotlib import colors, image
 from messages import topics
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
 from nodes.cli import main
-from nodes.recording import plot
+from nodes.recording import plot, plot_panels
 from nodes.recording.overlay import RUNS, force_over_position, overlay
 from nodes.recording.reader import Recording
 from nodes.recording.series import BINS, POINTS, Line, Lines, Spans
@@ -132,11 +132,11 @@ def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert height > 800
     # The device's line runs through nearly the whole width, and leaves a height that shows the
     # bounces.
-    device = near(picture, plot.COLORS["device"])
+    device = near(picture, plot_panels.COLORS["device"])
     assert device.any(axis=0).mean() > 0.8
     assert device.any(axis=1).mean() > 0.3
     # The switch is a dotted line through all panels.
-    switch = near(picture, plot.COLORS["switch"]).sum(axis=0)
+    switch = near(picture, plot_panels.COLORS["switch"]).sum(axis=0)
     assert switch.max() > 0.2 * height
 
 
@@ -205,7 +205,7 @@ def test_plot_marks_missed_ticks_and_the_period(tmp_path: Path) -> None:
         picture = image.imread(
             plot.plot(Recording(tmp_path / f"{name}.mcap"), tmp_path / f"{name}.png")
         )
-        amounts.append(int(near(picture, plot.COLORS["late"]).sum()))
+        amounts.append(int(near(picture, plot_panels.COLORS["late"]).sum()))
     without, with_missed, lockstep = amounts
     # Without a deadline there is no period line; two marks (two of the three ticks are neighbours)
     # are triangles of 5 pt.

@@ -22,7 +22,6 @@ from nodes.stability.needed import (
 )
 from nodes.stability.plant import Plant, held_step
 from nodes.stability.spring_world import spring_window
-from nodes.stability.two_hands import TwoHands, damping_share
 from nodes.stability.world_loop import Body, world_radius
 from nodes.stability.world_verdict import judge_world
 from nodes.stability.worlds import (
@@ -40,6 +39,7 @@ from nodes.stability.worlds import (
     world_k_max,
 )
 from nodes.stability.worst_world import worst_world
+from sim.stability.two_hands import TwoHands, damping_share
 from tests.support.moving_worlds import (
     Chain,
     body_in_z,

@@ -19,7 +19,7 @@ from sim.experiments.hands_apart import over_delay
 from sim.identify.experiment import Experiment
 from sim.identify.identify import identify
 from sim.measure.cancelling import StudyCancelledError, cancelled_by
-from sim.studies.kmax import KMaxBoundary
+from sim.studies.kmax_found import KMaxBoundary
 from tests.support.launching import wait_for
 
 T = 0.002

@@ -18,7 +18,8 @@ from messages.types import DeviceState, Event, Force
 from nodes.base.events import LONGEST_MARK, Clock, Events
 from nodes.parameters.store import ParameterError
 from nodes.recording.facts import marks_of
-from nodes.recording.plot import COLORS, figure_of
+from nodes.recording.plot import figure_of
+from nodes.recording.plot_panels import COLORS
 from nodes.recording.reader import Recording
 from nodes.recording.table import columns_of, joined, read
 from nodes.recording.writer import RecordWriter

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from nodes.laws import CompiledLaw
-from nodes.stability.every_delay import Certificate
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, cases_of
 from sim.design.families import certificate, certified, designed, latest_delay
 from sim.design.landing import drops
+from sim.stability.every_delay import Certificate
 
 T = 0.002
 RIGID = Demand(

@@ -26,7 +26,6 @@ from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.writer import RecordError, RecordWriter
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.effective_damping import damping_needed
-from nodes.stability.every_delay import Certificate
 from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand, LoopCase, Robust, cases_of
 from sim.design.evolution import _within, evolved
@@ -44,7 +43,8 @@ from sim.design.landing import MARGIN, drops, landings
 from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure, replayed_radius
 from sim.design.robust import stiffest
-from sim.experiments.drop import Criterion, settles
+from sim.experiments.settling import Criterion, settles
+from sim.stability.every_delay import Certificate
 from tests.support import slowly
 
 T = 0.002

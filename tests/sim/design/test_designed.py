@@ -14,7 +14,7 @@ from nodes.stability.plant import Plant
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped, drops
 from sim.design.robust import stiffest
-from sim.experiments.drop import Criterion, settles
+from sim.experiments.settling import Criterion, settles
 from sim.play.player import play
 
 T = 0.002

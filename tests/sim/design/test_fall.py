@@ -14,7 +14,7 @@ from sim.design.demand import CONVENTIONS, Demand, filtered
 from sim.design.evolution import _lands
 from sim.design.fall import Falls, fallen, falls, settled
 from sim.design.landing import HEIGHTS, dropped
-from sim.experiments.drop import Criterion, settles
+from sim.experiments.settling import Criterion, settles
 from sim.play.one_axis import run
 
 T = 0.002

@@ -15,9 +15,7 @@ from nodes.cli.main import main
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.every_delay import Certificate
 from nodes.stability.flexible import flexible_radius
-from nodes.stability.grasp import Grasp
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.demand import Demand
@@ -29,6 +27,8 @@ from sim.design.hands import (
     k_max_over,
     worst_grasp,
 )
+from sim.stability.every_delay import Certificate
+from sim.stability.grasp import Grasp
 
 T = 0.002
 

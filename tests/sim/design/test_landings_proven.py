@@ -17,7 +17,7 @@ from nodes.stability.plant import Plant
 from sim.design.demand import Demand
 from sim.design.fall import falls, settled
 from sim.design.landing import prove_over
-from sim.experiments.drop import Criterion
+from sim.experiments.settling import Criterion
 
 T = 0.002
 HEIGHTS = (0.001, 0.003, 0.01, 0.03)

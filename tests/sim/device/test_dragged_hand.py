@@ -25,7 +25,8 @@ from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from sim.cli.bench.loop import KERNELS
 from sim.device.driver import SimDevice, SimDriver
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.device.state import PENDING, VirtualDevice, target
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild

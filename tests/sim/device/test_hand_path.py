@@ -17,7 +17,8 @@ from messages.types import DeviceState
 from nodes.parameters.store import ParameterError, convert
 from nodes.recording.writer import RecordWriter
 from sim.device.driver import along
-from sim.device.model import DeviceModel, Hand, path_position
+from sim.device.hand import Hand, path_position
+from sim.device.model import DeviceModel
 
 N = 300
 TIME = np.arange(N) * 0.004

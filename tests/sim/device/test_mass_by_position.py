@@ -23,7 +23,8 @@ from nodes.recording.reader import Recording
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
 from nodes.view.stability_map import plant_of, stability_map
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.device.state import VirtualDevice, device_tick
 from sim.experiments.term_scene import term_scene, with_device
 from sim.play.launched import NotOneAxisError, from_launch

@@ -15,13 +15,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sim.device.friction import halt_time, move, slide
+from sim.device.hand import Hand, path_position
 from sim.device.model import (
     Coefficients,
     DeviceModel,
-    Hand,
     advance,
     coefficients,
-    path_position,
     quantise,
     saturate,
     split_delay,

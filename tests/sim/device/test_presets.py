@@ -12,7 +12,8 @@ from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.device.real_devices import HANDS, MEMORY, PRESETS, preset
 from sim.studies.device_options import hand
 from tests.support.launching import haptic

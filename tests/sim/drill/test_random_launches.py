@@ -14,19 +14,9 @@ from messages.types import DeviceState, Proxy, Vector
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.laws import CompiledLaw
 from sim.drill.device_log import Sample
+from sim.drill.drawn_launches import DAMPING, LAWS, RAMP, STIFFNESS, drawn
 from sim.drill.drill import PEAK, RATE
-from sim.drill.random_launches import (
-    DAMPING,
-    LAWS,
-    RAMP,
-    REACH,
-    STIFFNESS,
-    begins_in,
-    drawn,
-    launch_many,
-    pushed,
-    text,
-)
+from sim.drill.random_launches import REACH, begins_in, launch_many, pushed, text
 from sim.drill.writes import Promise, Write, judge
 from tests.support.commit import commit
 

@@ -15,19 +15,21 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
-from nodes.stability.every_delay import Certificate, every_delay
 from nodes.stability.k_max import edge_of, k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.rest import rest
 from sim.design.demand import CONVENTIONS, Demand
 from sim.design.landing import dropped
 from sim.design.recorded_loop import replayed_radius
 from sim.device.model import DeviceModel
-from sim.experiments.drop import Criterion, drop_scene, free_scene, settles
+from sim.experiments.drop import drop_scene, free_scene
 from sim.experiments.k_max_launched import NO_LIMITS, launched, settles_launched
+from sim.experiments.settling import Criterion, settles
 from sim.lab.charts.derivatives import with_stiffness as with_gain
 from sim.lab.charts.equal_demand import tuned
-from sim.play.one_axis import Scene, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene
+from sim.stability.every_delay import Certificate, every_delay
+from sim.stability.rest import rest
 from tests.support import INSTALLED
 from tests.support.launching import launch_json
 

@@ -13,7 +13,7 @@ from nodes.cli.main import main
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import SLIPPERY, Friction, mesh
 from sim.experiments.detail import Detail, detail
-from sim.lab.proxies import icosphere, ring
+from sim.lab.proxy_shapes import icosphere, ring
 from tests.support.pictures import assert_drawn
 from tests.support.shapes import Array, box_triangles, turned
 

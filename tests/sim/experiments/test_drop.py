@@ -23,9 +23,11 @@ from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.closed_loop import closed_loop, pole_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.device.model import DeviceModel, Hand
-from sim.experiments.drop import Criterion, drop_scene, free_scene, press_scene, settles
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
+from sim.experiments.drop import drop_scene, free_scene, press_scene
 from sim.experiments.k_max_simulated import simulated_k_max, swing_frequency
+from sim.experiments.settling import Criterion, settles
 
 PERIOD = 0.002
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
 from nodes.stability.plant import Plant
-from nodes.stability.two_hands import TwoHands
 from sim.experiments.hands_apart import EndGuard, Network, felt, over_delay, play
+from sim.stability.two_hands import TwoHands
 from tests.support.two_port import loop_radius
 
 T = 0.002

@@ -15,8 +15,9 @@ from nodes.driver.passivity import PassivityParameters
 from nodes.laws.fir import FIR
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
-from sim.device.model import DeviceModel, Hand
-from sim.experiments.drop import Criterion, drop_scene, free_scene, settled, settles
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
+from sim.experiments.drop import drop_scene, free_scene
 from sim.experiments.k_max_launched import (
     compiled,
     last_settling,
@@ -27,7 +28,9 @@ from sim.experiments.k_max_launched import (
     with_stiffness,
 )
 from sim.experiments.k_max_simulated import simulated_k_max
-from sim.play.one_axis import Scene, run
+from sim.experiments.settling import Criterion, settled, settles
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene
 from tests.support.launching import haptic
 
 T = 0.002

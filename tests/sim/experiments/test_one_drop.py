@@ -18,8 +18,9 @@ from nodes.laws.pd import PD
 from nodes.stability.plant import Plant
 from sim.design.demand import Demand
 from sim.design.fall import falls, settled
-from sim.experiments.drop import CONVENTION, Criterion, drop_scene, held, settles
+from sim.experiments.drop import CONVENTION, drop_scene, held
 from sim.experiments.k_max_simulated import at_stiffness, simulated_k_max
+from sim.experiments.settling import Criterion, settles
 from sim.lab.charts.integrators import drop as integrated
 from sim.lab.charts.integrators import integrators
 from sim.play.launched import from_launch

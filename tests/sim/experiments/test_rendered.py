@@ -19,7 +19,7 @@ from nodes.stability.effective_damping import damping_needed
 from nodes.stability.plant import Plant
 from sim.experiments.perception import THRESHOLDS, tolerances
 from sim.experiments.rendered import error_of, frequencies, passive_stiffness, rendered
-from sim.lab.charts.chart_page import conclusions
+from sim.lab.charts.conclusions import conclusions
 from sim.lab.charts.loop_panel import BAND, loop_groups, realisations, wanted
 
 T = 0.002

@@ -17,7 +17,8 @@ from nodes.launcher import launch_file
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
 from sim.cli.bag.replay import at_most
-from sim.device.model import DeviceModel, Hand, path_position
+from sim.device.hand import Hand, path_position
+from sim.device.model import DeviceModel
 from sim.identify import counterfactual
 from sim.identify.counterfactual import missing_force, nudges, replay
 from sim.identify.experiment import read

@@ -17,7 +17,8 @@ from messages.types import DeviceState
 from nodes.recording.writer import RecordWriter
 from sim.arrays import Array
 from sim.device.friction import slide
-from sim.device.model import DeviceModel, Hand, coefficients
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel, coefficients
 from sim.device.state import VirtualDevice, device_part
 from sim.identify.experiment import Experiment, encoder, lockstep, read
 from sim.identify.identified import Estimate

@@ -27,14 +27,8 @@ from sim.identify.remainder import (
     reference_gain,
     stiffest,
 )
-from sim.lab.monte_carlo.study import (
-    FAR,
-    NAMED,
-    k_max_off,
-    named,
-    outcome,
-    summary_outside,
-)
+from sim.lab.monte_carlo.outside import k_max_off, named, outcome, summary_outside
+from sim.lab.monte_carlo.study import FAR, NAMED
 from sim.lab.monte_carlo.virtual import draw_outside, excite_outside
 from sim.play.nonideal import NonidealDevice
 from sim.play.nonideal import pushed as play_pushed

@@ -15,20 +15,19 @@ from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from sim.device.model import DeviceModel, Hand
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene, free_scene
 from sim.identify.swing import (
     CannotTellError,
-    DroppedSwing,
     _law,
-    counted,
-    dropped,
     longest,
     recorded_swing,
     ringing,
     swing_of,
     windows,
 )
+from sim.identify.swing_drops import DroppedSwing, counted, dropped
 from sim.play.one_axis import run
 from sim.studies.edge import LAWS
 from tests.support import one_process

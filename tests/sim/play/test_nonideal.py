@@ -12,7 +12,8 @@ from nodes.laws.knock import Knock
 from nodes.laws.pd import PD
 from sim.device.model import DeviceModel
 from sim.play.nonideal import NonidealDevice, pushed
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 T, TICKS, STEP = 0.002, 400, 1e-3
 

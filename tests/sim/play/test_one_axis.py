@@ -20,9 +20,11 @@ from nodes.arithmetic import (
 )
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
-from sim.device.model import DeviceModel, Hand, quantise
+from sim.device.hand import Hand
+from sim.device.model import DeviceModel, quantise
 from sim.device.state import VirtualDevice, device_tick
-from sim.play.one_axis import PlannedSwap, Scene, SceneSurface, Trace, run
+from sim.play.one_axis import PlannedSwap, Trace, run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 from sim.play.one_axis_loop import play_compiled
 
 PERIOD = 0.002

@@ -21,11 +21,11 @@ import pytest
 import sim.api
 from messages.errors import UsageError
 from nodes.parameters.options import options_of
-from nodes.stability.every_delay import Certificate
 from sim.api.recordings import TickTable
+from sim.stability.every_delay import Certificate
 from sim.studies.design import design
 from sim.studies.design_options import DesignOptions
-from sim.studies.kmax import KMaxBoundary, KMaxFound
+from sim.studies.kmax_found import KMaxBoundary, KMaxFound
 from sim.studies.notebook_results import Result
 from sim.studies.result import Findings, StudyResult, at_top
 from tests.support.launching import assert_nothing_left, private_runtime_dir

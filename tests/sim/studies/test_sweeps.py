@@ -19,7 +19,7 @@ from nodes.recording.writer import RecordWriter
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
 from sim.device.model import DeviceModel
-from sim.lab.monte_carlo.study import summary_outside
+from sim.lab.monte_carlo.outside import summary_outside
 from sim.lab.monte_carlo.tuned import summary, true_edge, true_radius
 from sim.lab.monte_carlo.virtual import KINDS, draw
 from sim.lab.studies.price import possible_joints

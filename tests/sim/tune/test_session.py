@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from messages.errors import RefusedError, UsageError
-from nodes.stability.rest import ComesToRest
 from sim.drill.given_design import given_design, given_prediction
+from sim.stability.rest import ComesToRest
 from sim.studies.result import plain
 from sim.tune.knocking import (
     LOWEST,

@@ -24,7 +24,7 @@ from sim.design.demand import Demand
 from sim.design.families import best_pd
 from sim.device.model import DeviceModel
 from sim.lab.bench.tap_timing import TapTimings
-from sim.lab.charts.chart_page import FEWEST, _correlation
+from sim.lab.charts.conclusions import FEWEST, _correlation
 from sim.lab.charts.derivative_errors import analyse
 from sim.lab.charts.derivatives import largest_stable, with_stiffness
 from sim.lab.charts.equal_demand import NYQUIST, RADII, keeps, laws, tuned
@@ -41,7 +41,8 @@ from sim.lab.charts.k_max_ways import light, poles, simulated
 from sim.lab.charts.points import Group, Point, keep, kept, on_front, save, with_front
 from sim.lab.charts.rates import GAIN, calms_down, continuous, force_error, launch
 from sim.measure.stopwatch import Progress, Timing, interleaved, machine
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
 
 few = st.integers(0, 4).map(float)
 

@@ -16,17 +16,10 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd_alpha import PDAlpha
 from nodes.stability.effective_damping import effective_damping
 from nodes.stability.k_max import without_spring
-from sim.experiments.drop import Criterion
+from sim.experiments.settling import Criterion
 from sim.lab.paper.claims import FAILS, HOLDS, ONLY_IF, Claim, table, verdict
-from sim.lab.paper.fig2_fig3 import (
-    claims_2,
-    claims_3,
-    figure_2,
-    figure_3,
-    one_term,
-    ripple,
-    term_curve,
-)
+from sim.lab.paper.fig2_claims import claims_2, figure_2, one_term, term_curve
+from sim.lab.paper.fig3_claims import claims_3, figure_3, ripple
 from sim.lab.paper.fig4 import (
     LAWS,
     Curve,

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from nodes.laws import CompiledLaw
-from nodes.stability.two_rate import TwoRate, two_rate_radius
 from sim.lab.studies import relatives
+from sim.stability.two_rate import TwoRate, two_rate_radius
 
 T = 0.002
 

@@ -10,7 +10,7 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
-from nodes.stability.two_hands import TwoHands, damping_share, k_max_two_hands
+from sim.stability.two_hands import TwoHands, damping_share, k_max_two_hands
 from tests.support.two_port import loop_radius
 
 T = 0.002

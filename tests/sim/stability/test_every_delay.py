@@ -11,11 +11,11 @@ import pytest
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
-from nodes.stability.every_delay import Certificate, _Ticks, every_delay
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.recorded_loop import replayed_radius
+from sim.stability.every_delay import Certificate, _Ticks, every_delay
 
 T, M, B = 0.002, 0.1, 1.0
 

@@ -1,4 +1,4 @@
-"""The paper's figures 2 and 3: normalised f(ω) of Grünwald–Letnikov terms and their sum.
+"""The paper's figure 2 and its claims: normalised f(ω) of Grünwald–Letnikov terms.
 
 Frequencies are in units of ω_N, f in units of a term's f(ω_N). The sum to n is the one that
 renders, as in eq. (9) (THEORY.md §1).
@@ -13,7 +13,6 @@ import numpy as np
 
 from nodes.laws.derivatives.gl import coefficients
 from nodes.laws.fields import alternating_sum
-from nodes.laws.presets import PRESETS
 from sim.arrays import Array
 from sim.lab.paper.claims import Claim, verdict
 from sim.lab.paper.descent import damping_curve
@@ -86,7 +85,7 @@ def _last_zero(theta: Array, curve: Array) -> float:
     return float((theta[i] + share * (theta[i + 1] - theta[i])) / math.pi)
 
 
-def _order_of_signs(difference: Array) -> str:
+def order_of_signs(difference: Array) -> str:
     """Return the signs of a curve from low to high frequency, without repeats.
 
     '-+' is first below, then above.
@@ -99,7 +98,8 @@ def _order_of_signs(difference: Array) -> str:
     )
 
 
-def _for_which(holds: dict[int, bool]) -> str:
+def for_which(holds: dict[int, bool]) -> str:
+    """Return the memories for which a claim holds, in words."""
     good, bad = (
         [n for n, yes in holds.items() if yes],
         [n for n, yes in holds.items() if not yes],
@@ -115,7 +115,7 @@ def _by_memory(
     """Judge a claim at every memory of `MEMORIES` and with unlimited memory."""
     holds, unlimited = {n: judge(n) for n in MEMORIES}, judge(math.inf)
     everywhere = all(holds.values()) and unlimited
-    which = "every n looked at" if all(holds.values()) else _for_which(holds)
+    which = "every n looked at" if all(holds.values()) else for_which(holds)
     found = f"{which}; unlimited memory: {'yes' if unlimited else 'no'}" + (
         f"; {number}" if number else ""
     )
@@ -182,7 +182,7 @@ def _below_1(
         )
 
     def crosses(n: float) -> bool:
-        return all(_order_of_signs(curves[a, n] - pd) == "-+" for a in below)
+        return all(order_of_signs(curves[a, n] - pd) == "-+" for a in below)
 
     zeros = ", ".join(f"{term.order:g} at {term.zero:.3f}" for term in shown)
     return [
@@ -190,7 +190,7 @@ def _below_1(
             "paper, section 3.2, fig. 2(a)",
             "0 < α < 1: f rises monotonically with ω",
             rises,
-            f"α = 0.7 alone: {_for_which({n: rises(n, (0.7,)) for n in MEMORIES})}",
+            f"α = 0.7 alone: {for_which({n: rises(n, (0.7,)) for n in MEMORIES})}",
         ),
         _by_memory(
             "paper, section 3.2, fig. 2",
@@ -224,7 +224,7 @@ def _above_1(
         return bool(starts) and _rising(starts) and abs(starts[-1]) < 1e-9
 
     def crosses(n: float) -> bool:
-        return all(_order_of_signs(curves[a, n] - pd) == "+-" for a in above)
+        return all(order_of_signs(curves[a, n] - pd) == "+-" for a in above)
 
     lowest = ", ".join(
         f"{term.order:g} at {theta[int(np.argmin(term.curve))] / math.pi:.2f} ω_N"
@@ -282,7 +282,7 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
         float(np.abs(one_term(theta, a, 4096) - term_curve(theta, a))[inside].max())
         for a in HIGH_ORDERS
     )
-    leaks = {a: _leak(a, taps) for a in (*LOW_ORDERS, *HIGH_ORDERS, 2.5, 3.5)}
+    leaks = {a: leak(a, taps) for a in (*LOW_ORDERS, *HIGH_ORDERS, 2.5, 3.5)}
     worst = max(leaks, key=lambda a: abs(leaks[a]))
     return [
         Claim(
@@ -301,7 +301,7 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
     ]
 
 
-def _leak(order: float, taps: int) -> float:
+def leak(order: float, taps: int) -> float:
     """Return D(1) of a normalised term, in units of 2/T."""
     return sum(coefficients(order, taps)) / alternating_sum(order, taps)
 
@@ -310,114 +310,3 @@ def _leak_sign(order: float, leak: float) -> bool:
     if order == math.floor(order):
         return abs(leak) < 1e-12
     return leak > 0.0 if math.floor(order) % 2 == 0 else leak < 0.0
-
-
-def optimum_terms() -> tuple[Array, Array]:
-    """Return the normalised gains and orders of the paper's optimum."""
-    terms = PRESETS["paper_optimum"]["terms"]
-    return np.array([t["gain"] for t in terms]), np.array([t["order"] for t in terms])
-
-
-def figure_3(taps: int, points: int = 400) -> dict[str, Array]:
-    """Compute f(ω) of the paper's optimum and of PD."""
-    theta = np.pi * np.arange(1, points + 1) / points
-    gains, orders = optimum_terms()
-    parts = [
-        damping_curve(theta, gains[i : i + 1], orders[i : i + 1], taps)
-        for i in range(2)
-    ]
-    return {
-        "theta": theta,
-        "optimum": parts[0] + parts[1],
-        "pd": -np.cos(theta),
-        "terms": np.array(parts),
-    }
-
-
-def ripple(taps: int, upper: float) -> float:
-    """Return the largest |f + 1| of the paper's optimum over the low and middle range."""
-    gains, orders = optimum_terms()
-    theta = np.pi * np.linspace(0.02, upper, 400)
-    return float(np.abs(damping_curve(theta, gains, orders, taps) + 1.0).max())
-
-
-def claims_3(taps: int, period: float) -> list[Claim]:
-    """Judge the claims of the paper and of THEORY.md on figure 3."""
-    figure = figure_3(taps)
-    theta, gains, orders = figure["theta"], *optimum_terms()
-
-    def against_pd(n: int) -> str:
-        return _order_of_signs(
-            damping_curve(theta, gains, orders, n + 1) + np.cos(theta)
-        )
-
-    better = _order_of_signs(figure["optimum"] - figure["pd"]) == "-+"
-    everywhere = {n: against_pd(n) == "-+" for n in MEMORIES}
-    crossing = (
-        float(theta[np.flatnonzero(figure["optimum"] < figure["pd"])[-1]] / math.pi)
-        if better
-        else math.nan
-    )
-    nyquist = float(figure["optimum"][-1])
-    ripples = {n: ripple(n + 1, 0.5) for n in range(1, 33)}
-    flattest = min(ripples, key=lambda n: ripples[n])
-    # Physical gains share one number A; in seconds the relative weight of a term is (2/T)^(α2
-    # − α1) times the normalised.
-    seconds = (2.0 / period) ** float(orders[1] - orders[0])
-    ratio = gains[1] / gains[0] * seconds
-    band = np.flatnonzero(np.abs(figure["optimum"] + 1.0) < 0.15)
-    end = float(theta[band[-1]] / math.pi) if len(band) else 0.0
-    fine = np.pi * (np.arange(20000) + 0.5) / 20000
-    mean = float(damping_curve(fine, gains, orders, taps).mean())
-    leak = float(
-        sum(
-            g * _leak(o, taps)
-            for g, o in zip(gains.tolist(), orders.tolist(), strict=True)
-        )
-    )
-    return [
-        Claim(
-            "paper, fig. 3",
-            "the optimum is more passive than PD at low and middle frequencies, less near ω_N",
-            verdict(
-                better and all(everywhere.values()), better or any(everywhere.values())
-            ),
-            f"only if {_for_which(everywhere)} (n ≠ 3 loses at low frequencies); n = {taps - 1}: "
-            + (f"below PD up to {crossing:.2f} ω_N" if better else "not so"),
-        ),
-        Claim(
-            "paper, eq. (10) and fig. 3",
-            "f of the optimum at ω_N is the sum of its gains, 1.69 + 1.32, each term being 1 there",
-            verdict(abs(nyquist - float(gains.sum())) < 1e-12),
-            f"f(ω_N) = {nyquist:+.3f}: the price of the band below. The paper does not say that"
-            " (13) is met at ω_N",
-        ),
-        Claim(
-            "paper, eq. (13)",
-            "the optimum is near f = −1 at low and middle frequencies",
-            verdict(ripple(taps, 0.5) < 0.02, ripple(taps, 0.5) < 0.2),
-            f"only if 'about' will do: |f + 1| ≤ {ripple(taps, 0.5):.3f} up to 0.5 ω_N, ≤ 0.15 up"
-            f" to {end:.2f} ω_N (PD: up to {math.acos(0.85) / math.pi:.2f})",
-        ),
-        Claim(
-            "THEORY.md §2",
-            "flatness of f says n = 3 (the paper prints no n)",
-            verdict(flattest == 3),
-            f"flattest n of 1 … 32 is {flattest}; ripple up to 0.5 ω_N: "
-            + ", ".join(f"n={n} {ripples[n]:.3f}" for n in (1, 2, 3, 4, 5, 8)),
-        ),
-        Claim(
-            "THEORY.md §2",
-            "with T in seconds the second term is 10^5 times the first",
-            verdict(5.0 <= math.log10(seconds) < 6.5),
-            f"T = {period * 1e3:g} ms: (2/T)^(α₂−α₁) = {seconds:.2g}, with the gains {ratio:.2g}: A"
-            " = [1.69, 1.32] only means something normalised",
-        ),
-        Claim(
-            "THEORY.md §2",
-            "the mean of f over (0, ω_N) is T·D(1)/2: damping at one frequency is paid at another",
-            verdict(abs(mean - leak) < 1e-6),
-            f"mean {mean:+.6f}, T·D(1)/2 = {leak:+.6f} (the leak: below 0 it is felt as a softer"
-            " spring)",
-        ),
-    ]

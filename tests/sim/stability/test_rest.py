@@ -10,10 +10,11 @@ from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
-from nodes.stability.rest import ComesToRest, absolute_sum, rest, stiffest_at_rest
 from sim.device.model import DeviceModel, quantise
 from sim.experiments.drop import drop_scene
-from sim.play.one_axis import Scene, SceneSurface, run
+from sim.play.one_axis import run
+from sim.play.one_axis_inputs import Scene, SceneSurface
+from sim.stability.rest import ComesToRest, absolute_sum, rest, stiffest_at_rest
 
 T, STEP = 0.002, 2.3e-5
 

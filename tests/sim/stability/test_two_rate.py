@@ -14,13 +14,8 @@ from nodes.laws.pd import PD
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
-from nodes.stability.two_rate import (
-    TwoRate,
-    heavy_limit,
-    two_rate_k_max,
-    two_rate_radius,
-)
 from sim.device.model import advance, coefficients
+from sim.stability.two_rate import TwoRate, heavy_limit, two_rate_k_max, two_rate_radius
 from tests.support.pictures import assert_drawn
 
 T = 0.002
@@ -148,7 +143,7 @@ def test_the_end_of_a_search_is_no_limit(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     # Nothing is unstable for a while: as if the limit were beyond the last step.
-    monkeypatch.setattr("nodes.stability.two_rate.two_rate_radius", lambda *_: 0.5)
+    monkeypatch.setattr("sim.stability.two_rate.two_rate_radius", lambda *_: 0.5)
     assert two_rate_k_max(SPRING, T, TwoRate(0.1, 1.0, 3.0, 4)) == math.inf
     assert main(["lab", "two_rate", "--ratios", "4", "--out", str(tmp_path)]) == 0
     assert "K_max above " in capsys.readouterr().out
