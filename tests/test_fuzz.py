@@ -39,7 +39,7 @@ from messages.transport.keys import KeyRefusedError, parse_key
 from messages.transport.requests import Reply, Request, decode_reply, decode_request
 from messages.types import DeviceState, Event, Force, NodeStatus, Proxy
 from nodes.driver.pointer import PointerReader
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.join import Starter
 from nodes.launcher.runs import RunError, RunInfo
 from nodes.laws.parse import LawRefusedError, parse_law
@@ -313,7 +313,7 @@ def targets() -> list[Target]:
         Request("law.switch", {"law": "pd"}),
     ]
     replies = [Reply(True, {"a": [1, 2.5, None, {"b": "c"}]}), Reply(False, error="no")]
-    scenes = [path.read_bytes() for path in launch_file.scenarios().values()]
+    scenes = [path.read_bytes() for path in scenario_files.scenarios().values()]
     laws = [
         b"{kind: pd, stiffness: 1000.0, damping: 3.0}",
         b"{kind: pd_alpha, stiffness: 1000.0, damping: 3.0, order: 1.2, taps: 10, gains: paper}",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from nodes.cli.main import VERBS, Parser, parser_for, verbs
-from nodes.launcher import launch_file, runs
+from nodes.launcher import runs, scenario_files
 from nodes.launcher.runs import RunError, RunInfo, find_run
 from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError
@@ -173,7 +173,7 @@ def _assignments(given: list[str]) -> list[str]:
     return (
         [
             f"{name}:="
-            for name in launch_file.read_arguments(launch_file.find(given[0]))[1]
+            for name in scenario_files.read_arguments(scenario_files.find(given[0]))[1]
         ]
         if given
         else []
@@ -188,7 +188,7 @@ def _laws(_given: list[str]) -> list[str]:
 
 
 _SOURCES: dict[str, Callable[[list[str]], list[str]]] = {
-    "scenario": lambda _: list(launch_file.scenarios()),
+    "scenario": lambda _: list(scenario_files.scenarios()),
     "assignments": _assignments,
     "topic": lambda _: list(_run().endpoints()),
     "topics": lambda _: list(_run().endpoints()),

@@ -23,7 +23,7 @@ from nodes.cli.main import add_json, answer, coloured, heeding
 from nodes.cli.page import PageAnnouncer, with_view
 from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose_tick import compile_later
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.chain_load import OVERLOADED
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.runs import STOPPED, ended_why, place_of
@@ -94,8 +94,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def _list() -> dict[str, Any]:
     found = {}
-    for name, path in launch_file.scenarios().items():
-        summary, arguments = launch_file.read_arguments(path)
+    for name, path in scenario_files.scenarios().items():
+        summary, arguments = scenario_files.read_arguments(path)
         found[name] = {
             "summary": summary,
             "arguments": {key: value.default for key, value in arguments.items()},
@@ -104,8 +104,8 @@ def _list() -> dict[str, Any]:
 
 
 def _show_args(scenario: str) -> tuple[dict[str, Any], str]:
-    path = launch_file.find(scenario)
-    summary, arguments = launch_file.read_arguments(path)
+    path = scenario_files.find(scenario)
+    summary, arguments = scenario_files.read_arguments(path)
     lines = [f"{path.stem}: {summary}"]
     figures = {}
     for name, argument in arguments.items():
@@ -138,7 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.show_args:
             return answer(arguments.json, *_show_args(arguments.scenario))
-        given = launch_file.parse_assignments(arguments.assignments)
+        given = scenario_files.parse_assignments(arguments.assignments)
         if arguments.tick is not None:
             given["tick"] = arguments.tick
         if arguments.law is not None:

@@ -173,7 +173,7 @@ def _describes(arguments: argparse.Namespace) -> bool:
 def _described(arguments: argparse.Namespace) -> dict[str, Any]:
     from nodes.coupling.law_book import worst_figures
     from nodes.coupling.parameters import PlantParameters
-    from nodes.launcher.launch_file import parse_assignments
+    from nodes.launcher.scenario_files import parse_assignments
     from nodes.laws.parse import compile_law, law_to_dict, parse_law
 
     data = (
@@ -222,11 +222,11 @@ def _of_launch(arguments: argparse.Namespace) -> dict[str, Any]:
     from nodes.base.setup import least_delay
     from nodes.coupling.law_book import LawBook
     from nodes.coupling.parameters import CouplingParameters, PlantParameters
-    from nodes.launcher import launch_file
+    from nodes.launcher import launch_file, scenario_files
     from nodes.parameters.store import convert
 
     launch = launch_file.read(
-        arguments.launch, launch_file.parse_assignments(arguments.assignments)
+        arguments.launch, scenario_files.parse_assignments(arguments.assignments)
     )
     if arguments.node not in launch.nodes:
         raise UsageError(

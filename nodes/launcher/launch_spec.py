@@ -1,6 +1,6 @@
 """Structure of a launch file: run, nodes, arguments, includes and the scene's purpose.
 
-The fields are those of the YAML; nodes/launcher/launch_file.py finds, substitutes and checks the
+The fields are those of the YAML; nodes/launcher/launch_file.py reads, substitutes and checks the
 files.
 """
 

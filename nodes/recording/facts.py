@@ -222,6 +222,6 @@ def _folders(recording: Path) -> Iterator[Path]:
 
 def _collections() -> Iterator[Path]:
     """Yield the folders of installed launch files."""
-    from nodes.launcher.launch_file import scenarios
+    from nodes.launcher.scenario_files import scenarios
 
     yield from {path.parent for path in scenarios().values()}

@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.launcher import launch_file
+from nodes.launcher import scenario_files
 from nodes.laws import CompiledLaw, Law, law_kinds
 from nodes.laws.described_laws import public_kinds
 from nodes.laws.parse import LawRefusedError, compile_law, law_to_dict, parse_law
@@ -64,8 +64,8 @@ def scenarios() -> dict[str, dict[str, Any]]:
     1000.0
     """
     found = {}
-    for name, path in launch_file.scenarios().items():
-        summary, arguments = launch_file.read_arguments(path)
+    for name, path in scenario_files.scenarios().items():
+        summary, arguments = scenario_files.read_arguments(path)
         found[name] = {
             "summary": summary,
             "arguments": {key: value.default for key, value in arguments.items()},

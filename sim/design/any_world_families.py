@@ -12,12 +12,8 @@ from nodes.laws.parse import parse_law
 from nodes.laws.presets import PRESETS
 from nodes.stability.landing_proof import law_polynomials
 from sim.arrays import Array
-from sim.design.any_world import (
-    Surroundings,
-    WorldDesign,
-    behind_poles,
-    stiffest_for_any_world,
-)
+from sim.design.any_world import stiffest_for_any_world
+from sim.design.surroundings import Surroundings, WorldDesign, behind_poles
 
 # orders at which PDα is tuned before the best is refined
 ORDERS = tuple(round(0.2 * i, 1) for i in range(1, 13))

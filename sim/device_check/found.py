@@ -9,7 +9,7 @@ from messages.errors import UsageError
 from nodes.base.node_kinds import NODES
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.mailbox import MailboxDevice
-from nodes.launcher.launch_file import parse_assignments
+from nodes.launcher.scenario_files import parse_assignments
 from nodes.parameters.store import convert
 
 

@@ -165,13 +165,13 @@ def identify_scenario(
     options: PushOptions, scenario: str, assignments: list[str]
 ) -> list[tuple[Pushed, Identified]]:
     """Start a scenario that pushes by itself and identify its recording."""
-    from nodes.launcher import launch_file
+    from nodes.launcher import launch_file, scenario_files
     from sim.identify.experiment import read
     from sim.identify.identify import identify
     from sim.identify.push import Pushed
     from sim.measure.started_launch import StartedLaunch
 
-    launch = launch_file.read(scenario, launch_file.parse_assignments(assignments))
+    launch = launch_file.read(scenario, scenario_files.parse_assignments(assignments))
     words = list(assignments)
     if scenario == "identify":
         named = {word.partition(":=")[0] for word in assignments}

@@ -8,7 +8,6 @@ from typing import Any
 
 from messages.errors import UsageError
 from nodes.recording.figure_style import new_figure, save_figure, styled
-from sim.design.any_world import Surroundings
 from sim.design.any_world_families import (
     FELT_AT,
     Member,
@@ -18,6 +17,7 @@ from sim.design.any_world_families import (
     stiffest_members,
     stiffness,
 )
+from sim.design.surroundings import Surroundings
 from sim.results import fresh
 from sim.studies.design_options import DesignOptions
 from sim.studies.result import Findings

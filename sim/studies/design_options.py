@@ -5,7 +5,7 @@ from pathlib import Path
 
 from nodes.parameters.options import FileOptions, option, quantity
 from nodes.parameters.quantities import Interval, not_negative, positive, whole
-from sim.design.hands import HandBox
+from sim.design.hand_box import HandBox
 from sim.studies import device_options as shared
 from sim.studies.device_options import grasp_option
 from sim.studies.sweeps import SpreadOptions

@@ -59,14 +59,14 @@ def detail(options: DetailOptions) -> DetailFound:
     """Guide the device along a lockstep run's path through every level of detail."""
     from nodes.coupling.law_book import LawBook
     from nodes.coupling.parameters import CouplingParameters
-    from nodes.launcher import launch_file
+    from nodes.launcher import launch_file, scenario_files
     from nodes.parameters.store import ParameterError, convert
     from sim.experiments.body_detail import body_detail
     from sim.experiments.terms import RESOLUTION
 
     try:
         launch = launch_file.read(
-            options.scenario, launch_file.parse_assignments(options.assignments)
+            options.scenario, scenario_files.parse_assignments(options.assignments)
         )
         parts = {
             spec.kind: (name, spec.parameters) for name, spec in launch.nodes.items()

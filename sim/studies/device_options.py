@@ -18,7 +18,7 @@ from nodes.stability.plant import Plant
 from sim.device.real_devices import HANDS
 
 if TYPE_CHECKING:
-    from sim.design.hands import HandBox
+    from sim.design.hand_box import HandBox
     from sim.design.recorded_loop import Measured
 
 
@@ -39,7 +39,8 @@ def grasp(text: str) -> HandBox:
 
     Each is a value or a range: mass [kg], stiffness [N/m] and damping [N s/m].
     """
-    from sim.design.hands import STYLUS, HandBox
+    from sim.design.hand_box import HandBox
+    from sim.design.hands import STYLUS
 
     if text == "stylus":
         return STYLUS

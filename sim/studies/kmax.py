@@ -35,7 +35,7 @@ from sim.studies.result import StudyResult
 from sim.studies.sweeps import SPREAD, SpreadOptions, spread
 
 if TYPE_CHECKING:
-    from sim.design.hands import HandBox
+    from sim.design.hand_box import HandBox
     from sim.play.one_axis_inputs import Scene
 
 _PRESSING = 100.0  # default stiffness of the pressing hand [N/m]

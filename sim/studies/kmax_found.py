@@ -10,7 +10,7 @@ from nodes.stability.k_max import KMax
 from sim.studies.result import Findings, StudyResult
 
 if TYPE_CHECKING:
-    from sim.design.hands import HandBox
+    from sim.design.hand_box import HandBox
     from sim.experiments.k_max_launched import SameKMax
 
 

@@ -122,11 +122,11 @@ class NeedsFound(Findings):
 
 def needs(options: NeedsOptions) -> NeedsFound:
     """Report whether each chain of a scene models enough and no more."""
-    from nodes.launcher import launch_file
+    from nodes.launcher import launch_file, scenario_files
     from nodes.launcher.wiring import chains_of
 
     launch = launch_file.read(
-        options.scenario, launch_file.parse_assignments(options.assignments)
+        options.scenario, scenario_files.parse_assignments(options.assignments)
     )
     judged = {chain: _judge(options, launch, chain) for chain in chains_of(launch)}
     if not judged:

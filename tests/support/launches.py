@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch
 
 
@@ -12,5 +12,5 @@ from nodes.launcher.launch_spec import Launch
 def every_launch() -> dict[str, Launch]:
     """Return every installed launch without arguments, by name."""
     return {
-        name: launch_file.read(name, {}) for name in sorted(launch_file.scenarios())
+        name: launch_file.read(name, {}) for name in sorted(scenario_files.scenarios())
     }

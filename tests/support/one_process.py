@@ -17,7 +17,7 @@ from messages.types import DeviceState, Force, Message, Proxy, Receipt, Vector
 from nodes.coupling.parameters import CouplingParameters
 from nodes.environment.node import EnvironmentParameters
 from nodes.environment.surfaces import parse_surface
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.wiring import manifest_of
 from nodes.laws.parse import law_to_dict, parse_law
@@ -56,7 +56,7 @@ def recorded(
     Path
         The recording.
     """
-    given = launch_file.parse_assignments([*assignments, "pace:=lockstep"])
+    given = scenario_files.parse_assignments([*assignments, "pace:=lockstep"])
     launch = launch_file.read(scenario, given, () if params is None else (params,))
     path = folder / f"{name}.mcap"
     run = f"{Path(launch.scenario).stem}-20000101-000000-000001"

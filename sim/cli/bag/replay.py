@@ -11,7 +11,7 @@ import msgspec
 
 from messages.errors import RefusedError, UsageError
 from nodes.cli.main import add_json
-from nodes.launcher.launch_file import parse_assignments
+from nodes.launcher.scenario_files import parse_assignments
 from nodes.parameters.store import ParameterError, convert
 from nodes.parameters.yaml_io import read_yaml
 from nodes.recording.figure_style import INK, new_figure, styled

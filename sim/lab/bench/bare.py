@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from nodes.compiled.library import library_of_pyzmq
 from nodes.compiled.message_fields import NotCompilableError
-from nodes.launcher import launch_file
+from nodes.launcher import scenario_files
 from nodes.launcher.child import PYTHON
 from nodes.parameters.yaml_io import read_yaml
 from sim.emulators.world import library
@@ -144,7 +144,7 @@ def _with_arm(folder: Path) -> str:
     """Write the launch with an emulated arm, pressed into the wall, as its device."""
     path, world = library("dhd", folder)
     world.state.position[2] = -0.001
-    content = read_yaml(launch_file.find(SCENARIO))
+    content = read_yaml(scenario_files.find(SCENARIO))
     driver = content["nodes"]["driver"]
     parameters = {
         "safety": driver["parameters"]["safety"],

@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from nodes.launcher.launch_file import find
+from nodes.launcher.scenario_files import find
 from nodes.laws.pd import PD
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring

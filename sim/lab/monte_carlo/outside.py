@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from sim.identify.alterations import stiffest
 from sim.identify.identified import Identified
 from sim.identify.identified_text import ROWS
 from sim.identify.identify import identify
-from sim.identify.remainder import reference_gain, stiffest
+from sim.identify.remainder import reference_gain
 from sim.lab.monte_carlo.study import ASKED, FAR, GOOD, NAMED, WRONG, truths
 from sim.lab.monte_carlo.virtual import KINDS, draw_outside, excite_outside
 from sim.play.nonideal import NonidealDevice

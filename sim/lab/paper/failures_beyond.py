@@ -62,7 +62,7 @@ def joint() -> BeyondEdge:
 
     The integration takes 64 steps a tick.
     """
-    from sim.identify.remainder import stiffest
+    from sim.identify.alterations import stiffest
     from sim.play.nonideal import NonidealDevice, pushed
 
     beyond = {"share": 0.4, "frequency": 40.0, "loss": 0.02}

@@ -160,8 +160,8 @@ def price_of_worlds(options: PriceOptions) -> list[dict[str, Any]]:
     The second covers every joint: one with its damping on the motor's side is a passive load of
     the motor, as a hand is.
     """
-    from sim.design.any_world import Surroundings
     from sim.design.any_world_families import margin_figures, stiffest_taps
+    from sim.design.surroundings import Surroundings
 
     delay = (options.delay, options.delay + options.jitter)
     rows: list[dict[str, Any]] = []

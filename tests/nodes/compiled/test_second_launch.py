@@ -21,7 +21,7 @@ import pytest
 
 from messages.topics import DEVICE_STATE
 from nodes.compiled.cache import folder
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.recording.reader import Recording
 from sim.play.player import play
 from tests.support import ROOT
@@ -47,12 +47,12 @@ RAMP = 500
 PLAYED = """
 import json, sys
 from pathlib import Path
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from sim.identify.counterfactual import replay
 from sim.identify.recorded_scene import rebuild
 from sim.play.player import play
 
-assigned = launch_file.parse_assignments(["duration:=0.6"])
+assigned = scenario_files.parse_assignments(["duration:=0.6"])
 trace = play(launch_file.read("floor_drop", assigned, (Path("slow.yaml"),))).along()
 again = replay(rebuild(Path(sys.argv[1])))
 forces = {"one process": trace.force, "replay": again.force[: len(trace.force)]}
@@ -189,7 +189,7 @@ def test_the_second_launch_runs_compiled_and_every_player_keeps_the_changed_rule
 
     # Until the first force the motion is that of the old rule: there the new force is the old one
     # times its share of the ramp.
-    given = launch_file.parse_assignments(["duration:=0.6"])
+    given = scenario_files.parse_assignments(["duration:=0.6"])
     old = (
         play(launch_file.read("floor_drop", given, (changed.folder / "slow.yaml",)))
         .along()

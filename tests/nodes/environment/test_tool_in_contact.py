@@ -18,7 +18,7 @@ from nodes.environment.bodies.contacts import contacts_text
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment
 from nodes.environment.bodies.tool import ToolParameters
-from nodes.launcher import launch_file
+from nodes.launcher import scenario_files
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import convert
 from nodes.recording.reader import Recording
@@ -272,7 +272,9 @@ def test_a_launch_says_what_the_scene_then_does(
     plant = Plant(T, 0.15, 3.0, 1.0, 150.0)  # next_tick is one tick late
     edge = world_k_max(CompiledLaw((0.0,)), plant, SteppedTool(0.5)).k_max_n_per_m
     assert edge is not None
-    scenario = yaml.safe_load(launch_file.find("puck_push").read_text(encoding="utf-8"))
+    scenario = yaml.safe_load(
+        scenario_files.find("puck_push").read_text(encoding="utf-8")
+    )
     nodes = scenario["nodes"]
     nodes["driver"]["parameters"]["device"]["hand"] |= {
         "path": [[0.0, 0.0], [0.5, 0.02]],

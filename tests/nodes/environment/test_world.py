@@ -20,7 +20,7 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.environment.world.dynamics import INTEGRATORS, BodyMotion, Stepped, lag_of
 from nodes.environment.world.node import FeltWorld, WorldParameters, check_world
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import ParameterError, convert
@@ -352,7 +352,7 @@ def test_a_launch_gives_the_bits_of_one_process(
     )
     alone = play(
         launch_file.read(
-            "world_feel", launch_file.parse_assignments(["pace:=lockstep", *words])
+            "world_feel", scenario_files.parse_assignments(["pace:=lockstep", *words])
         ),
         ticks=figures["ticks"],
     )

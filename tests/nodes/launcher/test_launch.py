@@ -16,7 +16,7 @@ import yaml
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli import main
 from nodes.driver.response_times import ResponseTimes
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
@@ -66,11 +66,11 @@ def assert_summary_is_true(figures: dict[str, Any], states: list[Any]) -> None:
     "scenario",
     [
         *slowly(sorted(IN_LOCKSTEP)),
-        *sorted(launch_file.scenarios().keys() - IN_LOCKSTEP),
+        *sorted(scenario_files.scenarios().keys() - IN_LOCKSTEP),
     ],
 )
 def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None:
-    _, arguments = launch_file.read_arguments(launch_file.find(scenario))
+    _, arguments = scenario_files.read_arguments(scenario_files.find(scenario))
     # Some run until they are stopped. One swaps its law, which it does here within the half second.
     words = ["duration:=0.5"] if "duration" in arguments else []
     words += ["first:=0.15", "second:=0.3"] if scenario == "floor_swap" else []
@@ -203,7 +203,7 @@ def test_mistakes_are_told_before_anything_is_compiled(
 def test_launch_files_are_checked_completely(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    good = launch_file.find("floor_drop").read_text(encoding="utf-8")
+    good = scenario_files.find("floor_drop").read_text(encoding="utf-8")
     broken = {
         "kind: sim_driver": (
             "kind: robot",
@@ -241,7 +241,7 @@ def test_listing_and_arguments_for_people_and_machines(
 ) -> None:
     assert main.main(["launch", "--list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
-    assert set(listed["scenarios"]) == set(launch_file.scenarios())
+    assert set(listed["scenarios"]) == set(scenario_files.scenarios())
     assert main.main(["launch", "--show-args", "floor_drop"]) == 0
     assert "stiffness:=1000.0 N/m" in capsys.readouterr().out
 
@@ -272,7 +272,9 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(
     tmp_path: Path,
 ) -> None:
     """A virtual device cannot break, and its page may go past the limit."""
-    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        scenario_files.find("touch_wall").read_text(encoding="utf-8")
+    )
     content["nodes"]["driver"] = {"kind": "force_dimension_driver"}
     content["nodes"]["coupling"]["parameters"]["plant"] = {
         "mass": 0.15,

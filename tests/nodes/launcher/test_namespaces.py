@@ -12,7 +12,7 @@ import pytest
 
 from messages import topics
 from messages.types import DeviceState
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
@@ -229,7 +229,7 @@ def test_files_that_include_one_another_for_ever_are_refused_at_once(
     (tmp_path / "b.yaml").write_text(f"{HEAD}include:\n  - {{launch: a.yaml}}\n")
     with pytest.raises(ParameterError, match="includes itself"):
         launch_file.read(str(tmp_path / "a.yaml"), {})
-    assert launch_file.read_arguments(tmp_path / "a.yaml")[1] == {}
+    assert scenario_files.read_arguments(tmp_path / "a.yaml")[1] == {}
 
 
 @pytest.mark.parametrize("written", ["x$(var a)$(var a)", "$(dirname)" * 1000])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.parameters.store import ParameterError
 from tests.support.launching import typed_in
 
@@ -50,7 +50,7 @@ def test_a_mistake_in_a_launch_file_is_told_with_its_line(
     before: str, after: str, told: str, tmp_path: Path
 ) -> None:
     text = (
-        launch_file.find("floor_drop")
+        scenario_files.find("floor_drop")
         .read_text(encoding="utf-8")
         .replace(before, after, 1)
     )
@@ -64,7 +64,7 @@ def test_a_mistake_in_a_launch_file_is_told_with_its_line(
 
 def test_what_was_probably_meant(tmp_path: Path) -> None:
     text = (
-        launch_file.find("floor_drop")
+        scenario_files.find("floor_drop")
         .read_text(encoding="utf-8")
         .replace("gravity:", "gravty:")
     )
@@ -87,7 +87,7 @@ def test_what_was_probably_meant(tmp_path: Path) -> None:
 
 
 def test_an_argument_is_blamed_as_it_was_written(tmp_path: Path) -> None:
-    text = launch_file.find("floor_drop").read_text(encoding="utf-8").splitlines()
+    text = scenario_files.find("floor_drop").read_text(encoding="utf-8").splitlines()
     line = 1 + next(
         i for i, words in enumerate(text) if words.strip().startswith("pd: {kind")
     )
@@ -111,9 +111,9 @@ def test_a_file_of_parameters_is_blamed_by_its_own_line(tmp_path: Path) -> None:
 
 def test_a_name_that_no_file_can_have_is_refused() -> None:
     with pytest.raises(ParameterError, match=r"x\.yaml: File name too long"):
-        launch_file.find(f"{'x' * 300}.yaml")
+        scenario_files.find(f"{'x' * 300}.yaml")
     with pytest.raises(ParameterError, match=r"'x\\udcff\.yaml': not UTF-8"):
-        launch_file.find("x\udcff.yaml")
+        scenario_files.find("x\udcff.yaml")
 
 
 def test_a_directory_is_no_launch_file(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_a_name_of_run_without_a_name_is_refused(name: str) -> None:
 @pytest.mark.parametrize("name", ["", ".", "a.", "[", "a]"])
 def test_a_parameter_without_a_name_is_refused(name: str, tmp_path: Path) -> None:
     text = (
-        launch_file.find("floor_drop")
+        scenario_files.find("floor_drop")
         .read_text(encoding="utf-8")
         .replace("gravity:", f"'{name}':")
     )
@@ -155,7 +155,7 @@ def test_a_parameter_without_a_name_is_refused(name: str, tmp_path: Path) -> Non
 def test_what_is_no_node_offers_no_device(node: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(f"summary: x\nnodes: {{driver: {node}}}\n", encoding="utf-8")
-    assert launch_file.read_arguments(path) == ("x", {})
+    assert scenario_files.read_arguments(path) == ("x", {})
     with pytest.raises(ParameterError, match="no argument 'device'"):
         launch_file.read(str(path), {"device": "touch_x"})
     with pytest.raises(ParameterError, match=r"mine\.yaml:2: nodes\.driver"):

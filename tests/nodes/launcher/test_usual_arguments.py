@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import RunSpec
 from nodes.launcher.usual_arguments import RUN, USUAL
 from nodes.parameters.store import ParameterError
@@ -26,7 +26,7 @@ def test_a_default_alone_is_the_argument_written_out(tmp_path: Path) -> None:
     short = written(
         tmp_path, "rate: 250.0, pace: lockstep, apply: next_tick, duration: 2.0"
     )
-    _, arguments = launch_file.read_arguments(Path(short))
+    _, arguments = scenario_files.read_arguments(Path(short))
     assert arguments["rate"].unit == "Hz"
     assert arguments["pace"].choices == ["realtime", "lockstep"]
     run = launch_file.read(short, {}).run

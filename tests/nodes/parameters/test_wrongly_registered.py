@@ -13,7 +13,7 @@ from nodes.cli.main import VERBS
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.environment.surfaces import SURFACES, parse_surface
-from nodes.launcher.launch_file import scenarios
+from nodes.launcher.scenario_files import scenarios
 from nodes.laws.base import LAWS, law_kinds, law_names
 from nodes.laws.derivatives import DERIVATIVES, derivative_kinds
 from nodes.laws.parse import LawRefusedError, parse_law

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from messages.topics import DEVICE_STATE, FORCE
-from nodes.launcher.launch_file import parse_assignments
+from nodes.launcher.scenario_files import parse_assignments
 from nodes.parameters.store import ParameterError
 from nodes.recording.import_table import import_table
 from nodes.recording.reader import Recording

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from messages.topics import DEVICE_STATE
-from nodes.launcher import launch_file
+from nodes.launcher import scenario_files
 from nodes.laws.parse import parse_law
 from nodes.recording.reader import Recording
 from sim.play.shadow import play_beside
@@ -47,7 +47,9 @@ def test_b_has_the_bits_of_a_separate_run(launch: Running, tmp_path: Path) -> No
     for all_of_it, some in zip(whole, part, strict=True):
         assert np.array_equal(all_of_it[:250], some)
     assert whole[1].min() < -0.3
-    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        scenario_files.find("touch_wall").read_text(encoding="utf-8")
+    )
     driver, coupling = (
         content["nodes"][name]["parameters"] for name in ("driver", "coupling")
     )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 import yaml
 
-from nodes.launcher import launch_file
+from nodes.launcher import scenario_files
 from tests.support.browser import OpenPage, bins, needs_browser, shown, url_of
 from tests.support.launching import Running, running, wait_for
 
@@ -70,7 +70,9 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
     browser: Browser, tmp_path: Path
 ) -> None:
     """The view keeps port and token, so the page reconnects; a dead node is named."""
-    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        scenario_files.find("touch_wall").read_text(encoding="utf-8")
+    )
     content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
     (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     words = (str(tmp_path / "touch.yaml"), "--view", "--without", "logger")
@@ -121,7 +123,9 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(
     browser: Browser, tmp_path: Path
 ) -> None:
     words = ("floor_drop", "--view", "--without", "logger", "duration:=0")
-    content = yaml.safe_load(launch_file.find("floor_drop").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        scenario_files.find("floor_drop").read_text(encoding="utf-8")
+    )
     content.setdefault("run", {})["axes"] = ["x", "z"]
     (tmp_path / "two.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     with (

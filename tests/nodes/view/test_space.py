@@ -14,7 +14,7 @@ import yaml
 
 from messages.topics import DEVICE_STATE
 from nodes import view
-from nodes.launcher import launch_file
+from nodes.launcher import scenario_files
 from nodes.recording.reader import Recording
 from tests.support.browser import OpenPage, needs_browser, shown, url_of, viewing
 from tests.support.launching import Running, running, wait_for
@@ -31,7 +31,9 @@ CENTRE, RADIUS = [0.045, 0.012, -0.02], 0.03
 @pytest.fixture(scope="module")
 def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     folder = tmp_path_factory.mktemp("space")
-    content = yaml.safe_load(launch_file.find("touch_wall").read_text(encoding="utf-8"))
+    content = yaml.safe_load(
+        scenario_files.find("touch_wall").read_text(encoding="utf-8")
+    )
     content["run"]["axes"] = ["x", "y", "z"]
     ball = {
         "kind": "sphere",

@@ -16,14 +16,7 @@ from nodes.laws import CompiledLaw
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import preset_names
 from nodes.stability.plant import Plant, held_plant
-from sim.design.any_world import (
-    Surroundings,
-    behind_poles,
-    keeps,
-    over,
-    stiffest_for_any_world,
-    zeros_inside,
-)
+from sim.design.any_world import keeps, stiffest_for_any_world, zeros_inside
 from sim.design.any_world_families import (
     felt_stiffness,
     fractional_gain,
@@ -35,6 +28,7 @@ from sim.design.any_world_families import (
     stiffest_taps,
     stiffness,
 )
+from sim.design.surroundings import Surroundings, behind_poles, over
 from tests.support.launching import typed_in
 
 T = 0.002

@@ -19,14 +19,9 @@ from nodes.stability.flexible import flexible_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from sim.design.demand import Demand
-from sim.design.hands import (
-    STYLUS,
-    HandBox,
-    certify_box,
-    judge_grasps,
-    k_max_over,
-    worst_grasp,
-)
+from sim.design.hand_box import HandBox
+from sim.design.hands import STYLUS, judge_grasps, k_max_over, worst_grasp
+from sim.design.hands_certificate import certify_box
 from sim.stability.every_delay import Certificate
 from sim.stability.grasp import Grasp
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDriverParameters
@@ -81,9 +81,9 @@ def test_an_unknown_one_is_refused_with_those_there_are() -> None:
         launch_file.read("identify", {"device": "tuch_x"})
 
 
-@pytest.mark.parametrize("scenario", launch_file.scenarios())
+@pytest.mark.parametrize("scenario", scenario_files.scenarios())
 def test_every_scenario_takes_one_and_judges_laws_by_it(scenario: str) -> None:
-    assert "device" in launch_file.read_arguments(launch_file.find(scenario))[1]
+    assert "device" in scenario_files.read_arguments(scenario_files.find(scenario))[1]
     before, launch = (
         launch_file.read(scenario, {}),
         launch_file.read(scenario, {"device": "touch_x"}),

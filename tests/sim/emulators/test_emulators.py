@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.recording.reader import Recording
 from nodes.recording.table import read
 from sim.play.launched import from_launch
@@ -40,7 +40,7 @@ Table = dict[str, np.ndarray[Any, Any]]
 @pytest.fixture(scope="module")
 def virtual() -> Forces:
     """Return the same drop on the virtual device with a delay [ticks]."""
-    arguments = launch_file.parse_assignments([*SOFT, "duration:=1"])
+    arguments = scenario_files.parse_assignments([*SOFT, "duration:=1"])
     played = from_launch(launch_file.read("floor_drop", arguments))
     found = {}
     for delay in np.linspace(0.0, 1.5, 61):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from nodes.launcher.launch_file import find
+from nodes.launcher.scenario_files import find
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.laws.pd import PD

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from nodes.cli.main import main
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Model
 from nodes.launcher.wiring import chains_of
 from nodes.parameters.store import ParameterError
@@ -34,7 +34,7 @@ def verdicts(found: Needs) -> dict[str, str]:
 
 
 def changed(tmp_path: Path, name: str, edit: Any) -> str:
-    data = yaml.safe_load(launch_file.find(name).read_text())
+    data = yaml.safe_load(scenario_files.find(name).read_text())
     edit(data)
     path = tmp_path / "changed.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False))

@@ -14,19 +14,14 @@ from nodes.laws import CompiledLaw
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.device.model import DeviceModel
 from sim.identify import identified_motion as motion
+from sim.identify.alterations import stiffest
 from sim.identify.choose_model import _simplest
 from sim.identify.experiment import lockstep
 from sim.identify.identified import Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text, verdict
 from sim.identify.identify import identify
 from sim.identify.output_error import Fit
-from sim.identify.remainder import (
-    REFUSED,
-    _by_parts,
-    plant_of,
-    reference_gain,
-    stiffest,
-)
+from sim.identify.remainder import REFUSED, _by_parts, plant_of, reference_gain
 from sim.lab.monte_carlo.outside import k_max_off, named, outcome, summary_outside
 from sim.lab.monte_carlo.study import FAR, NAMED
 from sim.lab.monte_carlo.virtual import draw_outside, excite_outside

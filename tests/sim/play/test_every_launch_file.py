@@ -20,7 +20,7 @@ import yaml
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.compiled.choose_tick import choose
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch, NodeSpec, unusual
 from nodes.launcher.wiring import chains_of
 from nodes.parameters.store import ParameterError
@@ -68,7 +68,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
 """Beyond the files: every law, quantiser, friction, delay and rule of apply."""
 
 EVERY = [
-    (name, dict[str, Any]()) for name in launch_file.scenarios() if name not in APART
+    (name, dict[str, Any]()) for name in scenario_files.scenarios() if name not in APART
 ]
 CASES = [*EVERY, *VARIANTS]
 # Launched in every run, with the plain tick; the rest is launched on request.
@@ -105,7 +105,7 @@ def in_lockstep(name: str, given: Mapping[str, Any]) -> Launch:
 
 @cache
 def arguments(name: str) -> frozenset[str]:
-    return frozenset(launch_file.read_arguments(launch_file.find(name))[1])
+    return frozenset(scenario_files.read_arguments(scenario_files.find(name))[1])
 
 
 def written(launch: Launch, folder: Path) -> Path:

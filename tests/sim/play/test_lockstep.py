@@ -13,7 +13,7 @@ import pytest
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.cli.main import main
 from nodes.compiled.choose_tick import choose
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.recording.accounts import accounts
 from nodes.recording.reader import Recording
 from sim.cli.bench.loop import KERNELS
@@ -41,7 +41,7 @@ def assert_same_bits(
     laid_over: tuple[Path, ...] = (),
     tick: str = "auto",
 ) -> None:
-    given = launch_file.parse_assignments([*assignments, "pace:=lockstep"])
+    given = scenario_files.parse_assignments([*assignments, "pace:=lockstep"])
     trace = play(launch_file.read(scenario, given, laid_over)).along()
 
     options = [word for path in laid_over for word in ("--params", str(path))]
@@ -75,7 +75,7 @@ def test_a_device_that_comes_to_the_end_of_its_workspace_stops_there(
     assert_same_bits(tmp_path, *words, laid_over=(narrow,), tick=tick)
     trace = play(
         launch_file.read(
-            words[0], launch_file.parse_assignments([*words[1:]]), (narrow,)
+            words[0], scenario_files.parse_assignments([*words[1:]]), (narrow,)
         )
     ).along()
     # 39.1 counts of 2.3e-5 m; without the stop it would rest 20 mm deep.
@@ -97,7 +97,7 @@ def test_a_driver_that_limits_and_never_stops_does_the_same_everywhere(
     words = ("floor_drop", "stiffness:=1e5", "damping:=0", SHORT)
     assert_same_bits(tmp_path, *words, laid_over=(hard,), tick=tick)
     launch = launch_file.read(
-        words[0], launch_file.parse_assignments([*words[1:]]), (hard,)
+        words[0], scenario_files.parse_assignments([*words[1:]]), (hard,)
     )
     force = play(launch).along().force
     # 500 N/s are 1 N a tick; the peak is that of the scenario.

@@ -11,7 +11,7 @@ from nodes.laws.pd import PD
 from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
-from sim.identify.remainder import stiffest
+from sim.identify.alterations import stiffest
 from sim.lab.paper import failures_beyond as beyond
 from tests.support import slowly
 
