@@ -273,7 +273,7 @@ def test_every_row_of_every_tick_has_the_bits_of_one_process(
 
 
 def test_every_scenario_is_played_or_refused() -> None:
-    assert {*PLAYED, *REFUSED, *MUJOCO} == set(launch_file.scenarios())
+    assert {*PLAYED, *REFUSED, *MUJOCO} == set(scenario_files.scenarios())
 
 
 def test_all_kinds_of_law_are_played_but_one_whose_code_has_a_memory_of_its_own() -> (
