@@ -1,4 +1,4 @@
-"""How often the interval of K_max from a swing contains the truth: drops of random devices."""
+"""Coverage of the interval of K_max from a swing, by drops of random devices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from messages.types import DeviceState, Event, Force, Proxy, Vector
-from nodes.driver.paired.device import PairedDevice
+from nodes.driver.paired.paired_device import PairedDevice
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment
 from sim.arrays import Array

@@ -21,7 +21,7 @@ from nodes.base.setup import Axis, Setup
 from nodes.driver.device import Device, DeviceLimits
 from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.node import Driver
-from nodes.driver.paired.device import Alignment, PairedDevice
+from nodes.driver.paired.paired_device import Alignment, PairedDevice
 from nodes.driver.parameters import DriverParameters
 from nodes.parameters.store import ParameterError, convert
 

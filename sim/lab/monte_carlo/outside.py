@@ -1,4 +1,4 @@
-"""Random devices outside the model class: false certainty and needless refusals, kind by kind."""
+"""Random devices outside the model class: false certainty, needless refusals, by kind."""
 
 import math
 from collections import Counter

@@ -18,7 +18,7 @@ from nodes.base.node_kinds import NODES
 from nodes.driver.device import Device
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.node import Driver
-from nodes.driver.paired.device import PairedDevice
+from nodes.driver.paired.paired_device import PairedDevice
 from nodes.parameters.store import ParameterError, convert
 from sim.device.driver import SimDevice, SimDriverParameters
 from sim.device.model import DeviceModel

@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from nodes.driver.device import DeviceLimits
-from nodes.driver.paired.device import Alignment, PairedDevice
 from nodes.driver.paired.driver import PairedDriver
+from nodes.driver.paired.paired_device import Alignment, PairedDevice
 from nodes.laws.parse import parse_law
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
