@@ -1,7 +1,7 @@
-"""The marker ``thorough``: README's line leaves a test to CI because it runs a quicker one.
+"""The marker ``thorough``: CI runs such a test, README's line a quicker one in its place.
 
 ``@pytest.mark.thorough("test_quick")`` names a test of the same rule, in the same file or as
-``tests/a/test_b.py::test_quick``, that README's line does run; for some parameters of a test,
+`x, that README's line does run; for some parameters of a test,
 `tests.support.thoroughly` marks them and the others are the quicker ones. A name that README's
 line does not run is an error, so nothing is left to CI alone.
 """

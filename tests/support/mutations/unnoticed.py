@@ -1,4 +1,4 @@
-"""Places that are not mutated, because a change there changes no behaviour: each with its reason.
+"""Places that are not mutated because no behaviour depends on them, each with its reason.
 
 What a text says, an annotation or a figure's looks has no oracle but itself, and counting it would
 measure nothing. A change of one place that gives an equal program is a row of `EQUIVALENT`.
