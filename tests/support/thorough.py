@@ -1,9 +1,9 @@
 """The marker ``thorough``: CI runs such a test, README's line a quicker one in its place.
 
-``@pytest.mark.thorough("test_quick")`` names a test of the same rule, in the same file or as
-`x, that README's line does run; for some parameters of a test,
-`tests.support.thoroughly` marks them and the others are the quicker ones. A name that README's
-line does not run is an error, so nothing is left to CI alone.
+``@pytest.mark.thorough("test_quick")`` names a test of the same rule that README's line does run;
+one of another file is named by path and ``::``, as pytest does. `tests.support.thoroughly` marks
+some values of a parameter; the test with the other values is then the quicker one. A name that
+README's line does not run is an error, so no rule is left to CI alone.
 """
 
 from __future__ import annotations
