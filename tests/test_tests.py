@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import ast
+import itertools
+import re
+import tomllib
 from functools import cache
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import pytest
+from _pytest.mark.expression import Expression
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support import ROOT
 from tests.support.examples import multiply
+from tests.support.thorough import unfounded
 
 FILES = sorted((ROOT / "tests").rglob("test_*.py"))
 OF_NO_ROOM = {"tests/benchmarks"}
@@ -81,6 +88,71 @@ def test_what_is_smoke_starts_a_process() -> None:
             if is_smoke and "pytest.mark.process" not in marks:
                 alone.append(f"{path}:{getattr(node, 'lineno', 0)}")
     assert alone == []
+
+
+class Marked(NamedTuple):
+    """What a collected test is asked for: its name and markers."""
+
+    nodeid: str
+    marks: tuple[pytest.Mark, ...]
+
+    def iter_markers(self, name: str | None = None) -> list[pytest.Mark]:
+        """Return its markers, or those of a name."""
+        return [mark for mark in self.marks if name in (None, mark.name)]
+
+
+def marked(test: str, *names: str, quick: str | None = None) -> Any:
+    marks = [pytest.Mark(name, (), {}, _ispytest=True) for name in names]
+    if quick is not None:
+        given = (quick,) if quick else ()
+        marks.append(pytest.Mark("thorough", given, {}, _ispytest=True))
+    return Marked(test, tuple(marks))
+
+
+@pytest.mark.parametrize(
+    ("items", "wrong"),
+    [
+        ([marked("a::t", quick="q"), marked("a::q")], []),
+        ([marked("a::t", quick="q"), marked("a::q", "process", "smoke")], []),
+        ([marked("a::t[1]", quick="t"), marked("a::t[2]")], []),
+        ([marked("a::t", quick="b::q"), marked("b::q")], []),
+        # The other file was not collected: nothing is known.
+        ([marked("a::t", quick="b::q"), marked("a::q")], []),
+        ([marked("a::t", quick="q")], ["a::t names q"]),
+        ([marked("a::t", quick="")], ["a::t names no test"]),
+        ([marked("a::t", quick="q"), marked("a::q", "process")], ["a::t names q"]),
+        ([marked("a::t", quick="q"), marked("a::q", "slow")], ["a::t names q"]),
+        (
+            [marked("a::t", quick="q"), marked("a::q", quick="t")],
+            ["a::t names q", "a::q names t"],
+        ),
+        ([marked("a::t[1]", quick="t"), marked("a::t[2]", "slow")], ["a::t names t"]),
+    ],
+)
+def test_what_is_thorough_names_a_quicker_test_that_readme_s_line_runs(
+    items: list[Any], wrong: list[str]
+) -> None:
+    assert unfounded(items) == wrong
+
+
+def test_ci_runs_with_each_commit_all_that_readme_s_line_leaves_out_but_slow_ones() -> (
+    None
+):
+    """For every combination of markers, by pytest's own evaluation of both expressions."""
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    first = options["tool"]["pytest"]["ini_options"]["addopts"].partition("-m '")[2]
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    (second,) = re.findall(r"^\.venv/bin/pytest -m '(.+)'$", script, re.MULTILINE)
+    default, rest = Expression.compile(first.rstrip("'")), Expression.compile(second)
+    names = ("slow", "thorough", "process", "smoke", "hypothesis")
+    for present in itertools.product((False, True), repeat=len(names)):
+        marks = dict(zip(names, present, strict=True))
+
+        def has(name: str, /, **_: object) -> bool:
+            return marks[name]  # noqa: B023
+
+        runs = [expression.evaluate(has) for expression in (default, rest)]
+        assert any(runs) is not marks["slow"], marks
 
 
 def test_a_property_test_tries_as_many_examples_as_asked_for() -> None:

@@ -8,6 +8,7 @@ text), keys are unique, and aliases are rejected because a kilobyte of them expa
 import contextlib
 import errno
 import fcntl
+import functools
 import os
 import re
 import stat
@@ -18,6 +19,8 @@ import yaml
 from nodes.parameters.store import ParameterError
 
 MAX_CHARACTERS = 1_000_000  # longest document: several laws of maximum length
+
+MAX_KEPT = 20_000  # longest document that is parsed once [characters]: a launch file
 
 MAX_DEPTH = 32
 MAX_INT = 2**63 - 1  # integers are sent between processes as 64 bits
@@ -140,8 +143,7 @@ def parse_yaml(text: str, source: str) -> Any:
             f"{len(text)} characters, limit {MAX_CHARACTERS}", path=source
         )
     try:
-        # _Loader is a SafeLoader and constructs builtins only.
-        return yaml.load(text, Loader=_Loader)  # noqa: S506
+        return _copied(_parsed(text)) if len(text) <= MAX_KEPT else _load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         reason = (
             " ".join(str(error).split())
@@ -149,6 +151,22 @@ def parse_yaml(text: str, source: str) -> Any:
             .replace(_NAMELESS, "")
         )
         raise ParameterError(f"not valid YAML: {reason}", path=source) from error
+
+
+def _load(text: str) -> Any:
+    # _Loader is a SafeLoader and constructs builtins only.
+    return yaml.load(text, Loader=_Loader)  # noqa: S506
+
+
+# A study plays one launch file some thousand times, and PyYAML takes 20 ms for each.
+_parsed = functools.lru_cache(maxsize=64)(_load)
+
+
+def _copied(data: Any) -> Any:
+    """Return a copy of builtins whose mappings and lists the caller may change."""
+    if isinstance(data, dict):
+        return {name: _copied(value) for name, value in data.items()}
+    return [_copied(value) for value in data] if isinstance(data, list) else data
 
 
 def lines_of(path: str | os.PathLike[str]) -> dict[str, int]:

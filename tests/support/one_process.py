@@ -84,7 +84,7 @@ def messages(launch: Launch) -> Iterator[tuple[str, Message]]:
     _, environment = parameters_of(launch, "environment", EnvironmentParameters)
     meet = parse_surface(environment.surface, "surface").meeting()
     _, coupling = parameters_of(launch, "coupling", CouplingParameters)
-    changes = {round(one.at / period): one.law for one in coupling.schedule}
+    changes = {round(one.at / period): one for one in coupling.schedule}
     law, revision, energy = coupling.law, 0, 0.0
 
     def along(value: float) -> Vector:
@@ -129,7 +129,7 @@ def messages(launch: Launch) -> Iterator[tuple[str, Message]]:
             ),
         )
         if k in changes:
-            before, law, revision = law, changes[k], revision + 1
+            before, law, revision = law, changes[k].law, revision + 1
             texts = [
                 json.dumps(
                     {"law": one, **law_to_dict(parse_law(coupling.laws[one]))},
@@ -147,6 +147,7 @@ def messages(launch: Launch) -> Iterator[tuple[str, Message]]:
                     after=texts[1],
                     reason="schedule",
                     revision=revision,
+                    ramp=changes[k].ramp,
                 ),
             )
         yield (

@@ -23,6 +23,7 @@ from nodes.parameters.yaml_io import (
     MAX_CHARACTERS,
     MAX_DEPTH,
     MAX_INT,
+    MAX_KEPT,
     parse_yaml,
     read_yaml,
     write_yaml,
@@ -66,6 +67,17 @@ def test_scalars_are_what_they_look_like(text: str, value: object) -> None:
     read = parse_yaml(text, "test")
     assert read == value
     assert type(read) is type(value)
+
+
+@pytest.mark.parametrize("size", [0, MAX_KEPT])
+def test_what_was_read_is_the_reader_s_own(size: int) -> None:
+    """A short text is parsed once: who changes what came of it changes no later reading."""
+    text = "a: {b: [1, {c: 2}]}\n" + "#" * size
+    first = parse_yaml(text, "one")
+    first["a"]["b"][1]["c"] = 3
+    first["a"]["b"].append(4)
+    del first["a"]
+    assert parse_yaml(text, "other") == {"a": {"b": [1, {"c": 2}]}}
 
 
 def nested(depth: int) -> str:

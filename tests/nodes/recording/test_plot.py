@@ -26,7 +26,7 @@ from nodes.recording.overlay import RUNS, force_over_position, overlay
 from nodes.recording.reader import Recording
 from nodes.recording.series import BINS, POINTS, Line, Lines, Spans
 from nodes.recording.writer import RecordWriter
-from tests.support import slowly
+from tests.support import slowly, thoroughly
 from tests.support.overlap import overlaps
 from tests.support.recorded import PERIOD, PUBLISHES, drop
 
@@ -449,7 +449,14 @@ def test_no_text_lies_over_another(
     assert overlaps(plot.figure_of(Recording(path), *window)) == []
 
 
-@pytest.mark.parametrize("count", slowly([1, 2, 7, RUNS], but=[2, RUNS]))
+@pytest.mark.parametrize(
+    "count",
+    [
+        2,
+        *slowly([1, 7]),
+        *thoroughly([RUNS], "test_no_text_lies_over_another_with_several_runs"),
+    ],
+)
 def test_no_text_lies_over_another_with_several_runs(
     tmp_path: Path, count: int
 ) -> None:

@@ -392,6 +392,7 @@ def test_analyse_agrees_with_what_it_is_made_of(
     assert Path(figures["plot"]).is_file()
 
 
+@pytest.mark.thorough("test_the_end_of_a_simulated_search_is_not_told_as_no_limit")
 def test_simulated_drop_reads_below_the_linear_limit(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

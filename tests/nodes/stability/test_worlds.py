@@ -40,6 +40,7 @@ from nodes.stability.worlds import (
 )
 from nodes.stability.worst_world import worst_world
 from sim.stability.two_hands import TwoHands, damping_share
+from tests.support import thoroughly
 from tests.support.moving_worlds import (
     Chain,
     body_in_z,
@@ -426,7 +427,10 @@ def test_the_worst_world_swings_just_above_and_rests_just_below(
     assert radius == pytest.approx(1.0, abs=float(np.cbrt(np.finfo(float).eps)))
 
 
-@pytest.mark.parametrize("delay", [0.0, 1.0])
+@pytest.mark.parametrize(
+    "delay",
+    thoroughly([0.0, 1.0], "test_the_worst_world_played_tick_by_tick", but=[1.0]),
+)
 @pytest.mark.parametrize(
     "law", [pd(3.0), HALF, OPTIMUM, DESIGNED], ids=["pd", "half", "optimum", "designed"]
 )
@@ -536,10 +540,20 @@ def broken_chains(count: int, seed: int, share: float) -> tuple[int, int]:
     return tried, broken
 
 
-def test_no_stepped_tool_and_no_pair_of_hands_breaks_what_is_certified() -> None:
-    assert broken_chains(90, 7, 0.99) == (90, 0)
+@pytest.mark.parametrize(
+    "count",
+    thoroughly(
+        [30, 90],
+        "test_no_stepped_tool_and_no_pair_of_hands_breaks_what_is_certified",
+        but=[30],
+    ),
+)
+def test_no_stepped_tool_and_no_pair_of_hands_breaks_what_is_certified(
+    count: int,
+) -> None:
+    assert broken_chains(count, 7, 0.99) == (count, 0)
     # The test can fail: beyond the certificate some of them swing.
-    assert broken_chains(90, 7, 3.0)[1] > 5
+    assert broken_chains(count, 7, 3.0)[1] > count // 18
 
 
 @pytest.mark.slow

@@ -6,10 +6,9 @@ import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from jupyter_client.manager import KernelManager
 
 from sim.measure.interrupts import deferred
 from tests.support.launching import (
@@ -18,6 +17,9 @@ from tests.support.launching import (
     processes_of,
     wait_for,
 )
+
+if TYPE_CHECKING:
+    from jupyter_client.manager import KernelManager
 
 pytestmark = pytest.mark.filterwarnings(
     "default"
@@ -43,6 +45,8 @@ def in_a_kernel(
     then: Callable[[KernelManager], None],
 ) -> list[dict[str, Any]]:
     """Run a cell in a kernel, act once it has started, and return its messages until idle."""
+    from jupyter_client.manager import KernelManager  # half a second for every worker
+
     manager = KernelManager(kernel_name="python3")
     manager.start_kernel(
         cwd=str(folder), env={**os.environ, "HAPTIC_RUNTIME_DIR": str(folder)}
@@ -96,7 +100,9 @@ def test_an_interrupted_cell_leaves_nothing(
     code: str, begun: Callable[[dict[str, Any]], bool]
 ) -> None:
     with private_runtime_dir() as folder:
-        told = in_a_kernel(folder, code, begun, KernelManager.interrupt_kernel)
+        told = in_a_kernel(
+            folder, code, begun, lambda manager: manager.interrupt_kernel()
+        )
         (error,) = (
             message["content"] for message in told if message["msg_type"] == "error"
         )

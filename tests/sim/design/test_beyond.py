@@ -26,6 +26,9 @@ RIGID = Demand(
 JOINT = ((0.0, 0.4, 30.0, 0.02), (0.0, 0.4, 36.0, 0.02))
 
 
+@pytest.mark.thorough(
+    "test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands"
+)
 def test_a_design_for_a_joint_keeps_it_and_one_for_a_rigid_device_does_not() -> None:
     """The bound holds at every device; the rigid design breaks it."""
     asked = replace(RIGID, beyond=JOINT)

@@ -103,6 +103,7 @@ def test_best_pd_is_the_best_of_a_grid(delay: float) -> None:
     assert best >= 0.95 * found.h1_n_per_m
 
 
+@pytest.mark.thorough("test_two_free_taps_are_pd")
 @pytest.mark.parametrize("delay", slowly([0.0, 1.0, 2.0], but=[1.0]))
 def test_free_taps_beat_what_they_contain(delay: float) -> None:
     """Four free taps contain PD and the paper's optimum: never softer, often much stiffer."""
@@ -135,6 +136,10 @@ def test_two_free_taps_are_pd() -> None:
     )
 
 
+@pytest.mark.thorough(
+    "tests/sim/design/test_beyond.py::"
+    "test_one_law_for_a_joint_all_hands_and_every_sequence_of_delays_that_lands"
+)
 def test_ranges_of_delay_and_hand_are_kept_and_cost_stiffness() -> None:
     late, held = demand(1.0, delay=(0.8, 1.3)), demand(1.0, stiffness=(0.0, 300.0))
     exact = check(pd(demand(1.0)).found, demand(1.0)).h1_n_per_m

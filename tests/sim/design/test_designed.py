@@ -57,6 +57,7 @@ def test_preset_lands_between_the_drops_that_it_was_designed_with_and_not_far_be
     assert not all(fallen([0.05 / 1.06]))
 
 
+@pytest.mark.thorough("test_preset_keeps_its_demand")
 def test_preset_is_as_stiff_as_what_the_study_designs() -> None:
     """Another seed finds other taps of equal stiffness, up to the ragged limit."""
     demand = replace(DEMANDS["designed_d1"], lands=CONVENTIONS)

@@ -35,6 +35,7 @@ def laws() -> list[CompiledLaw]:
     return found
 
 
+@pytest.mark.thorough("test_a_fall_that_is_watched_is_the_simulator_s")
 def test_a_rigid_device_falls_as_in_the_simulator() -> None:
     drops = falls(RIGID, MASSES, CONVENTIONS, HEIGHTS)
     scenes = [

@@ -167,6 +167,10 @@ def test_law_show_says_which_mass_it_is(capsys: pytest.CaptureFixture[str]) -> N
     assert worst["worst_mass_kg"] == (0.05, 0.5)[ends.index(max(ends))]
 
 
+@pytest.mark.thorough(
+    "tests/nodes/view/test_stability_map.py::"
+    "test_what_a_device_says_of_its_masses_goes_into_the_map"
+)
 def test_the_map_is_of_all_masses() -> None:
     law, period = PD(stiffness=300.0, damping=2.0), 0.002
     both = stability_map(

@@ -28,19 +28,30 @@ from sim.play.given import Given
 from sim.play.launched import from_launch
 from sim.play.one_axis import run
 from tests.support.launching import launch_json, typed_in
+from tests.support.one_process import recorded
 from tests.support.recorded import rewritten
 
 STEP = 2.3e-5
 """Encoder step of floor_buzz [m]."""
 
 
+WORDS = ("floor_buzz", "apply:=next_tick")
+OTHER = ("law:=pd_alpha", "stiffness:=700")
+
+
 @pytest.fixture(scope="module")
 def buzz(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Record the same drop in lockstep with two laws."""
+    """Record the same drop with two laws, in this process."""
     folder = tmp_path_factory.mktemp("buzz")
-    words = ("floor_buzz", "pace:=lockstep", "apply:=next_tick")
-    pd = launch_json(folder, *words)["recording"]
-    other = launch_json(folder, *words, "law:=pd_alpha", "stiffness:=700")["recording"]
+    return recorded(folder, *WORDS), recorded(folder, *WORDS, *OTHER, name="other")
+
+
+@pytest.fixture(scope="module")
+def launched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Record the same by launches in lockstep."""
+    folder = tmp_path_factory.mktemp("launched")
+    pd = launch_json(folder, *WORDS, "pace:=lockstep")["recording"]
+    other = launch_json(folder, *WORDS, *OTHER, "pace:=lockstep")["recording"]
     return folder / pd, folder / other
 
 
@@ -56,13 +67,13 @@ def positions(recording: Path) -> list[float]:
 
 @pytest.mark.process
 def test_the_same_law_gives_the_same_bits_and_another_what_a_launch_of_it_does(
-    buzz: tuple[Path, Path],
+    launched: tuple[Path, Path],
 ) -> None:
-    recorded = rebuild(buzz[0])
-    same = replay(recorded)
-    assert same.measured.tolist() == positions(buzz[0])
-    law, _ = another_law(recorded, {"law": "pd_alpha", "stiffness": 700.0})
-    assert replay(recorded, law).measured.tolist() == positions(buzz[1])
+    scene = rebuild(launched[0])
+    same = replay(scene)
+    assert same.measured.tolist() == positions(launched[0])
+    law, _ = another_law(scene, {"law": "pd_alpha", "stiffness": 700.0})
+    assert replay(scene, law).measured.tolist() == positions(launched[1])
 
 
 def test_rounding_is_not_told_in_digits() -> None:
@@ -73,15 +84,13 @@ def test_rounding_is_not_told_in_digits() -> None:
     ]
 
 
-@pytest.mark.process
 def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
     """Forces at their recorded instants, interpreted: equal to rounding."""
-    recorded = rebuild(buzz[0])
-    slow = replay(recorded, external=np.zeros(len(recorded.position)))
-    assert np.max(np.abs(slow.measured - recorded.position)) <= 1e-12
+    scene = rebuild(buzz[0])
+    slow = replay(scene, external=np.zeros(len(scene.position)))
+    assert np.max(np.abs(slow.measured - scene.position)) <= 1e-12
 
 
-@pytest.mark.process
 def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
     buzz: tuple[Path, Path],
 ) -> None:
@@ -105,7 +114,6 @@ def test_an_identified_model_comes_back_tells_its_error_and_predicts_within_it(
     assert told["predicted"]["settled"] is True
 
 
-@pytest.mark.process
 def test_a_drop_that_mostly_rests_is_identified_from_its_motion(
     buzz: tuple[Path, Path],
 ) -> None:
@@ -175,31 +183,28 @@ def test_forces_that_arrive_as_in_lockstep_give_its_run_guard_and_limits_include
 
 @pytest.mark.slow
 def test_a_guarded_run_in_real_time_comes_back(tmp_path: Path) -> None:
-    recorded = rebuild(
+    scene = rebuild(
         undisturbed(tmp_path, "floor_guarded", "apply:=next_tick", "duration:=0.5")
     )
-    assert np.max(np.abs(replay(recorded).measured - recorded.position)) < 1e-3
+    assert np.max(np.abs(replay(scene).measured - scene.position)) < 1e-3
 
 
-@pytest.mark.process
 def test_a_device_at_the_end_of_its_workspace_comes_back(tmp_path: Path) -> None:
     """A floor of 2 N/m lets it reach its end."""
-    words = ("floor_drop", "pace:=lockstep", "stiffness:=2", "duration:=1.2")
-    recording = tmp_path / launch_json(tmp_path, *words)["recording"]
-    recorded = rebuild(recording)
-    assert recorded.left_out == ()
-    same = replay(recorded)
+    recording = recorded(tmp_path, "floor_drop", "stiffness:=2", "duration:=1.2")
+    scene = rebuild(recording)
+    assert scene.left_out == ()
+    same = replay(scene)
     assert np.min(same.measured) == same.measured[-1]
     assert same.measured.tolist() == positions(recording)
 
 
-@pytest.mark.process
 def test_swaps_are_replayed_from_their_receipts(tmp_path: Path) -> None:
-    words = ("floor_swap", "pace:=lockstep", "first:=1", "second:=2", "duration:=3")
-    recording = tmp_path / launch_json(tmp_path, *words)["recording"]
-    recorded = rebuild(recording)
-    assert len(recorded.scene.swaps) == 2
-    assert replay(recorded).measured.tolist() == positions(recording)
+    words = ("floor_swap", "first:=1", "second:=2", "duration:=3")
+    recording = recorded(tmp_path, *words)
+    scene = rebuild(recording)
+    assert len(scene.scene.swaps) == 2
+    assert replay(scene).measured.tolist() == positions(recording)
 
 
 @pytest.mark.slow
@@ -218,23 +223,23 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
         path=[(0.2, 0.0), (0.7, 0.03), (2.0, 0.03), (2.5, 0.0)],
     )
     bare = DeviceModel(mass=0.145, damping=3.1)
-    recorded = rebuild(recording, bare)
-    external = missing_force(recorded, 1e-7)
+    scene = rebuild(recording, bare)
+    external = missing_force(scene, 1e-7)
     times = np.arange(len(external)) * 0.002
     pull = np.array(
         [hand.stiffness * path_position(hand.path, t) for t in times.tolist()]
     )
-    expected = pull - hand.stiffness * recorded.position
+    expected = pull - hand.stiffness * scene.position
     middle = slice(50, -50)
     # Its spring pulls with up to 3 N; a smoothed random walk follows corners within a few per cent
     # of that.
     assert np.sqrt(np.mean((external - expected)[middle] ** 2)) < 0.1
-    nudged = nudges(recorded, external)
-    same = replay(recorded, None, external, nudged)
-    assert np.max(np.abs(same.measured - recorded.position)) <= 1e-7
+    nudged = nudges(scene, external)
+    same = replay(scene, None, external, nudged)
+    assert np.max(np.abs(same.measured - scene.position)) <= 1e-7
     # A hand whose spring is known gives way to another law as the true one does: what a launch of
     # that law would record.
-    law, _ = another_law(recorded, {"law": "pd", "stiffness": 400.0})
+    law, _ = another_law(scene, {"law": "pd", "stiffness": 400.0})
     spring = rebuild(
         recording,
         DeviceModel(
@@ -247,7 +252,6 @@ def test_the_hand_that_moved_the_device_is_estimated(tmp_path: Path) -> None:
     assert np.max(np.abs(predicted.measured - truth.measured)) < 1e-5
 
 
-@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "message"),
     [(("law:=nothing",), "nothing"), (("stifness:=3",), "stifness")],
@@ -259,7 +263,6 @@ def test_what_cannot_be_replayed_is_refused(
     assert message in done.stderr
 
 
-@pytest.mark.process
 def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -282,7 +285,6 @@ def test_a_law_that_is_none_is_refused_before_the_scene_is_rebuilt(
     )
 
 
-@pytest.mark.process
 @pytest.mark.parametrize("missing", [7, 8])
 def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     buzz: tuple[Path, Path], tmp_path: Path, missing: int
@@ -301,7 +303,6 @@ def test_ticks_before_the_driver_slept_are_replayed_where_they_are_enough(
     )
 
 
-@pytest.mark.process
 def test_of_two_answers_in_one_tick_both_are_replayed(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -329,15 +330,14 @@ def test_of_two_answers_in_one_tick_both_are_replayed(
                     message, changed_at=0.25, delay=0.75, mean_force=mean
                 )
             writer.write(entry.topic, message, entry.log_time)
-    recorded = rebuild(late)
-    first = recorded.answers.tolist().index(298)
-    assert recorded.answers[first + 1] == 299
-    assert recorded.took[first : first + 2] == pytest.approx([299.25, 299.75])
+    scene = rebuild(late)
+    first = scene.answers.tolist().index(298)
+    assert scene.answers[first + 1] == 299
+    assert scene.took[first : first + 2] == pytest.approx([299.25, 299.75])
     # Two roundings of a mean of 5 N.
-    assert recorded.given[first] == pytest.approx(5.0, abs=1e-14)
+    assert scene.given[first] == pytest.approx(5.0, abs=1e-14)
 
 
-@pytest.mark.process
 def test_nothing_read_from_a_recording_names_a_file(
     buzz: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -106,7 +106,17 @@ def _delay(rng: np.random.Generator, most: int) -> float:
     )
 
 
-@pytest.mark.parametrize("cases", [60, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "cases",
+    [
+        15,
+        pytest.param(
+            60,
+            marks=pytest.mark.thorough("test_no_hands_make_what_is_passive_unstable"),
+        ),
+        pytest.param(3000, marks=pytest.mark.slow),
+    ],
+)
 def test_no_hands_make_what_is_passive_unstable(cases: int) -> None:
     rng = np.random.default_rng(20261127)
     tried = 0

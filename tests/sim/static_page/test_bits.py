@@ -17,7 +17,7 @@ import pytest
 
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.laws import law_kinds
 from nodes.parameters.store import ParameterError, convert
@@ -149,6 +149,19 @@ SWAPS: tuple[Swap, ...] = tuple(
 )
 """More laws fade out at once than a coupling stores, some of them with recursive sections."""
 
+NAMES = sorted(
+    [
+        *(name for name in scenario_files.scenarios() if name not in (*REFUSED, *MUJOCO)),
+        *(f"{name} {given}" for name, given in VARIANTS),
+        *(f"law {kind}" for kind in LAWS),
+        *(f"derivative {kind}" for kind in KINDS),
+        *SURFACES,
+        *("ramp and heat", "swaps", "swaps on a softer shape"),
+        *("dragged 1000.0", "dragged 15000.0"),
+    ]
+)
+"""Names of all cases, which are read where they are played, not where tests are collected."""
+
 
 def read(name: str, given: Mapping[str, Any] | None = None) -> Launch:
     return launch_file.read(name, dict(given or {}))
@@ -249,13 +262,14 @@ def expected(case: Case) -> Any:
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    assert sorted(cases()) == NAMES
     rows = play_in_node(list(cases().values()), tmp_path_factory.mktemp("node"))
     return dict(zip(cases(), rows, strict=True))
 
 
 @pytest.mark.process
 @pytest.mark.smoke
-@pytest.mark.parametrize("name", sorted(cases()))
+@pytest.mark.parametrize("name", NAMES)
 def test_every_row_of_every_tick_has_the_bits_of_one_process(
     played: dict[str, Any], name: str
 ) -> None:

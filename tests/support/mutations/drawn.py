@@ -17,6 +17,7 @@ from typing import Final
 
 from tests.support import ROOT
 from tests.support.mutations.mutation import Mutation
+from tests.support.mutations.unnoticed import children, is_equivalent
 
 ROOMS: Final = {
     room: (f"tests/{room}",)
@@ -124,32 +125,18 @@ def _is_text(node: ast.BinOp) -> bool:
 
 
 def _of_code(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield executable nodes: no annotations, decorators, error texts or checker-only code."""
+    """Yield the nodes whose changes a test may notice, see `unnoticed`."""
     waiting = [tree]
     while waiting:
-        node = waiting.pop()
-        for name in node._fields:
-            if name in {"annotation", "returns", "decorator_list", "ctx"}:
-                continue
-            value = getattr(node, name, None)
-            for child in value if isinstance(value, list) else (value,):
-                if not isinstance(child, ast.AST) or isinstance(
-                    child, (ast.Raise, ast.JoinedStr)
-                ):
-                    continue
-                if (
-                    isinstance(child, ast.If)
-                    and getattr(child.test, "id", "") == "TYPE_CHECKING"
-                ):
-                    continue
-                yield child
-                waiting.append(child)
+        for child in children(waiting.pop()):
+            yield child
+            waiting.append(child)
 
 
 def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
     """Return every mutation of a file in the order of its text, without tests yet."""
     text = file.read_text(encoding="utf-8")
-    places, name = _Places(text), str(file.relative_to(root))
+    lines, places, name = text.splitlines(), _Places(text), str(file.relative_to(root))
     found = []
     for node in _of_code(ast.parse(text)):
         for place, old, new in places.changes(node):
@@ -157,6 +144,8 @@ def all_of(file: Path, root: Path = ROOT) -> list[Mutation]:
                 text.count("\n", 0, place) + 1,
                 place - text.rfind("\n", 0, place),
             )
+            if is_equivalent(name, lines[line - 1], old, new):
+                continue
             said = f"{name}:{line}:{column}: {' '.join(old.split())} → {' '.join(new.split())}"
             found.append(Mutation(said, name, old, new, (), place))
     return sorted(found, key=lambda one: one.place or 0)

@@ -1,0 +1,107 @@
+"""Places that are not mutated because no behaviour depends on them, each with its reason.
+
+What a text says, an annotation or a figure's looks has no oracle but itself, and counting it would
+measure nothing. A change of one place that gives an equal program is a row of `EQUIVALENT`.
+"""
+
+from __future__ import annotations
+
+import ast
+from typing import Final, NamedTuple
+
+NO_CODE: Final = frozenset({"annotation", "returns", "decorator_list", "ctx"})
+"""Parts of a node that no call executes with another result."""
+
+TEXTS: Final = frozenset({"__repr__", "__str__"})
+"""Functions that only describe a value to a reader."""
+
+LOOKS: Final = frozenset(
+    (
+        *(
+            "alpha",
+            "dpi",
+            "figsize",
+            "fontsize",
+            "labelpad",
+            "linewidth",
+            "lw",
+            "ms",
+            "pad",
+        ),
+        *("handlelength", "markersize", "rasterized", "zorder", "LINES", "PAGE_WIDTH"),
+    )
+)
+"""Arguments, keys and constants that say how a line or letter of a figure looks."""
+
+_STYLE: Final = (
+    "axes.",
+    "font.",
+    "grid.",
+    "legend.",
+    "lines.",
+    "pdf.",
+    "xtick.",
+    "ytick.",
+)
+"""Beginnings of matplotlib's settings of the same."""
+
+
+class Equivalent(NamedTuple):
+    """A change that gives an equal program: its file, its line without indent, and why."""
+
+    file: str
+    line: str
+    old: str
+    new: str
+    why: str
+
+
+EQUIVALENT: Final[tuple[Equivalent, ...]] = ()
+
+
+def is_left_out(node: ast.AST) -> bool:
+    """Return whether no test can notice a change in this part of a program."""
+    match node:
+        case ast.Raise() | ast.JoinedStr():  # the text of an error, or any other
+            return True
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+            return True
+        case ast.FunctionDef(name=name):
+            return name in TEXTS
+        case ast.keyword(arg=str(name)):
+            return name in LOOKS
+        case ast.Assign(targets=[ast.Name(id=name)]):
+            return name in LOOKS
+        case ast.AnnAssign(target=ast.Name(id=name)):
+            return name in LOOKS
+    return False
+
+
+def children(node: ast.AST) -> list[ast.AST]:
+    """Return the parts of a node in which a change may be noticed."""
+    if isinstance(node, ast.Dict):
+        pairs = zip(node.keys, node.values, strict=True)
+        return [value for key, value in pairs if not _is_look(key)]
+    found: list[ast.AST] = []
+    for name in node._fields:
+        if name not in NO_CODE:
+            value = getattr(node, name, None)
+            parts = value if isinstance(value, list) else [value]
+            found += [part for part in parts if isinstance(part, ast.AST)]
+    # A default is a choice that a launch file overrides; no rule follows from it.
+    is_choice = isinstance(node, ast.ClassDef) and node.name.endswith("Parameters")
+    return [
+        part
+        for part in found
+        if not is_left_out(part) and not (is_choice and isinstance(part, ast.AnnAssign))
+    ]
+
+
+def _is_look(key: ast.expr | None) -> bool:
+    name = key.value if isinstance(key, ast.Constant) else None
+    return isinstance(name, str) and (name in LOOKS or name.startswith(_STYLE))
+
+
+def is_equivalent(file: str, line: str, old: str, new: str) -> bool:
+    """Return whether a change is known to give an equal program."""
+    return any(row[:4] == (file, line.strip(), old, new) for row in EQUIVALENT)
