@@ -17,7 +17,7 @@ import pytest
 
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.laws import law_kinds
 from nodes.parameters.store import ParameterError, convert
@@ -273,7 +273,7 @@ def test_every_row_of_every_tick_has_the_bits_of_one_process(
 
 
 def test_every_scenario_is_played_or_refused() -> None:
-    assert {*PLAYED, *REFUSED, *MUJOCO} == set(launch_file.scenarios())
+    assert {*PLAYED, *REFUSED, *MUJOCO} == set(scenario_files.scenarios())
 
 
 def test_all_kinds_of_law_are_played_but_one_whose_code_has_a_memory_of_its_own() -> (
