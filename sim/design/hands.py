@@ -19,7 +19,7 @@ from nodes.laws import CompiledLaw
 from nodes.stability.plant import Plant
 from sim.design.demand import Demand
 from sim.design.hand_box import HandBox
-from sim.design.hands_certificate import CELLS, Ticks, certify_box
+from sim.design.hands_certificate import CELLS, GraspTicks, certify_box
 from sim.stability.every_delay import Certificate
 from sim.stability.grasp import Grasp
 
@@ -53,7 +53,7 @@ def worst_grasp(
     limits: list[Sequence[float]] = list(box.sides)
     best = -math.inf
     at = Grasp(*(side[0] for side in limits))
-    ticks = Ticks(law, plant)
+    ticks = GraspTicks(law, plant)
     for _ in range(1 + _ZOOMS):
         axes = [
             _axis(low, high, linear)

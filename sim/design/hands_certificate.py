@@ -25,7 +25,7 @@ def certify_box(
 
     Return whether `most` cells suffice, and the number of cells.
     """
-    ticks = Ticks(law, plant)
+    ticks = GraspTicks(law, plant)
     # With 1/mass as coordinate, the generator of a tick is linear in each of the three parameters,
     # so the hull of a cell's corners contains it.
     waiting = np.array(
@@ -43,7 +43,7 @@ def certify_box(
     return Certificate.CERTIFIED, cells
 
 
-class Ticks:
+class GraspTicks:
     """Matrices of a tick for the grasps of many cells at once.
 
     The state is in lengths: position and velocity·T of device and hand. Cells are limits of 1/mass,

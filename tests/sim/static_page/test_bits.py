@@ -151,7 +151,11 @@ SWAPS: tuple[Swap, ...] = tuple(
 
 NAMES = sorted(
     [
-        *(name for name in scenario_files.scenarios() if name not in (*REFUSED, *MUJOCO)),
+        *(
+            name
+            for name in scenario_files.scenarios()
+            if name not in (*REFUSED, *MUJOCO)
+        ),
         *(f"{name} {given}" for name, given in VARIANTS),
         *(f"law {kind}" for kind in LAWS),
         *(f"derivative {kind}" for kind in KINDS),
