@@ -160,6 +160,7 @@ NAMES = sorted(
         *(f"law {kind}" for kind in LAWS),
         *(f"derivative {kind}" for kind in KINDS),
         *SURFACES,
+        *UNIONS,
         *("ramp and heat", "swaps", "swaps on a softer shape"),
         *("dragged 1000.0", "dragged 15000.0"),
     ]
