@@ -111,7 +111,7 @@ def effective(law: CompiledLaw, effect: Effect, period: float) -> str:
 
     They are those of slow motion: the force at rest, and the first derivative in the frequency.
     """
-    stiffness, slope = _slow(law, period)
+    stiffness, slope = slow(law, period)
     drag = stiffness * effect.lag
     if effect.lag > 0.0 and not effect.line:
         return f"K 0 N/m, B {effect.stiffness * drag:.3g} N s/m"
@@ -122,7 +122,7 @@ def effective(law: CompiledLaw, effect: Effect, period: float) -> str:
     return text
 
 
-def _slow(law: CompiledLaw, period: float) -> tuple[float, float]:
+def slow(law: CompiledLaw, period: float) -> tuple[float, float]:
     """Return H(1) [N/m], and the damping of slow motion −T dH/dq at q = 1 [N s/m]."""
     slope = sum(m * tap for m, tap in enumerate(law.taps))
     for b0, b1, a1, a2 in law.sections:

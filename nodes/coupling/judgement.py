@@ -6,14 +6,21 @@ All of this runs on the control thread, or before the launch.
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from messages.schema import attributes, unit_of
-from nodes.base.setup import Effect
+from nodes.base.setup import AXIS_INDEX, Effect
 from nodes.coupling.contradictions import contradictions
 from nodes.coupling.felt_law import effective, felt_laws
+from nodes.coupling.field_judgement import (
+    FeltLaw,
+    field_text,
+    largest_share,
+    unjudged_field,
+    worst_in_field,
+)
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_numbers import (
     numbers_of,
@@ -68,6 +75,8 @@ class Judgement:
         What other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
     effects : sequence of Effect
         What shapes and regions of the environment make of a law; it is judged as each of them.
+    axes : sequence of str
+        Axes that the scene computes, along which a field acts.
     """
 
     def __init__(
@@ -77,12 +86,14 @@ class Judgement:
         book: LawBook,
         known: Mapping[str, float] | None = None,
         effects: Sequence[Effect] = (),
+        axes: Sequence[str] = tuple(AXIS_INDEX),
     ) -> None:
         self._node = node
         self._period = period
         self._book = book
         self._known = known or {}
         self._effects = effects
+        self._axes = axes
 
     def refuse_contradiction(
         self, parameters: CouplingParameters, now: CouplingParameters | None = None
@@ -127,12 +138,68 @@ class Judgement:
         if worst is None or not worst.stable:
             return worst
         for effect in self._effects:
-            for felt in felt_laws(law, effect, self._period):
+            for felt, springless in self._felt_as(law, effect):
                 for plant in plants:
-                    verdict = judge(felt, plant, effect.lag > 0.0 and not effect.line)
+                    verdict = judge(felt, plant, springless)
                     if verdict is not None and not verdict.stable:
                         return replace(verdict, felt=effect.name)
-        return worst
+        in_field = worst_in_field(
+            self._felt(law), plants, parameters.field, self._axes, self._field
+        )
+        return in_field if in_field is not None and not in_field.stable else worst
+
+    @property
+    def _field(self) -> str:
+        return f"{self._node}.field"
+
+    def _felt_as(self, law: CompiledLaw, effect: Effect) -> list[FeltLaw]:
+        """Return the laws that an effect makes of a law."""
+        springless = effect.lag > 0.0 and not effect.line
+        return [(felt, springless) for felt in felt_laws(law, effect, self._period)]
+
+    def _felt(self, law: CompiledLaw) -> list[FeltLaw]:
+        """Return a law, and the laws that all effects make of it."""
+        if law.evaluate is not None:
+            return []
+        return [(law, False)] + [
+            felt for effect in self._effects for felt in self._felt_as(law, effect)
+        ]
+
+    def of_field(
+        self,
+        parameters: CouplingParameters,
+        delay: float,
+        law: CompiledLaw | None = None,
+    ) -> list[str]:
+        """Return what a field makes of the law of tick 0, or of another one; none without.
+
+        `delay`: measured delay of the loop [ticks].
+        """
+        law = self._book.compile(parameters, parameters.law) if law is None else law
+        texts = [field_text(parameters.field, law, self._period, self._axes)]
+        why = self._unjudged_field(parameters, [(parameters.law, law)])
+        if why:
+            texts.append(f"not judged: {why}")
+        elif parameters.plant is not None and parameters.stability != "off":
+            plants = parameters.plant.over_workspace(self._period, delay)
+            worst = worst_in_field(
+                self._felt(law), plants, parameters.field, self._axes, self._field
+            )
+            if worst is not None:
+                motion = worst.felt.partition(", ")[2]
+                texts.append(f"worst pole radius {worst.pole_radius:.6g}, {motion}")
+        return [f"{self._field}: {'; '.join(texts)}"] if texts[0] else []
+
+    def _unjudged_field(
+        self, parameters: CouplingParameters, laws: Iterable[tuple[str, CompiledLaw]]
+    ) -> str:
+        plant = parameters.plant
+        moves = plant is not None and (
+            plant.tool_mass is not None
+            or plant.tool_lag is not None
+            or plant.partner_mass is not None
+        )
+        return unjudged_field(parameters.field, laws, moves, self._field)
 
     def of_effects(
         self, parameters: CouplingParameters, law: CompiledLaw | None = None
@@ -219,7 +286,11 @@ class Judgement:
                 return (
                     f"{self._node}.laws.{name} has code of its own, which has no poles"
                 )
-        return ""
+        laws = (
+            (name, self._book.compile(parameters, name))
+            for name in _rendering(parameters)
+        )
+        return self._unjudged_field(parameters, laws)
 
     def at_start(
         self,
@@ -334,6 +405,11 @@ class Judgement:
     ) -> str:
         from nodes.stability.judge import between, furthest_stable, judge
 
+        if verdict.felt.startswith(self._field):
+            felt = self._felt(self._book.compile(wanted, name))
+            stable = largest_share(felt, [verdict.plant], wanted.field, self._axes)
+            part = f"{rounded_towards(stable, 0.0):g} times" if stable else "no part of"
+            return f"the law itself is stable: {part} this field would be accepted"
         if verdict.felt:
             return (
                 f"the law itself is stable: raise the factors of {verdict.felt} (its damping), or"

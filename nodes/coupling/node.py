@@ -20,9 +20,10 @@ from messages.types import ZERO, Proxy, Receipt, Vector
 from nodes.arithmetic import SMOOTHING
 from nodes.base.follow import answer_ticks
 from nodes.base.node import Node
-from nodes.base.setup import AXIS_INDEX, Setup, least_delay
+from nodes.base.setup import AXIS_INDEX, Axis, Setup, least_delay
 from nodes.compiled.layout import NEVER, state_of
 from nodes.compiled.published import payload_of
+from nodes.coupling.force_fields import ForceField, check_axes, needed_axes
 from nodes.coupling.judgement import Judgement, StartAnyway, refuses_start
 from nodes.coupling.law_book import LawBook, free_name
 from nodes.coupling.law_on_axis import History
@@ -73,13 +74,21 @@ class Coupling(Node):
         book = LawBook(setup.name, setup.period)
         book.check(parameters)
         _check_frame(parameters, setup)
+        check_axes(parameters.field, setup.axes, f"{setup.name}.field")
         judgement = Judgement(
-            setup.name, setup.period, book, setup.plant, setup.effects
+            setup.name, setup.period, book, setup.plant, setup.effects, setup.axes
         )
         judgement.refuse_contradiction(parameters)
         reason = StartAnyway.VIRTUAL if setup.virtual else StartAnyway.NO_REASON
         if refuses_start(parameters.stability, reason):
             judgement.at_start(parameters, least_delay(setup.apply), reason)
+
+    @classmethod
+    def axes(cls, parameters: Mapping[str, Any], name: str) -> tuple[Axis, ...]:
+        """Return the axes that a field needs."""
+        if "field" not in parameters:
+            return ()
+        return needed_axes(convert(parameters["field"], ForceField, f"{name}.field"))
 
     @classmethod
     def unjudged(cls, setup: Setup) -> str:
@@ -114,6 +123,7 @@ class Coupling(Node):
             self._book,
             self.setup.plant,
             self.setup.effects,
+            self.setup.axes,
         )
         self._book.check(parameters)
         axes = [AXIS_INDEX[axis] for axis in self.setup.axes]
@@ -129,7 +139,11 @@ class Coupling(Node):
         self._told_of_world = self._judgement.of_moving_world(
             parameters, self._felt_delay
         )
-        for text in (*self._told_of_world, *self._judgement.of_effects(parameters)):
+        for text in (
+            *self._told_of_world,
+            *self._judgement.of_effects(parameters),
+            *self._judgement.of_field(parameters, self._felt_delay),
+        ):
             self.events.emit_each("world", text)
         self._settle(parameters, self._make_fallback(parameters))
         self._renderer.law = self._prepare_law(parameters, parameters.law)
@@ -198,7 +212,10 @@ class Coupling(Node):
             ) != self._book.description(now, law.name)
             if is_changed:
                 fresh = self._prepare_law(parameters, law.name)
-            if is_changed or parameters.plant != now.plant:
+            if is_changed or (parameters.plant, parameters.field) != (
+                now.plant,
+                now.field,
+            ):
                 self._judge(now, parameters, fresh, force)
             if is_changed:
                 fresh.warm_up(self._renderer.snapshots())
@@ -348,17 +365,22 @@ class Coupling(Node):
         ramp = parameters.ramp if ramp is None else ramp
         self._book.refuse_fixed(now, parameters)
         _check_frame(parameters, self.setup)
+        check_axes(parameters.field, self.setup.axes, f"{self.setup.name}.field")
         if not force:
             self._judgement.refuse_contradiction(parameters, now)
         set_aside = self._judge_set_aside(now, parameters, force)
         fallback = self._make_fallback(parameters)
         self._judgement.refuse_fallback(now, parameters, self._felt_delay, force)
         law = self._prepare_law(parameters, parameters.law)
-        judged = law.compiled, parameters.plant, parameters.stability
+        judged = law.compiled, parameters.plant, parameters.field, parameters.stability
+        before = self._renderer.law.compiled, now.plant, now.field, now.stability
         stability: dict[str, Any] = {"stability": set_aside} if set_aside else {}
-        if judged != (self._renderer.law.compiled, now.plant, now.stability):
+        if judged != before:
             stability = {"stability": self._judge(now, parameters, law, force)}
             stability |= self._judge_moving(parameters, law)
+        if parameters.field != now.field:
+            told = self._judgement.of_field(parameters, self._felt_delay, law.compiled)
+            stability["world"] = [*stability.get("world", ()), *told]
         if action == "set" and law.text == self._failed_text:
             # A failed law does not return because another parameter is set; switching to it by name
             # does it.

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from nodes.coupling.force_fields import ForceField, NoField
 from nodes.laws import CompiledLaw
 from nodes.parameters.checked import NonNegative, Positive
 from nodes.stability.plant import Counterpart, Plant
@@ -168,6 +169,8 @@ class CouplingParameters(
         preset. A name is letters, digits, _ and -, at most 64.
     usual: Default parameters of laws that are not among `laws` (presets and installed kinds), where
         they have such parameters.
+    field: A force by formula, added to the law's everywhere: its ``kind`` (none, viscous, curl,
+        constant, linear) and parameters (nodes/coupling/force_fields.py).
     history: Input of the laws outside contact: ``penetration`` (zero) or ``position`` (the raw
         distance).
     frame: Axes of the history: ``world``; ``surface``, which turn with the normal while it turns
@@ -191,6 +194,7 @@ class CouplingParameters(
     law: str
     laws: dict[LawName, Any] = {}
     usual: dict[str, bool | float | str | list[Any]] = {}
+    field: ForceField = NoField()
     history: Literal["penetration", "position"] = "penetration"
     frame: Literal["auto", "world", "surface"] = "auto"
     clamp: bool = True

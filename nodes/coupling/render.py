@@ -21,6 +21,7 @@ from nodes.arithmetic import (
     sections,
 )
 from nodes.compiled.rules import Made, rule
+from nodes.coupling.force_fields import add_field
 from nodes.coupling.state import SLOTS, CouplingState
 
 
@@ -248,6 +249,8 @@ def make_render(
             else:
                 force[s.axis[n]] = value
         hold_one_sided(s, normal, contact, force)
+        if s.field != 0:
+            add_field(s, position, force, due)
         if not math.isfinite(force[0] + force[1] + force[2]):
             return False
         if is_fading:

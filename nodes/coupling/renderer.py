@@ -12,6 +12,7 @@ from typing import Any
 
 from messages.types import Proxy, Vector
 from nodes.compiled.layout import state_of
+from nodes.coupling.force_fields import begin_field
 from nodes.coupling.law_on_axis import History, LawOnAxis, Share, shares_of
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.render import LawPort, begin_turning, deflections, make_render
@@ -69,6 +70,8 @@ def settle_conventions(
         s.jumps = 1
     s.raw, s.clamp, s.ease_usual = raw, clamp, round(parameters.ease / period)
     begin_turning(s, parameters.frame)
+    if begin_field(s, parameters.field, period):
+        s.ease_ramp, s.ease_done = max(s.ease_usual, 1), 0
 
 
 class Renderer:
@@ -187,7 +190,7 @@ class Renderer:
         if last < 0 or proxy.rebased != s.rebased or s.jumps:
             conventions = last >= 0 and s.jumps != 0
             s.rebased = proxy.rebased
-            s.jumps = 0
+            s.jumps = s.field_due = 0
             if self._rebase(proxy, conventions):
                 return True
         if last >= 0 and missing > 0:

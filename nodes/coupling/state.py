@@ -84,6 +84,14 @@ class CouplingState(LoopState):
     # largest force of the driver along an axis [N]; beyond it nothing is felt; 0: unknown
     ease_peak: float
 
+    # The force field (nodes/coupling/force_fields.py)
+    field: int  # 1 if there is one
+    field_gain: Annotated[list[float], 9]  # M/T, by rows [N/m]
+    field_force: Vector3  # F₀ [N]
+    field_at: Vector3  # position of the last tick [m]
+    field_way: Vector3  # way of the last tick [m]
+    field_due: int  # number of that tick's deflection; 0: none, or a jump
+
 
 PUBLISHED: Final = published(Force, CouplingState)
 """Where the fields of a force stand here: under the same names."""

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import inspect
 
 from messages.schema import attributes, unit_of
-from nodes.parameters.refusals import BOUNDS, KINDS, STEP, choices
+from nodes.parameters.refusals import BOUNDS, KINDS, STEP, choices, tagged
 from nodes.parameters.store import ParameterError
 
 
@@ -48,7 +48,7 @@ def names_below(
 ) -> list[str]:
     """Return the names of the parameters directly below a branch; of a leaf, none."""
     _, info, value = _reached(target, values, path, struct_of)
-    info = _without_none(info)
+    info = _without_none(_of_kind(info, value))
     if isinstance(info, inspect.DictType) and not _kind(value):
         return [f"{path}.{name}" for name in value or ()]
     if isinstance(info, inspect.AnyType | inspect.DictType) and _kind(value):
@@ -77,7 +77,7 @@ def _reached(
         ):
             own = struct_of(_kind(values))
             info = inspect.type_info(own) if own is not None else info
-        info = _without_none(info)
+        info = _without_none(_of_kind(info, values))
         if name == "kind" and _kind(values):
             return _A_KIND, inspect.StrType(), _kind(values)
         step = f"[{index}]" if index else f".{name}" if done else name
@@ -123,6 +123,11 @@ def _kind(values: Any) -> str:
     return values if isinstance(values, str) else ""
 
 
+def _of_kind(info: inspect.Type, values: Any) -> inspect.Type:
+    """Return the struct of a tagged union that a value's ``kind`` names."""
+    return tagged(info).get(_kind(values), info)
+
+
 def _without_none(info: inspect.Type) -> inspect.Type:
     if isinstance(info, inspect.Metadata):
         return _without_none(info.type)
@@ -154,7 +159,7 @@ def _words(info: inspect.Type) -> str:
     if isinstance(info, inspect.Metadata):
         return _words(info.type)
     if isinstance(info, inspect.UnionType):
-        return " or ".join(map(_words, info.types))
+        return " or ".join(dict.fromkeys(map(_words, info.types)))
     if isinstance(info, inspect.LiteralType):
         return f"one of {', '.join(map(str, info.values))}"
     if isinstance(info, inspect.StructType):

@@ -103,6 +103,13 @@ def find_misfit(data: Any, target: Any) -> Misfit | None:
 def _misfit(path: str, value: Any, declared: inspect.Type) -> Misfit | None:
     """Return the first misfit at or below a path."""
     types = list(_members(declared))
+    tags = tagged(declared)
+    if len(tags) > 1 and isinstance(value, Mapping):
+        name = next(iter(tags.values())).tag_field or ""
+        if value.get(name) not in tags:
+            wrong = _refused_tag(name, value, list(tags))
+            return Misfit(f"{path}.{name}", wrong)
+        types = [tags[value[name]]]
     # 5 is a whole number first, and a number where only numbers are accepted
     fitting = sorted((one for one in types if _fits(one, value)), key=_is_float)
     if not fitting:
@@ -176,6 +183,24 @@ def _members(info: inspect.Type) -> Iterator[inspect.Type]:
         yield from _members(info.type)
     else:
         yield info
+
+
+def tagged(info: inspect.Type) -> dict[Any, inspect.StructType]:
+    """Return the structs among the alternatives of a type by their tag, a ``kind``."""
+    return {
+        one.tag: one
+        for one in _members(info)
+        if isinstance(one, inspect.StructType) and one.tag is not None
+    }
+
+
+def _refused_tag(name: str, value: Mapping[Any, Any], tags: Sequence[Any]) -> str:
+    if name not in value:
+        return f"missing; one of {', '.join(map(str, tags))}"
+    hint = did_you_mean(value[name], tags)
+    return (
+        f"expected one of {', '.join(map(str, tags))}, got {_named(value[name])}{hint}"
+    )
 
 
 def _is_float(info: inspect.Type) -> bool:

@@ -91,7 +91,7 @@ def _facts(recording: Recording) -> Facts:
         summary,
         period,
         manifest.get("pace", ""),
-        "",
+        "on_arrival",  # what is replayed has its delays in it: none is added
         axes,
         driver,
     )

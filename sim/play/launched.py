@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.base.setup import AXIS_INDEX
+from nodes.coupling.force_fields import NoField
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.driver.device import DeviceLimits
@@ -172,6 +173,8 @@ def from_launch(launch: Launch, namespace: str = "") -> LaunchedScene:
     coupling: CouplingParameters = convert(
         launch.nodes[hops.coupling].parameters, CouplingParameters, hops.coupling
     )
+    if not isinstance(coupling.field, NoField):
+        raise NotOneAxisError("a force field", path=f"{hops.coupling}.field")
     device = along(driver.device, axes)[0]
     if device.mass_by_position:
         raise NotOneAxisError(

@@ -223,7 +223,7 @@ class Player {
     const c = this.coupling;
     if (c.answered >= 0 && e.told_rebased === c.rebased && c.jumps === 0) return;
     const conventions = c.answered >= 0 && c.jumps !== 0;
-    [c.rebased, c.jumps] = [e.told_rebased, 0];
+    [c.rebased, c.jumps, c.field_due] = [e.told_rebased, 0, 0];
     const values = this.axes.map((_, n) =>
       deflection_along(c, n, position, proxy, distance, normal, contact));
     c.upright.fill(0);

@@ -37,7 +37,7 @@ PROMISED = {
 
 IN_LOCKSTEP = {
     *("box_edges", "floor_buzz", "floor_guarded", "floor_swap", "identify"),
-    *("rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
+    *("reach", "rough_plane", "sphere_feel", "touch_wall", "two_loggers", "world_feel"),
 }
 """Scenarios that other tests launch in lockstep in every run (tests/sim/play)."""
 

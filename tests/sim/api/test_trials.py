@@ -251,3 +251,25 @@ def test_a_staircase_that_could_not_end_is_refused(bad: dict[str, Any]) -> None:
         UsageError, match=f"{next(iter(bad))} {next(iter(bad.values()))!r}"
     ):
         haptic.Staircase(**{"value": 100.0} | bad)
+
+
+def test_a_field_is_a_condition_and_a_column() -> None:
+    """The hand's error across the reach is that of its field; none without one."""
+    conditions = {
+        "null": {"field": "none", "gain": 0.0},
+        "curl": {"field": "curl", "gain": 13.0},
+        "other": {"field": "curl", "gain": -13.0},
+    }
+    made = haptic.trials(conditions).run(
+        lambda trial: (
+            np.abs(haptic.play("reach", **trial.arguments).position_m[:, 1])
+            .max()
+            .item()
+        )
+    )
+    rows = {row["condition"]: row for row in made.rows}
+    assert rows["curl"]["field"] == "curl"
+    assert rows["null"]["outcome"] == 0.0
+    assert rows["curl"]["outcome"] > 0.01
+    # mirrored to the bit: F(−B) = −F(B) across, and along by the square
+    assert rows["other"]["outcome"] == rows["curl"]["outcome"]

@@ -55,6 +55,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("rough_plane", {"friction": 0.4}),
     ("knob_turn", {"apply": "next_tick"}),
     ("floor_drop", {"law": "designed_d0"}),
+    ("reach", {"field": "viscous", "gain": 40.0, "apply": "next_tick"}),
     # Unstable: the driver's limits of force and slew act.
     ("floor_drop", {"stiffness": 1e6, "damping": 0.0, "law": "pd"}),
     ("floor_drop", {"law": "designed_d1", "apply": "next_tick"}),
