@@ -8,9 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from messages.topics import event
 from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError, convert
+from nodes.recording.reader import Recording
 from sim.device.driver import SimDriverParameters
 from sim.device.hand import Hand
 from sim.device.model import DeviceModel
@@ -137,9 +139,11 @@ def test_one_word_and_a_scenario_is_started_and_identified(tmp_path: Path) -> No
         "--json",
     )
     done = haptic(tmp_path, *words)
-    assert "mass 0.035 (remembered, not checked)" in done.stderr
-    assert "resolution 2.3e-05 (3D Systems, data sheet" in done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
+    events = Recording(tmp_path / told["recording"]).messages(event("driver"))
+    said = " ".join(one.reason for one in events)
+    assert "mass 0.035 (remembered, not checked)" in said
+    assert "resolution 2.3e-05 (3D Systems, data sheet" in said
     assert told["stopped"] == "done"
     assert told["mass_kg"]["value"] == pytest.approx(0.035, rel=0.01)
     assert told["friction_n"]["value"] == pytest.approx(0.06, rel=0.05)
