@@ -62,6 +62,13 @@ class Changed(NamedTuple):
         return law_to_dict(parse_law({**described, "stiffness": self.stiffness}, "B"))
 
 
+class _Chosen(NamedTuple):
+    """The law that is played as B."""
+
+    described: Mapping[str, Any]  # as it is played
+    changed: Changed  # how it differs from the launch's
+
+
 class Comparison:
     """Simulates law B; used by the pages' thread."""
 
@@ -80,8 +87,7 @@ class Comparison:
         )
         self._late = least_delay(setup.apply) if setup else 0.0
         self._pool: Workers | None = None
-        self._described: Mapping[str, Any] = {}
-        self._changed = Changed()
+        self._chosen = _Chosen({}, Changed())
         self.rings = ""  # how B rings, in words; empty if it does not
         self._restart()
         self._before: DeviceState | None = None
@@ -98,7 +104,7 @@ class Comparison:
         changed = changed or Changed()
         if law:
             described = changed.law(described, self._period)
-        self.law, self._described, self._changed = law, described, changed
+        self.law, self._chosen = law, _Chosen(described, changed)
         self.rings = ""
         self._restart()
         self._put("beside", {"law": law, "at": self._at})
@@ -106,16 +112,16 @@ class Comparison:
     @property
     def _at(self) -> float | None:
         """Stiffness or H(1) of B where it is not the launch's [N/m]."""
-        changed = self._changed
+        changed = self._chosen.changed
         return changed.stiffness if changed.hardness is None else changed.hardness
 
     def follow(self, laws: Mapping[str, Any]) -> None:
         """Update B's parameters; if they changed, restart B."""
         if self.law not in laws:
             return
-        described = self._changed.law(laws[self.law], self._period)
-        if described != self._described:
-            self.choose(self.law, laws[self.law], self._changed)
+        described = self._chosen.changed.law(laws[self.law], self._period)
+        if described != self._chosen.described:
+            self.choose(self.law, laws[self.law], self._chosen.changed)
 
     def delayed(self, ticks: float) -> None:
         """Set the device's present delay [ticks]; if it changed, restart B."""
@@ -192,7 +198,7 @@ class Comparison:
             self._period,
             late + self._late + float(device.get("delay", 0.0)),
             self._setups,
-            self._described,
+            self._chosen.described,
             list(self._targets),
             self._begin,
             late,

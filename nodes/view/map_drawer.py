@@ -1,4 +1,4 @@
-"""Map and edges of a running launch, computed on a thread of their own when something changed.
+"""Map and edges of a running launch, computed on a thread when something changed.
 
 First the plane of the active law and the edges of all laws (0.1 s); the limits for moving worlds
 follow when nothing newer is wanted.

@@ -144,15 +144,19 @@ def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
     assert told == [{"law": "pd", "at": None}]
     played.follow({"pd": hard})
     assert told == [{"law": "pd", "at": None}] * 2, "it begins anew"
-    assert played._described == hard
+    assert played._chosen.described == hard
     # At another stiffness than the launch's it keeps that, whatever the launch's law does.
     played.choose("pd", hard, Changed(stiffness=4000.0))
     played.follow({"pd": {**hard, "damping": 2.0}})
-    assert played._described == {"kind": "pd", "stiffness": 4000.0, "damping": 2.0}
+    assert played._chosen.described == {
+        "kind": "pd",
+        "stiffness": 4000.0,
+        "damping": 2.0,
+    }
     assert told[-1] == {"law": "pd", "at": 4000.0}
     fir = {"kind": "fir", "taps": [600.0, -100.0]}
     played.choose("fir", fir, Changed(hardness=1000.0))
-    assert played._described["taps"] == [1200.0, -200.0]
+    assert played._chosen.described["taps"] == [1200.0, -200.0]
 
 
 @pytest.mark.parametrize("other", ["", "gone"])
