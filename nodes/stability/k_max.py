@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw, Law
+from nodes.stability.bracketed_roots import roots_between
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
 from nodes.stability.occurring import Edge, edge_at, position_over_force
@@ -171,8 +172,6 @@ def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
 
 def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
     """Return all nominal stiffnesses [N/m] with a pole on the unit circle and its ωT, sorted."""
-    from scipy.optimize import brentq
-
     plant = as_one(plant)
     held, other = held_plant(plant), plant.other
     numerator, denominator = np.array(held.numerator), np.array(held.denominator)
@@ -189,9 +188,6 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
         ) + top * derivative.response(z)
         return np.asarray(-loop / top)
 
-    def imaginary(theta: float) -> float:
-        return float(curve(theta).imag)
-
     # Sixteen points per fastest turn of the curve; logarithmic at low frequency, for heavy devices.
     turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
     count = 16 * (len(derivative.taps) + turns + 8)
@@ -206,9 +202,12 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
         (float(curve(grid[i]).real), float(grid[i]))
         for i in np.flatnonzero(signs == 0.0)
     ]
-    for i in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
-        theta = brentq(imaginary, grid[i], grid[i + 1], xtol=1e-15, rtol=8.9e-16)
-        found.append((float(curve(theta).real), float(theta)))
+    turned = np.flatnonzero(signs[:-1] * signs[1:] < 0.0)
+    if len(turned):
+        at = roots_between(
+            lambda theta: curve(theta).imag, grid[turned], grid[turned + 1]
+        )
+        found += zip(curve(at).real.tolist(), at.tolist(), strict=True)
     # z = 1 and z = −1 are always on the curve; without friction the device does not respond at z =
     # −1.
     found.append((-_stiffness_of(plant) - derivative.h1, 0.0))

@@ -11,7 +11,6 @@ refusal goes back to the page unchanged. A page cannot name an operation, a file
 from __future__ import annotations
 
 import inspect
-import os
 import signal
 import subprocess
 import time
@@ -30,6 +29,7 @@ from nodes.client.moved_device import set_device
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
+from nodes.view.law_edges import with_hardness
 
 TIMEOUT = 10.0  # time limit of a change: judging a law with thousands of taps takes seconds [s]
 # Time limit of a read: a restarted node never answers requests to its predecessor [s].
@@ -57,7 +57,7 @@ class Commander:
     One thread uses it, except for `stop` and `end`.
     """
 
-    def __init__(self, run: RunInfo, again: bool = False) -> None:
+    def __init__(self, run: RunInfo) -> None:
         self._run = run
         self._context = new_context()
         self._lines: dict[str, Connection] = {}
@@ -68,14 +68,15 @@ class Commander:
         known = roles(run)
         # Node names; empty if the run has none.
         self.driver, self.coupling = known.get("driver", ""), known.get("coupling", "")
-        # Whether pages may pass the stability limit, change the device's delay, and restart the
-        # driver; and whether the device reports its masses.
-        self.beyond = self.delays = self._tells_inertia = False
+        # Whether pages may pass the stability limit and rearm the driver, and change the device's
+        # delay; whether the device reports its masses, and whether it is virtual.
+        self.beyond = self.delays = self._tells_inertia = self.is_virtual = False
         if self.driver:
             driver = run.nodes[self.driver]
             kind = load(driver.factory)
             self._tells_inertia = hasattr(kind, "hardware")
-            if getattr(kind, "virtual", False):
+            self.is_virtual = bool(getattr(kind, "virtual", False))
+            if self.is_virtual:
                 self.beyond = bool(
                     (driver.parameters.get("pointer") or {}).get("beyond")
                 )
@@ -89,7 +90,6 @@ class Commander:
                     and driver.pace == "realtime"
                     and hasattr(device, "delay")
                 )
-        self.again = again and self.beyond
 
     def _endpoint(self, node: str) -> str:
         if node not in self._run.nodes:
@@ -177,19 +177,39 @@ class Commander:
         """Change one parameter of the active law; an unmodified preset is stored as a law.
 
         `law` names the law whose control the page shows; if another law is active, nothing changes.
+        ``hardness`` scales a law without a stiffness as a whole, to this H(1) [N/m].
         """
         force = self._forced(beyond)
-        name = self.ask(self.coupling, "law.list")["active"]
+        listed = self.ask(self.coupling, "law.list")
+        name = listed["active"]
         if law not in ("", name):
             raise CommandError(
-                f"view: law: {name} is now active, not {law}; {law}.{field} is unchanged"
+                f"{name} is now active, not {law}; {law}.{field} is unchanged."
             )
+        if field == "hardness":
+            return self._scale(name, listed["laws"][name], value, force)
         laws = self.ask(self.coupling, "param.get", name="laws")
         if isinstance(laws.get(name), dict):
             return self._change(self.coupling, {f"laws.{name}.{field}": value}, **force)
         return self._change(
             self.coupling, {f"laws.{name}": {"kind": name, field: value}}, **force
         )
+
+    def _scale(
+        self,
+        name: str,
+        described: Mapping[str, Any],
+        hardness: Any,
+        force: Mapping[str, Any],
+    ) -> dict[str, Any]:
+        """Scale a law as a whole, so that its H(1) is `hardness` [N/m]."""
+        period = self._run.nodes[self.coupling].period
+        try:
+            wanted = msgspec.convert(hardness, float)
+            scaled = with_hardness(described, wanted, period)
+        except (HapticError, msgspec.ValidationError) as error:
+            raise CommandError(f"{name}: {error}") from error
+        return self._change(self.coupling, {f"laws.{name}": scaled}, **force)
 
     def _forced(self, beyond: bool) -> dict[str, Any]:
         """Return the option for a change past the stability limit; refuse it if not allowed."""
@@ -235,26 +255,30 @@ class Commander:
         values = {"device.delay": ticks}
         return set_device(self.coupling, self.driver, values, self.ask, force)
 
-    def _start_again(self, stiffness: float) -> dict[str, Any]:
-        """Restart a virtual driver that stopped the loop, with a stable wall."""
-        if not self.again:
+    def _start_again(
+        self, stiffness: float, field: str = "stiffness"
+    ) -> dict[str, Any]:
+        """Rearm a virtual driver that stopped the loop, with a stable wall."""
+        if not self.beyond:
             raise CommandError(
-                "view: again: this launch does not restart its driver; start a new launch"
+                "This launch does not allow a page to start its driver again."
             )
         if self.ask(self.driver, "progress")["safety"] != "stopped":
-            raise CommandError(f"view: again: {self.driver} has not stopped the loop")
-        changed = self._set_law("stiffness", stiffness)
-        # A stopped driver renders no force and the device is virtual, so killing it is safe.
-        os.kill(int(self.ask(self.driver, "status")["pid"]), signal.SIGKILL)
+            raise CommandError("The driver has not stopped the loop.")
+        changed = self._set_law(field, stiffness)
+        self.ask(self.driver, "rearm")
         return changed
 
-    def _switch(self, law: str, ramp: int | None = None) -> dict[str, Any]:
+    def _switch(
+        self, law: str, ramp: int | None = None, beyond: bool = False
+    ) -> dict[str, Any]:
         before = self.ask(self.coupling, "law.list")["active"]
         receipt = self.ask(
             self.coupling,
             "law.switch",
             law=law,
             **({} if ramp is None else {"ramp": ramp}),
+            **self._forced(beyond),
         )
         self._remember(self.coupling, {"law": before}, {"law": law})
         return {"node": self.coupling, "values": {"law": law}, "receipt": receipt}

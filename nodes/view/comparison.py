@@ -11,14 +11,17 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from messages.errors import HapticError
 from messages.types import DeviceState, Message
 from nodes.base.setup import AXIS_INDEX, least_delay
 from nodes.base.workers import Workers
 from nodes.launcher.runs import RunInfo
+from nodes.laws.parse import law_to_dict, parse_law
 from nodes.parameters.registry import Registry
+from nodes.view.law_edges import with_hardness
+from nodes.view.ringing import ring_of
 
 PLAYERS = Registry(
     "haptic.beside",
@@ -36,6 +39,34 @@ RESTART_AFTER = 30.0  # time after which it restarts in any case [s]
 SHOWN = (
     1.0  # duration of B that each message contains, so that slow pages miss nothing [s]
 )
+
+
+class Changed(NamedTuple):
+    """How B differs from the launch's law of that name."""
+
+    stiffness: float | None = None  # its own stiffness [N/m]
+    hardness: float | None = None  # its H(1), by scaling it as a whole [N/m]
+
+    def law(self, described: Mapping[str, Any], period: float) -> Mapping[str, Any]:
+        """Return the description of B.
+
+        Raises
+        ------
+        HapticError
+            If there is no such law.
+        """
+        if self.hardness is not None:
+            return with_hardness(described, self.hardness, period)
+        if self.stiffness is None:
+            return described
+        return law_to_dict(parse_law({**described, "stiffness": self.stiffness}, "B"))
+
+
+class _Chosen(NamedTuple):
+    """The law that is played as B."""
+
+    described: Mapping[str, Any]  # as it is played
+    changed: Changed  # how it differs from the launch's
 
 
 class Comparison:
@@ -56,7 +87,8 @@ class Comparison:
         )
         self._late = least_delay(setup.apply) if setup else 0.0
         self._pool: Workers | None = None
-        self._described: Mapping[str, Any] = {}
+        self._chosen = _Chosen({}, Changed())
+        self.rings = ""  # how B rings, in words; empty if it does not
         self._restart()
         self._before: DeviceState | None = None
         self._job: asyncio.Task[None] | None = None
@@ -65,17 +97,31 @@ class Comparison:
         # Present delay of the device minus that of the launch file [ticks].
         self.later = 0.0
 
-    def choose(self, law: str, described: Mapping[str, Any]) -> None:
-        """Start simulating law `law`; an empty name stops."""
-        self.law, self._described = law, described
+    def choose(
+        self, law: str, described: Mapping[str, Any], changed: Changed | None = None
+    ) -> None:
+        """Start simulating law `law`, perhaps `changed`; an empty name stops."""
+        changed = changed or Changed()
+        if law:
+            described = changed.law(described, self._period)
+        self.law, self._chosen = law, _Chosen(described, changed)
+        self.rings = ""
         self._restart()
-        self._put("beside", {"law": law})
+        self._put("beside", {"law": law, "at": self._at})
+
+    @property
+    def _at(self) -> float | None:
+        """Stiffness or H(1) of B where it is not the launch's [N/m]."""
+        changed = self._chosen.changed
+        return changed.stiffness if changed.hardness is None else changed.hardness
 
     def follow(self, laws: Mapping[str, Any]) -> None:
         """Update B's parameters; if they changed, restart B."""
-        described = laws.get(self.law, self._described)
-        if self.law and described != self._described:
-            self.choose(self.law, described)
+        if self.law not in laws:
+            return
+        described = self._chosen.changed.law(laws[self.law], self._period)
+        if described != self._chosen.described:
+            self.choose(self.law, laws[self.law], self._chosen.changed)
 
     def delayed(self, ticks: float) -> None:
         """Set the device's present delay [ticks]; if it changed, restart B."""
@@ -145,18 +191,21 @@ class Comparison:
     async def _play_on(self, law: str, begun: int, late: float) -> None:
         if law != self.law or begun != self._from or not self._targets:
             return  # another law, or none, was chosen before this task began
+        device = self._setups[self._driver].parameters["device"]
         work = partial(
             _play,
             self._kind,
+            self._period,
+            late + self._late + float(device.get("delay", 0.0)),
             self._setups,
-            self._described,
+            self._chosen.described,
             list(self._targets),
             self._begin,
             late,
         )
         self._pool = self._pool or Workers(1)
         try:
-            position, force = await asyncio.get_running_loop().run_in_executor(
+            position, force, rings = await asyncio.get_running_loop().run_in_executor(
                 self._pool, work
             )
         except (HapticError, ValueError) as error:
@@ -166,11 +215,13 @@ class Comparison:
             return
         if law != self.law or begun != self._from:
             return
+        self.rings = rings
         shown = round(SHOWN / self._period)
         self._b_is_free = not force[-round(FREE / self._period) :].any()
         first = max(0, len(force) - shown)
         document = {
             "law": law,
+            "at": self._at,
             "t": (begun + first) * self._period,
             "period": self._period,
             "late": late,
@@ -188,6 +239,9 @@ class Comparison:
             await asyncio.get_running_loop().run_in_executor(None, self._pool.end)
 
 
-def _play(kind: str, *words: Any) -> Any:
-    """Import and call the player in the worker, so that the view itself stays small."""
-    return PLAYERS.load(kind)(*words)
+def _play(kind: str, period: float, delay: float, *words: Any) -> tuple[Any, Any, str]:
+    """Return position, force and ringing of B; the player is imported in the worker only."""
+    position, force = PLAYERS.load(kind)(*words)
+    last = round(SHOWN / period)
+    ring = ring_of(position[-last:], force[-last:], period, delay)
+    return position, force, str(ring or "")

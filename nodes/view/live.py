@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from statistics import median
 from typing import Any, NamedTuple
 
 import msgspec
@@ -24,6 +26,8 @@ STATUS_PERIOD = 0.2  # time between status updates [s]
 RECENT = 5.0  # time span of the response-time percentiles [s]
 # Time without a status after which a node is shown as silent; it sends two per second [s].
 SILENT_NODE = 1.5
+DELAY_SPAN = 10.0  # time span of the delay's median [s]
+DELAY_PERIOD = 0.1  # time between two of its samples [s]
 LATELY = 10.0  # time span in which missed ticks count as a present problem [s]
 HISTORY = 30.0  # time span of the past that a newly opened page shows [s]
 KEPT = 60.0  # time span stored for slow pages [s]
@@ -145,6 +149,11 @@ class LiveRun:
         self.board = Board()  # everything else
         # Measured delay of the loop, smoothed over 64 ticks [ticks].
         self.delay = least_delay(facts.apply)
+        # Samples of it over DELAY_SPAN [s, ticks]; a map at their median does not wander.
+        self._delays: deque[tuple[float, float]] = deque()
+        self.rests = False  # whether the map says that this loop cannot ring
+        # Returns what A and B do, in words; None where nothing is compared.
+        self.sings: Callable[[], dict[str, str] | None] | None = None
         # Whether the laws must be read again after a receipt; reset by the reader.
         self.changed = True
         self._end = RunEnd()
@@ -159,7 +168,7 @@ class LiveRun:
         self._why = self._device = self._failed = ""
         self._missed: deque[tuple[float, int]] = deque()
         # One detector per axis: the force's magnitude would reverse twice as often.
-        self._ringing = {AXIS_INDEX[axis]: Ringing() for axis in facts.axes}
+        self._ringing = [Ringing(AXIS_INDEX[axis]) for axis in facts.axes]
         self._stop: dict[str, float] = {}
         self._status_at = -1.0
         self._rate: tuple[float, int] = (0.0, 0)
@@ -186,9 +195,16 @@ class LiveRun:
         self.keep(known[0], message, now)
         return known[0], message
 
+    @property
+    def median_delay(self) -> float:
+        """Return the median of the loop's delay over DELAY_SPAN [ticks]."""
+        if not self._delays:
+            return self.delay
+        return median(delay for _, delay in self._delays)
+
     def rings(self) -> Ring | None:
         """Return the strongest ringing of all axes; None if there is none."""
-        found = filter(None, (ringing.ring() for ringing in self._ringing.values()))
+        found = filter(None, (ringing.ring() for ringing in self._ringing))
         return max(found, key=lambda ring: ring.force, default=None)
 
     def keep(self, topic: str, message: Message, now: float) -> None:
@@ -198,8 +214,9 @@ class LiveRun:
             if message.response > 0.0:
                 self._responses.append(message.response)
             self.delay += (message.delay - self.delay) / 64.0
-            for axis, ringing in self._ringing.items():
-                ringing.take(message.seq * self._period, message.force[axis])
+            time = message.seq * self._period
+            for ringing in self._ringing:
+                ringing.take(time, message.position, message.force, message.energy)
         elif isinstance(message, NodeStatus):
             self._heard[message.node] = (message, now)
             if topic == self._driver_status:
@@ -270,9 +287,18 @@ class LiveRun:
         if self._failed and not self.ended and end_of(self._run_dir).reason:
             self.end(self._failed)
         self.feed.file(bool(self.ended))
+        self._sample_delay(now)
         if now - self._status_at >= STATUS_PERIOD or self.ended:
             self._status_at = now
             self.board.put("status", self.status(now))
+
+    def _sample_delay(self, now: float) -> None:
+        kept = self._delays
+        if self.feed.state is None or (kept and now - kept[-1][0] < DELAY_PERIOD):
+            return
+        kept.append((now, self.delay))
+        while now - kept[0][0] > DELAY_SPAN:
+            kept.popleft()
 
     def status(self, now: float) -> dict[str, Any]:
         """Return the status document."""
@@ -303,7 +329,7 @@ class LiveRun:
             force,
             silent,
             why,
-            str(self.rings() or ""),
+            "" if self.rests else str(self.rings() or ""),
             self._device,
         )
         if self.ended:
@@ -342,6 +368,8 @@ class LiveRun:
             "law": force.law if force else "",
             "revision": force.revision if force else 0,
             "nodes": nodes,
+            # What both laws do, where they are compared.
+            "sings": self.sings() if self.sings is not None else None,
             "ended": self.ended,
         }
 

@@ -1,15 +1,133 @@
-"""Detect ringing: a force that oscillates faster than any hand moves."""
+"""Detect ringing: a force that goes to and fro and generates energy at every stroke.
+
+A stroke ends where the force turns back. What the loop generated in a whole cycle, less the work of
+the steady push meanwhile, is positive for every cycle of a loop that sings, at any frequency; a
+surface that is tapped, or a contact that settles, absorbs energy.
+
+`observe_stroke` and `is_ringing` are plain rules: the static page plays them as JavaScript.
+"""
 
 from __future__ import annotations
 
-from collections import deque
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
-WINDOW = 0.3  # time span analysed [s]
-# Reversals within the window that count as ringing; a hand or a settling contact has fewer.
-TURNS = 10
-# Smallest reversal counted: absolute [N], and relative to the largest force in the window.
-SMALLEST_REVERSAL, REVERSAL_SHARE = 0.1, 0.25
+from messages.types import Vector
+
+SLOWEST: Final = (
+    0.26  # longest cycle; a hand seldom goes to and fro 4 times a second [s]
+)
+STROKES: Final = 5  # strokes in a row that generate energy
+SPAN: Final = 0.1  # shortest ringing that is reported [s]
+# Smallest stroke counted: absolute [N], and relative to the largest force lately.
+SMALLEST_STROKE: Final = 0.1
+STROKE_SHARE: Final = 0.25
+LATELY: Final = 0.3  # time in which the largest force lately is forgotten [s]
+FADING: Final = 0.7  # a stroke below this part of the last one of its direction settles
+SMOOTHING: Final = 0.25  # weight of the newest cycle in the frequency
+
+
+class Strokes:
+    """State of the rules, for the force of one axis."""
+
+    def __init__(self, axis: int) -> None:
+        self.axis = axis
+        self.time = 0.0  # of the newest tick [s]
+        self.rising = 1
+        self.peak = 0.0  # largest force lately [N]
+        self.pushed = [0.0, 0.0, 0.0]  # integral of the force over time [N s]
+        # Furthest force of this stroke, and time, energy, position and push where it was.
+        self.furthest = 0.0
+        self.at = [0.0] * 8
+        # The same for the two newest turns.
+        self.turns = 0
+        self.turned_at = 0.0  # force at the newest turn [N]
+        self.turned = [0.0] * 16
+        self.size = 0.0  # size of the newest stroke, and of the one before it [N]
+        self.size_before = 0.0
+        self.strokes = 0  # strokes in a row that generated energy
+        self.since = 0.0  # when the first of them began [s]
+        self.cycle = 0.0  # smoothed duration of a cycle [s]
+        self.most = 0.0  # larger force of the two newest turns [N]
+
+
+def forget_strokes(s: Strokes, time: float) -> None:
+    """Begin anew, as after a jump of time."""
+    s.time = time
+    s.peak = s.furthest = s.turned_at = s.size = s.size_before = 0.0
+    s.turns = s.strokes = 0
+    s.rising = 1
+
+
+def mark_furthest(
+    s: Strokes, time: float, position: Vector, force: float, energy: float
+) -> None:
+    """Note where the force is furthest along this stroke."""
+    s.furthest = force
+    s.at[0] = time
+    s.at[1] = energy
+    for i in range(3):
+        s.at[2 + i] = position[i]
+        s.at[5 + i] = s.pushed[i]
+
+
+def observe_stroke(
+    s: Strokes, time: float, position: Vector, force: Vector, energy: float
+) -> None:
+    """Add a tick: its time [s], position [m], force [N] and energy generated so far [J]."""
+    past = time - s.time
+    if past < 0.0 or past > SLOWEST:
+        forget_strokes(s, time)
+        past = 0.0
+    s.time = time
+    now = force[s.axis]
+    for i in range(3):
+        s.pushed[i] += force[i] * past
+    s.peak = max(abs(now), s.peak * (1.0 - min(1.0, past / LATELY)))
+    back = max(SMALLEST_STROKE, STROKE_SHARE * s.peak)
+    change = now - s.furthest
+    if s.rising == 0:
+        change = -change
+    if change >= 0.0:
+        mark_furthest(s, time, position, now, energy)
+    elif -change > back:
+        end_stroke(s)
+        s.rising = 1 - s.rising
+        mark_furthest(s, time, position, now, energy)
+
+
+def end_stroke(s: Strokes) -> None:
+    """End a stroke where the force was furthest."""
+    first = 8 * (
+        s.turns % 2
+    )  # of the turn before the last: the beginning of this cycle
+    cycle = s.at[0] - s.turned[first]
+    gained = s.at[1] - s.turned[first + 1]
+    if s.turns >= 2 and cycle > 0.0:
+        for i in range(3):
+            moved = s.at[2 + i] - s.turned[first + 2 + i]
+            gained -= (s.at[5 + i] - s.turned[first + 5 + i]) / cycle * moved
+    size = abs(s.furthest - s.turned_at)
+    lasts = size >= FADING * s.size_before
+    if s.turns >= 2 and 0.0 < cycle <= SLOWEST and gained > 0.0 and lasts:
+        s.strokes += 1
+        s.cycle += (cycle - s.cycle) * (SMOOTHING if s.strokes > 1 else 1.0)
+    else:
+        s.strokes = 0
+        s.since = s.at[0]
+    s.size_before = s.size
+    s.size = size
+    s.most = max(abs(s.furthest), abs(s.turned_at))
+    s.turned_at = s.furthest
+    for i in range(8):
+        s.turned[first + i] = s.at[i]
+    s.turns += 1
+
+
+def is_ringing(s: Strokes) -> bool:
+    """Whether the force rings at the newest tick."""
+    last = s.turned[8 * ((s.turns + 1) % 2)]
+    return s.strokes >= STROKES and last - s.since >= SPAN and s.time - last <= SLOWEST
 
 
 class Ring(NamedTuple):
@@ -23,44 +141,43 @@ class Ring(NamedTuple):
 
 
 class Ringing:
-    """Detects ringing in the force of a run, tick by tick."""
+    """Detects ringing in the force of a run along one axis, tick by tick."""
 
-    def __init__(self) -> None:
-        self._turns: deque[float] = deque()
-        # Monotonically decreasing, so that the first entry is the window's maximum.
-        self._peaks: deque[tuple[float, float]] = deque()
-        self._extreme = 0.0
-        self._rising = True
+    def __init__(self, axis: int = 0) -> None:
+        self._strokes = Strokes(axis)
 
-    def take(self, time: float, force: float) -> None:
-        """Add the force of a tick [N] at a time [s]."""
-        turns, peaks = self._turns, self._peaks
-        if peaks and time < peaks[-1][0]:
-            # Time jumped back in a recording.
-            turns.clear()
-            peaks.clear()
-        while peaks and peaks[-1][1] <= abs(force):
-            peaks.pop()
-        peaks.append((time, abs(force)))
-        while time - peaks[0][0] > WINDOW:
-            peaks.popleft()
-        back = max(SMALLEST_REVERSAL, REVERSAL_SHARE * peaks[0][1])
-        change = force - self._extreme if self._rising else self._extreme - force
-        if change >= 0.0:
-            self._extreme = force
-        elif -change > back:
-            turns.append(time)
-            self._extreme, self._rising = force, not self._rising
-        while turns and time - turns[0] > WINDOW:
-            turns.popleft()
+    def take(self, time: float, position: Vector, force: Vector, energy: float) -> None:
+        """Add a tick; see `observe_stroke`."""
+        observe_stroke(self._strokes, time, position, force, energy)
 
     def ring(self) -> Ring | None:
         """Return the present ringing; None if there is none."""
-        if len(self._turns) < TURNS:
-            return None
-        span = self._turns[-1] - self._turns[0]
-        return (
-            Ring((len(self._turns) - 1) / (2.0 * span), self._peaks[0][1])
-            if span > 0.0
-            else None
-        )
+        s = self._strokes
+        return Ring(1.0 / s.cycle, s.most) if is_ringing(s) else None
+
+
+def ring_of(
+    position: Sequence[float], force: Sequence[float], period: float, delay: float
+) -> Ring | None:
+    """Return how a recorded loop of one axis rings at its end.
+
+    Parameters
+    ----------
+    position, force : sequence of float, shape (n,)
+        Device [m] and force [N] at each tick.
+    period : float
+        Sampling period [s].
+    delay : float
+        Delay from a tick to its force taking effect [ticks].
+    """
+    watched, energy = Ringing(), 0.0
+    whole = int(delay)
+    part = delay - whole
+    for k in range(len(position)):
+        watched.take(k * period, (position[k], 0.0, 0.0), (force[k], 0.0, 0.0), energy)
+        if k + 1 < len(position):
+            newer = force[k - whole] if k >= whole else 0.0
+            older = force[k - whole - 1] if k > whole else 0.0
+            acting = (1.0 - part) * newer + part * older
+            energy += acting * (position[k + 1] - position[k])
+    return watched.ring()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
+from messages.errors import HapticError
 from messages.transport.sockets import Subscription
 from messages.types import Message
 from nodes.base.setup import AXIS_INDEX
@@ -19,11 +21,11 @@ from nodes.launcher.runs import RunInfo
 from nodes.laws.law_fields import all_law_fields
 from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError
-from nodes.view.comparison import Comparison
+from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import HISTORY, LiveRun, facts_of
+from nodes.view.map_drawer import MapDrawer
 from nodes.view.server import PageServer
 from nodes.view.shared_hand import SharedHand
-from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RunningBodies
@@ -32,9 +34,6 @@ if TYPE_CHECKING:
 # A screen's refresh period: waking for each message would cost more processor time [s].
 DRAIN_PERIOD = 1.0 / 60.0
 AT_ONCE = 5000  # messages processed before pages get their turn
-MAP_PERIOD = 0.25  # shortest time between two stability maps [s]
-# Delay of the slow first map, so that the first page draws before it on a shared processor [s].
-PICTURE_FIRST = 0.5
 ASK_AGAIN = 0.2  # time until nodes that did not answer are asked again [s]
 FINAL = 0.5  # time that pages have to receive the end of a run [s]
 
@@ -83,7 +82,7 @@ class RunPage:
 class RunPages:
     """Everything behind the pages of one run.
 
-    `again` tells that the launcher restarts a virtual driver that stopped the loop.
+    `again` tells that the launcher starts the run again at a page's request.
     """
 
     def __init__(
@@ -96,7 +95,7 @@ class RunPages:
     ) -> None:
         self._run = run
         self._inbox = inbox
-        self._commander = Commander(run, again)
+        self._commander = Commander(run)
         facts = facts_of(run, self._commander.driver)
         self._period = facts.period
         self._axis = AXIS_INDEX[facts.axes[0]]
@@ -107,18 +106,25 @@ class RunPages:
         )
         self.server = PageServer(self._open_page, token)  # serves the pages
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
+        self.live.sings = self._what_both_do
         # Called with topic and content of every message.
         self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]
-        # One thread for requests, one for maps, so that neither blocks the pages.
+        # A thread for requests, so that none blocks the pages.
         self._asking = ThreadPoolExecutor(1, "ask")
-        self._mapping = ThreadPoolExecutor(1, "map")
+        self._maps = MapDrawer(
+            run.nodes[self._commander.driver].parameters,
+            facts.period,
+            self._inertia,
+            self.live.board.put,
+        )
+        self._is_exact = self._commander.is_virtual and all(
+            one.kind != "world" for one in run.nodes.values()
+        )
         self._laws: dict[str, Any] = {}
         self._bridge: Bridge | None = None
         self._bodies: RunningBodies | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
-        self._mapped: tuple[str, float] = ("", -1.0)
-        self._mapped_at = self._opened_at = 0.0
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -126,13 +132,33 @@ class RunPages:
             "replay": False,
             "hand": self.hand.there,
             "beyond": self._commander.beyond,
-            "again": self._commander.again,
+            "again": self._commander.beyond,
+            "restarts": again,
             "compares": self._comparison.there,
+            "sings": self._sings(),
             "delays": self._commander.delays,
             "shape": self._shape(stopping),
         }
         self.live.board.put(
             "hello", {**facts.hello(), **document, "fields": all_law_fields()}
+        )
+
+    def _what_both_do(self) -> dict[str, str] | None:
+        """Return how A and B ring, in words (empty: not); None where nothing is compared."""
+        if not self._comparison.law:
+            return None
+        return {"a": str(self.live.rings() or ""), "b": self._comparison.rings}
+
+    def _sings(self) -> bool:
+        """Whether a law can be made to ring beside another one: against a plane, by a hand."""
+        name = roles(self._run).get("environment", "")
+        surface = (self._run.nodes[name].parameters if name else {}).get("surface")
+        return (
+            self.hand.there
+            and self._commander.beyond
+            and self._comparison.there
+            and isinstance(surface, Mapping)
+            and surface.get("kind") == "plane"
         )
 
     def _shape(self, stopping: Callable[[], bool]) -> dict[str, Any]:
@@ -154,7 +180,6 @@ class RunPages:
         return shape_of(environment.parameters)
 
     def _open_page(self) -> RunPage:
-        self._opened_at = time.monotonic()
         return RunPage(self)
 
     async def command(self, request: dict[str, Any]) -> Any:
@@ -162,7 +187,9 @@ class RunPages:
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
-            return self._compare(request.get("law"))
+            return self._compare(
+                request.get("law"), request.get("stiffness"), request.get("hardness")
+            )
         # A stop request must not queue behind a node that does not answer.
         thread = None if request.get("op") == "stop" else self._asking
         result = await asyncio.get_running_loop().run_in_executor(
@@ -173,18 +200,28 @@ class RunPages:
         self.live.changed = True
         return result
 
-    def _compare(self, law: Any) -> dict[str, Any]:
-        """Choose the law simulated beside the launch; an empty name stops."""
+    def _compare(
+        self, law: Any, stiffness: Any = None, hardness: Any = None
+    ) -> dict[str, Any]:
+        """Choose the law simulated beside the launch; an empty name stops.
+
+        B may have another `stiffness`, or another H(1) (`hardness`), than the launch's law [N/m].
+        """
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
             raise CommandError(
-                "view: compare: only a launch with a virtual device on one axis can be compared"
+                "Only a launch with a virtual device on one axis can be compared."
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(
-                f"view: compare: no law is named {str(law)[:100]!r}; available: {', '.join(laws)}"
+                f"No law is named {str(law)[:100]!r}; available: {', '.join(laws)}"
             )
-        self._comparison.choose(law, laws.get(law, {}))
+        try:
+            self._comparison.choose(
+                law, laws.get(law, {}), Changed(stiffness, hardness)
+            )
+        except (HapticError, msgspec.ValidationError) as error:
+            raise CommandError(f"B: {error}") from error
         return {"law": law}
 
     def bridge(self, port: int) -> int:
@@ -228,7 +265,7 @@ class RunPages:
             await loop.run_in_executor(self._asking, self._commander.close)
             await ended
             self._asking.shutdown()
-            self._mapping.shutdown(cancel_futures=True)
+            self._maps.close()
             self.hand.close()
 
     def _move_hand(self) -> None:
@@ -286,32 +323,13 @@ class RunPages:
             return
         if live.changed:
             self._start("laws", self._read_laws)
-        wanted = self._laws.get("active", "")
-        described = self._laws.get("laws", {}).get(wanted)
-        now = time.monotonic()
-        rested = (
-            now - self._mapped_at > MAP_PERIOD
-            if self._mapped_at
-            else now - self._opened_at > PICTURE_FIRST
-        )
-        if self.server.pages and described is not None and rested:
-            judged = (
-                wanted,
-                described,
-                self._laws.get("plant"),
-                self._laws.get("device_delay"),
-            )
-            key, delay = repr(judged), self._mapped[1]
-            # Small changes of the delay do not redraw the map.
-            if key != self._mapped[0] or abs(live.delay - delay) > 0.02 + 0.05 * delay:
-                self._mapped, self._mapped_at = (key, live.delay), now
-                self._start("map", self._draw_map)
+        delay = live.median_delay
+        self._maps.step(self._laws, delay, bool(self.server.pages))
+        # A virtual device is exactly the declared one; a real loop may ring all the same.
+        live.rests = self._is_exact and self._maps.says_stable(self._laws, delay)
 
     def _start(self, name: str, job: Callable[[], Any]) -> None:
         if name in self._busy:
-            # Repeat when the present one is done.
-            if name == "map":
-                self._mapped = ("", -1.0)
             return
         if name == "laws":
             self.live.changed = False
@@ -362,6 +380,12 @@ class RunPages:
             await asyncio.sleep(ASK_AGAIN)
             self.live.changed = True
 
+    async def _inertia(self) -> dict[str, Any] | None:
+        """Return the masses that the device reports for its poses."""
+        return await asyncio.get_running_loop().run_in_executor(
+            self._asking, self._commander.inertia
+        )
+
     async def _look_at_recorder(self) -> None:
         """Inform the pages when a recording ends by itself."""
         self.live.board.put(
@@ -371,26 +395,3 @@ class RunPages:
             ),
         )
         await asyncio.sleep(ASK_AGAIN)
-
-    async def _draw_map(self) -> None:
-        laws, delay = self._laws, self.live.delay
-        described, own = laws["laws"][laws["active"]], laws["device_delay"]
-        driver = dict(self._run.nodes[self._commander.driver].parameters)
-        if own is not None:
-            driver["device"] = {**driver["device"], "delay": own}
-        inertia = await asyncio.get_running_loop().run_in_executor(
-            self._asking, self._commander.inertia
-        )
-        draw = partial(
-            drawn_map,
-            described,
-            self._period,
-            laws.get("plant"),
-            driver,
-            delay,
-            inertia,
-        )
-        found = await asyncio.get_running_loop().run_in_executor(self._mapping, draw)
-        self.live.board.put(
-            "map", {"law": laws["active"], "device_delay": own, **found}
-        )

@@ -1,8 +1,8 @@
 """Stability map beside the sliders: stable K and B of the active law, and its margins.
 
 Computed with the project's exact methods (sim/THEORY.md §3), for the declared device and the
-measured delay. It runs in the view's process, off the chain's core: a map takes 0.1 s, the first
-one, which imports scipy, 0.5 s.
+measured delay. It runs in the view's process, off the chain's core: a map takes 0.1 s, the limits
+for moving worlds 0.4 s more, so they are added when the page rests (`with_moving_worlds`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from nodes.laws import Law
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside
-from nodes.stability.k_max import k_max, without_spring
+from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worlds import (
     AnyWorld,
@@ -30,6 +30,7 @@ from nodes.stability.worlds import (
     WorldKind,
     world_k_max,
 )
+from nodes.view.law_edges import edge_of_law, stable_interval
 
 NEAR, FAR = (
     33,
@@ -68,17 +69,6 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
         stiffness=stiffness,
         device_delay=delay,
     )
-
-
-def _edges(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
-    """Return the first interval of K that is stable with all devices; None if there is none."""
-    low, high = -math.inf, math.inf
-    for device in devices:
-        edge = k_max(without_spring(law, device.period), device)
-        if not edge.stable:
-            return None
-        low, high = max(low, edge.stable[0][0]), min(high, edge.stable[0][1])
-    return (low, high) if low < high else None
 
 
 def _moving(plant: PlantParameters) -> WorldKind | None:
@@ -126,7 +116,7 @@ def _bounds(
 ) -> list[list[float | None]]:
     found: list[list[float | None]] = []
     for damping in dampings:
-        low, high = _edges(_at(law, damping), devices) or (None, None)
+        low, high = stable_interval(_at(law, damping), devices) or (None, None)
         found.append(
             [damping, low, high if high is None or math.isfinite(high) else None]
         )
@@ -138,9 +128,9 @@ def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
     inside = near
     while inside < near * FARTHEST:
         outside = 2.0 * inside
-        if _edges(_at(law, outside), devices) is None:
+        if stable_interval(_at(law, outside), devices) is None:
             return last_inside(
-                lambda damping: _edges(_at(law, damping), devices) is not None,
+                lambda damping: stable_interval(_at(law, damping), devices) is not None,
                 inside,
                 outside,
                 10,
@@ -214,13 +204,13 @@ def stability_map(
         raise ValueError("the law has code beside its taps, so it has no poles.")
     devices = plant.over_workspace(period, delay)
     radii = [pole_radius(compiled, device) for device in devices]
-    ends = [_edges(law, [device]) for device in devices]
+    ends = [stable_interval(law, [device]) for device in devices]
     # The worst mass: unstable before stable, then by the lowest edge.
     worst = max(
         range(len(devices)),
         key=lambda i: (radii[i] >= 1.0, -(0.0 if (end := ends[i]) is None else end[1])),
     )
-    radius, edge = max(radii), _edges(law, devices)
+    radius = max(radii)
     k = float(getattr(law, "stiffness", compiled.h1))
     found: dict[str, Any] = {
         "delay_ticks": devices[0].delay,
@@ -229,9 +219,7 @@ def stability_map(
         "pole_radius": radius,
         "stable": radius < 1.0,
         "k_n_per_m": k,
-        "k_max_n_per_m": edge[1]
-        if edge is not None and math.isfinite(edge[1])
-        else None,
+        "k_max_n_per_m": edge_of_law(law, devices),
         "delay_margin_ticks": delay_margin(law, devices),
     }
     b = getattr(law, "damping", None)
@@ -244,10 +232,22 @@ def stability_map(
     if end > near:
         rows += _bounds(law, devices, np.geomspace(near, end, FAR)[1:].tolist())
     over = _over_delay(law, devices, found["delay_margin_ticks"])
-    drawn = found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
+    return found | {"b_n_s_per_m": b, "near": near, "edge": rows, "over_delay": over}
+
+
+def with_moving_worlds(
+    found: dict[str, Any], law: Law, period: float, plant: PlantParameters, delay: float
+) -> dict[str, Any]:
+    """Return a map with the limits for moving worlds; the same map where it has no plane."""
     world = _moving(plant)
-    if world is None:
-        return drawn
+    if world is None or "edge" not in found:
+        return found
+    devices, near, over = (
+        plant.over_workspace(period, delay),
+        found["near"],
+        found["over_delay"],
+    )
+    worst = plant.masses.index(found["mass_kg"])
     # The device alone: the tool coupled to it is part of the world.
     some = [
         replace(devices[i], partner=None) for i in sorted({0, worst, len(devices) - 1})
@@ -257,7 +257,7 @@ def stability_map(
     delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()
     heavy = _heavy(plant, some[0]) if isinstance(world, SteppedTool) else None
     about = world.about if heavy is None else f"{world.about}, or {heavy.about}"
-    return drawn | {
+    return found | {
         "world": about,
         "k_max_any_world_n_per_m": _certified(law, some, world, plant),
         "any_world": [
@@ -265,12 +265,12 @@ def stability_map(
         ],
         "any_world_over_delay": [
             [
-                delay,
+                later,
                 _certified(
-                    law, [replace(device, delay=delay) for device in some], world, plant
+                    law, [replace(device, delay=later) for device in some], world, plant
                 ),
             ]
-            for delay in delays
+            for later in delays
         ],
     }
 
@@ -282,8 +282,13 @@ def drawn_map(
     driver: Mapping[str, Any],
     delay: float,
     inertia: Mapping[str, Any] | None = None,
+    moving: bool = True,
+    begun: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the map for a page, or why there is none; `inertia` holds the device's masses."""
+    """Return the map for a page, or why there is none; `inertia` holds the device's masses.
+
+    `moving` adds the limits for moving worlds, to the map `begun` if it is given.
+    """
     try:
         plant = with_inertia(plant_of(declared, driver), inertia)
         if plant is None:
@@ -293,6 +298,8 @@ def drawn_map(
                     " file, for example plant: {mass: 0.1, damping: 1.0}."
                 )
             }
-        return stability_map(parse_law(described, "law"), period, plant, delay)
+        law = parse_law(described, "law")
+        found = begun or stability_map(law, period, plant, delay)
+        return with_moving_worlds(found, law, period, plant, delay) if moving else found
     except (HapticError, ValueError, ArithmeticError, msgspec.ValidationError) as error:
         return {"why": f"No map: {error}"}

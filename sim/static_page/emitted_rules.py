@@ -18,6 +18,7 @@ from nodes.environment.meet import meet
 from nodes.environment.note_tick import note_tick
 from nodes.environment.shapes import tables
 from nodes.environment.state import DAMPING, JUMPED, SHAPES, STIFFNESS, tell_jump
+from nodes.view.ringing import is_ringing, observe_stroke
 from sim.device.model import coefficients
 from sim.device.state import read_axis, write_axis
 from sim.javascript.emitter import Emitter
@@ -44,6 +45,8 @@ _ROOTS: Final[tuple[Any, ...]] = (
     arithmetic.warm_up,
     pushed_force,
     windowed_force,
+    observe_stroke,
+    is_ringing,
 )
 _HOST: Final = {
     getattr(memory, name): name

@@ -42,7 +42,7 @@ from sim.static_page.image import image_of
 from sim.static_page.law_parts import parts_of
 
 _FIRST: Final = ("touch_wall",)  # scenarios if none are named
-_SCRIPTS: Final = ("laws", "edges", "words", "delay", "session", "sing")
+_SCRIPTS: Final = ("laws", "edges", "words", "delay", "session")
 _TICKS: Final = (
     300_000  # ticks for which laws that push pseudo-randomly have their push
 )

@@ -1,5 +1,5 @@
 // Dial for the wall's stiffness. It ends at the stability limit; a virtual device may go beyond it.
-import { figure, unbroken } from "./format.js";
+import { figure, rough, unbroken } from "./format.js";
 
 const STEPS = 1000, SOFTEST = 0.02, BELOW = 0.98, PAST = 8, RESTS = 700;
 
@@ -90,8 +90,8 @@ export class Dial {
     this.hardness.textContent = unbroken(`${figure(stiffness)} N/m`);
     this.hardness.classList.toggle("bad", past);
     this.mark.textContent = unbroken(this.edge === null ? (this.looked ? "The edge is not known here." : "looking for the edge …")
-      : past ? `${figure(stiffness / this.edge)} × the edge of ${figure(this.edge)} N/m`
-      : `edge at ${figure(this.edge)} N/m: ${figure(this.edge / stiffness)} × this`);
+      : past ? `${rough(stiffness / this.edge)} × the edge of ${rough(this.edge)} N/m`
+      : `edge at ${rough(this.edge)} N/m: ${rough(this.edge / stiffness)} × this`);
     this.dial.setAttribute("aria-valuetext", `${this.hardness.textContent}, ${this.mark.textContent}`);
   }
 }

@@ -17,6 +17,9 @@ export function figure(value) {
   return fixed(value, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
 }
 
+// Format with two significant digits, as what is measured deserves.
+export function rough(value) { return Number.isFinite(value) ? figure(Number(value.toPrecision(2))).replace(/(\.\d)0+$/, "$1") : "–"; }
+
 // Join a number and its unit with a non-breaking space.
 export function unbroken(text) { return text.replace(/(\d) (?=(N|N\/m|N s\/m|mJ|mm|ms|µs|s|kg|Hz|ticks?|times|strokes)\b)/g, "$1\u00a0"); }
 

@@ -34,7 +34,9 @@ const log = new Log($("log"));
 const status = new Status({ words: $("words"), told: $("told"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
 const lag = new Lag();
 
+let edges = null; // edge and H(1) of each law, as far as known
 function moved(target) {
+  sing.leave(target !== null);
   $("hint").textContent = "";
   lag.leave(target);
   link.hand(target);
@@ -102,6 +104,7 @@ const link = new Link({
     dial.start(found);
     delay.start(found);
     map.delays = found.delays;
+    edges = null;
     map.beyond = () => found.beyond && $("beyond").checked;
     beside.start(found);
     sound.start(store, found.axes);
@@ -156,6 +159,7 @@ const link = new Link({
   beside(found) { beside.show(found); },
   over(found) { overlaid = found; plots.dirty = true; },
   map(found) { charted = found; chart(); },
+  edges(found) { edges = found; sing.edges?.(found); chart(); },
   log(entry) {
     log.add(entry);
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
@@ -177,7 +181,24 @@ const link = new Link({
     refused(found.error);
   },
 });
-const sing = new Sing({ button: $("sing"), told: $("sung"), beyond: $("beyond") }, ask);
+const sing = new Sing({ button: $("sing"), told: $("sung"), beyond: $("beyond") }, {
+  ask,
+  state: () => laws.state,
+  stopped: () => stoppedAt !== null,
+  soft,
+  compared: () => beside.on,
+  surface: () => scene.surface,
+  hand: (target) => link.hand(target === null ? null : [0, 1, 2].map((k) => (k === scene.axis ? target : 0))),
+  // Edges at a delay of the device: known, or with the next document that is of it.
+  edgesAt: (delay) => (edges?.device_delay === delay ? Promise.resolve(edges.edges) : new Promise((done, fail) => {
+    const late = setTimeout(() => fail(new Error("The edges at this delay did not come within 5 s.")), 5000);
+    sing.edges = (found) => {
+      if (found.device_delay !== delay) return;
+      clearTimeout(late);
+      done(found.edges);
+    };
+  })),
+});
 const page = new StaticPage({ banner: $("banner"), python: $("python"), restart: $("restart"), scenarios: $("scenarios"), title: $("scenario") }, ask);
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
 
@@ -207,14 +228,14 @@ function chart() {
   const fits = charted !== null && charted.law === laws.state?.active;
   if (!fits) map.forget();
   else if (map.map !== charted) map.show(charted);
-  laws.edge = fits ? charted.k_max_n_per_m ?? null : null;
+  laws.edge = (edges ? edges.edges[laws.state?.active] : fits ? charted.k_max_n_per_m : null) ?? null;
   laws.fill();
   turn();
 }
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
-  dial.show(law?.stiffness ?? laws.state?.rest?.[laws.state.active] ?? null, laws.edge, map.map !== null);
+  dial.show(law?.stiffness ?? edges?.rest[laws.state.active] ?? null, laws.edge, edges !== null || map.map !== null);
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
@@ -252,7 +273,7 @@ $("share").addEventListener("click", async () => {
 // The law to put beside the active one: the one with the largest edge, where edges are known.
 function strongest() {
   const names = [...$("other").options].map(({ value }) => value).filter((name) => name && name !== laws.state.active);
-  const edge = (name) => laws.state.edges?.[name] ?? 0;
+  const edge = (name) => edges?.edges[name] ?? 0;
   return names.reduce((best, name) => (edge(name) > edge(best) ? name : best), names[0]);
 }
 
@@ -290,10 +311,15 @@ function goOn() {
 }
 
 $("once-more").addEventListener("click", () => { scene.trace.length = 0; slow.again(); });
+// A stable stiffness to start again with, or the loop would be unstable at once.
+function soft() {
+  const present = laws.edge ?? laws.state.laws[laws.state.active].stiffness ?? dial.stiffness;
+  return { stiffness: Number((present * 0.25).toPrecision(2)), field: stiffnessField() };
+}
+
 $("again").addEventListener("click", async () => {
   $("again").disabled = true;
-  // Restart with a stable stiffness, or the loop would be unstable at once.
-  await ask({ op: "again", stiffness: Number(((laws.edge ?? laws.state.laws[laws.state.active].stiffness) * 0.25).toPrecision(2)) });
+  await ask({ op: "again", ...soft() });
   $("again").disabled = false;
 });
 

@@ -1,5 +1,5 @@
 // Stability map: stable K and B for the active kind of law, and the present point.
-import { digits, figure, fixed, step, unbroken } from "./format.js";
+import { digits, figure, fixed, rough, step, unbroken } from "./format.js";
 import { blank } from "./strokes.js";
 import { colour, onTheme } from "./theme.js";
 
@@ -61,7 +61,8 @@ export class StabilityMap {
     const before = this.map;
     // The device's share of the delay for which the map was drawn; it may have changed since.
     this.own = map.device_delay ?? 0;
-    this.map = map;
+    this.map = this.kept = map;
+    this.canvas.classList.remove("old");
     if (before?.edge && map.edge && (before.k_n_per_m !== map.k_n_per_m || before.b_n_s_per_m !== map.b_n_s_per_m)) this.trail = [...this.trail.slice(-40), [before.b_n_s_per_m, before.k_n_per_m]];
     this.canvas.hidden = !map.edge;
     this.button.hidden = !map.edge;
@@ -70,14 +71,15 @@ export class StabilityMap {
     this.draw();
   }
 
-  // The map is of a law no longer active: keep its place, so that nothing below jumps.
+  // The map is of a law no longer active: keep it in its place, faint, until the next one comes.
   forget() {
     if (!this.map) return;
+    this.kept = this.map;
     this.map = this.frame = null;
     this.trail = [];
-    this.words.textContent = "…";
+    this.canvas.classList.add("old");
+    this.words.textContent = "The map of the law before; the next one is coming.";
     this.canvas.setAttribute("aria-label", "Map of stability");
-    if (this.canvas.clientWidth) blank(this.canvas);
   }
 
   tell(map) {
@@ -85,16 +87,16 @@ export class StabilityMap {
     const bold = (text, bad) => Object.assign(document.createElement("b"), { textContent: unbroken(text), className: bad ? "bad" : "" });
     const { mass, heaviest } = map.plant, least = figure(mass), most = figure(heaviest ?? mass);
     const worst = heaviest ? ` and with ${figure(map.mass_kg)} kg, the worst of ${least} to ${most} kg` : "";
-    const at = ` at a delay of ${fixed(map.delay_ticks, 2)} ticks${worst}`;
+    const at = ` at a delay of ${fixed(map.delay_ticks, 1)} ticks${worst}`;
     // An observed instability outweighs the computation.
     if (this.stopped) return [bold("It swung, and the driver stopped it", true), map.stable ? `, though the declared device would be stable${at}: the real loop is not this one.` : `: unstable${at}.`];
     if (!map.stable) {
-      const edge = map.k_max_n_per_m === null ? "no stiffness is stable" : `stable up to K = ${figure(map.k_max_n_per_m)} N/m`;
+      const edge = map.k_max_n_per_m === null ? "no stiffness is stable" : `stable up to K = ${rough(map.k_max_n_per_m)} N/m`;
       return [bold("Unstable", true), `${at}: ${edge}.`];
     }
-    const k = map.k_max_n_per_m === null ? "without limit" : `${figure(map.k_max_n_per_m / map.k_n_per_m)} × K`;
-    const delay = map.delay_margin_ticks === null ? "over 20 ticks" : `${fixed(map.delay_margin_ticks, 2)} ticks`;
-    return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${figure(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), `. ${this.moving(map)}`];
+    const k = map.k_max_n_per_m === null ? "without limit" : `${rough(map.k_max_n_per_m / map.k_n_per_m)} × K`;
+    const delay = map.delay_margin_ticks === null ? "over 20 ticks" : `${rough(map.delay_margin_ticks)} ticks`;
+    return ["Stable", `${at}. To the edge: `, bold(k), map.k_max_n_per_m === null ? "" : ` (${rough(map.k_max_n_per_m)} N/m)`, ", or ", bold(`${delay} more delay`), `. ${this.moving(map)}`];
   }
 
   // Certified for a moving wall: any passive world that answers in the same tick.
@@ -102,7 +104,7 @@ export class StabilityMap {
     if (!map.any_world) return "";
     const k = map.k_max_any_world_n_per_m;
     const worlds = map.world.startsWith("a stepped tool") ? "Whatever the tool touches" : "With any world that answers in the same tick";
-    return k === null ? `${worlds}: no K is certified.` : `${worlds}: K up to ${figure(k)} N/m (dashed).`;
+    return k === null ? `${worlds}: no K is certified.` : `${worlds}: K up to ${rough(k)} N/m (dashed).`;
   }
 
   // Whether the driver stopped the loop, whatever is computed.
@@ -113,7 +115,7 @@ export class StabilityMap {
   }
 
   draw() {
-    const { canvas, map } = this;
+    const { canvas, kept: map } = this;
     if (!map?.edge || !canvas.clientWidth) return;
     const width = canvas.clientWidth, height = canvas.clientHeight, g = blank(canvas);
     const rows = map.edge.filter(([b]) => this.whole || b <= map.near * 1.0001);
@@ -138,9 +140,10 @@ export class StabilityMap {
     g.beginPath();
     stable.forEach(([b, , high], n) => g[n ? "lineTo" : "moveTo"](x(b), y(high ?? most)));
     g.stroke();
-    this.frame = { left, bottom, top, end, right, most, begin, last, far };
+    const frame = { left, bottom, top, end, right, most, begin, last, far };
+    this.frame = this.map && frame;
     this.regions(g, stable, x, y, right, most);
-    this.later(g, over, u, y);
+    this.later(g, over, u, y, frame);
     this.dashed(g, map.any_world, x, y);
     this.dashed(g, map.any_world_over_delay, u, y);
     this.where(g, x, y);
@@ -161,8 +164,8 @@ export class StabilityMap {
   }
 
   // Limit over the delay of the whole loop.
-  later(g, rows, u, y) {
-    const { bottom, top, begin, last, most, far } = this.frame, stable = rows.filter(([, low]) => low !== null);
+  later(g, rows, u, y, { bottom, top, begin, last, most, far }) {
+    const stable = rows.filter(([, low]) => low !== null);
     g.save();
     g.beginPath();
     g.rect(begin, top, last - begin, bottom - top);
@@ -217,7 +220,7 @@ export class StabilityMap {
   }
 
   point(g, u, v, edge) {
-    const tint = colour(this.map.stable ? "device" : "bad");
+    const tint = colour(this.kept.stable ? "device" : "bad");
     g.strokeStyle = g.fillStyle = tint;
     if (edge !== null) {
       g.setLineDash([3, 4]);

@@ -22,7 +22,7 @@ export function paint(canvas, view, it) {
     ruler(p, lines);
     if (it.surface) wall(p, it);
   });
-  labels(p, lines, it.letter);
+  labels(p, lines, it.letter, it.times);
   if (!it.now || !Number.isFinite(it.now.position[it.axis])) return;
   turned(p, () => {
     if (!p.lens) trail(p, it);
@@ -70,13 +70,21 @@ function ruler({ g, breadth }, lines) {
   for (const [u] of lines) line(g, "grid", 1, [[u, -breadth / 2], [u, breadth / 2]]);
 }
 
-function labels({ g, upright, length, breadth }, lines, letter) {
+function labels({ g, upright, length, breadth, lens }, lines, letter, times) {
   g.font = "12px system-ui, sans-serif";
   g.fillStyle = colour("soft");
   for (const [u, words] of lines) {
     if (Math.abs(u) > length / 2 - 28) continue;
     g.textAlign = upright ? "left" : "center";
     if (upright) g.fillText(words, 10 - breadth / 2, -u - 4); else g.fillText(words, u, breadth / 2 - 10);
+  }
+  if (lens && times > 1.05) {
+    g.textAlign = "left";
+    g.font = "600 12px system-ui, sans-serif";
+    const [u, v] = [8 - (upright ? breadth : length) / 2, 16 - (upright ? length : breadth) / 2];
+    const by = times < 10 ? fixed(times, 1) : fixed(times, 0);
+    g.fillText((upright ? breadth : length) < 200 ? `× ${by}` : `The surface, ${by} times as large`, u, v);
+    g.font = "12px system-ui, sans-serif";
   }
   // In the small lens of a phone it would cover the content.
   if (Math.max(length, breadth) < 160) return;
@@ -172,8 +180,9 @@ function bodies(p, it) {
     circle(g, "proxy", proxy, 0, radius + 3, 2.5);
     if (wide > 14) coupling(g, proxy, u);
   }
-  if (it.beside) circle(g, "beside", p.at(it.beside.position), 0, radius - 1, 3);
+  if (it.beside) other(p, it, radius);
   circle(g, "device", u, 0, radius);
+  if (it.beside && !p.lens) letter(p, "device", u, 0, "A");
   const given = now.force[axis], asked = now.asked[axis];
   if (limit && Math.abs(given) >= 0.99 * limit) {
     circle(g, "bad", u, 0, radius + 8, 3);
@@ -182,6 +191,21 @@ function bodies(p, it) {
   }
   arrow(p, u, asked, it.forceScale, "asked", 1.5);
   arrow(p, u, given, it.forceScale, "force", 4, true);
+}
+
+// B under the same hand, in a lane of its own, so that a fraction of a millimetre is seen.
+function other(p, { now, axis, beside }, radius) {
+  const { g } = p, u = p.at(beside.position), v = -Math.min(84, 0.32 * p.breadth);
+  const wall = Math.abs(beside.force) > 0 && now.contact === 1 ? p.at(now.proxy[axis]) : null;
+  if (wall !== null && Math.abs(u - wall) > 14) spring(g, "beside", wall, u, v, 2, 8, 4);
+  circle(g, "beside", u, v, radius);
+  if (!p.lens) letter(p, "beside-ink", u, v, `B  ${fixed(Math.abs(beside.force), 1)} N`);
+}
+
+// Text beside a disc, on the free side of its surface.
+function letter(p, tint, u, v, words) {
+  p.g.fillStyle = colour(tint);
+  text(p, p.upright ? u : u - 16, p.upright ? v - 16 : v, words, "right");
 }
 
 // A spring with a damper below: symbol of a law with stiffness and damping.

@@ -7,6 +7,7 @@ import { onTheme } from "./theme.js";
 const INDEX = { x: 0, y: 1, z: 2 };
 const TRACE_SECONDS = 1.6;
 const ROOM = 0.008;
+const WIDE = matchMedia("(min-width: 641px) and (min-height: 481px)");
 const LENSES = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05];
 
 export class Scene {
@@ -113,7 +114,22 @@ export class Scene {
     this.lens.hidden = !surface || !this.canvas.clientWidth;
     if (this.lens.hidden) return;
     const half = LENSES.find((size) => size > this.deepest * 1.15) ?? this.half;
+    // Magnification, for the lens' title.
+    it.times = ((upright ? this.lens.clientHeight : this.lens.clientWidth) / (2 * half)) / this.scale();
     paint(this.lens, { upright, middle: surface.at, half, lens: true }, it);
+  }
+
+  // The figures stand beside the surface, behind it; on a small screen in their corner.
+  placeReading() {
+    const { reading, surface, canvas, upright } = this;
+    const at = surface && WIDE.matches ? (surface.at - this.middle) * this.scale() : null;
+    if (at === null) { reading.style.left = reading.style.right = reading.style.top = ""; return; }
+    const along = upright ? canvas.clientHeight / 2 - at : canvas.clientWidth / 2 + at;
+    const size = upright ? reading.offsetHeight : reading.offsetWidth, behind = (upright ? surface.side > 0 : surface.side < 0) ? 10 : -10 - size;
+    const most = (upright ? canvas.clientHeight : canvas.clientWidth) - size - 10, place = Math.max(10, Math.min(most, along + behind));
+    reading.style.right = "auto";
+    reading.style.left = `${Math.round(upright ? 12 : place)}px`;
+    reading.style.top = `${Math.round(upright ? place : 8)}px`;
   }
 
   // Figures of this moment, updated only as fast as one can read.
@@ -124,5 +140,6 @@ export class Scene {
     if (now.contact === 1 && this.surface) parts.push(`${fixed(Math.abs(now.distance * 1e3), 2)} mm deep`);
     parts.push(`${fixed(now.force[axis], 2)} N`);
     this.reading.textContent = unbroken(parts.join("   ·   "));
+    this.placeReading();
   }
 }

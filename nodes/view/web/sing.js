@@ -1,45 +1,125 @@
-// "Make it sing": a law past its edge, and beside it another one, under the same hand, that rests.
-import { figure, fixed, unbroken } from "./format.js";
+// "Make it sing": plain PD past its edge, and beside it, under the same hand, the law that bears
+// most, which rests. One rule for a launch and for the page without a server.
+import { figure, fixed, rough, unbroken } from "./format.js";
+
+const OVER = 1.15; // stiffness of A, of its edge
+const TIMES = [3, 2, 1], SAFE = 0.7; // stiffness of B: so many times A's, if below so much of its edge
+const HALF_LATE = 0.5; // delay of the device at least [ticks]
+// The page's own hand presses until a visitor takes it: [s], depth and begin [m], time to get there [s].
+const PRESS = 9, DEPTH = 0.008, OUTSIDE = 0.004, EASE = 1, EVERY = 40;
+const WAITS = 8e3; // longest wait for B, and for the change to be seen [ms]
+const SETTLED = 1.5; // time after which B is said to rest, or to ring [s]
+
+// Return both laws with stiffness and edge [N/m].
+export function plan({ laws, named = Object.keys(laws), active }, edges) {
+  const a = named.find((name) => laws[name]?.kind === "pd") ?? active, edge = edges[a];
+  const others = Object.keys(laws).filter((name) => name !== a && edges[name]);
+  if (!edge || laws[a].stiffness === undefined || !others.length) throw new Error("No law here has an edge to go past.");
+  const b = others.reduce((best, name) => (edges[name] > edges[best] ? name : best));
+  const stiffness = Number((OVER * edge).toPrecision(3)), times = TIMES.find((by) => by * stiffness <= SAFE * edges[b]);
+  if (!times) throw new Error(`At this delay no other law is safe at the stiffness at which ${a} sings.`);
+  return { law: a, stiffness, edge, beside: b, hardness: times * stiffness, besideEdge: edges[b], times, scaled: laws[b].stiffness === undefined };
+}
+
+// Target of a hand that presses into a surface [m], a time after its begin [s]; null when it is done.
+export function pressed(time, { at, side }) {
+  return time >= PRESS ? null : at + side * (OUTSIDE - Math.min(1, time / EASE) * (OUTSIDE + DEPTH));
+}
 
 export class Sing {
-  constructor({ button, told, beyond }, ask) {
-    Object.assign(this, { button, told, facts: null });
+  // `page`: ask, state (laws), edgesAt (delay), stopped, soft, compared, surface, hand.
+  constructor({ button, told, beyond }, page) {
+    Object.assign(this, { button, told, beyond, page, facts: null, pressing: null });
     button.addEventListener("click", async () => {
       button.disabled = true;
-      const answer = await ask({ op: "sing" });
+      try { await this.begin(); } catch (error) { this.say(error.message); }
       button.disabled = false;
-      if (answer.ok) {
-        this.facts = answer.result;
-        // A is past its edge now, so the dials show what lies there.
-        beyond.checked = true;
-        beyond.dispatchEvent(new Event("change"));
-      }
-      this.show(null);
     });
   }
 
   start(hello) {
     this.button.hidden = !hello.sings;
+    this.delays = hello.delays;
+    this.leave();
     this.facts = null;
     this.show(null);
   }
 
+  async begin() {
+    const { page } = this, ask = async (request) => {
+      const answer = await page.ask(request);
+      if (!answer.ok) throw new Error(answer.error);
+    };
+    this.leave();
+    const { device_delay: delay, active } = page.state();
+    if (page.stopped()) await ask({ op: "again", ...page.soft() });
+    const later = this.delays && delay < HALF_LATE ? HALF_LATE : delay;
+    if (later !== delay) await ask({ op: "delay", ticks: later, beyond: true });
+    const facts = plan(page.state(), await page.edgesAt(later)), { law, stiffness, beside, hardness, scaled } = facts;
+    if (active !== law) await ask({ op: "switch", law, ramp: 0, beyond: true });
+    // A is past its edge now, so the dials show what lies there.
+    this.beyond.checked = true;
+    await ask({ op: "law", field: "stiffness", value: stiffness, beyond: true, law });
+    await ask({ op: "compare", law: beside, [scaled ? "hardness" : "stiffness"]: hardness });
+    this.beyond.dispatchEvent(new Event("change"));
+    this.facts = { ...facts, delay: later, asked: performance.now(), begun: Infinity, sang: "", seen: false };
+    this.show(null);
+  }
+
+  // Press once B is played, too; its player takes a second to start.
+  press() {
+    const begun = this.facts.begun = performance.now(), surface = this.page.surface();
+    if (!surface) return;
+    const step = () => {
+      const target = pressed((performance.now() - begun) / 1e3, surface);
+      if (target === null) this.leave(); else this.page.hand(target);
+    };
+    this.pressing = setInterval(step, EVERY);
+    step();
+  }
+
+  // Let go; a visitor's own hand takes over without.
+  leave(taken = false) {
+    if (this.pressing === null) return;
+    clearInterval(this.pressing);
+    this.pressing = null;
+    if (!taken) this.page.hand(null);
+  }
+
   // Say what both do, by what was detected; nothing once a law or its stiffness is another one.
-  status({ sings }, law, stiffness, beside) {
+  status({ sings, safety }, law, stiffness, beside) {
     const { facts } = this;
     if (!facts) return;
-    if (law !== facts.law || stiffness !== facts.stiffness || beside !== facts.beside) this.facts = null;
+    const same = law === facts.law && stiffness === facts.stiffness && beside === facts.beside;
+    // The change itself may come after the answer to it.
+    if (!same && (facts.seen || performance.now() - facts.asked > WAITS)) {
+      this.facts = null;
+      this.leave();
+      return this.show(null);
+    }
+    facts.seen ||= same;
+    if (facts.begun === Infinity && (this.page.compared() || performance.now() - facts.asked > WAITS)) this.press();
+    facts.sang = sings?.a || facts.sang;
+    facts.stopped = safety === "stopped";
     this.show(sings);
   }
 
+  say(text) {
+    this.told.hidden = false;
+    this.told.textContent = unbroken(text);
+  }
+
   show(sings) {
-    const { facts, told } = this;
-    told.hidden = facts === null;
+    const { facts } = this;
+    this.told.hidden = facts === null;
     if (!facts) return;
     const times = facts.times === 1 ? "as stiff" : `${["", "", "twice", "three times"][facts.times]} as stiff`;
-    const late = `The answer comes ${fixed(facts.delay, 1)} ticks late.`;
-    const one = `A, ${facts.law} at ${figure(facts.stiffness)} N/m (edge ${figure(facts.edge)}), ${sings?.a ? sings.a.replace("It rings", "sings") : "is pressed"}.`;
-    const two = `B, ${facts.beside} at ${figure(facts.hardness)} N/m (edge ${figure(facts.besideEdge)}), ${times}, ${sings?.b ? sings.b.replace("It rings", "rings") : sings ? "rests" : "is pressed by the same hand"}.`;
-    told.textContent = unbroken(`${late} ${one} ${two}`);
+    const late = `The answer comes ${fixed(facts.delay, 1)} ticks late.`, sang = facts.sang.replace("It rings", "sings");
+    const past = performance.now() - facts.begun, over = past > 1e3 * PRESS && this.pressing === null;
+    const does = facts.stopped && sang ? `${sang.replace("sings", "sang")}, until the driver stopped it` : sings?.a ? sang
+      : sang && over ? sang.replace("sings", "sang") : "is pressed";
+    const other = !this.page.compared() ? "is coming" : past < 1e3 * SETTLED ? "is pressed by the same hand"
+      : sings?.b ? sings.b.replace("It rings", "rings") : over ? "rested" : "rests";
+    this.say(`${late} A, ${facts.law} at ${figure(facts.stiffness)} N/m (edge ${rough(facts.edge)}), ${does}. B, ${facts.beside} at ${figure(facts.hardness)} N/m (edge ${rough(facts.besideEdge)}), ${times}, ${other}.`);
   }
 }

@@ -61,33 +61,19 @@ const explained = ({ safety, force, asked, age, contact, normal, distance, law }
   return ["ok", `${n} N: ${law} pushes back${deep}.`];
 };
 
-// A force that oscillates faster than any hand moves.
-const WINDOW = 0.3, TURNS = 10, SMALLEST_REVERSAL = 0.1, REVERSAL_SHARE = 0.25;
+// A force that generates energy at every stroke, by the rules of nodes/view/ringing.py.
 class Ringing {
-  constructor() { Object.assign(this, { turns: [], peaks: [], extreme: 0.0, rising: true }); }
-
-  take(time, force) {
-    const { turns, peaks } = this, size = Math.abs(force);
-    while (peaks.length && peaks.at(-1)[1] <= size) peaks.pop();
-    peaks.push([time, size]);
-    while (time - peaks[0][0] > WINDOW) peaks.shift();
-    const back = Math.max(SMALLEST_REVERSAL, REVERSAL_SHARE * peaks[0][1]);
-    const change = this.rising ? force - this.extreme : this.extreme - force;
-    if (change >= 0.0) this.extreme = force;
-    else if (-change > back) {
-      turns.push(time);
-      [this.extreme, this.rising] = [force, !this.rising];
-    }
-    while (turns.length && time - turns[0] > WINDOW) turns.shift();
+  constructor(axis = 0) {
+    Object.assign(this, {
+      axis, time: 0, rising: 1, peak: 0, pushed: [0, 0, 0], furthest: 0, at: new Array(8).fill(0),
+      turns: 0, turned_at: 0, turned: new Array(16).fill(0), size: 0, size_before: 0, strokes: 0, since: 0, cycle: 0, most: 0,
+    });
   }
+
+  take(time, { position, force, energy }) { observe_stroke(this, time, position, force, energy); }
 
   // Frequency [Hz] and largest force [N], or null.
-  ring() {
-    const { turns, peaks } = this;
-    if (turns.length < TURNS) return null;
-    const span = turns.at(-1) - turns[0];
-    return span > 0.0 ? { frequency: (turns.length - 1) / (2.0 * span), force: peaks[0][1] } : null;
-  }
+  ring() { return is_ringing(this) ? { frequency: 1 / this.cycle, force: this.most } : null; }
 }
 const ringWords = (ring) => ring === null ? ""
   : `It rings at ${ring.frequency.toFixed(0)} Hz, up to ${ring.force.toFixed(1)} N`;

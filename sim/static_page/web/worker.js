@@ -50,8 +50,9 @@ const frame = () => {
 // -- documents ------------------------------------------------------------------------------------
 
 let why = "", stop = null, revision = 0;
-const ringings = AXES.map(() => new Ringing());
-const besideRinging = new Ringing();
+const ringings = AXES.map((axis) => new Ringing(axis));
+let besideAt = null; // stiffness of B where it is not its own [N/m]
+const besideRinging = new Ringing(AXES[0]);
 const rings = () => ringings.map((one) => one.ring()).reduce((most, ring) =>
   ring && (!most || ring.force > most.force) ? ring : most, null);
 
@@ -85,7 +86,10 @@ const edgesNow = () => {
 
 const laws = () => say("laws", {
   node: DATA.nodes.coupling, active: session.law, laws: session.laws, named: DATA.named, ramp: session.ramp,
-  plant: DATA.plant, device_delay: session.delay, edges: DATA.no_map ? {} : edgesNow(),
+  plant: DATA.plant, device_delay: session.delay,
+});
+const tellEdges = () => say("edges", {
+  device_delay: session.delay, edges: DATA.no_map ? {} : edgesNow(),
   rest: Object.fromEntries(Object.keys(session.laws).map((name) => [name, session.laws[name].stiffness === undefined ? restStiffness(session.numbersOf(name)) : null])),
 });
 
@@ -122,7 +126,7 @@ const events = () => {
 const beside = () => {
   const b = session.beside;
   if (!b?.position.length) return;
-  say("beside", { law: b.name, t: b.begun * PERIOD, period: PERIOD, late: 0, position: b.position, force: b.force });
+  say("beside", { law: b.name, at: besideAt, t: b.begun * PERIOD, period: PERIOD, late: 0, position: b.position, force: b.force });
   b.begun += b.position.length;
   b.position = [];
   b.force = [];
@@ -150,10 +154,12 @@ const OPERATIONS = {
   compare({ law, stiffness, hardness }) {
     if (law && !Object.hasOwn(session.laws, law)) throw new Error(`no law is named ${law} on this page`);
     const described = { ...session.laws[law] };
+    besideAt = hardness ?? stiffness ?? null;
     if (stiffness !== undefined) described.stiffness = stiffness;
     if (hardness !== undefined) described.scale = hardness / DATA.parts[law].rest;
     session.compare(law, described);
-    say("beside", { law });
+    Object.assign(besideRinging, new Ringing(AXES[0]));
+    say("beside", { law, at: besideAt });
     return { law };
   },
   restart() {
@@ -161,18 +167,10 @@ const OPERATIONS = {
     bins = [];
     open = null;
     [isVoid, why, stop, failure, began] = [1, "", null, "", performance.now()];
-    ringings.forEach((one) => Object.assign(one, new Ringing()));
+    ringings.forEach((one) => Object.assign(one, new Ringing(one.axis)));
     say("hello", DATA.hello);
     say("beside", { law: "" });
     session.hand(null);
-  },
-  sing() {
-    const found = makeItSing(session);
-    pressing = session.seq;
-    touched = false;
-    Object.assign(besideRinging, new Ringing());
-    say("beside", { law: found.beside });
-    return found;
   },
   python() { return { text: session.python() }; },
 };
@@ -181,7 +179,6 @@ onmessage = ({ data }) => {
   const request = JSON.parse(data), { op, id } = request;
   if (op === "hand") {
     if (request.target === null || request.target.every(Number.isFinite)) {
-      touched = true;
       session.hand(request.target);
     }
     return;
@@ -192,6 +189,7 @@ onmessage = ({ data }) => {
     say("answer", { id, op, ok: true, result, error: "" });
     if (op !== "python" && op !== "compare") {
       laws();
+      tellEdges();
       map();
     }
   } catch (error) {
@@ -202,17 +200,7 @@ onmessage = ({ data }) => {
 // -- time: the browser's clock decides how many ticks are due ------------------------------------------
 
 const WAKES = 16, LONGEST_PAUSE = 0.25, STATUS_PERIOD = 200; // [ms], [s], [ms]
-let began = performance.now(), told = -Infinity, failure = "", touched = false, pressing = null;
-
-// The page's own hand, after "make it sing"; a visitor's takes over.
-const press = (tick) => {
-  if (pressing === null || tick % 8) return;
-  const { met } = session.player.environment, axis = AXES[0], side = met[3 + axis];
-  const surface = session.player.driver.position[axis] - side * met[6];
-  const target = touched || !side ? null : pressed((tick - pressing) * PERIOD, surface, side);
-  if (target === null) pressing = null;
-  if (!touched) session.hand(target === null ? null : [0, 1, 2].map((i) => (i === axis ? target : 0)));
-};
+let began = performance.now(), told = -Infinity, failure = "";
 
 const play = () => {
   const time = performance.now(), due = Math.floor((time - began) / 1e3 / PERIOD);
@@ -221,11 +209,10 @@ const play = () => {
   const most = Math.ceil(LONGEST_PAUSE / PERIOD);
   for (let n = 0; session.seq < due && n < most && !failure; n++) {
     const k = session.seq;
-    press(k);
     session.tick();
-    if (session.beside) besideRinging.take(k * PERIOD, session.beside.force.at(-1));
+    if (session.beside) besideRinging.take(k * PERIOD, session.beside.player.driver);
     bin(k);
-    AXES.forEach((axis, i) => ringings[i].take(k * PERIOD, session.player.driver.force[axis]));
+    AXES.forEach((_, i) => ringings[i].take(k * PERIOD, session.player.driver));
   }
   events();
   if (bins.length) {
@@ -240,8 +227,9 @@ const play = () => {
 
 say("hello", DATA.hello);
 laws();
-play();
+tellEdges();
 map();
+play();
 setInterval(() => {
   try { play(); } catch (error) {
     failure ||= error.message;

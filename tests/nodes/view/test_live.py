@@ -12,7 +12,7 @@ import pytest
 
 from messages.types import DeviceState, NodeStatus
 from nodes.launcher.runs import RunInfo, write_end
-from nodes.view.comparison import Comparison
+from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import Facts, LiveRun
 from sim.drill.drill import scene as drill_scene
 from sim.drill.last_line import ORDER
@@ -104,17 +104,20 @@ def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
         (("x", "y", "z"), 2, True),
     ):
         run = LiveRun(facts(tmp_path, *axes))
+        energy = 0.0
         for seq in range(250):
-            force = [0.0, 0.0, 0.0]
-            # A contact that comes and goes, 40 times a second.
-            force[along] = -2.0 * max(0.0, math.sin(2.0 * math.pi * 40.0 * seq * 0.002))
-            # And a hand that a spring shakes to and fro, 9 times a second: that is none.
-            force[1] = math.sin(2.0 * math.pi * 9.0 * seq * 0.002)
-            x, y, z = force
+            force, place, turn = [0.0] * 3, [0.0] * 3, 2.0 * math.pi * seq * 0.002
+            # A contact that comes and goes, 40 times a second, and generates 0.4 mJ each time.
+            place[along] = 1e-3 * math.sin(40.0 * turn)
+            force[along] = -2.0 * max(0.0, math.sin(40.0 * turn - 0.5))
+            energy += 0.4e-3 * 40.0 * 0.002 if along in map("xyz".index, axes) else 0.0
+            # And a spring that a hand shakes to and fro, 3 times a second: that is none.
+            force[1] = math.sin(3.0 * turn)
+            (x, y, z), where = force, (place[0], place[1], place[2])
             run.keep(
                 "/device/state",
                 DeviceState(
-                    seq=seq, stamp=0.0, position=(0.0, 0.0, 0.0), force=(x, y, z)
+                    seq=seq, stamp=0.0, position=where, force=(x, y, z), energy=energy
                 ),
                 seq * 0.002,
             )
@@ -138,10 +141,22 @@ def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
     assert told == [], "none is played"
     played.choose("pd", soft)
     played.follow({"pd": soft, "other": hard})
-    assert told == [{"law": "pd"}]
+    assert told == [{"law": "pd", "at": None}]
     played.follow({"pd": hard})
-    assert told == [{"law": "pd"}] * 2, "it begins anew"
-    assert played._described == hard
+    assert told == [{"law": "pd", "at": None}] * 2, "it begins anew"
+    assert played._chosen.described == hard
+    # At another stiffness than the launch's it keeps that, whatever the launch's law does.
+    played.choose("pd", hard, Changed(stiffness=4000.0))
+    played.follow({"pd": {**hard, "damping": 2.0}})
+    assert played._chosen.described == {
+        "kind": "pd",
+        "stiffness": 4000.0,
+        "damping": 2.0,
+    }
+    assert told[-1] == {"law": "pd", "at": 4000.0}
+    fir = {"kind": "fir", "taps": [600.0, -100.0]}
+    played.choose("fir", fir, Changed(hardness=1000.0))
+    assert played._chosen.described["taps"] == [1200.0, -200.0]
 
 
 @pytest.mark.parametrize("other", ["", "gone"])
@@ -166,4 +181,4 @@ def test_a_law_unchosen_before_its_simulation_begins_is_no_error(other: str) -> 
         await played.close()
 
     asyncio.run(visit())
-    assert told == [{"law": "pd"}, {"law": other}]
+    assert told == [{"law": "pd", "at": None}, {"law": other, "at": None}]

@@ -14,7 +14,13 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worlds import EulerTool, SteppedTool, world_k_max
-from nodes.view.stability_map import drawn_map, plant_of, stability_map, with_inertia
+from nodes.view.stability_map import (
+    drawn_map,
+    plant_of,
+    stability_map,
+    with_inertia,
+    with_moving_worlds,
+)
 from tests.support import thoroughly
 
 T = 0.002
@@ -38,6 +44,11 @@ def radius(described: dict[str, Any], delay: float, **changed: float) -> float:
     return pole_radius(
         law.compile(T), Plant(T, PLANT.mass, PLANT.damping, delay, PLANT.stiffness)
     )
+
+
+def whole_map(law: Any, plant: PlantParameters) -> dict[str, Any]:
+    """Return a map without delay, with the limits for moving worlds."""
+    return with_moving_worlds(stability_map(law, T, plant, 0.0), law, T, plant, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -65,7 +76,7 @@ def test_inside_is_stable_and_outside_is_not(
 
 
 def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
-    found = stability_map(parse_law(LAWS[0]), T, PLANT, 0.0)
+    found = whole_map(parse_law(LAWS[0]), PLANT)
     assert found["k_max_any_world_n_per_m"] == pytest.approx(
         2244.217, abs=1e-3
     )  # THEORY.md §18
@@ -90,24 +101,22 @@ def test_the_edge_of_a_stepped_tool_is_that_of_its_damping() -> None:
     """Its damping counts, not its mass; two devices on one law have no such line."""
     spring = parse_law({"kind": "pd", "stiffness": 100.0, "damping": 0.0})
     held = msgspec.structs.replace(PLANT, tool_mass=0.02, tool_damping=1.0)
-    found = stability_map(spring, T, held, 0.0)
+    found = whole_map(spring, held)
     assert "stepped tool" in found["world"]
     derivative = without_spring(spring, T)
     edge = world_k_max(derivative, Plant(T, 0.1, 1.0), SteppedTool(1.0)).k_max_n_per_m
     assert found["k_max_any_world_n_per_m"] == edge
-    loose = stability_map(
-        spring, T, msgspec.structs.replace(held, tool_damping=0.0), 0.0
-    )
+    loose = whole_map(spring, msgspec.structs.replace(held, tool_damping=0.0))
     assert loose["k_max_any_world_n_per_m"] is None
     # Where all behind it is solved within the step, its weight counts as well.
     heavy = msgspec.structs.replace(held, tool_damping=0.0, tool_step=T / 2)
-    found = stability_map(spring, T, heavy, 0.0)
+    found = whole_map(spring, heavy)
     edge = world_k_max(derivative, Plant(T, 0.1, 1.0), EulerTool(0.02, 2)).k_max_n_per_m
     assert edge is not None
     assert found["k_max_any_world_n_per_m"] == edge
     assert "2 steps of semi-implicit Euler" in found["world"]
-    assert "any_world" not in stability_map(
-        spring, T, msgspec.structs.replace(PLANT, partner_mass=0.1), 0.0
+    assert "any_world" not in whole_map(
+        spring, msgspec.structs.replace(PLANT, partner_mass=0.1)
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import msgspec
@@ -10,7 +9,6 @@ import pytest
 
 from messages.types import DeviceState, Event, Force, Proxy
 from nodes.driver.force_words import cause_of, explain
-from nodes.view.ringing import Ringing
 
 STATE = DeviceState(
     seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8
@@ -173,38 +171,3 @@ def test_a_stop_is_told_by_its_strokes() -> None:
         {key: value for key, value in data.items() if key != "span_s"},
     ):
         assert cause_of(msgspec.structs.replace(event, data=less)) == "put otherwise"
-
-
-@pytest.mark.parametrize(
-    ("hertz", "rings"),
-    [(2.0, False), (10.0, False), (20.0, True), (60.0, True), (160.0, True)],
-)
-def test_a_force_that_goes_to_and_fro_rings(hertz: float, rings: bool) -> None:
-    """A wall that only pushes, at 500 Hz: no hand taps 20 times a second."""
-    period, watched = 0.002, Ringing()
-    for tick in range(500):
-        watched.take(
-            tick * period,
-            -2.0 * max(0.0, math.sin(2.0 * math.pi * hertz * tick * period)),
-        )
-    found = watched.ring()
-    assert (found is not None) == rings
-    if found is not None:
-        # Turns are counted in whole ticks, within 0.3 s: half a turn more or less at each end.
-        assert found.frequency == pytest.approx(hertz, rel=0.1)
-        assert found.force == pytest.approx(2.0, rel=0.1)
-    level, words = explain(STATE, PROXY, FORCE, 0.0, "", str(found or ""))
-    assert (level == "warn" and "It rings" in words) == rings
-    # At rest it rings no more, and in the past of a recording there is no before.
-    for tick in range(500, 700):
-        watched.take(tick * period, 0.0)
-    assert watched.ring() is None
-    watched.take(0.0, -1.0)
-    assert watched.ring() is None
-
-
-def test_noise_on_a_force_is_no_ringing() -> None:
-    watched = Ringing()
-    for tick in range(500):
-        watched.take(tick * 0.002, -3.0 + 0.3 * math.sin(2.9 * tick))
-    assert watched.ring() is None

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+import nodes.view
 from messages.types import DeviceState, Force, Proxy
 from nodes.driver.force_words import explain
 from nodes.driver.state import SAFETY
@@ -21,6 +22,7 @@ from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
+from nodes.view.bundle import bundle
 from nodes.view.ringing import Ringing
 from sim.play.player import play
 from sim.static_page.emitted_rules import constant
@@ -63,6 +65,13 @@ def run(directory: Path, script: str, scenario: str = "") -> Any:
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return json.loads(out.read_text())
+
+
+def page_script(first: str) -> str:
+    """Return a module of the page with its imports, as ``$NAME``."""
+    web = Path(nodes.view.__file__).with_name("web")
+    sources = {path.name: path.read_text(encoding="utf-8") for path in web.glob("*.js")}
+    return bundle(sources, first)
 
 
 def law_of(name: str, stiffness: float, damping: float) -> Any:
@@ -218,18 +227,22 @@ def test_numbers_are_formatted_as_python_formats_them(tmp_path: Path) -> None:
 def test_ringing_is_found_in_the_same_ticks(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     time = np.arange(1500) * T
-    force = np.where(
-        (time > 0.5) & (time < 2.0), 4.0 * np.sin(2.0 * np.pi * 24.0 * time), 0.0
-    )
-    force = (force + rng.normal(0.0, 0.02, len(time))).tolist()
+    sings = (time > 0.5) & (time < 2.0)
+    # A force 30 degrees behind the position of a spring generates energy at every stroke.
+    position = np.where(sings, 1e-3 * np.sin(2.0 * np.pi * 24.0 * time), 0.0)
+    force = np.where(sings, -4.0 * np.sin(2.0 * np.pi * 24.0 * time - 0.5), 0.0)
+    force = force + rng.normal(0.0, 0.02, len(time))
+    energy = np.concatenate([[0.0], np.cumsum(force[:-1] * np.diff(position))])
+    rows = list(zip(position.tolist(), force.tolist(), energy.tolist(), strict=True))
     found = run(
         tmp_path,
-        f"const ringing = new Ringing(); result = {json.dumps(force)}.map((force, k) => {{"
-        " ringing.take(k * 0.002, force); return ringWords(ringing.ring()); });",
+        f"const ringing = new Ringing(); result = {json.dumps(rows)}.map(([x, f, energy], k) => {{"
+        " ringing.take(k * 0.002, { position: [x, 0, 0], force: [f, 0, 0], energy });"
+        " return ringWords(ringing.ring()); });",
     )
     ringing, want = Ringing(), []
-    for k, value in enumerate(force):
-        ringing.take(k * T, value)
+    for k, (x, f, energy_) in enumerate(rows):
+        ringing.take(k * T, (x, 0.0, 0.0), (f, 0.0, 0.0), energy_)
         want.append(str(ringing.ring() or ""))
     assert found == want
     assert any(want)
@@ -383,20 +396,31 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
 
 
 def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> None:
-    """A sings for seconds under the page's own hand; B, three times as stiff, never rings."""
+    """A sings for seconds under the page's own hand; B, three times as stiff, settles."""
     found = run(
         tmp_path,
-        """
-        const session = new Session(DATA), facts = makeItSing(session);
+        page_script("sing")
+        + """
+        const session = new Session(DATA), state = { ...session, active: session.law };
+        session.setDelay(0.5, true);
+        state.named = session.data.named;
+        const edges = Object.fromEntries(
+          Object.keys(session.laws).map((name) => [name, session.edge(name)]));
+        const facts = $sing.plan(state, edges), parts = session.data.parts[facts.beside];
+        session.setLaw("stiffness", facts.stiffness, true);
+        const by = facts.hardness / parts.rest, law = session.laws[facts.beside];
+        session.compare(facts.beside,
+          facts.scaled ? { ...law, scale: by } : { ...law, stiffness: facts.hardness });
         const a = new Ringing(), b = new Ringing();
         const heard = { a: 0, b: 0 };
         for (let k = 0; k < 3500; k++) {
-          if (k % 8 === 0) session.hand([pressed(k * 0.002, 0.02, -1), 0, 0]);
+          if (k % 8 === 0)
+            session.hand([$sing.pressed(k * 0.002, { at: 0.02, side: -1 }), 0, 0]);
           session.tick();
-          a.take(k * 0.002, session.player.driver.force[0]);
-          b.take(k * 0.002, session.beside.force.at(-1));
+          a.take(k * 0.002, session.player.driver);
+          b.take(k * 0.002, session.beside.player.driver);
           if (a.ring()) heard.a++;
-          if (b.ring()) heard.b++;
+          if (k * 0.002 > 1.5 && b.ring()) heard.b++; // it has settled by then
         }
         result = { facts, heard, end: session.beside.force.slice(-250) };
         """,

@@ -1,0 +1,181 @@
+"""Map and edges of a running launch, computed on a thread when something changed.
+
+First the plane of the active law and the edges of all laws (0.1 s); the limits for moving worlds
+follow when nothing newer is wanted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any, NamedTuple
+
+import msgspec
+
+from messages.errors import HapticError
+from nodes.view.law_edges import edges_of_laws, rests_of_laws
+from nodes.view.stability_map import drawn_map, plant_of, with_inertia
+
+MAP_PERIOD = 0.25  # shortest time between two maps [s]
+# Changes of the delay below this do not redraw the map [ticks], and as a part of the delay.
+STEADY, STEADY_SHARE = 0.02, 0.05
+
+
+class _Inputs(NamedTuple):
+    """All that a map depends on."""
+
+    active: str  # name of the law
+    laws: Mapping[str, Mapping[str, Any]]  # descriptions of all laws by name
+    plant: Any  # declared plant; None if the launch declares none
+    own: float | None  # delay of a virtual device [ticks]
+    delay: float  # delay of the loop without it [ticks]
+
+    def is_of(self, other: _Inputs | None) -> bool:
+        """Whether another map shows the same, but for an unsteady delay."""
+        if other is None or self[:4] != other[:4]:
+            return False
+        return abs(self.delay - other.delay) <= STEADY + STEADY_SHARE * other.delay
+
+
+class MapDrawer:
+    """Draws the map of a launch and the edges of its laws; used by the pages' thread.
+
+    Parameters
+    ----------
+    driver : mapping
+        Parameters of the driver.
+    period : float
+        Sampling period [s].
+    inertia : coroutine function
+        Masses that the device reports for its poses, or None.
+    put : callable
+        Publishes a document by name.
+    """
+
+    def __init__(
+        self,
+        driver: Mapping[str, Any],
+        period: float,
+        inertia: Callable[[], Awaitable[Mapping[str, Any] | None]],
+        put: Callable[[str, dict[str, Any]], None],
+    ) -> None:
+        self._driver, self._period = driver, period
+        self._inertia, self._put = inertia, put
+        self._thread = ThreadPoolExecutor(1, "map")
+        self._drawn: _Inputs | None = None  # what the present map shows
+        self._map: dict[str, Any] = {}
+        self._seen: Any = None  # masses that the device reported for it
+        self._is_whole = False  # whether the limits for moving worlds are in it
+        self._begun_at = 0.0
+        self._edges: dict[str, float | None] = {}  # by description and device
+        self._job: asyncio.Task[None] | None = None
+
+    def says_stable(self, laws: Mapping[str, Any], delay: float) -> bool:
+        """Whether the map of the present laws says that the loop is stable."""
+        wanted = _inputs(laws, delay)
+        return (
+            wanted is not None
+            and wanted.is_of(self._drawn)
+            and bool(self._map.get("stable"))
+        )
+
+    def step(self, laws: Mapping[str, Any], delay: float, is_seen: bool) -> None:
+        """Start what is due; after the first map only while a page `is_seen`."""
+        wanted, now = _inputs(laws, delay), time.monotonic()
+        if wanted is None or (self._job is not None and not self._job.done()):
+            return
+        if self._drawn is not None and not is_seen:
+            return
+        if not wanted.is_of(self._drawn):
+            if now - self._begun_at < MAP_PERIOD:
+                return
+            self._begun_at = now
+            job = self._draw(wanted)
+        elif is_seen and not self._is_whole:
+            job = self._add_moving(wanted)
+        else:
+            return
+        self._job = asyncio.get_running_loop().create_task(job)
+
+    async def _draw(self, wanted: _Inputs) -> None:
+        self._drawn, self._is_whole, self._map = wanted, False, {}
+        self._seen = await self._inertia()
+        edges = await self._on_thread(
+            self._edges_of, wanted, self._driver_with(wanted.own)
+        )
+        self._put("edges", {"device_delay": wanted.own, **edges})
+        self._map = await self._on_thread(self._plane(wanted), moving=False)
+        self._show(wanted)
+
+    async def _add_moving(self, wanted: _Inputs) -> None:
+        self._is_whole = True
+        if "edge" in self._map:
+            self._map = await self._on_thread(self._plane(wanted), begun=self._map)
+            self._show(wanted)
+
+    def _plane(self, wanted: _Inputs) -> partial[dict[str, Any]]:
+        return partial(
+            drawn_map,
+            wanted.laws[wanted.active],
+            self._period,
+            wanted.plant,
+            self._driver_with(wanted.own),
+            wanted.delay,
+            self._seen,
+        )
+
+    def _show(self, wanted: _Inputs) -> None:
+        self._put(
+            "map", {"law": wanted.active, "device_delay": wanted.own, **self._map}
+        )
+
+    def _driver_with(self, own: float | None) -> Mapping[str, Any]:
+        """Return the driver's parameters with the device's present delay."""
+        if own is None:
+            return self._driver
+        return {**self._driver, "device": {**self._driver["device"], "delay": own}}
+
+    async def _on_thread(
+        self, work: Callable[..., Any], *words: Any, **more: Any
+    ) -> Any:
+        job = partial(work, *words, **more)
+        return await asyncio.get_running_loop().run_in_executor(self._thread, job)
+
+    def _edges_of(self, wanted: _Inputs, driver: Mapping[str, Any]) -> dict[str, Any]:
+        """Return edge and H(1) of each law; those that did not change are kept."""
+        rest = rests_of_laws(wanted.laws, self._period)
+        try:
+            plant = with_inertia(plant_of(wanted.plant, driver), self._seen)
+        except (HapticError, ValueError, msgspec.ValidationError):
+            plant = None
+        if plant is None:
+            return {"edges": {}, "rest": rest}
+        before, self._edges = self._edges, {}
+        devices, edges = plant.over_workspace(self._period, wanted.delay), {}
+        for name, described in wanted.laws.items():
+            # The nominal stiffness is what the edge is sought in.
+            free = {key: one for key, one in described.items() if key != "stiffness"}
+            key = repr((free, devices))
+            if key not in before:
+                before |= {key: edges_of_laws({name: described}, devices)[name]}
+            self._edges[key] = edges[name] = before[key]
+        return {"edges": edges, "rest": rest}
+
+    def close(self) -> None:
+        """Drop what was not begun."""
+        if self._job is not None:
+            self._job.cancel()
+        self._thread.shutdown(cancel_futures=True)
+
+
+def _inputs(laws: Mapping[str, Any], delay: float) -> _Inputs | None:
+    """Return what the map of these laws depends on; None before the laws are known."""
+    active, described = laws.get("active", ""), laws.get("laws", {})
+    if active not in described:
+        return None
+    return _Inputs(
+        active, described, laws.get("plant"), laws.get("device_delay"), delay
+    )
