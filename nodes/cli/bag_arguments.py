@@ -113,7 +113,7 @@ def add_record(own: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("recordings"),
         metavar="DIR",
-        help="output directory (default: %(default)s)",
+        help="output directory",
     )
     own.add_argument("--force", action="store_true", help="replace an existing file")
     add_run_name(own)

@@ -32,11 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         name: str, run: Callable[[argparse.Namespace], int], text: str
     ) -> argparse.ArgumentParser:
         own = sub_verb(sub, name, run, text)
-        own.add_argument(
-            "--node",
-            default="coupling",
-            help="name of the coupling (default: %(default)s)",
-        )
+        own.add_argument("--node", default="coupling", help="name of the coupling")
         return own
 
     describe = sub.add_parser("describe", help=_DESCRIBE, description=_DESCRIBE)

@@ -58,6 +58,23 @@ class _Listed(argparse.Action):
         )
 
 
+def _told(text: str, default: Any) -> str:
+    """Return the end of a help text that names the default; empty if there is nothing to tell."""
+    nothing = not default or default is True or argparse.SUPPRESS in (text, default)
+    if nothing or "(default" in text:
+        return ""
+    return f" (default: {_written(default)})".replace("%", "%%")
+
+
+def _written(default: Any) -> str:
+    """Return a default as it would be typed."""
+    if isinstance(default, list):
+        return " ".join(map(_written, default))
+    if isinstance(default, tuple):
+        return "..".join(dict.fromkeys(map(_written, default)))
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
 class Parser(argparse.ArgumentParser):
     """Argument parser without abbreviations that suggests corrections.
 
@@ -72,8 +89,11 @@ class Parser(argparse.ArgumentParser):
     def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
         """Declare an argument; an optional positional gets a default, a repeated list grows.
 
-        Without a default, argparse lists it among the missing arguments.
+        Without a default, argparse lists it among the missing arguments. The help text of an
+        argument ends with its default, unless the text names one.
         """
+        if text := options.get("help"):
+            options = {**options, "help": text + _told(text, options.get("default"))}
         if options.get("nargs") == "*":
             options = {"default": [], **options}
         if options.get("nargs") in ("+", "*") and str(names[0]).startswith("-"):

@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=between(1e-3, 1000.0),
         default=50.0,
         metavar="HZ",
-        help="rate of publishing (default: %(default)g)",
+        help="rate of publishing",
     )
     parser.add_argument(
         "--once", "-1", action="store_true", help="publish once, then exit"

@@ -47,10 +47,7 @@ def local_publisher(context: Context, endpoint: str) -> OpenPort:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "endpoint",
-        nargs="?",
-        default=ENDPOINT,
-        help="endpoint to publish on (default: %(default)s)",
+        "endpoint", nargs="?", default=ENDPOINT, help="endpoint to publish on"
     )
     parser.add_argument(
         "--topics",

@@ -246,7 +246,7 @@ class FileOptions(Options):
         "--out",
         default=Path("studies"),
         type=Path,
-        help="directory of files (default: %(default)s)",
+        help="directory of files",
     )
 
 

@@ -56,10 +56,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "Put the device of a running launch into the middle of its scene, wherever its handle is.",
     )
     centred.add_argument(
-        "driver",
-        nargs="?",
-        default="driver",
-        help="node that drives it (default: %(default)s)",
+        "driver", nargs="?", default="driver", help="node that drives it"
     )
     known = sub.add_parser(
         "presets",

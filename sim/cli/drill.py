@@ -30,10 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         ),
     )
     parser.add_argument(
-        "--launches",
-        type=whole(1, 100_000),
-        default=20,
-        help="how many of random (default: %(default)s)",
+        "--launches", type=whole(1, 100_000), default=20, help="how many of random"
     )
     parser.add_argument(
         "--seed",
@@ -41,16 +38,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="what random draws from (default: the time, which is printed)",
     )
     parser.add_argument(
-        "--minutes",
-        type=positive,
-        default=10.0,
-        help="length of a soak [min] (default: %(default)s)",
+        "--minutes", type=positive, default=10.0, help="length of a soak [min]"
     )
     parser.add_argument(
         "--miss-limit",
         type=not_negative,
         default=MISS_LIMIT,
-        help="share of ticks that a soak may miss (default: %(default)s)",
+        help="share of ticks that a soak may miss",
     )
     parser.add_argument("--list", action="store_true", help="list the faults")
     parser.add_argument(

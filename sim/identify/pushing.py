@@ -39,17 +39,9 @@ class PushOptions(Options):
         metavar="name:=value",
         help="arguments of the launch file",
     )
-    duration: float = option(
-        type=SECONDS, default=8.0, help="of one push [s] (default: %(default)s)"
-    )
-    amplitude: float = option(
-        type=positive, default=0.7, help="largest push [N] (default: %(default)s)"
-    )
-    reach: float = option(
-        type=positive,
-        default=0.03,
-        help="how far it is pushed [m] (default: %(default)s)",
-    )
+    duration: float = option(type=SECONDS, default=8.0, help="of one push [s]")
+    amplitude: float = option(type=positive, default=0.7, help="largest push [N]")
+    reach: float = option(type=positive, default=0.03, help="how far it is pushed [m]")
     places: list[float] | None = option(
         type=number,
         nargs="+",
@@ -73,11 +65,7 @@ class PushOptions(Options):
         help="a hand holds the device",
         off_help="no hand does (default: finds out)",
     )
-    out: Path = option(
-        type=Path,
-        default=Path("recordings"),
-        help="directory of files (default: %(default)s)",
-    )
+    out: Path = option(type=Path, default=Path("recordings"), help="directory of files")
     run_name: str | None = option(
         "--run",
         metavar="NAME",

@@ -6,17 +6,13 @@ from the law's history: in world axes a deflection that only turns looks like a 
 """
 
 import math
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from messages.topics import PROXY
 from messages.types import Proxy
 from nodes.coupling.render import begin_turning
 from nodes.coupling.renderer import ActiveLaw, Renderer
@@ -25,12 +21,10 @@ from nodes.environment.shapes.scene import Solid, capsule, mesh, plane, sphere
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.laws.pd import PD
-from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 from sim.arrays import Array
 from sim.lab.proxy_shapes import icosphere
-from sim.measure.measured_launch import launch as run_launch
 from sim.play.player import play
 from sim.play.touch import touch
 
@@ -266,38 +260,6 @@ def sliding_k_max(
         middle = math.sqrt(low * high)
         low, high = (middle, high) if calms(middle) else (low, middle)
     return math.sqrt(low * high)
-
-
-def growth_launched(
-    launch: Launch, stiffness: float, speed: float, frame: str
-) -> float:
-    """Return the growth of the ripple in a lockstep launch through all processes."""
-    made = sliding(launch, stiffness, speed, frame)
-    nodes = {
-        name: {"kind": spec.kind, "parameters": spec.parameters}
-        for name, spec in made.nodes.items()
-    }
-    run = {
-        "rate": made.run.rate,
-        "duration": made.run.duration,
-        "axes": list(made.run.axes),
-        "pace": "lockstep",
-    }
-    with tempfile.TemporaryDirectory(prefix="haptic-") as folder:
-        file = Path(folder) / "sliding.yaml"
-        file.write_text(
-            yaml.safe_dump(
-                {"summary": "A contact that slides.", "run": run, "nodes": nodes}
-            ),
-            encoding="utf-8",
-        )
-        figures = run_launch(str(file), folder=Path(folder))
-        found = Recording(Path(folder) / figures["recording"]).messages(PROXY)
-    position, proxy = (
-        np.array([getattr(message, name) for message in found])
-        for name in ("position", "proxy")
-    )
-    return growth(position, proxy, np.array([message.contact for message in found]))
 
 
 def theory(period: float) -> float:

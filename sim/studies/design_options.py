@@ -34,7 +34,7 @@ class DesignOptions(SpreadOptions, FileOptions):
         choices=("wall", "any_world", "any_hand"),
         help=(
             "what is behind the coupling: a wall and the hand given; any passive world and the"
-            " device given; any hand and any passive world (default: %(default)s)"
+            " device given; any hand and any passive world"
         ),
     )
     sections: bool = option(
@@ -42,22 +42,16 @@ class DesignOptions(SpreadOptions, FileOptions):
         help="with --for any_hand or any_world: taps over a pole and two poles too, a minute each",
     )
     grasp: HandBox | None = grasp_option("judge the law in every grasp of a box too")
-    radius: float = option(
-        default=0.99, type=positive, help="pole radius allowed (default: %(default)s)"
-    )
+    radius: float = option(default=0.99, type=positive, help="pole radius allowed")
     nyquist: float = option(
-        default=10000.0, type=positive, help="|H(-1)| allowed [N/m] (default: 10000)"
+        default=10000.0, type=positive, help="|H(-1)| allowed [N/m]"
     )
     from_run: Path | None = option(
         type=Path,
         metavar="RECORDING",
         help="take rate, delay and jitter from a recording",
     )
-    effort: int = option(
-        default=1,
-        type=whole(1, 1000),
-        help="multiplies the search (default: %(default)s)",
-    )
+    effort: int = option(default=1, type=whole(1, 1000), help="multiplies the search")
     land: bool = option(
         default=True,
         action="on_off",

@@ -34,7 +34,7 @@ class DetailOptions(FileOptions):
     fraction: float = option(
         default=0.01,
         type=not_negative,
-        help="part of the largest force that is no difference (default: 0.01)",
+        help="part of the largest force that is no difference",
     )
     resolution: float | None = option(
         type=positive,

@@ -74,9 +74,7 @@ class EdgeOptions(DeviceOptions, SpreadOptions, FileOptions):
         help="of random devices instead: how often the interval of a swing holds the true K_max",
     )
     points: int = option(
-        default=24,
-        type=whole(2, 100000),
-        help="gains, in geometric steps (default: %(default)s)",
+        default=24, type=whole(2, 100000), help="gains, in geometric steps"
     )
     device_damping: float | None = option(
         type=not_negative,

@@ -37,35 +37,17 @@ class GuardOptions(SpreadOptions, FileOptions):
     damping: float = quantity("damping", 1.0)
     gain: float = quantity("gain", 3.0)
     rate: float = quantity("rate", 500.0)
-    height: float = option(
-        default=0.01,
-        type=positive,
-        help="height of the drop [m] (default: %(default)s)",
-    )
+    height: float = option(default=0.01, type=positive, help="height of the drop [m]")
     next_tick: bool = option(
         action="store_true", help="forces take effect one tick later"
     )
     guard_damping: float = option(
-        default=10.0,
-        type=not_negative,
-        help="largest damper of the guard [N s/m] (default: %(default)s)",
+        default=10.0, type=not_negative, help="largest damper of the guard [N s/m]"
     )
-    low: float = option(
-        default=500.0, type=positive, help="softest wall [N/m] (default: %(default)s)"
-    )
-    high: float = option(
-        default=16000.0,
-        type=positive,
-        help="stiffest wall [N/m] (default: %(default)s)",
-    )
-    points: int = option(
-        default=21,
-        type=whole(1, 100000),
-        help="walls between them (default: %(default)s)",
-    )
-    duration: float = option(
-        default=6.0, type=SECONDS, help="length of a drop [s] (default: %(default)s)"
-    )
+    low: float = option(default=500.0, type=positive, help="softest wall [N/m]")
+    high: float = option(default=16000.0, type=positive, help="stiffest wall [N/m]")
+    points: int = option(default=21, type=whole(1, 100000), help="walls between them")
+    duration: float = option(default=6.0, type=SECONDS, help="length of a drop [s]")
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -30,9 +30,7 @@ class HandsOptions(FileOptions):
     rate: float = quantity("rate", 500.0)
     stiffness: float = quantity("stiffness", 500.0)
     longest: int = option(
-        default=20,
-        type=whole(1, 1000),
-        help="longest one-way delay [ticks] (default: %(default)s)",
+        default=20, type=whole(1, 1000), help="longest one-way delay [ticks]"
     )
 
 

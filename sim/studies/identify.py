@@ -34,9 +34,7 @@ class IdentifyOptions(Options):
         off_help="no hand did (default: finds out)",
     )
     window: int = option(
-        default=100,
-        type=whole(20, 5000),
-        help="length of a window [ticks] (default: %(default)s)",
+        default=100, type=whole(20, 5000), help="length of a window [ticks]"
     )
 
 

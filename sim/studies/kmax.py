@@ -45,15 +45,9 @@ _PRESSING = 100.0  # default stiffness of the pressing hand [N/m]
 class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
     """Options of `kmax`."""
 
-    law: str = option(
-        default="pd", help="kind, preset or YAML mapping (default: %(default)s)"
-    )
+    law: str = option(default="pd", help="kind, preset or YAML mapping")
     gain: tuple[float, float] | None = quantity("gain", Interval())
-    points: int = option(
-        default=41,
-        type=whole(2, 100000),
-        help="of a range of gains (default: %(default)s)",
-    )
+    points: int = option(default=41, type=whole(2, 100000), help="of a range of gains")
     method: str | None = option(
         choices=("closed_form", "pole_radius", "simulation", "lockstep"),
         help=(
@@ -69,17 +63,15 @@ class KMaxOptions(LawOptions, DeviceOptions, SpreadOptions, FileOptions):
     history: str = option(
         default="penetration",
         choices=("penetration", "position"),
-        help="what feeds the law outside contact in a simulated drop (default: %(default)s)",
+        help="what feeds the law outside contact in a simulated drop",
     )
     horizon: int = option(
-        default=2500,
-        type=whole(1, 10**8),
-        help="ticks of a simulated run (default: %(default)s)",
+        default=2500, type=whole(1, 10**8), help="ticks of a simulated run"
     )
     grid: int = option(
         default=257,
         type=whole(2, 10**6),
-        help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max (default: 257)",
+        help="stiffnesses that lockstep bisects, K_max/2 to 2 K_max",
     )
     grasp: HandBox | None = grasp_option("K_max in the worst grasp of a box too")
 

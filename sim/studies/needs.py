@@ -37,7 +37,7 @@ class NeedsOptions(SpreadOptions, FileOptions):
     rounds: int = option(
         default=5,
         type=whole(0, 10000),
-        help="interleaved rounds of timing; 0 times nothing (default: 5)",
+        help="interleaved rounds of timing; 0 times nothing",
     )
     tolerance: str = option(
         default="model",

@@ -34,11 +34,7 @@ class ResponseOptions(LawOptions, DeviceOptions, FileOptions):
         help="kinds, presets or YAML mappings, compared (default: pd)",
     )
     gain: tuple[float, float] | None = quantity("gain", Interval())
-    points: int = option(
-        default=41,
-        type=whole(2, 10000),
-        help="gains of the plane (default: %(default)s)",
-    )
+    points: int = option(default=41, type=whole(2, 10000), help="gains of the plane")
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,7 @@ from sim.studies.result import Findings
 class WorldOptions(LawOptions, DeviceOptions):
     """Options of `world`."""
 
-    law: str = option(
-        default="pd", help="kind, preset or YAML mapping (default: %(default)s)"
-    )
+    law: str = option(default="pd", help="kind, preset or YAML mapping")
     gain: float | None = quantity("gain")
     tool_damping: float | None = option(
         type=not_negative,

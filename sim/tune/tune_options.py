@@ -25,14 +25,10 @@ class TuneOptions(PushOptions):
     )
     taps: int = quantity("taps", 4)
     spread: float = option(
-        type=between(1.0, 100.0),
-        default=1.25,
-        help="factor the mass may be off by (default: %(default)s)",
+        type=between(1.0, 100.0), default=1.25, help="factor the mass may be off by"
     )
     radius: float = option(
-        type=between(1e-3, 1.0),
-        default=0.99,
-        help="pole radius allowed (default: %(default)s)",
+        type=between(1e-3, 1.0), default=0.99, help="pole radius allowed"
     )
     nyquist: float | None = option(
         type=positive,
@@ -57,10 +53,6 @@ class TuneOptions(PushOptions):
             " device (virtual: always)"
         ),
     )
-    out: Path = option(
-        type=Path,
-        default=Path("tuning"),
-        help="directory of files (default: %(default)s)",
-    )
+    out: Path = option(type=Path, default=Path("tuning"), help="directory of files")
     # the command line, for the report
     command: str = field(default="", repr=False, compare=False)

@@ -22,15 +22,10 @@ LIMIT = 0.01  # largest share of lost ticks of a launch that counts as carried
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--scenario",
-        default="floor_drop",
-        help="launch file of one chain (default: %(default)s)",
+        "--scenario", default="floor_drop", help="launch file of one chain"
     )
     parser.add_argument(
-        "--most",
-        type=whole(1, 64),
-        default=16,
-        help="most chains that are tried (default: %(default)s)",
+        "--most", type=whole(1, 64), default=16, help="most chains that are tried"
     )
     parser.add_argument(
         "--seconds",

@@ -41,17 +41,9 @@ PATIENCE_MS = 5000  # longest wait for a force [ms]
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     declare(parser, rate=500.0)
+    parser.add_argument("--rounds", type=ROUNDS, default=10, help="rounds of each kind")
     parser.add_argument(
-        "--rounds",
-        type=ROUNDS,
-        default=10,
-        help="rounds of each kind (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--ticks",
-        type=whole(1, 10**8),
-        default=250,
-        help="ticks of a round (default: %(default)s)",
+        "--ticks", type=whole(1, 10**8), default=250, help="ticks of a round"
     )
     add_answer(parser, run, files=False)
 

@@ -8,17 +8,9 @@ from sim.cli.answers import add_answer, report
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
+    parser.add_argument("--rounds", type=ROUNDS, default=101, help="interleaved rounds")
     parser.add_argument(
-        "--rounds",
-        type=ROUNDS,
-        default=101,
-        help="interleaved rounds (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--ticks",
-        type=whole(100, 10**8),
-        default=2500,
-        help="length of a run (default: %(default)s)",
+        "--ticks", type=whole(100, 10**8), default=2500, help="length of a run"
     )
     add_answer(parser, run, files=False)
 

@@ -14,12 +14,7 @@ from sim.results import fresh
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument(
-        "--rounds",
-        type=ROUNDS,
-        default=25,
-        help="interleaved rounds (default: %(default)s)",
-    )
+    parser.add_argument("--rounds", type=ROUNDS, default=25, help="interleaved rounds")
     parser.add_argument(
         "--taps",
         type=_lengths,

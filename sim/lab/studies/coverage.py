@@ -34,17 +34,11 @@ class CoverageOptions(SweepOptions, FileOptions):
     """Options of `coverage`."""
 
     devices: int = option(
-        default=200,
-        type=COUNT,
-        help="how many; half are held, but for --outside (default: 200)",
+        default=200, type=COUNT, help="how many; half are held, but for --outside"
     )
-    seconds: float = option(
-        default=8.0, type=SECONDS, help="of each push (default: %(default)s)"
-    )
+    seconds: float = option(default=8.0, type=SECONDS, help="of each push")
     rate: float = quantity("rate", 500.0)
-    seed: int = option(
-        default=1, type=SEED, help="of the population (default: %(default)s)"
-    )
+    seed: int = option(default=1, type=SEED, help="of the population")
     outside: bool = option(
         action="store_true",
         help="devices that are not rigid: joints, lags, backlash and more, kind by kind",

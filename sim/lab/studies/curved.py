@@ -34,19 +34,11 @@ class CurvedOptions(SpreadOptions, FileOptions):
     stiffness: float = quantity("stiffness", 800.0)
     gain: float = quantity("gain", 2.0)
     rate: float = quantity("rate", 500.0)
-    depth: float = option(
-        default=0.002, type=positive, help="below the surface [m] (default: 0.002)"
-    )
-    speed: float = option(
-        default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)"
-    )
+    depth: float = option(default=0.002, type=positive, help="below the surface [m]")
+    speed: float = option(default=0.2, type=positive, help="along the surface [m/s]")
     slides: str = option(
         default="0,0.02,0.04",
         help="speeds of the sliding contact [m/s] (default: 0,0.02,0.04)",
-    )
-    launched: bool = option(
-        action="store_true",
-        help="confirm each K_max by two launches, 2 %% below it and above",
     )
 
 
@@ -59,8 +51,6 @@ class SlidingLimit:
     k_max_n_per_m: float | None = None
     over: float | None = None  # over that of one axis
     beyond: str | None = None  # end of the search without a limit
-    growth_below: float | None = None  # of the ripple, of launches 2 % below and above
-    growth_above: float | None = None
 
     @property
     def line(self) -> str:
@@ -68,13 +58,7 @@ class SlidingLimit:
         at = f"at {self.speed_m_per_s:g} m/s, {self.frame:8}"
         if self.beyond is not None:
             return f"{at} {self.beyond} of it, where the search ends"
-        grown = (
-            ""
-            if self.growth_below is None
-            else f"; launched, the ripple grows {self.growth_below:.3f} times at 0.98 of that,"
-            f" {self.growth_above:.3f} times at 1.02"
-        )
-        return f"{at}{self.k_max_n_per_m:10.5g} N/m, {self.over:.4f} of it{grown}"
+        return f"{at}{self.k_max_n_per_m:10.5g} N/m, {self.over:.4f} of it"
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -134,7 +118,7 @@ def _edges(
     options: CurvedOptions, slides: list[float], one_axis: float
 ) -> list[SlidingLimit]:
     """Search the limit at each speed in both frames."""
-    from sim.lab.curved import FRAMES, SEARCHED, growth_launched, sliding_k_max
+    from sim.lab.curved import FRAMES, SEARCHED, sliding_k_max
 
     launch = launch_file.read("sphere_feel", {"rate": options.rate, "pace": "lockstep"})
     ways = [(speed, frame) for speed in slides for frame in FRAMES]
@@ -144,14 +128,8 @@ def _edges(
         if edge in (0.0, math.inf):
             end = f"below {SEARCHED[0]:g}" if edge == 0.0 else f"above {SEARCHED[1]:g}"
             edges.append(SlidingLimit(speed, frame, beyond=end))
-            continue
-        grown: tuple[float, ...] = ()
-        if options.launched:
-            grown = tuple(
-                growth_launched(launch, part * edge, speed, frame)
-                for part in (0.98, 1.02)
-            )
-        edges.append(SlidingLimit(speed, frame, edge, edge / one_axis, None, *grown))
+        else:
+            edges.append(SlidingLimit(speed, frame, edge, edge / one_axis))
     return edges
 
 

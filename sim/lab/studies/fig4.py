@@ -30,9 +30,7 @@ class Fig4Options(SweepOptions, FileOptions):
     rate: float = quantity("rate", 500.0)
     gain: tuple[float, float] = quantity("gain", Interval(0.5, 60.0))
     points: int = option(
-        default=24,
-        type=whole(2, 100000),
-        help="gains, in geometric steps (default: %(default)s)",
+        default=24, type=whole(2, 100000), help="gains, in geometric steps"
     )
     resolution: float = option(
         default=2.3e-05, type=positive, help="Touch X's resolution [m]"
@@ -40,11 +38,7 @@ class Fig4Options(SweepOptions, FileOptions):
     friction: float = option(
         default=0.06, type=not_negative, help="its friction [N], a remembered figure"
     )
-    horizon: int = option(
-        default=2500,
-        type=whole(1, 10**8),
-        help="of a drop [ticks] (default: %(default)s)",
-    )
+    horizon: int = option(default=2500, type=whole(1, 10**8), help="of a drop [ticks]")
 
 
 def _setting(options: Fig4Options) -> Setting:

@@ -53,9 +53,7 @@ class OptimiseOptions(DeviceOptions, SpreadOptions, FileOptions):
 
     taps: int = quantity("taps", 4)
     gain: float = quantity("gain", 3.0)
-    terms: int = option(
-        default=2, type=whole(1, 8), help="number of terms (default: %(default)s)"
-    )
+    terms: int = option(default=2, type=whole(1, 8), help="number of terms")
     at: list[float] = option(
         default=[0.1, 0.5],
         type=positive,
@@ -65,15 +63,9 @@ class OptimiseOptions(DeviceOptions, SpreadOptions, FileOptions):
     rates: list[float] = option(
         default=[0.003, 0.03, 0.3], type=positive, nargs="*", help="of the descent"
     )
-    steps: int = option(
-        default=2000,
-        type=whole(1, 10**7),
-        help="of each descent (default: %(default)s)",
-    )
+    steps: int = option(default=2000, type=whole(1, 10**7), help="of each descent")
     starts: int = option(
-        default=8,
-        type=whole(1, 1000),
-        help="orders per axis to start from (default: %(default)s)",
+        default=8, type=whole(1, 1000), help="orders per axis to start from"
     )
     band: tuple[float, float] = option(
         default=(0.02, 0.55), type=interval, help="where f = -1 is wanted [ω_N]"

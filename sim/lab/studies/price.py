@@ -34,22 +34,12 @@ class PriceOptions(DeviceOptions, SweepOptions, FileOptions):
     delay: float = quantity("delay", 1.2)
     hand: float = quantity("hand", 500.0)
     share: float = option(
-        default=0.3,
-        type=positive,
-        help="of the mass behind the joint (default: %(default)s)",
+        default=0.3, type=positive, help="of the mass behind the joint"
     )
-    frequency: float = option(
-        default=40.0, type=positive, help="of the joint [Hz] (default: %(default)s)"
-    )
-    loss: float = option(
-        default=0.03,
-        type=positive,
-        help="damping ratio of the joint (default: %(default)s)",
-    )
+    frequency: float = option(default=40.0, type=positive, help="of the joint [Hz]")
+    loss: float = option(default=0.03, type=positive, help="damping ratio of the joint")
     jitter: float = option(
-        default=0.2,
-        type=not_negative,
-        help="of the delay, above it [ticks] (default: 0.2)",
+        default=0.2, type=not_negative, help="of the delay, above it [ticks]"
     )
     known: list[float] = option(
         default=list(KNOWN),

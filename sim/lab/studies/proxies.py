@@ -41,18 +41,12 @@ class ProxiesOptions(SpreadOptions, FileOptions):
         help="finest mesh: 20·4ⁿ triangles (default: 5, 20 480)",
     )
     ticks: int = option(
-        default=5000,
-        type=whole(100, 10000000),
-        help="length of each way (default: 5000)",
+        default=5000, type=whole(100, 10000000), help="length of each way"
     )
     stiffness: float = quantity("stiffness", 500.0)
     rate: float = quantity("rate", 1000.0)
-    depth: float = option(
-        default=0.004, type=positive, help="below the surface [m] (default: 0.004)"
-    )
-    speed: float = option(
-        default=0.2, type=positive, help="along the surface [m/s] (default: 0.2)"
-    )
+    depth: float = option(default=0.004, type=positive, help="below the surface [m]")
+    speed: float = option(default=0.2, type=positive, help="along the surface [m/s]")
     tool: float = option(
         default=0.0, type=not_negative, help="radius of the tool [m] (default: 0)"
     )

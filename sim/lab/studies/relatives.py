@@ -55,7 +55,7 @@ class RelativesOptions(SweepOptions, FileOptions):
         help="take rate and median delay from a recording instead",
     )
     nyquist: float = option(
-        default=10000.0, type=positive, help="|H(-1)| allowed [N/m] (default: 10000)"
+        default=10000.0, type=positive, help="|H(-1)| allowed [N/m]"
     )
     families: list[str] = option(
         default=list(FAMILIES), nargs="+", choices=FAMILIES, help="which (default: all)"

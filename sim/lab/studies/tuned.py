@@ -32,23 +32,13 @@ if TYPE_CHECKING:
 class TunedOptions(SweepOptions, FileOptions):
     """Options of `tuned`."""
 
-    devices: int = option(
-        default=40,
-        type=COUNT,
-        help="how many, half of them inside (default: %(default)s)",
-    )
-    seconds: float = option(
-        default=8.0, type=SECONDS, help="of each push (default: %(default)s)"
-    )
+    devices: int = option(default=40, type=COUNT, help="how many, half of them inside")
+    seconds: float = option(default=8.0, type=SECONDS, help="of each push")
     rate: float = quantity("rate", 500.0)
     taps: int = quantity("taps", 4)
-    seed: int = option(
-        default=1, type=SEED, help="of the population (default: %(default)s)"
-    )
+    seed: int = option(default=1, type=SEED, help="of the population")
     nyquist: float = option(
-        default=10000.0,
-        type=positive,
-        help="|H(-1)| allowed [N/m] (default: %(default)g)",
+        default=10000.0, type=positive, help="|H(-1)| allowed [N/m]"
     )
     land: bool = option(
         default=True,

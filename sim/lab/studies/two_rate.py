@@ -22,7 +22,7 @@ class TwoRateOptions(FileOptions):
     delay: float = quantity("delay", 1.0)
     rate: float = quantity("rate", 500.0)
     servo: float = option(
-        default=3.0, type=not_negative, help="damper of the servo [N s/m] (default: 3)"
+        default=3.0, type=not_negative, help="damper of the servo [N s/m]"
     )
     ratios: list[int] = option(
         default=[1, 2, 4, 8],

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
+from typing import Any
+
 import pytest
 
 from nodes.cli.main import Parser
@@ -23,3 +26,32 @@ def test_a_list_within_a_verb_grows_too() -> None:
     verb.add_argument("--law", nargs="+", default=["pd"])
     assert parser.parse_args(["study", "--law", "a", "--law", "b"]).law == ["a", "b"]
     assert parser.parse_args(["study"]).law == ["pd"]
+
+
+@pytest.mark.parametrize(
+    ("default", "end"),
+    [
+        (2.0, "how long (default: 2)"),
+        (1, "how long (default: 1)"),
+        ("50%", "how long (default: 50%)"),
+        ([1.0, 2.5], "how long (default: 1 2.5)"),
+        ((0.5, 1.0), "how long (default: 0.5..1)"),
+        (None, "how long"),
+        (False, "how long"),
+        (True, "how long"),
+        (0, "how long"),
+        ("", "how long"),
+        ([], "how long"),
+        (argparse.SUPPRESS, "how long"),
+    ],
+)
+def test_a_help_text_ends_with_the_default(default: Any, end: str) -> None:
+    parser = Parser()
+    parser.add_argument("--time", default=default, help="how long")
+    assert parser.format_help().rstrip().endswith(end)
+
+
+def test_a_default_that_the_text_tells_is_told_once() -> None:
+    parser = Parser()
+    parser.add_argument("--time", default=3, help="how long (default: as the run)")
+    assert parser.format_help().count("default") == 1

@@ -10,7 +10,7 @@ import pytest
 
 from nodes.cli.main import main
 from nodes.launcher import launch_file
-from sim.lab.curved import AlongTheWay, growth_launched, sliding_k_max, theory
+from sim.lab.curved import AlongTheWay, sliding_k_max, theory
 from tests.support.pictures import assert_drawn
 
 # The first run on a machine compiles the geometry.
@@ -102,17 +102,6 @@ def test_the_ends_of_the_search_are_not_told_as_k_max(
     assert [
         edge["k_max_n_per_m"] for edge in json.loads(out.splitlines()[-1])["edges"]
     ] == [None, None]
-
-
-@pytest.mark.slow
-def test_launches_agree_where_it_slides() -> None:
-    launch = launch_file.read("sphere_feel", {"pace": "lockstep"})
-    edge = theory(PERIOD)
-    assert (
-        growth_launched(launch, 0.9 * edge, 0.02, "surface")
-        < 1.0
-        < growth_launched(launch, 1.1 * edge, 0.02, "surface")
-    )
 
 
 def test_what_makes_no_sense_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
