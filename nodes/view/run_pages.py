@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.transport.sockets import Subscription
@@ -21,7 +22,7 @@ from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Comparison
 from nodes.view.live import HISTORY, LiveRun, facts_of
-from nodes.view.server import PageServer
+from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 from nodes.view.stability_map import drawn_map
 
@@ -80,6 +81,13 @@ class RunPage:
         self._pages.hand.move(id(self), None)
 
 
+def _opened(path: Path, name: str, page: Page, over: bool) -> Page:
+    from nodes.view.replay import opened
+
+    # Pages of a launch need it only for recordings that are sent to them.
+    return opened(path, name, page, over)
+
+
 class RunPages:
     """Everything behind the pages of one run.
 
@@ -105,7 +113,8 @@ class RunPages:
         self.hand = SharedHand(
             awaited_pointer(run.nodes[self._commander.driver], stopping)
         )
-        self.server = PageServer(self._open_page, token)  # serves the pages
+        # Serves the pages.
+        self.server = PageServer(self._open_page, token, opened=_opened)
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         # Called with topic and content of every message.
         self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]
@@ -128,6 +137,7 @@ class RunPages:
             "beyond": self._commander.beyond,
             "again": self._commander.again,
             "compares": self._comparison.there,
+            "opens": True,
             "delays": self._commander.delays,
             "shape": self._shape(stopping),
         }
