@@ -74,6 +74,7 @@ class Timeline:
     def __init__(self) -> None:
         self.times: list[float] = []
         self.items: list[Any] = []
+        self.kind: Any = None  # kind of the last item, for whoever adds them
 
     def add(self, at: float, item: Any) -> None:
         """Append an item."""
@@ -148,8 +149,6 @@ class ReplayPages:
         self._plant: Any = None
         self._shape: dict[str, Any] = {}
         self._delay = 0.0
-        self._told: Any = None
-        self._tell_at = 0.0
         notices = [notice] if notice else []
         notices += self._read(recording, progress)
         if not recording.complete:
@@ -179,7 +178,6 @@ class ReplayPages:
             {"type": "hello", **self._facts.hello(), **document}
         ).decode()
         self.over = "" if over is None else self.read_over(over)
-        self.whole = feed.overview(WHOLE)  # all of the recording, for its slider
         self.server = PageServer(
             lambda: ReplayPage(self), opened=opened
         )  # serves the pages
@@ -246,11 +244,12 @@ class ReplayPages:
         state, proxy = live.feed.state, live.feed.proxy
         kind = (state and state.safety, proxy and proxy.contact)
         # The words change with what is felt; their numbers, some times a second.
-        if kind != self._told or scene[0] >= self._tell_at:
-            self._told, self._tell_at = kind, scene[0] + STATUSES
+        told = self.statuses
+        if kind != told.kind or scene[0] >= told.times[-1] + STATUSES:
+            told.kind = kind
             live.board.put("status", live.status(now))
             texts, _, _ = live.board.since(0, live.board.logged)
-            self.statuses.add(scene[0], texts[0])
+            told.add(scene[0], texts[0])
         return False
 
     def read_over(self, path: Path, name: str = "") -> str:
@@ -390,6 +389,11 @@ class ReplayPages:
         finally:
             await self.server.stop()
             self.close()
+
+    @property
+    def whole(self) -> bytes:
+        """All of the recording in few bins, for its slider."""
+        return self.live.feed.overview(WHOLE)
 
     def map_of(self, laws: dict[str, Any], tell: Callable[[str], None]) -> None:
         """Start drawing the map of the active law; pass it to `tell` when ready."""

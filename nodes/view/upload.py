@@ -1,4 +1,4 @@
-"""A recording that a page sends to its server: checked, written to a private folder, then opened.
+"""A recording that a page sends to its server: checked, stored in private, then opened.
 
 It comes over the page's own connection, so that token and origin are checked already. The folder
 contains nothing else, so that a recording finds no mesh or scene of this machine beside it.

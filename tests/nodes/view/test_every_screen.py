@@ -1,4 +1,4 @@
-"""Pages without a server, of a scenario and of a recording: every screen, keyboard, touch, dark."""
+"""Pages without a server on every screen, by keyboard and touch, in light and dark."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ DROP = """([name, text]) => {
   document.body.dispatchEvent(drop);
   return drop.defaultPrevented;
 }"""
-"""Drop a file with this name and text on a page; whether the page takes it from the browser."""
+"""Drop a file of this name and text; returns whether the page takes it from the browser."""
 
 
 def test_a_page_without_a_server_says_how_a_dropped_recording_is_opened(

@@ -1,4 +1,4 @@
-"""A recording that is sent to an open page: read by its server, or refused with the reason."""
+"""A recording that is sent to an open page: read by its server, or refused in words."""
 
 from __future__ import annotations
 
