@@ -197,7 +197,8 @@ class ReplayPages:
         ]
         delays = states = 0.0
         unknown_delay = False
-        next_scene, log_time = self.begin, 0.0
+        next_scene = next_report = self.begin
+        log_time = 0.0
         pending = False  # whether the scene of the newest state is still to be stored
         for topic, log_time, message in recording.entries(known):
             if pending and isinstance(message, DeviceState):
@@ -221,6 +222,8 @@ class ReplayPages:
             if at >= next_scene:
                 next_scene = at + self._scene_period - 0.5 * period
                 pending = True
+            if at >= next_report:
+                next_report = at + 0.2
                 progress((at - self.begin) / max(self.duration, period))
         if pending:
             self._store_moment(log_time)
