@@ -10,6 +10,7 @@ import math
 import struct
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ from nodes.base.setup import AXIS_INDEX
 # Limit of bins per second of the run: more than a screen's columns in the shortest useful span.
 BINS_PER_SECOND = 500.0
 GRACE = 0.06  # time that a bin waits for messages in flight [s]
-# Kind (1), number of bins, of series, 1 if earlier bins are void; then `Feed.now`.
+# Kind (1; 2 for all of a recording), number of bins, of series, 1 if earlier bins are void; then
+# `Feed.now`.
 HEAD = struct.Struct("<4I22d")
 _FIELDS = ("position", "proxy", "target", "law_force", "force")
 _SCALARS = ("energy", "response")
@@ -170,6 +172,23 @@ class Feed:
         return b"".join(
             (head, self._times[slots].tobytes(), self._values[:, slots].tobytes())
         )
+
+    def stored(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return times [s], and each series' smallest and largest value, of all stored bins."""
+        slots = np.arange(self.oldest(), self.head) % self._size
+        series = len(self.names)
+        values = self._values[:, slots]
+        return self._times[slots], values[:series], values[series:]
+
+    def overview(self, most: int) -> bytes:
+        """Encode all bins as at most `most` coarser ones, as a frame of kind 2."""
+        times, low, high = self.stored()
+        begins = np.arange(0, len(times), max(1, -(-len(times) // most)))
+        head = HEAD.pack(2, len(begins), len(self.names), 1, *self.now())
+        if len(times):
+            low = np.fmin.reduceat(low, begins, axis=1)
+            high = np.fmax.reduceat(high, begins, axis=1)
+        return b"".join((head, times[begins].tobytes(), low.tobytes(), high.tobytes()))
 
     def now(self) -> tuple[float, ...]:
         """Return the present state of the scene, 22 numbers; NaN if unknown."""

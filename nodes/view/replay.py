@@ -10,9 +10,9 @@ import asyncio
 import math
 import time
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ import numpy as np
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY, RECEIPT
 from messages.types import DeviceState, Event, Receipt
-from nodes.base.setup import AXIS_INDEX
 from nodes.client.moved_device import moved_delay
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
@@ -39,8 +38,9 @@ from nodes.recording.foreign_channels import described
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
 from nodes.view.commands import CommandError
+from nodes.view.feed import Feed
 from nodes.view.live import HISTORY, Facts, LiveRun
-from nodes.view.server import PageServer
+from nodes.view.server import Page, PageServer
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
@@ -48,12 +48,24 @@ if TYPE_CHECKING:
 
 # Time span of the plots after the present position, so that a later moment can be picked [s].
 AHEAD = 30.0
-OVER = 20_000  # limit of points of another recording drawn over this one
-SCENES = 60.0  # scene snapshots stored per second of the run
+OVER = 20_000  # limit of bins of another recording drawn over this one
+WHOLE = 4000  # limit of bins that show all of a recording at once
+SCENES = 60.0  # scene snapshots stored per second of a long run
+SHORT = 6000.0  # scene snapshots of a short one, in which each tick may have its own
 # Limits for a whole recording; in a longer one each covers more ticks.
 BIN_LIMIT, SCENE_LIMIT = 400_000.0, 40_000.0
 FOREVER = 1e9  # longer than any recording [s]
+STATUSES = 0.1  # time between two stored statuses of the same kind [s]
 IDLE = 0.05  # time between checks whether to stop [s]
+
+
+def _curve(low: Any, high: Any, row: int, two: bool) -> list[float | None]:
+    """Return a series as numbers; with `two`, the smallest and largest of each bin."""
+    values = np.stack([low[row], high[row]], axis=1).ravel() if two else low[row]
+    return [
+        None if math.isnan(one) else one
+        for one in np.round(values.astype(float), 8).tolist()
+    ]
 
 
 class Timeline:
@@ -62,6 +74,7 @@ class Timeline:
     def __init__(self) -> None:
         self.times: list[float] = []
         self.items: list[Any] = []
+        self.kind: Any = None  # kind of the last item, for whoever adds them
 
     def add(self, at: float, item: Any) -> None:
         """Append an item."""
@@ -110,6 +123,7 @@ class ReplayPages:
         over: Path | None = None,
         progress: Callable[[float], None] = lambda _: None,
         most_bins: float = BIN_LIMIT,
+        notice: str = "",
     ) -> None:
         recording = Recording(path)
         recording.require_ticks()
@@ -119,7 +133,9 @@ class ReplayPages:
         # Time of the first tick since tick 0, and from the first to the last tick [s].
         self.begin = span.first_seq * self._facts.period
         self.duration = (ticks - 1) * self._facts.period
-        self._scene_period = max(1.0 / SCENES, self.duration / SCENE_LIMIT)
+        self._scene_period = max(
+            min(1.0 / SCENES, self.duration / SHORT), self.duration / SCENE_LIMIT
+        )
         per_second = most_bins / max(self.duration, 1.0)
         self.live = LiveRun(self._facts, self.duration + 10.0, per_second)
         self.scenes, self.statuses, self.log, self.laws = (
@@ -133,7 +149,8 @@ class ReplayPages:
         self._plant: Any = None
         self._shape: dict[str, Any] = {}
         self._delay = 0.0
-        notices = self._read(recording, progress)
+        notices = [notice] if notice else []
+        notices += self._read(recording, progress)
         if not recording.complete:
             notices.append(
                 f"The recording is cut: it ends at {self.begin + self.duration:.1f} s."
@@ -151,6 +168,8 @@ class ReplayPages:
             ),
             "begin_s": self.begin,
             "end_s": self.begin + self.duration,
+            "period_s": self._facts.period,
+            "opens": True,
             "notice": " ".join(notices),
             "shape": self._shape,
             "fields": all_law_fields(),
@@ -158,10 +177,12 @@ class ReplayPages:
         self.hello = msgspec.json.encode(
             {"type": "hello", **self._facts.hello(), **document}
         ).decode()
-        self.over = "" if over is None else self._read_over(over)
-        self.server = PageServer(lambda: ReplayPage(self))  # serves the pages
+        self.over = "" if over is None else self.read_over(over)
+        self.server = PageServer(
+            lambda: ReplayPage(self), opened=opened
+        )  # serves the pages
         self._mapping = ThreadPoolExecutor(1, "map")
-        self._maps: dict[str, dict[str, Any]] = {}
+        self._maps: dict[str, Future[dict[str, Any]]] = {}
 
     def _read(
         self, recording: Recording, progress: Callable[[float], None]
@@ -176,8 +197,13 @@ class ReplayPages:
         ]
         delays = states = 0.0
         unknown_delay = False
-        next_scene = next_status = self.begin
+        next_scene = next_report = self.begin
+        log_time = 0.0
+        pending = False  # whether the scene of the newest state is still to be stored
         for topic, log_time, message in recording.entries(known):
+            if pending and isinstance(message, DeviceState):
+                # Proxy and force of that tick have come by now.
+                pending = self._store_moment(log_time)
             live.keep(topic, message, log_time)
             if isinstance(message, Receipt):
                 self._read_receipt(message)
@@ -194,20 +220,13 @@ class ReplayPages:
             at = message.seq * period
             delays, states = delays + message.delay, states + 1.0
             if at >= next_scene:
-                next_scene = at + self._scene_period
-                poses = (
-                    None
-                    if self._bodies is None
-                    else self._bodies.poses().astype(np.float32)
-                )
-                self.scenes.add(at, (live.feed.now(), poses))
-                live.feed.file()
-            if at >= next_status:
-                next_status = at + 0.2
-                live.board.put("status", live.status(log_time))
-                texts, _, _ = live.board.since(0, live.board.logged)
-                self.statuses.add(at, texts[0])
+                next_scene = at + self._scene_period - 0.5 * period
+                pending = True
+            if at >= next_report:
+                next_report = at + 0.2
                 progress((at - self.begin) / max(self.duration, period))
+        if pending:
+            self._store_moment(log_time)
         live.feed.file(all_of_them=True)
         self._delay = delays / states if states else 0.0
         if unknown_delay:
@@ -217,27 +236,61 @@ class ReplayPages:
             )
         return notices
 
-    def _read_over(self, path: Path) -> str:
+    def _store_moment(self, now: float) -> bool:
+        """Store scene and status of the newest state; return False: none is pending any more."""
+        live, poses = self.live, None
+        if self._bodies is not None:
+            poses = self._bodies.poses().astype(np.float32)
+        scene = live.feed.now()
+        self.scenes.add(scene[0], (scene, poses))
+        live.feed.file()
+        state, proxy = live.feed.state, live.feed.proxy
+        kind = (state and state.safety, proxy and proxy.contact)
+        # The words change with what is felt; their numbers, some times a second.
+        told = self.statuses
+        if kind != told.kind or scene[0] >= told.times[-1] + STATUSES:
+            told.kind = kind
+            live.board.put("status", live.status(now))
+            texts, _, _ = live.board.since(0, live.board.logged)
+            told.add(scene[0], texts[0])
+        return False
+
+    def read_over(self, path: Path, name: str = "") -> str:
+        """Return another recording as a document, to be drawn over this one.
+
+        Both begin at their first ticks. RecordError without ticks, or without this one's axes.
+        """
         recording = Recording(path)
         recording.require_ticks()
-        facts, axis = _facts(recording), AXIS_INDEX[self._facts.axes[0]]
-        states = [
-            one
-            for one in recording.messages(DEVICE_STATE)
-            if isinstance(one, DeviceState)
-        ]
-        shown = states[:: 1 + len(states) // OVER]
-        begin = states[0].seq * facts.period
+        facts, axes = _facts(recording), self._facts.axes
+        if missing := sorted(set(axes) - set(facts.axes)):
+            raise RecordError(
+                f"{path}: has no axis {missing[0]}, so it cannot be drawn over"
+                f" {self._facts.run}"
+            )
+        span = recording.topics[DEVICE_STATE]
+        seconds = (span.last_seq - span.first_seq + 1) * facts.period
+        feed = Feed(axes, facts.period, seconds + 1.0, OVER / max(seconds, 1.0))
+        for message in recording.messages(DEVICE_STATE):
+            feed.take(DEVICE_STATE, message)
+            feed.file()
+        feed.file(all_of_them=True)
+        begin = span.first_seq * facts.period
+        times, low, high = feed.stored()
+        two = not np.array_equal(low, high, equal_nan=True)
+        shown = np.repeat(times, 2) if two else times
         document = {
-            "times": [
-                round(self.begin + state.seq * facts.period - begin, 6)
-                for state in shown
-            ],
-            "position": [round(state.position[axis], 8) for state in shown],
-            "force": [round(state.force[axis], 5) for state in shown],
+            "times": np.round(self.begin + shown - begin, 6).tolist(),
+            **{
+                kind: {
+                    axis: _curve(low, high, feed.names.index(f"{kind}.{axis}"), two)
+                    for axis in axes
+                }
+                for kind in ("position", "force")
+            },
         }
         return msgspec.json.encode(
-            {"type": "over", "name": path.stem, **document}
+            {"type": "over", "name": name or path.stem, **document}
         ).decode()
 
     def _read_parameters(self, recording: Recording) -> list[str]:
@@ -332,12 +385,18 @@ class ReplayPages:
 
     async def run(self, stopping: Callable[[], bool]) -> None:
         """Serve until told to stop; the caller starts the server."""
+        self.draw_first_map()
         try:
             while not stopping():
                 await asyncio.sleep(IDLE)
         finally:
             await self.server.stop()
             self.close()
+
+    @property
+    def whole(self) -> bytes:
+        """All of the recording in few bins, for its slider."""
+        return self.live.feed.overview(WHOLE)
 
     def map_of(self, laws: dict[str, Any], tell: Callable[[str], None]) -> None:
         """Start drawing the map of the active law; pass it to `tell` when ready."""
@@ -346,26 +405,29 @@ class ReplayPages:
         if described is None:
             return
         later = laws.get("device_delay")
-        key = repr((active, described, later))
 
         async def draw() -> None:
-            if key not in self._maps:
-                work = partial(drawn_map, *self.map_inputs(described, later))
-                self._maps[key] = await asyncio.get_running_loop().run_in_executor(
-                    self._mapping, work
-                )
-            tell(
-                msgspec.json.encode(
-                    {
-                        "type": "map",
-                        "law": active,
-                        "device_delay": later,
-                        **self._maps[key],
-                    }
-                ).decode()
-            )
+            found = await asyncio.wrap_future(self._drawn(described, later))
+            document = {"law": active, "device_delay": later, **found}
+            tell(msgspec.json.encode({"type": "map", **document}).decode())
 
         self._job = asyncio.get_running_loop().create_task(draw())
+
+    def _drawn(
+        self, described: Mapping[str, Any], later: float | None
+    ) -> Future[dict[str, Any]]:
+        """Return the map of a law with a delay of the device; each is drawn once."""
+        key = repr((described, later))
+        if key not in self._maps:
+            inputs = self.map_inputs(described, later)
+            self._maps[key] = self._mapping.submit(drawn_map, *inputs)
+        return self._maps[key]
+
+    def draw_first_map(self) -> None:
+        """Draw the map of the beginning before a page asks for it."""
+        for laws in self.laws.items[:1]:
+            if (described := laws["laws"].get(laws["active"])) is not None:
+                self._drawn(described, laws.get("device_delay"))
 
     def map_inputs(
         self, described: Mapping[str, Any], later: float | None
@@ -406,8 +468,10 @@ class ReplayPage:
         self._shown = math.nan
         self._outbox: list[str | bytes] = [
             pages.hello,
+            pages.whole,
             *([pages.over] if pages.over else []),
         ]
+        self._late: deque[str] = deque()  # from other threads
         self._go(pages.begin)
 
     def _go(self, at: float) -> None:
@@ -429,6 +493,8 @@ class ReplayPage:
         now = time.monotonic()
         if self._playing:
             self._at = min(self._end, self._at + (now - self._since) * self._speed)
+            # At its end it stands, also for a page that seeks from there.
+            self._playing = self._at < self._end
         self._since = now
         return self._at
 
@@ -436,6 +502,8 @@ class ReplayPage:
         """Return everything not sent yet."""
         pages, at = self._pages, self._time()
         found, self._outbox = self._outbox, []
+        while self._late:
+            found.append(self._late.popleft())
         logged = pages.log.until(at)
         found += pages.log.items[self._logged : logged]
         self._logged = logged
@@ -497,3 +565,34 @@ class ReplayPage:
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
+
+    def draw_over(self, path: Path, name: str) -> None:
+        """Draw another recording over this one, on this page; called from any thread."""
+        self._late.append(self._pages.read_over(path, name))
+
+
+class OpenedPage(ReplayPage):
+    """A page of a recording that was sent to it; its threads end with it."""
+
+    def close(self) -> None:
+        """End the thread that draws maps."""
+        self._pages.close()
+
+
+def opened(path: Path, name: str, page: Page, over: bool) -> Page:
+    """Return the page of a recording that was sent; with `over`, `page` with its curves.
+
+    Raises
+    ------
+    CommandError
+        If it is no recording of a loop, or `page` shows none that it could be drawn over.
+    """
+    try:
+        if not over:
+            return OpenedPage(ReplayPages(path, notice=f"{name}; reload to go back."))
+        if not isinstance(page, ReplayPage):
+            raise CommandError("view: open: only a recording is drawn over another one")
+        page.draw_over(path, Path(name).stem)
+    except RecordError as error:
+        raise CommandError(str(error).replace(str(path), name)) from error
+    return page

@@ -7,6 +7,7 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -24,7 +25,7 @@ from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import HISTORY, LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
-from nodes.view.server import PageServer
+from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 
 if TYPE_CHECKING:
@@ -79,6 +80,13 @@ class RunPage:
         self._pages.hand.move(id(self), None)
 
 
+def _opened(path: Path, name: str, page: Page, over: bool) -> Page:
+    from nodes.view.replay import opened
+
+    # Pages of a launch need it only for recordings that are sent to them.
+    return opened(path, name, page, over)
+
+
 class RunPages:
     """Everything behind the pages of one run.
 
@@ -104,7 +112,8 @@ class RunPages:
         self.hand = SharedHand(
             awaited_pointer(run.nodes[self._commander.driver], stopping)
         )
-        self.server = PageServer(self._open_page, token)  # serves the pages
+        # Serves the pages.
+        self.server = PageServer(self._open_page, token, opened=_opened)
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         self.live.sings = self._what_both_do
         # Called with topic and content of every message.
@@ -136,6 +145,7 @@ class RunPages:
             "restarts": again,
             "compares": self._comparison.there,
             "sings": self._sings(),
+            "opens": True,
             "delays": self._commander.delays,
             "shape": self._shape(stopping),
         }

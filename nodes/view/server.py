@@ -1,9 +1,8 @@
 """Serve the page and its stream on one local port: files, a WebSocket, token, same origin.
 
-The URL is ``http:
-
-127.0.0.1:PORT/TOKEN/``; everything the page loads is below it, so nothing can be reached without
-the token. A slow browser delays nobody: its next data is built only after it received the previous.
+The URL is ``http://127.0.0.1:PORT/TOKEN/``; everything the page loads is below it, so nothing can
+be reached without the token. A slow browser delays nobody: its next data is built only after it
+received the previous. A page may send a recording, which is then shown in place of what it showed.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ from websockets.http11 import Request, Response
 from nodes.view.address import ADDRESS, LOCAL
 from nodes.view.bundle import bundle
 from nodes.view.commands import CommandError
+from nodes.view.upload import Upload
 
 SEND_PERIOD = 1.0 / 50.0  # pause between two messages to a page [s]
 FAR = 1e6  # limit of a hand's target [m]
@@ -111,12 +111,19 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
 class PageServer:
     """Serves pages; `token` is the URL's token, empty for a new one."""
 
-    def __init__(self, open_page: Callable[[], Page], token: str = "") -> None:
+    def __init__(
+        self,
+        open_page: Callable[[], Page],
+        token: str = "",
+        opened: Callable[[Path, str, Page, bool], Page] | None = None,
+    ) -> None:
         self.token = token or secrets.token_urlsafe(12)  # token in the URL
         self.port = 0  # port once started
         self.pages = 0  # open pages
         self.turned_away = 0  # requests without the token, or from another origin
         self._open_page = open_page
+        # The page of a file that a page sent, by path and name; None if it accepts none.
+        self._opened = opened
         self._files = _files()
         self._server: Server | None = None
 
@@ -190,16 +197,18 @@ class PageServer:
 
     async def _page(self, connection: ServerConnection) -> None:
         self.pages += 1
-        page = self._open_page()
+        shown = Shown(self._open_page(), self._opened)
         waiting: set[asyncio.Task[None]] = set()
-        sender = asyncio.create_task(self._send(connection, page))
+        sender = asyncio.create_task(self._send(connection, shown))
         try:
             async for text in connection:
+                if isinstance(text, bytes) and shown.upload.add(text):
+                    continue
                 request = _decoded(text)
                 if request is None:
                     await connection.close(1003, "a request is a JSON object")
                 elif request.get("op") == "hand":
-                    refused = _moved(page, request.get("target"))
+                    refused = _moved(shown.page, request.get("target"))
                     if refused:
                         await _answer(connection, request, error=refused)
                 elif len(waiting) >= MAX_WAITING:
@@ -209,7 +218,7 @@ class PageServer:
                         error=f"view: {MAX_WAITING} requests are already waiting; try again",
                     )
                 else:
-                    task = asyncio.create_task(_do(connection, page, request))
+                    task = asyncio.create_task(_do(connection, shown, request))
                     waiting.add(task)
                     task.add_done_callback(waiting.discard)
         except ConnectionClosed:
@@ -218,18 +227,52 @@ class PageServer:
         finally:
             sender.cancel()
             self.pages -= 1
-            page.close()
             with contextlib.suppress(asyncio.CancelledError):
                 await sender
             if waiting:
                 await asyncio.wait(waiting)
+            shown.close()
 
-    async def _send(self, connection: ServerConnection, page: Page) -> None:
+    async def _send(self, connection: ServerConnection, shown: Shown) -> None:
         with contextlib.suppress(ConnectionClosed):
             while True:
-                for item in page.news():
+                for item in shown.page.news():
                     await connection.send(item)
                 await asyncio.sleep(SEND_PERIOD)
+
+
+class Shown:
+    """What a connection shows: a page, until a file that it sends replaces it."""
+
+    def __init__(
+        self, page: Page, opened: Callable[[Path, str, Page, bool], Page] | None
+    ) -> None:
+        self.page = page
+        self.upload = Upload()
+        self._opened = opened
+
+    async def ask(self, request: dict[str, Any]) -> Any:
+        """Execute a request of the page, or open the file that it sends."""
+        op = request.get("op")
+        if self._opened is None or op not in ("open", "opened"):
+            return await self.page.ask(request)
+        if op == "open":
+            self.upload.begin(request)
+            return {}
+        before, name, over = self.page, self.upload.name, self.upload.over
+        opened = self._opened
+        page = await asyncio.to_thread(
+            self.upload.open, lambda path: opened(path, name, before, over)
+        )
+        if page is not before:
+            self.page = page
+            before.close()
+        return {"name": name}
+
+    def close(self) -> None:
+        """Release the page's resources, and delete a file that is not complete."""
+        self.upload.close()
+        self.page.close()
 
 
 def _decoded(text: str | bytes) -> dict[str, Any] | None:
@@ -251,7 +294,7 @@ def _moved(page: Page, target: Any) -> str:
 
 
 async def _do(
-    connection: ServerConnection, page: Page, request: dict[str, Any]
+    connection: ServerConnection, page: Shown, request: dict[str, Any]
 ) -> None:
     try:
         result = await page.ask(request)

@@ -3,6 +3,7 @@
 (() => {
   const HISTORY = 30.0, AHEAD = 30.0, PERIOD = 20; // [s], [s], [ms]
   const NOW = 22; // numbers of a scene
+  const WHOLE = 4000; // bins that show all of it at once
   // Number of times up to a time.
   const until = (times, at) => {
     let low = 0, high = times.length;
@@ -55,7 +56,8 @@
       Object.assign(this, data, { series: data.hello.series.length, at: data.hello.begin_s, since: performance.now() });
       this.readyState = 1;
       this.onopen?.();
-      this.say(this.hello);
+      this.say({ ...this.hello, opens: false });
+      this.onmessage?.({ data: this.whole() });
       if (this.over) this.say(this.over);
       this.go(this.at);
       setInterval(() => this.news(), PERIOD);
@@ -79,7 +81,10 @@
 
     time() {
       const time = performance.now();
-      if (this.playing) this.at = Math.min(this.hello.end_s, this.at + ((time - this.since) / 1e3) * this.speed);
+      if (this.playing) {
+        this.at = Math.min(this.hello.end_s, this.at + ((time - this.since) / 1e3) * this.speed);
+        this.playing = this.at < this.hello.end_s;
+      }
       this.since = time;
       return this.at;
     }
@@ -107,6 +112,26 @@
       this.onmessage?.({ data: this.frame(scene - 1, this.cursor, end, at) });
       this.first = Math.max(this.first, until(this.binTimes, at - HISTORY));
       Object.assign(this, { cursor: end, isVoid: false, shown: at });
+    }
+
+    // All bins as at most WHOLE coarser ones, as Feed.overview of nodes/view/feed.py.
+    whole() {
+      const { binTimes, low, series: m } = this, high = this.high ?? low, bins = binTimes.length;
+      const together = Math.max(1, Math.ceil(bins / WHOLE)), n = Math.ceil(bins / together);
+      const buffer = new ArrayBuffer(16 + 8 * NOW + 8 * n + 8 * m * n), head = new DataView(buffer);
+      [2, n, m, 1].forEach((value, i) => head.setUint32(4 * i, value, true));
+      const times = new Float64Array(buffer, 16 + 8 * NOW, n), values = new Float32Array(buffer, 16 + 8 * NOW + 8 * n, 2 * m * n);
+      values.fill(NaN);
+      for (let k = 0; k < bins; k++) {
+        const to = Math.floor(k / together);
+        if (k % together === 0) times[to] = binTimes[k];
+        for (let i = 0; i < m; i++) {
+          const least = i * n + to, most = (m + i) * n + to, a = low[i * bins + k], b = high[i * bins + k];
+          if (!(a >= values[least]) && !Number.isNaN(a)) values[least] = a;
+          if (!(b <= values[most]) && !Number.isNaN(b)) values[most] = b;
+        }
+      }
+      return buffer;
     }
 
     frame(scene, first, end, at) {

@@ -23,7 +23,9 @@ export class Link {
     socket.onopen = () => { this.pause = 250; this.handlers.open(); };
     socket.onmessage = ({ data }) => {
       this.heard = performance.now();
-      if (typeof data === "string") this.text(JSON.parse(data)); else this.handlers.frame(decode(data));
+      if (typeof data === "string") this.text(JSON.parse(data));
+      // A frame of the second kind has the whole of a recording.
+      else this.handlers[new DataView(data).getUint32(0, true) === 2 ? "whole" : "frame"](decode(data));
     };
     socket.onclose = () => {
       for (const settle of this.waiting.values()) settle({ ok: false, error: "The connection was lost before the answer came." });
@@ -54,6 +56,13 @@ export class Link {
       this.waiting.set(id, settle);
       this.socket.send(JSON.stringify({ ...request, id }));
     });
+  }
+
+  // Send bytes, once less than `most` of those before are waiting.
+  async bytes(buffer, most) {
+    while (this.open && this.socket.bufferedAmount > most) await new Promise((settle) => setTimeout(settle, 10));
+    if (!this.open) throw new Error("The connection was lost.");
+    this.socket.send(buffer);
   }
 
   // Send the hand's target: only the newest counts, so without an answer, and not into a full

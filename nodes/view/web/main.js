@@ -2,12 +2,14 @@
 import { Beside } from "./beside.js";
 import { Delay } from "./delay.js";
 import { Dial } from "./dial.js";
+import { Drop } from "./drop.js";
 import { Lag } from "./lag.js";
 import { Laws } from "./laws.js";
 import { Link } from "./link.js";
 import { linkOf, readState } from "./link_state.js";
 import { Log } from "./log.js";
 import { StabilityMap } from "./map.js";
+import { Over } from "./over.js";
 import { StaticPage } from "./static_page.js";
 import { Plots } from "./plots.js";
 import { Replay } from "./replay.js";
@@ -22,6 +24,7 @@ import { Store } from "./store.js";
 import { Strip } from "./strip.js";
 import { onTheme, startTheme } from "./theme.js";
 import { Tour } from "./tour.js";
+import { Whole } from "./whole.js";
 
 const $ = (id) => document.getElementById(id);
 startTheme($("theme"));
@@ -44,7 +47,7 @@ function moved(target) {
 
 const scene = new Scene($("scene"), $("lens"), $("reading"), moved);
 const space = new Space($("space"), moved);
-const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); plots.start(store, letters, hello.hand || hello.has_hand); });
+const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); overview.look(letters[0]); plots.start(store, letters, hello.hand || hello.has_hand); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
@@ -66,6 +69,8 @@ let overlaid = null;
 let asked = false; // whether this page requested a recording
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
+const overview = new Whole($("whole"));
+overview.marks = plots.marks;
 
 // A law without a nominal stiffness is scaled as a whole: H(1) is the dial.
 function stiffnessField(law = laws.state.active) { return laws.state.laws[law]?.stiffness === undefined ? "hardness" : "stiffness"; }
@@ -99,7 +104,8 @@ const link = new Link({
     space.start(found);
     section.start(space.solids, found.axes);
     lookAt(space.shape ? "3-D" : found.axes[0]);
-    plots.replayed = strip.replayed = found.replay;
+    plots.replayed = strip.replayed = status.replay = found.replay;
+    showRun(found);
     laws.start(found.fields, found.replay);
     dial.start(found);
     delay.start(found);
@@ -125,7 +131,7 @@ const link = new Link({
     if (found.notice) status.tell(found.notice);
     document.body.dataset.ready = found.run;
   },
-  reset() { log.clear(); plots.marks.length = 0; },
+  reset() { log.clear(); plots.marks.length = 0; plots.dirty = true; },
   frame(frame) {
     if (!store) return;
     store.add(frame);
@@ -157,7 +163,18 @@ const link = new Link({
   },
   poses({ poses }) { space.pose(poses); },
   beside(found) { beside.show(found); },
-  over(found) { overlaid = found; plots.dirty = true; },
+  over(found) {
+    overlaid = overview.over = new Over(found);
+    plots.name();
+    plots.dirty = true;
+    overview.draw();
+  },
+  whole(frame) {
+    plots.whole = new Store(store.names, 1, frame.count);
+    plots.whole.add({ ...frame, void: 0 });
+    plots.dirty = true;
+    overview.start(plots.whole, replay.begin, replay.end);
+  },
   map(found) { charted = found; chart(); },
   edges(found) { edges = found; sing.edges?.(found); chart(); },
   log(entry) {
@@ -200,7 +217,25 @@ const sing = new Sing({ button: $("sing"), told: $("sung"), beyond: $("beyond") 
   })),
 });
 const page = new StaticPage({ banner: $("banner"), python: $("python"), restart: $("restart"), scenarios: $("scenarios"), title: $("scenario") }, ask);
+const drop = new Drop({ input: $("file"), button: $("open") }, link, (text) => status.tell(text));
 const replay = new Replay({ play: $("play"), seek: $("seek"), clock: $("clock"), speed: $("speed") }, ask);
+
+// What a recording has in place of a loop.
+function showRun(found) {
+  document.body.classList.toggle("replay", found.replay);
+  $("live").textContent = found.replay ? "Back to its time" : "Back to live";
+  overlaid = overview.over = null;
+  plots.whole = overview.store = null;
+  plots.run = found.replay ? [found.begin_s, found.end_s] : null;
+  const all = $("span").querySelector("[value=whole]");
+  all.hidden = !found.replay;
+  // All of a recording at first; a launch has no end yet.
+  if (found.replay !== (plots.span === Infinity)) $("span").value = found.replay ? "whole" : "10";
+  plots.span = spanOf($("span").value);
+  drop.start(found);
+}
+
+function spanOf(text) { return text === "whole" ? Infinity : Number(text); }
 
 // One axis or 3D, at the same moment.
 function lookAt(view) {
@@ -218,6 +253,7 @@ function lookAt(view) {
   // With three axes, plots show the two of the section; with one, that one.
   const letters = space.section ? [...section.plane] : [whole ? hello.axes[0] : view];
   strip.look(letters);
+  overview.look(letters[0]);
   plots.start(store, whole && !space.section ? hello.axes : letters, hello.hand || hello.has_hand);
 }
 
@@ -333,7 +369,7 @@ function offer(there) {
 // -- buttons and keys -----------------------------------------------------------------------------
 
 $("lab").addEventListener("toggle", () => { plots.resize(); });
-$("span").addEventListener("change", (event) => { plots.span = Number(event.target.value); plots.follow(); });
+$("span").addEventListener("change", (event) => { plots.span = spanOf(event.target.value); plots.follow(); });
 $("pause").addEventListener("click", () => plots.window ? plots.follow() : plots.pause());
 $("live").addEventListener("click", () => plots.follow());
 $("record").addEventListener("click", () => { asked = true; ask({ op: "record", on: $("record").getAttribute("aria-pressed") !== "true" }); });
@@ -348,7 +384,10 @@ $("stop").addEventListener("click", () => {
 });
 addEventListener("keydown", (event) => {
   if (event.target.matches("input, select, button, canvas, summary") || event.ctrlKey || event.metaKey || event.altKey) return;
-  const keys = {
+  const keys = hello?.replay ? {
+    " ": () => replay.set(!replay.playing), "+": () => plots.zoom(0.5), "-": () => plots.zoom(2),
+    ArrowLeft: () => replay.by(-1), ArrowRight: () => replay.by(1), Home: () => replay.go(replay.begin), End: () => replay.go(replay.end),
+  } : {
     " ": () => plots.window ? plots.follow() : plots.pause(), "+": () => plots.zoom(0.5), "-": () => plots.zoom(2),
     ArrowLeft: () => plots.shift(-0.25), ArrowRight: () => plots.shift(0.25), Home: () => plots.follow(),
   };
@@ -380,7 +419,7 @@ function draw(time) {
   }
   // At half the screen's rate, which is enough for plots.
   if (time - plotted >= HALF) {
-    strip.draw(past, beside, scene.now?.t);
+    strip.draw(past, overlaid ?? beside, scene.now?.t);
     if ($("lab").open) plots.draw();
     plotted = time;
   }

@@ -14,9 +14,9 @@ const PANELS = [
 
 export class Plots {
   // `picked` is called with a clicked time [s]; `over` returns other curves of the same time:
-  // times, and values by unit.
+  // times, and values by unit, or an Over. `whole` is a coarse store of all of a recording.
   constructor(place, legend, values, viewChanged, picked) {
-    Object.assign(this, { values, picked, over: null, at: null, fingers: new Map() });
+    Object.assign(this, { values, picked, over: null, whole: null, run: null, at: null, fingers: new Map() });
     this.place = place;
     this.legend = legend;
     this.viewChanged = viewChanged;
@@ -32,12 +32,22 @@ export class Plots {
 
   start(store, axes, hand) {
     this.store = store;
+    this.letters = axes;
     this.place.replaceChildren();
     this.panels.forEach(({ plot }) => plot.destroy());
     this.legend.replaceChildren();
     this.panels = PANELS.map((panel) => this.panel(panel, axes, hand));
     if (axes.length > 1) this.legend.append(axes.map((axis, k) => `${axis} ${["solid", "dashed", "dash-dotted"][k]}`).join(", "));
+    this.name();
     this.resize();
+  }
+
+  // The legend's entry of another recording.
+  name() {
+    this.named?.remove();
+    const over = this.over?.();
+    this.named = over?.name ? entry("beside", over.name) : null;
+    if (this.named) this.legend.append(this.named);
   }
 
   panel({ unit, height, lines }, axes, hand) {
@@ -94,6 +104,7 @@ export class Plots {
     if (this.window) return this.window;
     // Recording: the page of the time line that contains the present moment, so that any moment can
     // be clicked.
+    if (this.replayed && this.run && this.span === Infinity) return this.run;
     if (this.replayed && this.at !== null) {
       const { at, span } = this, begin = this.page ?? -Infinity;
       if (at < begin || at > begin + 0.95 * span || this.paged !== span) Object.assign(this, { page: Math.max(this.store.begin, at - 0.1 * span), paged: span });
@@ -172,10 +183,10 @@ export class Plots {
     if (!this.dirty && this.window && this.at === this.drawn) return;
     this.drawn = this.at;
     this.dirty = false;
-    const [from, to] = this.sight();
+    const [from, to] = this.sight(), store = this.storeOf(from, to);
     for (const { plot, wanted, factor } of this.panels) {
       const columns = Math.max(50, Math.round(plot.over.clientWidth));
-      const data = this.store.columns(wanted, from, to, columns);
+      const data = store.columns(wanted, from, to, columns);
       if (factor !== 1) for (const line of data.slice(1)) for (let k = 0; k < line.length; k++) if (line[k] !== null) line[k] *= factor;
       plot.batch(() => {
         plot.setData(data, false);
@@ -184,10 +195,20 @@ export class Plots {
     }
   }
 
+  // Half a minute around the moment in full; the whole of a recording is coarser.
+  storeOf(from, to) {
+    const { store, whole, run } = this;
+    if (!whole || !run) return store;
+    const slack = 0.01 * (to - from);
+    return store.begin <= Math.max(from, run[0]) + slack && store.end >= Math.min(to, run[1]) - slack ? store : whole;
+  }
+
   // Curves of another law or recording.
   drawOver(plot, unit) {
-    const found = this.over?.(), values = found?.[unit];
-    if (values && found.times.length) {
+    const found = this.over?.();
+    const curves = found?.curve ? this.letters.map((letter) => found.curve(unit, letter)) : [found?.[unit]];
+    for (const [k, values] of curves.entries()) {
+      if (!values || !found.times.length) continue;
       const { ctx, bbox } = plot, [from, to] = this.sight(), factor = UNIT[unit][1];
       ctx.save();
       ctx.beginPath();
@@ -195,11 +216,12 @@ export class Plots {
       ctx.clip();
       ctx.strokeStyle = colour("beside");
       ctx.lineWidth = 1.5 * devicePixelRatio;
+      ctx.setLineDash(k ? [[7, 4], [9, 3, 2, 3]][k - 1].map((part) => part * devicePixelRatio) : []);
       ctx.beginPath();
       let pen = false;
-      for (let k = 0; k < values.length; k++) {
-        if (found.times[k] < from || found.times[k] > to) continue;
-        ctx[pen ? "lineTo" : "moveTo"](plot.valToPos(found.times[k], "x", true), plot.valToPos(values[k] * factor, "y", true));
+      for (let n = 0; n < values.length; n++) {
+        if (found.times[n] < from || found.times[n] > to || values[n] === null) continue;
+        ctx[pen ? "lineTo" : "moveTo"](plot.valToPos(found.times[n], "x", true), plot.valToPos(values[n] * factor, "y", true));
         pen = true;
       }
       ctx.stroke();

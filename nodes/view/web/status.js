@@ -2,7 +2,7 @@
 import { count, fixed, unbroken } from "./format.js";
 
 export class Status {
-  constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; this.measures = true; }
+  constructor(places) { Object.assign(this, places); this.rows = new Map(); this.ended = false; this.lost = 0; this.measures = true; this.replay = false; }
 
   connected(open) {
     clearTimeout(this.lost);
@@ -12,7 +12,7 @@ export class Status {
 
   tell(text) {
     this.notice.textContent = unbroken(text);
-    this.notice.hidden = false;
+    this.notice.hidden = text === "";
   }
 
   show(found) {
@@ -21,7 +21,7 @@ export class Status {
     // Announce to screen readers only when the kind of sentence changes, not for each number.
     if (kind !== this.kind) Object.assign(this, { kind }).told.textContent = words;
     this.words.dataset.level = this.dot.dataset.level = found.level;
-    this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");
+    if (!this.replay) this.row("rate", found.rate_hz ? `${fixed(found.rate_hz, 1)} Hz` : "–");
     if (this.measures) {
       this.row("response p50", micro(found.response_us.p50));
       this.row("p99", micro(found.response_us.p99));

@@ -37,6 +37,7 @@ export class Strip {
     const x = (t) => left + ((t - from) / (to - from)) * (right - left);
     const y = (force) => bottom - ((force - this.low) / (this.high - this.low)) * (bottom - top);
     this.frame(g, y, left, right, window);
+    if (beside?.part) this.name(g, beside.name, right, (right - left) / 2);
     g.save();
     g.beginPath();
     g.rect(left, 0, right - left, height);
@@ -44,7 +45,10 @@ export class Strip {
     this.curve(g, times, asked, x, y, "asked", 1.2, [4, 3]);
     this.curve(g, times, force, x, y, "force", 1.8, []);
     if (second) this.curve(g, times, second, x, y, "force", 1.8, [2, 3]);
-    if (beside?.on) this.curve(g, beside.times, beside.force, x, y, "beside", 1.6, []);
+    if (beside?.part) {
+      const other = beside.part("force", this.letters[0], from, to);
+      if (other) this.curve(g, other.times, other.values, x, y, "beside", 1.6, []);
+    } else if (beside?.on) this.curve(g, beside.times, beside.force, x, y, "beside", 1.6, []);
     this.held(g, times, force, x, top);
     if (window) this.cursor(g, x(window.at), top, bottom);
     g.restore();
@@ -83,6 +87,17 @@ export class Strip {
       g.fillText(limit ? `limit ${fixed(at, 0)}` : fixed(at, Math.abs(at) < 10 && at ? 1 : 0), left - 5, y(at) + 4);
     }
     g.setLineDash([]);
+  }
+
+  // Which curve is the other recording's.
+  name(g, whole, right, room) {
+    let name = whole;
+    while (name.length > 4 && g.measureText(name).width > room) name = `${name.slice(0, -2)}…`;
+    g.fillStyle = colour("beside-ink");
+    g.textAlign = "right";
+    g.fillText(name, right, 12);
+    g.fillStyle = colour("beside");
+    g.fillRect(right - g.measureText(name).width - 24, 7, 18, 3);
   }
 
   curve(g, times, values, x, y, tint, width, dash) {

@@ -5,11 +5,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from sim.measure.haptic_commands import wait_for
 from sim.measure.measured_launch import Running
 from sim.results import fresh
+from sim.static_page.site import write_site
 
 # In the page: turn the dial to a fraction of its range.
 TURN = """part => { const dial = document.getElementById("dial");
@@ -92,9 +94,19 @@ def _lab(page: Any) -> None:
     page.locator("#lab").scroll_into_view_if_needed()
 
 
+def _sing(page: Any) -> None:
+    """Press "Make it sing" and wait until one law sings and the other one rests."""
+    page.locator("#sing").click()
+    said = "document.getElementById('sung').textContent"
+    both = f"{said}.includes('sings at') && {said}.includes('rests')"
+    wait_for(lambda: page.evaluate(both), "one sings and one rests")
+    # Until the strip of four seconds shows both.
+    page.wait_for_timeout(1500.0)
+    wait_for(lambda: page.evaluate(both), "one sings and one rests")
+
+
 # By file name: actions before the picture, and window size.
 PICTURES: dict[str, tuple[Callable[[Any], None], dict[str, Any]]] = {
-    "page": (_touch, {}),
     "page_beside": (_beside, {}),
     "page_lab": (_lab, {"height": 1400}),
     "page_phone": (_touch, {"width": 390, "height": 844, "device_scale_factor": 2.0}),
@@ -114,6 +126,11 @@ def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:
         page.mouse.up()
         step(name)
 
+    with TemporaryDirectory() as site:
+        write_site(Path(site))
+        with _page(browser, f"file://{site}/index.html", height=900) as page:
+            _sing(page)
+            shot(page, "page")
     with Running("touch_wall", "--view", "--without", "logger") as launch:
         url = _url(launch)
         for name, (act, window) in PICTURES.items():

@@ -118,3 +118,27 @@ def test_a_loop_that_explodes_is_still_a_picture() -> None:
     assert np.isfinite(high["position.x"]).all()
     assert np.isfinite(low["position.x"]).all()
     assert all(map(math.isfinite, feed.now()[1:4]))
+
+
+@given(
+    st.lists(st.floats(-1.0, 1.0, width=32), min_size=1, max_size=300),
+    st.integers(1, 400),
+)
+def test_all_of_a_recording_in_few_bins_loses_no_spike(
+    heights: list[float], most: int
+) -> None:
+    feed = Feed(["x"], 0.002)
+    fill(feed, heights)
+    feed.file(all_of_them=True)
+    frame = feed.overview(most)
+    kind, bins, series, *_ = HEAD.unpack_from(frame)
+    times = np.frombuffer(frame, "<f8", bins, HEAD.size)
+    values = np.frombuffer(frame, "<f4", 2 * series * bins, HEAD.size + 8 * bins)
+    low, high = values.reshape(2, series, bins)[:, feed.names.index("position.x")]
+    together = -(-len(heights) // most)
+    groups = [heights[k : k + together] for k in range(0, len(heights), together)]
+    assert (kind, bins) == (2, len(groups))
+    assert bins <= most
+    assert times.tolist() == [k * together * 0.002 for k in range(bins)]
+    assert low.tolist() == [min(group) for group in groups]
+    assert high.tolist() == [max(group) for group in groups]

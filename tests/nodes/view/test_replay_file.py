@@ -13,17 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from messages.types import DeviceState
+from messages.types import DeviceState, Force, Proxy
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError, RecordWriter
+from nodes.view.feed import HEAD
+from nodes.view.replay import ReplayPages
 from nodes.view.replay_file import export_html
-from tests.support.browser import chromium, needs_browser
+from tests.support.browser import needs_browser
 from tests.support.in_node import node
 from tests.support.launching import typed_in, wait_for
 from tests.support.recorded import PERIOD, PUBLISHES, drop
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser
 
 TICKS = 2500
 
@@ -77,15 +79,33 @@ def test_it_holds_every_tick_of_the_recording(page: Path, recording: Path) -> No
     assert len(head["log"]["items"]) == 1  # the receipt of the switch
 
 
+def test_every_scene_is_of_one_tick(recording: Path) -> None:
+    """Position, proxy, forces and time; also the first and the last."""
+    pages = ReplayPages(recording)
+    pages.close()
+    told: dict[type, dict[int, Any]] = {DeviceState: {}, Proxy: {}, Force: {}}
+    for _, message in drop(TICKS, switch=1200):
+        if type(message) in told:
+            told[type(message)][message.seq] = message
+    scenes = [now for now, _ in pages.scenes.items]
+    assert [now[0] for now in scenes] == [k * PERIOD for k in range(TICKS)]
+    for k, now in enumerate(scenes):
+        assert now[1:4] == told[DeviceState][k].position
+        assert now[4:7] == told[Proxy][k].proxy
+        assert now[10:13] == told[Force][k].force
+        assert now[13:16] == told[DeviceState][k].force
+
+
 _OPEN = """
 const fs = require("fs"), text = fs.readFileSync(process.argv[2], "utf8");
 const textContent = /id="recorded">([^<]+)</.exec(text)[1];
 globalThis.document = { getElementById: () => ({ textContent }) };
 const ours = (part) => part.includes("A recording inside the page");
 (0, eval)(text.split("<script>").find(ours).split("</script>")[0]);
-const texts = [], frames = [], socket = new WebSocket("live");
+const texts = [], frames = [], wholes = [], socket = new WebSocket("live");
 socket.onmessage = ({ data }) => {
-  if (typeof data === "string") texts.push(JSON.parse(data)); else frames.push(data);
+  if (typeof data === "string") texts.push(JSON.parse(data));
+  else (new DataView(data).getUint32(0, true) === 2 ? wholes : frames).push(data);
 };
 socket.onopen = () => {
   const ask = (request) => socket.send(JSON.stringify({ ...request, id: 1 }));
@@ -94,8 +114,9 @@ socket.onopen = () => {
   setTimeout(() => {
     ask({ op: "law", field: "stiffness", value: 3 });
     const frame = frames.at(-1), now = new Float64Array(frame, 16, 22);
-    console.log(JSON.stringify({
+    fs.writeFileSync(process.argv[3], JSON.stringify({
       types: [...new Set(texts.map(({ type }) => type))], at: now[0], z: now[3],
+      whole: Buffer.from(wholes[0]).toString("base64"),
       answers: texts.filter(({ type }) => type === "answer"),
       bins: frames.reduce((sum, each) => sum + new DataView(each).getUint32(4, true), 0),
     }));
@@ -108,23 +129,26 @@ socket.onopen = () => {
 @pytest.mark.process
 @pytest.mark.smoke
 def test_its_script_gives_the_page_the_scene_of_any_time(
-    page: Path, tmp_path: Path
+    page: Path, recording: Path, tmp_path: Path
 ) -> None:
-    script = tmp_path / "open.js"
+    script, out = tmp_path / "open.js", tmp_path / "found.json"
     script.write_text(_OPEN)
     done = subprocess.run(
-        [node(), str(script), str(page)], capture_output=True, text=True, check=True
+        [node(), str(script), str(page), str(out)], capture_output=True, text=True
     )
-    found = json.loads(done.stdout)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(out.read_text())
     states = [
         each for _, each in drop(TICKS, switch=1200) if isinstance(each, DeviceState)
     ]
     assert {"hello", "reset", "log", "status", "answer"} <= set(found["types"])
     assert found["at"] == 3.2
-    # A scene is stored every 60th of a second.
-    near = [state.position[2] for state in states[1590:1601]]
-    assert found["z"] in near
+    assert found["z"] == states[1600].position[2]
     assert found["bins"] == TICKS
+    # All of it at once, as the server sends it.
+    pages = ReplayPages(recording)
+    pages.close()
+    assert base64.b64decode(found["whole"])[HEAD.size :] == pages.whole[HEAD.size :]
     *fine, refused = found["answers"]
     assert [answer["ok"] for answer in fine] == [True, True]
     assert refused["error"].startswith("law is refused: a recording can only play")
@@ -144,32 +168,32 @@ def test_a_file_that_exists_is_not_replaced_unasked(
 @pytest.mark.slow
 @pytest.mark.process
 @needs_browser
-def test_it_opens_in_a_browser_without_us_at_the_time_of_its_link(page: Path) -> None:
+def test_it_opens_in_a_browser_without_us_at_the_time_of_its_link(
+    browser: Browser, page: Path
+) -> None:
     wrong: list[str] = []
-    with chromium() as browser:
-        opened: Page = browser.new_page()
-        opened.on("pageerror", lambda error: wrong.append(str(error)))
-        opened.goto(f"file://{page}#t=2.5")
-        opened.wait_for_function("haptic.scene.now?.t === 2.5")
-        assert opened.locator("#play").text_content() == "Play"
-        assert not opened.locator("#dial").is_visible()
-        # Nothing empty stands above the scene, and nothing asks for what a recording cannot do.
-        above = "document.querySelector('.felt').getBoundingClientRect().top"
-        assert (
-            opened.evaluate(f"{above} - document.querySelector('.first').offsetTop")
-            < 1.0
-        )
-        opened.locator("#lab > summary").click()
-        assert not opened.locator("#ramp").is_visible()
-        opened.locator("#lab > summary").click()
-        seek: Any = opened.locator("#seek")
-        seek.evaluate(
-            "s => { s.value = 1.5; s.dispatchEvent(new Event('input'));"
-            " s.dispatchEvent(new Event('change')); }"
-        )
-        opened.wait_for_function("haptic.scene.now.t === 1.5")
-        opened.locator("#share").click()
-        assert opened.url.endswith("#t=1.500")
-        opened.locator("#play").click()
-        wait_for(lambda: opened.evaluate("haptic.scene.now.t") > 1.6, "it plays")
+    opened = browser.new_page()
+    opened.on("pageerror", lambda error: wrong.append(str(error)))
+    opened.goto(f"file://{page}#t=2.5")
+    opened.wait_for_function("haptic.scene.now?.t === 2.5")
+    assert opened.locator("#play").text_content() == "Play"
+    assert not opened.locator("#dial").is_visible()
+    # Nothing empty stands above the scene, and nothing asks for what a recording cannot do.
+    above = "document.querySelector('.felt').getBoundingClientRect().top"
+    assert (
+        opened.evaluate(f"{above} - document.querySelector('.first').offsetTop") < 1.0
+    )
+    opened.locator("#lab > summary").click()
+    assert not opened.locator("#ramp").is_visible()
+    opened.locator("#lab > summary").click()
+    seek: Any = opened.locator("#seek")
+    seek.evaluate(
+        "s => { s.value = 1.5; s.dispatchEvent(new Event('input'));"
+        " s.dispatchEvent(new Event('change')); }"
+    )
+    opened.wait_for_function("haptic.scene.now.t === 1.5")
+    opened.locator("#share").click()
+    assert opened.url.endswith("#t=1.500")
+    opened.locator("#play").click()
+    wait_for(lambda: opened.evaluate("haptic.scene.now.t") > 1.6, "it plays")
     assert wrong == []

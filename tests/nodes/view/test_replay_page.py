@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import signal
 from pathlib import Path
@@ -25,6 +26,15 @@ PULL = """t => { const slider = document.getElementById("seek");
   slider.value = t;
   for (const kind of ["input", "change"]) slider.dispatchEvent(new Event(kind)); }"""
 """Seek the recording's slider to a time, in the page [s]."""
+
+DROP = """([name, text]) => {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const data = new DataTransfer();
+  data.items.add(new File([bytes], name));
+  document.body.dispatchEvent(
+    new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+}"""
+"""Drop a file of this name and content (base64) on the page."""
 
 PAUSE = """() => { const play = document.getElementById("play");
   if (play.getAttribute("aria-pressed") === "true") play.click(); }"""
@@ -61,12 +71,12 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(
         )
         paths.append(tmp_path / law / figures["recording"])
     # Its logger was killed: what it had written is shown all the same, and that it is cut is said.
-    paths[0].write_bytes((whole := paths[0].read_bytes())[: int(0.9 * len(whole))])
+    paths[0].write_bytes((whole := paths[0].read_bytes())[: int(0.7 * len(whole))])
     states = {state.seq: state for state in Recording(paths[0]).messages(DEVICE_STATE)}
     words = ("--replay", str(paths[0]), "--over", str(paths[1]))
     with viewing(tmp_path, *words) as url, OpenPage(browser, url + "#lab") as page:
         assert re.fullmatch(
-            r"The recording is cut: it ends at 2\.\d s\.", shown(page, "#notice")
+            r"The recording is cut: it ends at [12]\.\d s\.", shown(page, "#notice")
         )
         _stop(page, 0.05)
         page.locator("#play").click()
@@ -115,12 +125,23 @@ def test_it_is_pulled_through_with_its_plots_over_another_one(
         # Two over each other: the other one's own numbers.
         other = Recording(paths[1]).messages(DEVICE_STATE)
         over = page.evaluate(
-            "(({ times, position }) => [times, position])(haptic.plots.over())"
+            "(({ times, position }) => [times, position.z])(haptic.plots.over())"
         )
         assert len(over[0]) == len(other)
         assert over[1] == pytest.approx(
             [state.position[2] for state in other], abs=1e-8
         )
+        # Dropped on the page: another one, and what is none.
+        content = base64.b64encode(paths[1].read_bytes()).decode()
+        page.evaluate(DROP, ["b.mcap", content])
+        run = Recording(paths[1]).manifest["run"]
+        ready = "document.body.dataset.ready"
+        wait_for(lambda: page.evaluate(ready) == run, "it is opened")
+        wait_for(lambda: shown(page, "#notice") == "b.mcap; reload to go back.", "said")
+        wait_for(lambda: _at(page) > 0.1, "it plays")
+        page.evaluate(DROP, ["c.mcap", base64.b64encode(b"no recording").decode()])
+        wait_for(lambda: "c.mcap" in shown(page, "#notice"), "it is refused")
+        assert page.evaluate(ready) == run
 
 
 def test_the_map_is_the_one_of_the_delay_of_its_moment(

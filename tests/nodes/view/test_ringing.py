@@ -17,7 +17,7 @@ from nodes.view.ringing import SLOWEST, Ring, Ringing, ring_of
 from nodes.view.stability_map import plant_of
 from sim.play.given import Given
 from sim.play.player import play
-from tests.nodes.view.test_words import FORCE, PROXY, STATE
+from tests.support.touching import FORCE, PROXY, STATE
 
 T = 0.002
 

@@ -145,11 +145,9 @@ def test_a_recording_is_replayed_with_a_time_slider(tmp_path: Path) -> None:
             assert texts(page, "laws")["active"] == law
         assert ask(op="pause")["ok"]
         assert ask(op="speed", factor=4.0)["ok"]
-        assert (
-            "a recording can only play"
-            in ask(op="law", field="stiffness", value=1.0)["error"]
-        )
-        assert "a recording can only play" in ask(op="stop")["error"]
+        refused = "a recording can only play, pause, seek"
+        assert refused in ask(op="law", field="stiffness", value=1.0)["error"]
+        assert refused in ask(op="stop")["error"]
         ask(op="seek", t=6.0)
         frame = wait_for(
             lambda: (

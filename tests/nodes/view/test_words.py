@@ -7,22 +7,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from messages.types import DeviceState, Event, Force, Proxy
+from messages.types import Event
 from nodes.driver.force_words import cause_of, explain
+from tests.support.touching import FORCE, PROXY, STATE
 
-STATE = DeviceState(
-    seq=9, stamp=0.0, position=(0.021, 0.0, 0.0), force=(-1.0, 0.0, 0.0), force_seq=8
-)
-PROXY = Proxy(
-    seq=9,
-    stamp=0.0,
-    position=(0.021, 0.0, 0.0),
-    proxy=(0.02, 0.0, 0.0),
-    normal=(-1.0, 0.0, 0.0),
-    distance=-0.001,
-    contact=True,
-)
-FORCE = Force(seq=8, stamp=0.0, force=(-1.0, 0.0, 0.0), law="pd")
 NONE = (0.0, 0.0, 0.0)
 
 
