@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colors, image
+from matplotlib.patches import Rectangle
 
 from messages import topics
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
@@ -265,7 +266,8 @@ def test_a_figure_shows_positions_in_millimetres_and_states_where_they_were(
         (patch.get_x(), patch.get_x() + patch.get_width())
         for panel in figure.axes
         for patch in panel.patches
-        if str(patch.get_label()).startswith("safety: ")
+        if isinstance(patch, Rectangle)
+        and str(patch.get_label()).startswith("safety: ")
     ]
     # From the first such state to the first other one, to a bin of the figure's width.
     assert np.array(shown) == pytest.approx(

@@ -286,7 +286,7 @@ def test_three_ways_to_the_same_poles(
 def test_the_polynomial_has_a_root_for_each_number_that_the_loop_remembers(
     delay: float, taps: tuple[float, ...]
 ) -> None:
-    """Position, velocity, samples behind the newest, forces under way: no root at 0 beside them."""
+    """Position, velocity, older samples and forces under way; no root at 0 beside them."""
     polynomial = closed_loop(CompiledLaw(taps), Plant(T, 0.1, 1.0, delay))
     assert len(polynomial) - 1 == 2 + len(taps) - 1 + math.ceil(delay)
     assert polynomial[0] == 1.0
