@@ -18,6 +18,7 @@ from tests.support.mutations.mutation import (
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
 from tests.support.mutations.score import Tried, as_lines, as_record, counts, wilson
+from tests.support.mutations.unnoticed import EQUIVALENT, Equivalent
 
 NAMED = (*SAFETY_RULES, *NAMED_RULES)
 
@@ -65,6 +66,37 @@ def test_comparisons_signs_numbers_conditions_and_statements_are_changed(
         ("*", "/"),
         ("2.0", "4.0"),
     }
+
+
+def test_what_changes_no_behaviour_is_left_out(tmp_path: Path) -> None:
+    file = tmp_path / "looks.py"
+    file.write_text(
+        "LINES: tuple = ((0, (6, 1.5)),)\n"
+        "STYLE = {'axes.labelsize': 9.0, 'alpha': 0.5, 'limit': 7}\n"
+        "class WallParameters:\n    stiffness: float = 1000.0\n    pairs = 3\n"
+        "class State:\n    ticks: int = 4\n"
+        "    def __repr__(self): return 5 * 'a'\n"
+        "def draw(axes): axes.plot(6, lw=2.0, alpha=0.3, marker=8)\n",
+        encoding="utf-8",
+    )
+    found = [one.old for one in all_of(file, tmp_path)]
+    assert found == ["7", "3", "4", "6", "8"]
+
+
+@pytest.mark.parametrize("row", EQUIVALENT, ids=lambda row: f"{row.file}: {row.line}")
+def test_an_equal_program_is_a_change_of_a_line_that_stands_there(
+    row: Equivalent,
+) -> None:
+    text = (ROOT / row.file).read_text(encoding="utf-8")
+    lines = [line.strip() for line in text.splitlines()]
+    assert row.line in lines
+    assert row.old in row.line
+    assert row.why
+    assert not any(
+        (one.old, one.new) == (row.old, row.new)
+        and lines[text.count("\n", 0, one.place)] == row.line
+        for one in all_of(ROOT / row.file)
+    )
 
 
 def test_files_are_tried_before_the_rest_of_their_folders() -> None:

