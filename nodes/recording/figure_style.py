@@ -294,7 +294,8 @@ def threshold(
 ) -> None:
     """Draw a named threshold line; a vertical line's name stands after it unless `before`.
 
-    A horizontal line's name stands where the fewest curves pass that were drawn before.
+    A horizontal line's name stands where the fewest curves pass, and no other name stands, that
+    were drawn before.
     """
     look: Any = {"color": INK, "lw": 0.9, "ls": (0, (1, 1.5))}
     text: Any = {
@@ -319,7 +320,9 @@ def threshold(
         )
         return
     curves, inside = _pixels(axes), axes.get_window_extent()
+    names = [each.get_window_extent() for each in axes.texts if each.get_text()]
     axes.axhline(value, **look)
+    axes.autoscale_view()  # now: the line may move what is compared
 
     def write(side: str, over: bool) -> Annotation:
         return axes.annotate(
@@ -336,7 +339,8 @@ def threshold(
         box = note.get_window_extent()
         if box.y0 < inside.y0 or box.y1 > inside.y1:
             return float(len(curves) + 1)
-        return float(sum(box.contains(x, y) for x, y in curves))
+        taken = len(curves) if box.count_overlaps(names) else 0
+        return float(taken + sum(box.contains(x, y) for x, y in curves))
 
     keep_best((write(*side) for side in _SIDES), cost)
 

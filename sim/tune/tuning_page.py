@@ -291,10 +291,10 @@ def _knocks(record: TuneRecord) -> Figure | None:
     edge = record.predicted.edge_linear_h1_n_per_m
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, 0.8 * h1), 1.25 * max(high, edge))
-    threshold(axes, LEFT, f"{LEFT:g}: above, not at rest")
     # An edge is never below the law, so the labels do not overlap.
     threshold(axes, h1, "the law", vertical=True, before=True)
     threshold(axes, edge, "pole on the unit circle", vertical=True)
+    threshold(axes, LEFT, f"{LEFT:g}: above, not at rest")
     if any(steps for _, steps in runs):
         axes.legend(loc="best")
     return figure
