@@ -16,8 +16,9 @@ import numpy as np
 
 from nodes.compiled.kernels.sources import kernel
 from sim.arrays import Array
-from sim.design.demand import CONVENTIONS, Demand, LoopCase, alternating
+from sim.design.demand import CONVENTIONS, LoopCase
 from sim.design.fall import Falls, falls, settles_one
+from sim.design.linear_family import LinearFamily
 from sim.measure.cancelling import check
 from sim.play.compiled import compiled
 
@@ -216,66 +217,30 @@ evolve: Any = compiled()(_evolve)
 
 
 def evolved(
-    demand: Demand,
-    basis: Array,
-    loops: Sequence[LoopCase],
-    free: bool,
-    seed: int,
-    effort: int,
-    span: float,
-    radius: float,
+    family: LinearFamily, loops: Sequence[LoopCase], span: float, radius: float
 ) -> Array | None:
     """Evolve in a wide box, then in boxes that shrink around the best member.
 
     The wide box uses the first cases; with more than three parameters, the smaller boxes use more
     cases, the last one all of them. Return None if nothing feasible is found.
     """
-    unit = demand.mass[0] / demand.period**2
-    p = len(basis)
-    gain = basis.sum(axis=1) / unit
-    noise = basis @ alternating(basis.shape[1]) / unit
+    demand, p = family.demand, len(family.basis)
     here = np.zeros(p)
     # Empty arrays in place of None, whose different type would cost a second compilation (6 s).
-    no_drops = Falls(
-        *(
-            column[:0]
-            for column in falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,))
-        )
-    )
+    columns = falls(demand, demand.mass[:1], CONVENTIONS[:1], (0.0,))
+    no_drops = Falls(*(column[:0] for column in columns))
+    nothing_lands = (-math.inf, no_drops, 0.0, 0, 0.0)
     # With two or three parameters the linear programs find the rest.
     for i, width in enumerate((span, *_BOXES) if p > 3 else (span,)):
         check()
         # The last box enforces the bound in all cases.
         loop = loops[(0, 1, 1, 1, 1, 2)[i]]
-        box = np.array(
-            [here - width if free else np.maximum(here - width, 0.0), here + width]
-        )
-        members, generations = (
-            (30 * p, (20 + 20 * p) * effort)
-            if i
-            else (60 * p, (100 + 100 * p) * effort)
-        )
-        given = (
-            loop.fixed,
-            loop.by_tap,
-            basis,
-            gain,
-            noise,
-            demand.nyquist / unit,
-            radius,
-        )
+        box = family.box(here, width)
+        members = 30 * p if i else 60 * p
+        generations = (20 + 20 * p if i else 100 + 100 * p) * family.effort
+        given = family.evolving(loop, radius)
         here, score = evolve(
-            *given,
-            box,
-            here,
-            members,
-            generations,
-            seed,
-            -math.inf,
-            no_drops,
-            0.0,
-            0,
-            0.0,
+            *given, box, here, members, generations, family.seed, *nothing_lands
         )
         if not score < 0.0:
             return None

@@ -20,18 +20,10 @@ from nodes.stability.flexible import FlexiblePlant
 from nodes.stability.landing_proof import CONVENTION, prove_landing
 from nodes.stability.plant import Plant
 from sim.arrays import Array
-from sim.design.demand import (
-    CONVENTIONS,
-    Demand,
-    LoopCase,
-    alternating,
-    cases_of,
-    corners,
-    filtered,
-    keeps,
-)
+from sim.design.demand import CONVENTIONS, Demand, cases_of, corners, filtered
 from sim.design.evolution import evolve
 from sim.design.fall import Falls, falls, settled
+from sim.design.linear_family import LinearFamily
 from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
 from sim.experiments.settling import Criterion, settles
@@ -199,75 +191,42 @@ def _settled(laws: list[CompiledLaw], scenes: list[Scene]) -> Array:
     return share
 
 
-def landed(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    starts: list[Array],
-    free: bool,
-    seed: int,
-    effort: int,
-) -> Array | None:
+def landed(family: LinearFamily, starts: list[Array]) -> Array | None:
     """Search a family for the stiffest law that meets a demand and settles, or None.
 
     Each search starts at one of `starts` or, last, without a start.
     """
+    demand, pole = family.demand, family.fine.pole
     drops = falls(demand, _margin(demand), demand.lands, HEIGHTS)
     best, most = None, 0.0
     for start in [*starts, None]:
-        found = _shrunk(demand, basis, fine, drops, start, free, seed, effort)
-        for one in [start, found]:
-            if (
-                one is None
-                or one.sum() == 0.0
-                or (stiffness := float(one @ basis.sum(axis=1))) <= most
-            ):
+        for one in [start, _shrunk(family, drops, start)]:
+            if one is None or one.sum() == 0.0 or family.stiffness(one) <= most:
                 continue
-            taps = one @ basis
-            if keeps(demand, taps, fine) and all(
-                settled(filtered(taps, fine.pole), drops)
-            ):
-                best, most = one, stiffness
+            laws = filtered(one @ family.basis, pole)
+            if family.keeps(one) and all(settled(laws, drops)):
+                best, most = one, family.stiffness(one)
     return best
 
 
-def _shrunk(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    drops: Falls,
-    start: Array | None,
-    free: bool,
-    seed: int,
-    effort: int,
-) -> Array | None:
+def _shrunk(family: LinearFamily, drops: Falls, start: Array | None) -> Array | None:
     """Search in boxes that shrink around the best law; without a start the first is wide."""
-    parameters = len(basis)
-    unit = demand.mass[0] / demand.period**2
+    demand, pole = family.demand, family.fine.pole
+    parameters = len(family.basis)
     criterion = Criterion()
     # With a filter, taps give 1/(1 − pole) times the stiffness.
-    least = demand.above * (1.0 - fine.pole) / unit
-    loop = LoopCase(demand, cases_of(demand, 15, 3), basis.shape[1], fine.pole)
-    gain = basis.sum(axis=1) / unit
-    noise = basis @ alternating(basis.shape[1]) / unit
-    given = (
-        loop.fixed,
-        loop.by_tap,
-        basis,
-        gain,
-        noise,
-        demand.nyquist / unit,
-        demand.radius - 1e-7,
-    )
+    least = demand.above * (1.0 - pole) / (demand.mass[0] / demand.period**2)
+    loop = family.loop(cases_of(demand, 15, 3))
+    given = family.evolving(loop, demand.radius - 1e-7)
+    lands = (least, drops, pole, criterion.ticks, criterion.tolerance)
     here = start
     score = 0.0
     size = 12 * parameters
-    generations = (10 + 15 * parameters) * effort
+    generations = (10 + 15 * parameters) * family.effort
     for span in _BOXES if start is None else _BOXES[1:]:
         middle = np.zeros(parameters) if here is None else here
-        box = np.array(
-            [np.maximum(middle - span, -np.inf if free else 0.0), middle + span]
+        box = family.box(middle, span)
+        here, score = evolve(
+            *given, box, middle, size, generations, family.seed, *lands
         )
-        lands = (least, drops, fine.pole, criterion.ticks, criterion.tolerance)
-        here, score = evolve(*given, box, middle, size, generations, seed, *lands)
     return here if score < 0.0 else None

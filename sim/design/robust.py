@@ -20,12 +20,11 @@ from sim.design.demand import (
     alternating,
     cases_of,
     filtered,
-    keeps,
-    quiet,
     verified_cases,
 )
 from sim.design.evolution import evolved
 from sim.design.landing import landed
+from sim.design.linear_family import LinearFamily
 from sim.measure.cancelling import check
 
 _MASSES = 5
@@ -62,8 +61,8 @@ def stiffest(
     everywhere = verified_cases(demand)
     fine = LoopCase(demand, everywhere, basis.shape[1], pole)
     starts = [np.asarray(start, dtype=np.float64) / scale for start in known]
-    search = landed if demand.lands else _climbed
-    best = search(asked, basis, fine, starts, free, seed, effort)
+    family = LinearFamily(asked, basis, fine, free, seed, effort)
+    best = (landed if demand.lands else _climbed)(family, starts)
     if best is None:
         return None
     taps = best @ basis
@@ -76,114 +75,61 @@ def stiffest(
     )
 
 
-def _climbed(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    starts: list[Array],
-    free: bool,
-    seed: int,
-    effort: int,
-) -> Array | None:
+def _climbed(family: LinearFamily, starts: list[Array]) -> Array | None:
     """Climb from all starts by linear programs."""
-    cases = cases_of(demand, _MASSES, 3)
     # Slightly inside, so that rounding of the printed taps cannot cross the bound.
-    target = demand.radius - 1e-9
-    tried = [*starts, *_global(demand, basis, fine, free, seed, effort, target)]
-    best = max(
-        (start for start in tried if keeps(demand, start @ basis, fine)),
-        key=lambda start: float(start @ basis.sum(axis=1)),
-        default=None,
-    )
+    target = family.demand.radius - 1e-9
+    tried = [*starts, *_global(family, target)]
+    best = max(filter(family.keeps, tried), key=family.stiffness, default=None)
     for start in tried:
-        found = _settle(demand, basis, fine, cases, start, target, free)
+        found = _settle(family, start, target)
         if found is not None and (
-            best is None or found @ basis.sum(axis=1) > best @ basis.sum(axis=1)
+            best is None or family.stiffness(found) > family.stiffness(best)
         ):
             best = found
     return best
 
 
-def _settle(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    cases: Array,
-    start: Array,
-    target: float,
-    free: bool,
-) -> Array | None:
+def _settle(family: LinearFamily, start: Array, target: float) -> Array | None:
     """Climb, verify everywhere, add the worst case and return inside, until none is worse."""
     here = start
-    everywhere = verified_cases(demand)
+    cases = cases_of(family.demand, _MASSES, 3)
+    everywhere = verified_cases(family.demand)
     for _ in range(12):
-        here = _climb(
-            demand,
-            basis,
-            LoopCase(demand, cases, fine.taps, fine.pole),
-            here,
-            target,
-            free,
-        )
-        radii = fine.radii(here @ basis)
+        here = _climb(family, family.loop(cases), here, target)
+        radii = family.fine.radii(here @ family.basis)
         worst = int(np.argmax(radii))
-        if radii[worst] <= demand.radius:
-            return here if quiet(demand, here @ basis) else None
+        if radii[worst] <= family.demand.radius:
+            return here if family.is_quiet(here) else None
         cases = np.vstack([cases, everywhere[worst]])
-        here = _retreat(
-            demand,
-            basis,
-            LoopCase(demand, cases, fine.taps, fine.pole),
-            here,
-            target,
-            free,
-        )
+        here = _retreat(family, family.loop(cases), here, target)
     return None
 
 
-def _global(
-    demand: Demand,
-    basis: Array,
-    fine: LoopCase,
-    free: bool,
-    seed: int,
-    effort: int,
-    target: float,
-) -> list[Array]:
+def _global(family: LinearFamily, target: float) -> list[Array]:
     """Return feasible starts, stiffest first, each from its own seed."""
-    p = len(basis)
+    p, fine = len(family.basis), family.fine
     few, many = (
-        LoopCase(demand, cases_of(demand, masses, 3), fine.taps, fine.pole)
-        for masses in (15, 101)
+        family.loop(cases_of(family.demand, masses, 3)) for masses in (15, 101)
     )
     # Ranges of delay and hand give thousands of cases; the climb then brings the start inside all
     # of them.
     loops = (few, many, fine) if len(fine.fixed) <= 1000 else (few, few, many)
     spans = _SPANS if p <= 4 else _SPANS[1:] * 2
     tried = [
-        evolved(demand, basis, loops, free, seed + i, effort, span, target)
+        evolved(replace(family, seed=family.seed + i), loops, span, target)
         for i, span in enumerate(spans)
     ]
-    return sorted(
-        (one for one in tried if one is not None),
-        key=lambda one: -float(one @ basis.sum(axis=1)),
-    )
+    found = [one for one in tried if one is not None]
+    return sorted(found, key=family.stiffness, reverse=True)
 
 
-def _climb(
-    demand: Demand,
-    basis: Array,
-    loop: LoopCase,
-    start: Array,
-    target: float,
-    free: bool,
-) -> Array:
+def _climb(family: LinearFamily, loop: LoopCase, start: Array, target: float) -> Array:
     """Raise H(1) by linear programs over the linearised poles without leaving the bound."""
     from scipy.optimize import linprog
 
-    signs = alternating(basis.shape[1])
-    gain = basis.sum(axis=1)
-    noise = basis @ signs
+    basis, gain, noise = family.basis, family.gain, family.noise
+    bound = family.demand.nyquist
     here = start
     trust = 0.05
     for _ in range(300):
@@ -196,14 +142,13 @@ def _climb(
         along = (np.conj(poles)[..., None] * slopes).real / np.maximum(size, 1e-12)[
             ..., None
         ]
-        rows = along[near] @ basis.T
-        limits = target - size[near]
-        rows = np.vstack([rows, noise, -noise])
-        limits = np.concatenate(
-            [limits, [demand.nyquist - noise @ here, demand.nyquist + noise @ here]]
-        )
+        rows = np.vstack([along[near] @ basis.T, noise, -noise])
+        quiet = [bound - noise @ here, bound + noise @ here]
+        limits = np.concatenate([target - size[near], quiet])
         # A start on the bound may exceed it by a rounding error.
-        bounds = [(-trust if free else max(-trust, -at), trust) for at in here.tolist()]
+        bounds = [
+            (-trust if family.free else max(-trust, -at), trust) for at in here.tolist()
+        ]
         solution = linprog(
             -gain, A_ub=rows, b_ub=np.maximum(limits, 0.0), bounds=bounds
         )
@@ -214,7 +159,7 @@ def _climb(
         gained = float(gain @ solution.x)
         if (
             gained > 0.0
-            and quiet(demand, there @ basis)
+            and family.is_quiet(there)
             and float(loop.radii(there @ basis).max()) <= target
         ):
             if gained < 1e-10 * float(gain @ here):
@@ -226,7 +171,7 @@ def _climb(
         for part in (0.5, 0.25):
             between = here + part * solution.x
             inside = float(loop.radii(between @ basis).max()) <= target
-            if inside and gained > 0.0 and quiet(demand, between @ basis):
+            if inside and gained > 0.0 and family.is_quiet(between):
                 here = between
                 break
         trust *= 0.4
@@ -234,12 +179,7 @@ def _climb(
 
 
 def _retreat(
-    demand: Demand,
-    basis: Array,
-    loop: LoopCase,
-    start: Array,
-    target: float,
-    free: bool,
+    family: LinearFamily, loop: LoopCase, start: Array, target: float
 ) -> Array:
     """Return a law to the inside of the bound after a case was added.
 
@@ -247,12 +187,12 @@ def _retreat(
     """
     from scipy.optimize import minimize
 
-    signs = alternating(basis.shape[1])
+    basis, signs = family.basis, alternating(family.basis.shape[1])
 
     def excess(p: Array) -> float:
-        if not free and p.min() < 0.0:
+        if not family.free and p.min() < 0.0:
             return 1e3
-        noise = max(abs(float(p @ basis @ signs)) / demand.nyquist - 1.0, 0.0)
+        noise = max(abs(float(p @ basis @ signs)) / family.demand.nyquist - 1.0, 0.0)
         return float(loop.radii(p @ basis).max()) - target + noise
 
     if excess(start) <= 0.0:

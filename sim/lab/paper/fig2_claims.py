@@ -282,7 +282,7 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
         float(np.abs(one_term(theta, a, 4096) - term_curve(theta, a))[inside].max())
         for a in HIGH_ORDERS
     )
-    leaks = {a: leak(a, taps) for a in (*LOW_ORDERS, *HIGH_ORDERS, 2.5, 3.5)}
+    leaks = {a: leak_of(a, taps) for a in (*LOW_ORDERS, *HIGH_ORDERS, 2.5, 3.5)}
     worst = max(leaks, key=lambda a: abs(leaks[a]))
     return [
         Claim(
@@ -301,7 +301,7 @@ def _ours_2(theta: Array, taps: int) -> list[Claim]:
     ]
 
 
-def leak(order: float, taps: int) -> float:
+def leak_of(order: float, taps: int) -> float:
     """Return D(1) of a normalised term, in units of 2/T."""
     return sum(coefficients(order, taps)) / alternating_sum(order, taps)
 

@@ -8,7 +8,7 @@ from nodes.laws.presets import PRESETS
 from sim.arrays import Array
 from sim.lab.paper.claims import Claim, verdict
 from sim.lab.paper.descent import damping_curve
-from sim.lab.paper.fig2_claims import MEMORIES, for_which, leak, order_of_signs
+from sim.lab.paper.fig2_claims import MEMORIES, for_which, leak_of, order_of_signs
 
 
 def optimum_terms() -> tuple[Array, Array]:
@@ -70,7 +70,7 @@ def claims_3(taps: int, period: float) -> list[Claim]:
     mean = float(damping_curve(fine, gains, orders, taps).mean())
     leak = float(
         sum(
-            g * leak(o, taps)
+            g * leak_of(o, taps)
             for g, o in zip(gains.tolist(), orders.tolist(), strict=True)
         )
     )

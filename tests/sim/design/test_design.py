@@ -40,6 +40,7 @@ from sim.design.families import (
     to_yaml,
 )
 from sim.design.landing import MARGIN, drops, landings
+from sim.design.linear_family import LinearFamily
 from sim.design.passive import certain_damping, stiffest_passive
 from sim.design.recorded_loop import measure, replayed_radius
 from sim.design.robust import stiffest
@@ -574,9 +575,8 @@ def test_seven_taps_reach_what_another_search_found() -> None:
     loops = [
         LoopCase(wanted, cases_of(wanted, masses, 3), 7) for masses in (15, 101, 801)
     ]
-    found = evolved(
-        wanted, unit * np.eye(7), loops, True, 1, 1, 10.0, wanted.radius - 1e-9
-    )
+    family = LinearFamily(wanted, unit * np.eye(7), loops[-1])
+    found = evolved(family, loops, 10.0, wanted.radius - 1e-9)
     assert found is not None
     law = CompiledLaw(tuple((unit * found).tolist()))
     assert law.h1 >= 6815.0
