@@ -26,7 +26,7 @@ from nodes.view.shared_hand import SharedHand
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
-    from nodes.view.drawn_bodies import RunningBodies
+    from nodes.view.drawn_bodies import RunningBodies, RunningShapes
     from nodes.view.foxglove import Bridge
 
 # A screen's refresh period: waking for each message would cost more processor time [s].
@@ -114,7 +114,7 @@ class RunPages:
         self._mapping = ThreadPoolExecutor(1, "map")
         self._laws: dict[str, Any] = {}
         self._bridge: Bridge | None = None
-        self._bodies: RunningBodies | None = None
+        self._bodies: RunningBodies | RunningShapes | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         self._mapped: tuple[str, float] = ("", -1.0)
@@ -149,9 +149,14 @@ class RunPages:
                 self._bodies = RunningBodies(environment, stopping)
                 return self._bodies.shape
             return {}
-        from nodes.view.shape import shape_of
+        from nodes.view.shape import moves, shape_of
 
-        return shape_of(environment.parameters)
+        shape = shape_of(environment.parameters)
+        if moves(shape):
+            from nodes.view.drawn_bodies import RunningShapes
+
+            self._bodies = RunningShapes(environment)
+        return shape
 
     def _open_page(self) -> RunPage:
         self._opened_at = time.monotonic()

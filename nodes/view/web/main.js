@@ -41,7 +41,7 @@ function moved(target) {
 }
 
 const scene = new Scene($("scene"), $("lens"), $("reading"), moved);
-const space = new Space($("space"), moved);
+const space = new Space($("space"), moved, document.querySelectorAll("#drag button"));
 const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); plots.start(store, letters, hello.hand || hello.has_hand); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
@@ -188,7 +188,7 @@ function lookAt(view) {
   $("space").hidden = !whole;
   $("scene").hidden = whole;
   if (whole) scene.letGo(); else space.letGo();
-  if (hello.hand) $("hint").textContent = whole ? "Drag the handle; anywhere else turns the view; the wheel goes nearer, or pushes what is held." : "Pull the handle, or drag anywhere here.";
+  if (hello.hand) $("hint").textContent = whole ? "Drag the handle (V, G, S: along view, ground or surface); anywhere else turns the view; the wheel goes nearer, or pushes what is held." : "Pull the handle, or drag anywhere here.";
   $("lens").hidden = whole || !scene.surface;
   $("section").hidden = !whole || !section.plane;
   $("plane").parentElement.hidden = $("section").hidden;
