@@ -183,7 +183,8 @@ class RunPages:
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
             raise CommandError(
-                "view: compare: only a launch with a virtual device on one axis can be compared"
+                "view: compare: only a launch with a virtual device, and without moving"
+                " bodies or shapes, can be compared"
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(

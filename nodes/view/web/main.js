@@ -42,7 +42,7 @@ function moved(target) {
 
 const scene = new Scene($("scene"), $("lens"), $("reading"), moved);
 const space = new Space($("space"), moved, document.querySelectorAll("#drag button"));
-const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); plots.start(store, letters, hello.hand || hello.has_hand); });
+const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); beside.look("xyz".indexOf(letters[0])); plots.start(store, letters, hello.hand || hello.has_hand); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
@@ -59,7 +59,7 @@ const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"
 const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("delay-told"), beyond: $("beyond") },
   (ticks, beyond) => laws.change("delay", ticks, beyond));
 
-const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
+const beside = scene.beside = space.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
 let overlaid = null;
 let asked = false; // whether this page requested a recording
 plots.over = () => overlaid ?? (beside.on ? beside : null);
@@ -197,6 +197,7 @@ function lookAt(view) {
   // With three axes, plots show the two of the section; with one, that one.
   const letters = space.section ? [...section.plane] : [whole ? hello.axes[0] : view];
   strip.look(letters);
+  beside.look("xyz".indexOf(letters[0]));
   plots.start(store, whole && !space.section ? hello.axes : letters, hello.hand || hello.has_hand);
 }
 

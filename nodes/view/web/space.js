@@ -263,6 +263,11 @@ export class Space {
       dotAt(g, "device", device, 9);
       g.globalAlpha = 1;
     }
+    const other = this.beside?.at(now.t);
+    if (Array.isArray(other?.place)) {
+      ring(g, "beside", this.seen(other.place), BALL + 1, 3);
+      line(g, "beside", 2, [this.seen(other.place), this.seen(plus(other.place, other.whole, 0.01))]);
+    }
     const force = Math.hypot(...now.force);
     if (force > 0.02) {
       const tip = this.seen(plus(now.position, now.force, 0.01));

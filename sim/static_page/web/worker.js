@@ -235,7 +235,7 @@ const play = () => {
     const k = session.seq;
     press(k);
     session.tick();
-    if (session.beside) besideRinging.take(k * PERIOD, session.beside.force.at(-1));
+    if (session.beside) besideRinging.take(k * PERIOD, session.beside.felt);
     bin(k);
     AXES.forEach((axis, i) => ringings[i].take(k * PERIOD, session.player.driver.force[axis]));
   }
