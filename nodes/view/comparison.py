@@ -52,7 +52,6 @@ class Comparison:
         setup = run.nodes.get(driver)
         self._period = setup.period if setup else 1.0
         self._axes = [AXIS_INDEX[axis] for axis in setup.axes] if setup else [0]
-        self._several = len(self._axes) > 1
         self._kind = setup.kind if setup else ""
         # Whether this launch can be compared: a virtual device without moving bodies or shapes.
         self.there = self._kind in PLAYERS.names() and not any(
@@ -115,7 +114,7 @@ class Comparison:
         if not self._targets or longest or (is_free and self._b_is_free):
             free = self._free
             self._restart()
-            if self._several and not is_free:
+            if len(self._axes) > 1 and not is_free:
                 # Begun inside a shape, B would not feel it.
                 self._free = free
                 return
@@ -157,7 +156,7 @@ class Comparison:
             return  # another law, or none, was chosen before this task began
         targets: list[Any] = list(self._targets)
         begin: tuple[Any, Any] = self._begin
-        if not self._several:
+        if len(self._axes) == 1:
             (axis,) = self._axes
             targets = [target[axis] for target in targets]
             begin = begin[0][axis], begin[1][axis]

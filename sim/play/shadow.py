@@ -78,7 +78,7 @@ def _begun(setup: Setup, begin: tuple[Any, Any], late: float) -> dict[str, Any]:
         }
         device["delay"] += late
     for axis, described in own.items():
-        at = AXIS_INDEX.get(axis)  # type: ignore[call-overload]
+        at = AXIS_INDEX.get(axis)
         described["position"], described["velocity"] = (
             each if at is None else each[at] for each in begin
         )

@@ -108,7 +108,7 @@ def test_what_a_node_loads_itself_is_not_taken_for_requests(
 ) -> None:
     """A mesh of 327 680 triangles cut the page off from its node; its size has a limit, too."""
     memory = [100 << 20]
-    monkeypatch.setattr(control_thread.realtime, "memory_bytes", lambda: memory[0])
+    monkeypatch.setattr("nodes.base.realtime.memory_bytes", lambda: memory[0])
     with private_runtime_dir() as folder:
         control = server(context, folder)
         denied: list[str] = []

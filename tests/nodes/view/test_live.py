@@ -200,10 +200,9 @@ def test_b_of_three_axes_begins_where_a_is_free() -> None:
     played.take("", state(begun, 0.0))
     played.take("", state(begun + 3, 0.0))
     assert played._from == begun
-    assert played._begin == (
-        state(begun, 0.0).position,
-        pytest.approx((0.0, 0.5, -1.0)),
-    )
+    place, speed = played._begin
+    assert place == state(begun, 0.0).position
+    assert speed == pytest.approx((0.0, 0.5, -1.0))
     # Two states were lost: their targets lie in between.
     wanted = [state(begun + k, 0.0).target for k in range(4)]
     assert np.allclose(played._targets, wanted, rtol=0.0, atol=1e-15)

@@ -62,7 +62,8 @@ def test_b_in_three_axes_has_the_bits_of_a_run_with_that_hand_and_law() -> None:
     targets = np.zeros((ticks, 3))
     targets[:, 0] = np.linspace(0.0, 0.06, ticks)
     begin = (0.001, -0.002, 0.0005), (0.02, 0.01, -0.03)
-    measured, force = play_beside(setups, LAW, targets.tolist(), begin, 0.23)
+    hand: Any = targets.tolist()
+    measured, force = play_beside(setups, LAW, hand, begin, 0.23)
 
     scene = term_scene(launch)
     given = launch.nodes["driver"].parameters
