@@ -15,7 +15,7 @@ from nodes.environment.shapes.mesh_edges import first_of_equal
 from nodes.view.bundle import bundle
 from nodes.view.shape import _part, shape_of
 from nodes.view.tessellation import Patch
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from tests.support.ball_picture import CENTRE, COLOURS, RADIUS, Camera, shade
 from tests.support.browser import SOFTWARE_GL, chromium, needs_browser
 

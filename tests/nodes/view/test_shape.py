@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.view.shape import _part, bodies_of, moves, patches_of, shape_of
 from nodes.view.tessellation import Patch
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 
 Corners = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import nodes.view
 from nodes.view.shape import _part
 from nodes.view.tessellation import Patch
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from tests.support.in_node import node
 
 pytestmark = [pytest.mark.process, pytest.mark.smoke]

@@ -17,7 +17,7 @@ import yaml
 from messages.types import DeviceState, Force, Proxy
 from nodes.driver.force_words import explain
 from nodes.driver.state import SAFETY
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, without_spring
@@ -456,7 +456,7 @@ MOVING: dict[str, Any] = {
 
 def test_b_of_three_axes_with_the_law_of_a_is_a(tmp_path: Path) -> None:
     """From the middle of a contact on, with its friction and its moving ball, to the bit."""
-    content = yaml.safe_load(launch_file.find("sphere_feel").read_text())
+    content = yaml.safe_load(scenario_files.find("sphere_feel").read_text())
     content["nodes"]["environment"]["parameters"]["surface"] = MOVING
     path = tmp_path / "moving.yaml"
     path.write_text(yaml.safe_dump(content))
