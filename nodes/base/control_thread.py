@@ -44,6 +44,9 @@ STATUS_PERIOD = 0.5
 # memory growth taken as unbounded requests, after which all requesting peers are disconnected
 # [bytes]
 MAX_GROWTH = 256 << 20
+# growth while a node loads files of its launch: a mesh of the largest file, 256 MB, takes 13 times
+# its size (nodes/environment/shapes/mesh_file.py) [bytes]
+MAX_LOADED = 4 << 30
 # requests served at once, and then per second: each takes the GIL from the loop
 BURST, RATE = 50, 100.0
 END_TIMEOUT = 10.0  # longest duration of a request at the node's end [s]
@@ -163,8 +166,14 @@ class ControlServer(threading.Thread):
         """Disconnect all requesting peers if memory keeps growing; ZeroMQ limits no request."""
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
-        if now - self._usual_memory > MAX_GROWTH:
-            grown = now - self._usual_memory
+        grown, loading = now - self._usual_memory, self._node.loading
+        if loading.is_on or loading.has_been:
+            if grown <= MAX_LOADED:
+                # what the node itself took; requests count from here on
+                loading.has_been, self._usual_memory = False, now
+                return
+            loading.has_been = False
+        if grown > MAX_GROWTH:
             self._node.events.deny(
                 f"memory grew by {grown >> 20} MiB; all requesting peers are disconnected",
                 {"grown_bytes": grown},

@@ -21,6 +21,7 @@ from messages.types import Message, NodeStatus
 from nodes.base.events import Clock, Events
 from nodes.base.handover import Changes
 from nodes.base.intake import Intake, TickTaker
+from nodes.base.loading import Loading
 from nodes.base.setup import Axis, Effect, Setup
 from nodes.base.status_report import Counted, Counters, status_of
 from nodes.parameters.store import ParameterError, ParameterStore
@@ -70,6 +71,8 @@ class Node:
         Decoder of received messages.
     waker : Waker or None
         Ends the loop's wait; None for a loop that does not wait for ever.
+    loading : Loading
+        Context in which it loads files of its launch while it runs.
     saved_parameters : msgspec.Struct
         The parameters that a successor of this process would continue with.
     failing : bool
@@ -125,6 +128,7 @@ class Node:
         self.kernel: Callable[[int], int] | None = None
         self.compiled: TickTaker | None = None
         self.waker: Waker | None = None
+        self.loading = Loading()
         self.ticks_compiled = 0
 
     @classmethod

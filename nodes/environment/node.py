@@ -19,6 +19,7 @@ from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Effect, Setup
 from nodes.compiled.layout import state_of
 from nodes.compiled.published import payload_of
+from nodes.environment.shown_offsets import address_of, offsets_file
 from nodes.environment.spent import note_spent, spent_us
 from nodes.environment.state import (
     DAMPING,
@@ -139,7 +140,7 @@ class Environment(Node):
                 self.events.emit_each("mesh", "; ".join(numbers.widths))
             if numbers.repairs:
                 self.events.emit_each("mesh", f"repaired: {'; '.join(numbers.repairs)}")
-            s.table, s.table_count = numbers.table.buffer_info()
+            s.table, s.table_count = address_of(numbers.table)
             s.memory, s.memory_count = numbers.memory.buffer_info()
 
     def _built(
@@ -149,6 +150,8 @@ class Environment(Node):
         surface = parse_surface(parameters.surface, where)
         meet_axes(surface, self.setup.axes, where)
         place = TouchedSurface(surface, self.setup.period, self.counters.met)
+        if self.setup.run_dir:
+            place.show(offsets_file(self.setup.run_dir, self.setup.name))
         return place, place.meet if surface.pushes() is not None else self._watched(
             place.meet
         )
@@ -185,7 +188,8 @@ class Environment(Node):
         if parameters.surface == self.store.current.surface:
             return lambda seq: {"seq": seq, "surface": parameters.surface}
         self._refuse_unjudged(parameters)
-        place, meet = self._built(parameters)
+        with self.loading:
+            place, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
             jump, s = self._place.take(place), self.counters

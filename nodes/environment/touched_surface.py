@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, MutableSequence
+from pathlib import Path
 
 from messages.types import Vector
 from nodes.environment.meet import Numbers, meeting_of
@@ -20,6 +21,7 @@ from nodes.environment.shapes.tables import (
     ROW,
     ROWS,
 )
+from nodes.environment.shown_offsets import shown_table
 from nodes.environment.state import JUMPED, MET, SHAPES, UNKNOWN
 from nodes.environment.surfaces import Meeting, Surface, numbers_of
 
@@ -59,6 +61,15 @@ class TouchedSurface:
         )
         if self.numbers is not None:
             self.meet = meeting_of(self.numbers, self._met)
+
+    def show(self, path: Path) -> None:
+        """Put the table into a file that pages read, if a shape moves; before the first tick."""
+        if self.moved is None or self.numbers is None:
+            return
+        self.numbers = self.numbers._replace(
+            table=shown_table(self.numbers.table, path)
+        )
+        self.meet = meeting_of(self.numbers, self._met)
 
     @property
     def kind(self) -> int:

@@ -3,7 +3,8 @@
 The player is registered for the launch's kind of driver (entry points ``haptic.beside``). It runs
 in a process of its own off the loop's processors, so it does not disturb the loop. It uses the hand
 targets that the driver reports and the measured delay. Whenever A and B are both out of contact, B
-restarts from A's state, so differences do not accumulate.
+restarts from A's state, so differences do not accumulate. With several axes it starts there only,
+because a proxy that begins inside a shape does not feel it.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from messages.errors import HapticError
-from messages.types import DeviceState, Message
+from messages.types import ZERO, DeviceState, Message, Vector
 from nodes.base.setup import AXIS_INDEX, least_delay
 from nodes.base.workers import Workers
 from nodes.launcher.runs import RunInfo
@@ -79,11 +82,12 @@ class Comparison:
         self._put = put
         setup = run.nodes.get(driver)
         self._period = setup.period if setup else 1.0
-        self._axis = AXIS_INDEX[setup.axes[0]] if setup else 0
-        self._kind = setup.kind if setup and len(setup.axes) == 1 else ""
-        # Whether this launch can be compared: a virtual device on one axis, without moving bodies.
-        self.there = self._kind in PLAYERS.names() and all(
-            one.kind != "world" for one in run.nodes.values()
+        self._axes = [AXIS_INDEX[axis] for axis in setup.axes] if setup else [0]
+        self._kind = setup.kind if setup else ""
+        # Whether this launch can be compared: a virtual device without moving bodies or shapes.
+        self.there = self._kind in PLAYERS.names() and not any(
+            one.kind in ("world", "mujoco") or _moves(one.parameters.get("surface"))
+            for one in run.nodes.values()
         )
         self._late = least_delay(setup.apply) if setup else 0.0
         self._pool: Workers | None = None
@@ -133,8 +137,8 @@ class Comparison:
             self._restart()
 
     def _restart(self) -> None:
-        self._targets: list[float] = []
-        self._begin = (0.0, 0.0)
+        self._targets: list[Vector] = []
+        self._begin = (ZERO, ZERO)
         self._from = 0
         self._free = 0
         self._b_is_free = False
@@ -147,31 +151,36 @@ class Comparison:
         before, self._before = self._before, message
         if before is None or message.seq <= before.seq:
             return
-        axis, ticks = self._axis, message.seq - before.seq
+        ticks = message.seq - before.seq
         # Without contact, the histories of both laws are empty.
-        self._free = (
-            self._free + ticks
-            if message.force[axis] == 0.0 == before.force[axis]
-            else 0
-        )
+        touches = any(message.force[axis] or before.force[axis] for axis in self._axes)
+        self._free = 0 if touches else self._free + ticks
         longest = len(self._targets) * self._period > RESTART_AFTER
-        if (
-            not self._targets
-            or longest
-            or (self._free * self._period > FREE and self._b_is_free)
-        ):
+        is_free = self._free * self._period > FREE
+        if not self._targets or longest or (is_free and self._b_is_free):
+            free = self._free
             self._restart()
-            x, old = message.position[axis], before.position[axis]
-            self._begin, self._from = (
-                (x, (x - old) / (ticks * self._period)),
-                message.seq,
-            )
-            self._b_is_free = False
+            if len(self._axes) > 1 and not is_free:
+                # Begun inside a shape, B would not feel it.
+                self._free = free
+                return
+            span = ticks * self._period
+            speed = [
+                (x - old) / span
+                for x, old in zip(message.position, before.position, strict=True)
+            ]
+            self._begin = message.position, (speed[0], speed[1], speed[2])
+            self._from = message.seq
         else:
             # Interpolate targets of lost states linearly.
-            last, now = self._targets[-1], message.target[axis]
-            self._targets += [last + (now - last) * k / ticks for k in range(1, ticks)]
-        self._targets.append(message.target[axis])
+            last = self._targets[-1]
+            for k in range(1, ticks):
+                x, y, z = (
+                    a + (b - a) * k / ticks
+                    for a, b in zip(last, message.target, strict=True)
+                )
+                self._targets.append((x, y, z))
+        self._targets.append(message.target)
 
     def step(self, now: float, delay: float) -> None:
         """Continue the simulation when due and idle."""
@@ -191,6 +200,12 @@ class Comparison:
     async def _play_on(self, law: str, begun: int, late: float) -> None:
         if law != self.law or begun != self._from or not self._targets:
             return  # another law, or none, was chosen before this task began
+        targets: list[Any] = list(self._targets)
+        begin: tuple[Any, Any] = self._begin
+        if len(self._axes) == 1:
+            (axis,) = self._axes
+            targets = [target[axis] for target in targets]
+            begin = begin[0][axis], begin[1][axis]
         device = self._setups[self._driver].parameters["device"]
         work = partial(
             _play,
@@ -199,8 +214,8 @@ class Comparison:
             late + self._late + float(device.get("delay", 0.0)),
             self._setups,
             self._chosen.described,
-            list(self._targets),
-            self._begin,
+            targets,
+            begin,
             late,
         )
         self._pool = self._pool or Workers(1)
@@ -225,8 +240,8 @@ class Comparison:
             "t": (begun + first) * self._period,
             "period": self._period,
             "late": late,
-            "position": [round(float(x), 8) for x in position[first:]],
-            "force": [round(float(f), 5) for f in force[first:]],
+            "position": np.round(position[first:], 8).tolist(),
+            "force": np.round(force[first:], 5).tolist(),
         }
         self._put("beside", document)
 
@@ -239,9 +254,19 @@ class Comparison:
             await asyncio.get_running_loop().run_in_executor(None, self._pool.end)
 
 
+def _moves(surface: Any) -> bool:
+    """Return whether a surface's parameters have a shape that moves."""
+    if not isinstance(surface, Mapping):
+        return False
+    return any("motion" in one for one in [surface, *surface.get("shapes", [])])
+
+
 def _play(kind: str, period: float, delay: float, *words: Any) -> tuple[Any, Any, str]:
     """Return position, force and ringing of B; the player is imported in the worker only."""
     position, force = PLAYERS.load(kind)(*words)
     last = round(SHOWN / period)
-    ring = ring_of(position[-last:], force[-last:], period, delay)
-    return position, force, str(ring or "")
+    rings = (
+        ring_of(x[-last:], f[-last:], period, delay)
+        for x, f in zip(np.atleast_2d(position.T), np.atleast_2d(force.T), strict=True)
+    )
+    return position, force, str(next(filter(None, rings), None) or "")

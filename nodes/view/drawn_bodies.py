@@ -1,20 +1,23 @@
-"""Poses of moving bodies for a page: read from a running environment, or recomputed."""
+"""Poses of moving bodies and shapes for a page: of a running environment, or recomputed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from messages.topics import PROXY
-from messages.types import DeviceState
+from messages.types import DeviceState, Vector
 from nodes.base.setup import Setup
 from nodes.base.shared_file import awaited
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.bodies.poses import Poses, file_size, poses_file
+from nodes.environment.shown_offsets import ShownOffsets, offsets_file, offsets_of
+from nodes.environment.surfaces import parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 from nodes.parameters.store import convert
 from nodes.recording.reader import Recording
 from nodes.view.shape import bodies_of
@@ -53,6 +56,68 @@ def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None
         if topic in recording.topics
         else None
     )
+
+
+def _unturned(offsets: Sequence[Vector]) -> NDArray[np.float64]:
+    """Return poses of shapes that are moved and not turned, shape (n, 12)."""
+    poses = np.tile(np.hstack([np.zeros(3), np.eye(3).ravel()]), (len(offsets), 1))
+    poses[:, :3] = np.reshape(offsets, (-1, 3))
+    return poses
+
+
+class RunningShapes:
+    """Moving shapes of a running environment, on this machine."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._offsets = ShownOffsets(offsets_file(setup.run_dir, setup.name))
+
+    def news(self) -> dict[str, Any] | None:
+        """Return the present poses; None if not known."""
+        found = self._offsets.read()
+        return (
+            None if found is None else {"poses": np.round(_unturned(found), 6).tolist()}
+        )
+
+
+class RecordedShapes:
+    """Moving shapes of a recording, found by meeting its positions as the node did.
+
+    Only the ticks in `met` (see `met_ticks`) reached the node. A shape without a path moved to
+    where a topic put it, which is not recorded: it stays.
+    """
+
+    def __init__(
+        self,
+        parameters: dict[str, Any],
+        period: float,
+        met: Container[int] | None = None,
+    ) -> None:
+        self._met = met
+        surface = parse_surface(parameters["surface"], "surface")
+        self._place = TouchedSurface(surface, period)
+        self._rebased = 0
+
+    @property
+    def moves(self) -> bool:
+        """Whether any of its shapes moves."""
+        return self._place.moved is not None
+
+    def follow(self, state: DeviceState) -> None:
+        """Move the shapes to a state's tick."""
+        if state.safety == "fault" or (
+            self._met is not None and state.seq not in self._met
+        ):
+            return
+        if state.rebased != self._rebased:
+            self._rebased = state.rebased
+            self._place.begin()
+        self._place.note(state.seq, state.force)
+        self._place.meet(state.position)
+
+    def poses(self) -> NDArray[np.float64]:
+        """Return the present poses, shape (n, 12)."""
+        numbers = self._place.numbers
+        return _unturned([] if numbers is None else offsets_of(numbers.table))
 
 
 class RecordedBodies:

@@ -7,7 +7,7 @@ their scene is stepped again as the node did, if MuJoCo and the scene file are a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from nodes.recording.reader import Recording
 from nodes.recording.recover import Copy
 from nodes.recording.writer import RecordError, mcap_writer, written
 from nodes.view.drawn_bodies import RecordedBodies, met_ticks
-from nodes.view.shape import shape_of
+from nodes.view.shape import patches_of, tool_radius_of
+from nodes.view.tessellation import Patch
 
 SCENE, FRAME = "/scene", "haptic"
 
@@ -115,16 +116,18 @@ def _ball(place: Any, radius: float, colour: dict[str, float]) -> dict[str, Any]
     }
 
 
-def _surface(at: int, name: str, triangles: list[float]) -> dict[str, Any]:
-    points = [_point(triangles[i : i + 3]) for i in range(0, len(triangles), 3)]
-    drawn = {
-        "pose": _pose((0.0, 0.0, 0.0)),
-        "points": points,
-        "color": _SURFACE,
-        "colors": [],
-        "indices": [],
-    }
-    return _entity(at, name, triangles=[drawn])
+def _surface(at: int, name: str, patches: Sequence[Patch]) -> dict[str, Any]:
+    drawn = [
+        {
+            "pose": _pose((0.0, 0.0, 0.0)),
+            "points": [_point(point) for point in np.round(patch.points, 6).tolist()],
+            "color": _SURFACE,
+            "colors": [],
+            "indices": patch.faces.ravel().tolist(),
+        }
+        for patch in patches
+    ]
+    return _entity(at, name, triangles=drawn)
 
 
 class _Bodies(RecordedBodies):
@@ -189,7 +192,7 @@ class DrawnScene:
         recording: Recording | None = None,
     ) -> None:
         self.left_out: list[str] = []  # what cannot be drawn, and why
-        self._surfaces: dict[str, list[float]] = {}
+        self._surfaces: dict[str, list[Patch]] = {}
         self._radius: dict[str, float] = {}
         self._bodies: dict[str, _Bodies] = {}
         self._next: dict[str, float] = {}
@@ -201,9 +204,8 @@ class DrawnScene:
                 ):
                     refuse_foreign_files(recording, parameters, node)
                 if "surface" in parameters:
-                    shape = shape_of(parameters)
-                    self._surfaces[node] = shape.get("triangles", [])
-                    self._radius[chain] = shape.get("tool_radius", 0.0)
+                    self._surfaces[node] = patches_of(parameters)
+                    self._radius[chain] = tool_radius_of(parameters)
                 elif "scene" in parameters:
                     topic = f"/{chain}{PROXY}" if chain else PROXY
                     met = None if recording is None else met_ticks(recording, topic)

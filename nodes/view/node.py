@@ -97,9 +97,11 @@ class View(Node):
         before = read_place(self.setup.run_dir, self.setup.name)
         token = before.token if before else ""
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        self._pages = self._make_pages(
-            run, self.inbox, token, self.store.current.again, lambda: self.stopping
-        )
+        again = self.store.current.again
+        with self.loading:
+            self._pages = self._make_pages(
+                run, self.inbox, token, again, lambda: self.stopping
+            )
         asyncio.run(self._serve(self._pages, before.port if before else 0))
 
     async def _serve(self, pages: RunPages, port: int) -> None:

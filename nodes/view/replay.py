@@ -44,7 +44,7 @@ from nodes.view.server import Page, PageServer
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
-    from nodes.view.drawn_bodies import RecordedBodies
+    from nodes.view.drawn_bodies import RecordedBodies, RecordedShapes
 
 # Time span of the plots after the present position, so that a later moment can be picked [s].
 AHEAD = 30.0
@@ -144,7 +144,7 @@ class ReplayPages:
             Timeline(),
             Timeline(),
         )
-        self._bodies: RecordedBodies | None = None
+        self._bodies: RecordedBodies | RecordedShapes | None = None
         self._driver: dict[str, Any] = {}
         self._plant: Any = None
         self._shape: dict[str, Any] = {}
@@ -314,8 +314,8 @@ class ReplayPages:
     def _read_shape(
         self, name: str, parameters: dict[str, Any], recording: Recording
     ) -> list[str]:
-        from nodes.view.drawn_bodies import RecordedBodies, met_ticks
-        from nodes.view.shape import bodies_of, shape_of
+        from nodes.view.drawn_bodies import RecordedBodies, RecordedShapes, met_ticks
+        from nodes.view.shape import bodies_of, moves, shape_of
 
         # Without the shape's package or file, the flat views remain.
         try:
@@ -327,6 +327,10 @@ class ReplayPages:
                 self._shape = bodies_of(self._bodies.world)
             else:
                 self._shape = shape_of(parameters)
+                if moves(self._shape):
+                    self._bodies = RecordedShapes(
+                        parameters, self._facts.period, met_ticks(recording)
+                    )
         except (ParameterError, RecordError, OSError) as error:
             return [f"The scene is not drawn: {error}"]
         return []

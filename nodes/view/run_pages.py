@@ -29,7 +29,7 @@ from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 
 if TYPE_CHECKING:
-    from nodes.view.drawn_bodies import RunningBodies
+    from nodes.view.drawn_bodies import RunningBodies, RunningShapes
     from nodes.view.foxglove import Bridge
 
 # A screen's refresh period: waking for each message would cost more processor time [s].
@@ -131,7 +131,7 @@ class RunPages:
         )
         self._laws: dict[str, Any] = {}
         self._bridge: Bridge | None = None
-        self._bodies: RunningBodies | None = None
+        self._bodies: RunningBodies | RunningShapes | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         feed = self.live.feed
@@ -185,9 +185,14 @@ class RunPages:
                 self._bodies = RunningBodies(environment, stopping)
                 return self._bodies.shape
             return {}
-        from nodes.view.shape import shape_of
+        from nodes.view.shape import moves, shape_of
 
-        return shape_of(environment.parameters)
+        shape = shape_of(environment.parameters)
+        if moves(shape):
+            from nodes.view.drawn_bodies import RunningShapes
+
+            self._bodies = RunningShapes(environment)
+        return shape
 
     def _open_page(self) -> RunPage:
         return RunPage(self)
@@ -220,7 +225,8 @@ class RunPages:
         laws = self._laws.get("laws", {})
         if not self._comparison.there:
             raise CommandError(
-                "Only a launch with a virtual device on one axis can be compared."
+                "Only a launch with a virtual device, without moving bodies or shapes, can be"
+                " compared."
             )
         if law != "" and (not isinstance(law, str) or law not in laws):
             raise CommandError(

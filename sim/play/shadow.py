@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from messages.types import Vector
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.launcher.launch_spec import Launch, NodeSpec, RunSpec
 from nodes.parameters.store import convert
@@ -24,13 +25,14 @@ from sim.play.player import play
 def shadow_launch(
     setups: Mapping[str, Setup],
     law: Mapping[str, Any],
-    begin: tuple[float, float],
+    begin: tuple[Any, Any],
     late: float = 0.0,
 ) -> Launch:
     """Return a running launch with another law and the device's current state.
 
-    `begin` is the position [m] and velocity [m/s] of the device at the first tick, `late` the delay
-    of the loop beyond that of the device and of ``next_tick`` [ticks].
+    `begin` is the position [m] and velocity [m/s] of the device at the first tick, three numbers
+    each if the scene has several axes; `late` is the delay of the loop beyond that of the device
+    and of ``next_tick`` [ticks].
     """
     first = next(iter(setups.values()))
     nodes = {}
@@ -60,19 +62,32 @@ def shadow_launch(
     )
 
 
-def _begun(setup: Setup, begin: tuple[float, float], late: float) -> dict[str, Any]:
+def _begun(setup: Setup, begin: tuple[Any, Any], late: float) -> dict[str, Any]:
     """Return a driver's parameters with another initial state, and without an initial ramp."""
     wanted: SimDriverParameters = convert(
         setup.parameters, SimDriverParameters, setup.name
     )
-    device = along(wanted.device, setup.axes)[0]
-    device = msgspec.structs.replace(
-        device, position=begin[0], velocity=begin[1], delay=device.delay + late
+    several = len(setup.axes) > 1
+    device: dict[str, Any] = msgspec.to_builtins(
+        wanted.device if several else along(wanted.device, setup.axes)[0]
     )
+    own = {"": device}
+    if several:
+        device["axes"] = own = {
+            axis: {**device["axes"].get(axis, {})} for axis in setup.axes
+        }
+        device["delay"] += late
+    for axis, described in own.items():
+        at = AXIS_INDEX.get(axis)
+        described["position"], described["velocity"] = (
+            each if at is None else each[at] for each in begin
+        )
+        if "delay" in described:
+            described["delay"] += late
     safety = msgspec.structs.replace(wanted.safety, ramp=0.0)
     return {
         **setup.parameters,
-        "device": msgspec.to_builtins(device),
+        "device": device,
         "preset": "",
         "safety": msgspec.to_builtins(safety),
     }
@@ -81,17 +96,19 @@ def _begun(setup: Setup, begin: tuple[float, float], late: float) -> dict[str, A
 def play_beside(
     setups: Mapping[str, Setup],
     law: Mapping[str, Any],
-    targets: Sequence[float],
-    begin: tuple[float, float],
+    targets: Sequence[float] | Sequence[Vector],
+    begin: tuple[Any, Any],
     late: float = 0.0,
 ) -> tuple[Array, Array]:
     """Play another law under the same hand; return encoder readings [m] and forces [N].
 
     `targets` are the targets of the hand, tick by tick [m]; `begin` and `late` as of
-    `shadow_launch`.
+    `shadow_launch`. All have three columns if the scene has several axes.
     """
     launch = shadow_launch(setups, law, begin, late)
     target = np.array(targets, dtype=np.float64)
     trace = play(launch, ticks=len(targets), given=Given(target=target))
+    if target.ndim > 1:
+        return trace.measured, trace.force
     axis = AXIS_INDEX[launch.run.axes[0]]
     return trace.measured[:, axis], trace.force[:, axis]

@@ -264,7 +264,7 @@ def data_of(launch: Launch) -> dict[str, Any]:
                 "hand": hand,
                 "beyond": bool(image["pointer"].get("beyond", False)),
                 "again": True,
-                "compares": len(axes) == 1,
+                "compares": True,
                 "delays": len(axes) == 1,
                 "records": False,
                 "ends": False,

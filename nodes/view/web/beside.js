@@ -5,7 +5,7 @@ const KEPT = 8000;
 
 export class Beside {
   constructor({ other, told }, ask) {
-    Object.assign(this, { other, told, ask, law: "", times: [], position: [], force: [] });
+    Object.assign(this, { other, told, ask, law: "", times: [], places: [], forces: [], axis: 0 });
     other.addEventListener("change", () => this.choose(other.value));
   }
 
@@ -27,7 +27,15 @@ export class Beside {
     this.other.value = this.law;
   }
 
-  clear() { this.times = []; this.position = []; this.force = []; }
+  clear() { this.times = []; this.places = []; this.forces = []; this.look(this.axis); }
+
+  // Choose the axis whose curves are drawn; a launch of one axis has single numbers.
+  look(axis) {
+    const along = (each) => (Array.isArray(each) ? each[axis] : each);
+    this.axis = axis;
+    this.position = this.places.map(along);
+    this.force = this.forces.map(along);
+  }
 
   // Replace samples that overlap.
   show({ law, t, period, position, force, why }) {
@@ -35,11 +43,12 @@ export class Beside {
     this.law = this.other.value = law;
     this.told.textContent = why ?? (law ? "coming …" : "");
     if (!position) return;
-    while (this.times.length && this.times[this.times.length - 1] >= t - period / 2) { this.times.pop(); this.position.pop(); this.force.pop(); }
-    position.forEach((x, k) => { this.times.push(t + k * period); this.position.push(x); this.force.push(force[k]); });
+    while (this.times.length && this.times[this.times.length - 1] >= t - period / 2) { this.times.pop(); this.places.pop(); this.forces.pop(); }
+    position.forEach((x, k) => { this.times.push(t + k * period); this.places.push(x); this.forces.push(force[k]); });
     const over = this.times.length - KEPT;
-    if (over > 0) for (const list of [this.times, this.position, this.force]) list.splice(0, over);
-    const strongest = force.reduce((most, each) => Math.max(most, Math.abs(each)), 0);
+    if (over > 0) for (const list of [this.times, this.places, this.forces]) list.splice(0, over);
+    this.look(this.axis);
+    const strongest = force.reduce((most, each) => Math.max(most, Math.hypot(...[each].flat())), 0);
     this.told.textContent = unbroken(`up to ${fixed(strongest, 2)} N`);
   }
 
@@ -53,6 +62,6 @@ export class Beside {
       const middle = (low + high + 1) >> 1;
       if (this.times[middle] <= t) low = middle; else high = middle - 1;
     }
-    return { t: this.times[low], position: this.position[low], force: this.force[low] };
+    return { t: this.times[low], position: this.position[low], force: this.force[low], place: this.places[low], whole: this.forces[low] };
   }
 }

@@ -46,8 +46,8 @@ function moved(target) {
 }
 
 const scene = new Scene($("scene"), $("lens"), $("reading"), moved);
-const space = new Space($("space"), moved);
-const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); overview.look(letters[0]); plots.start(store, letters, hello.hand || hello.has_hand); });
+const space = new Space($("space"), moved, document.querySelectorAll("#drag button"));
+const section = new Section($("section"), $("plane"), (letters) => { strip.look(letters); overview.look(letters[0]); beside.look("xyz".indexOf(letters[0])); plots.start(store, letters, hello.hand || hello.has_hand); });
 const strip = new Strip($("strip"));
 const slow = new SlowMotion();
 const plots = new Plots($("plots"), $("legend"), $("values"), (live) => {
@@ -64,7 +64,7 @@ const dial = new Dial({ dial: $("dial"), hardness: $("hardness"), edge: $("edge"
 const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("delay-told"), beyond: $("beyond") },
   (ticks, beyond) => laws.change("delay", ticks, beyond));
 
-const beside = scene.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
+const beside = scene.beside = space.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
 let overlaid = null;
 let asked = false; // whether this page requested a recording
 plots.over = () => overlaid ?? (beside.on ? beside : null);
@@ -244,7 +244,7 @@ function lookAt(view) {
   $("space").hidden = !whole;
   $("scene").hidden = whole;
   if (whole) scene.letGo(); else space.letGo();
-  if (hello.hand) $("hint").textContent = whole ? "Drag the handle; anywhere else turns the view; the wheel goes nearer, or pushes what is held." : "Pull the handle, or drag anywhere here.";
+  if (hello.hand) $("hint").textContent = whole ? "Drag the handle (V, G, S: along view, ground or surface); anywhere else turns the view; the wheel goes nearer, or pushes what is held." : "Pull the handle, or drag anywhere here.";
   $("lens").hidden = whole || !scene.surface;
   $("section").hidden = !whole || !section.plane;
   $("plane").parentElement.hidden = $("section").hidden;
@@ -254,6 +254,7 @@ function lookAt(view) {
   const letters = space.section ? [...section.plane] : [whole ? hello.axes[0] : view];
   strip.look(letters);
   overview.look(letters[0]);
+  beside.look("xyz".indexOf(letters[0]));
   plots.start(store, whole && !space.section ? hello.axes : letters, hello.hand || hello.has_hand);
 }
 

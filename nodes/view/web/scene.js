@@ -30,7 +30,7 @@ export class Scene {
 
   start({ axes, hand, has_hand: hasHand, peak_n: peak, shape }) {
     const picker = document.getElementById("axis");
-    picker.replaceChildren(...(axes.length > 1 && (shape?.triangles?.length || shape?.bodies) ? ["3-D"] : []).concat(axes).map((view) => new Option(view)));
+    picker.replaceChildren(...(axes.length > 1 && shape?.parts?.length ? ["3-D"] : []).concat(axes).map((view) => new Option(view)));
     document.getElementById("axes").hidden = axes.length < 2;
     this.limit = peak ?? null;
     this.hand = hand || Boolean(hasHand);

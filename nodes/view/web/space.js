@@ -1,24 +1,25 @@
 // The scene in 3D: solids redrawn only when they or the camera move; device, proxy and force on
 // top.
-import { fixed, unbroken } from "./format.js";
+import { fixed, step, unbroken } from "./format.js";
+import { atDepth, axesOf, cross, depthOf, dot, minus, MODES, planeOf, plus, size, stepOf } from "./camera.js";
+import { Lit } from "./lit.js";
+import { Painter } from "./painter.js";
 import { Solids } from "./solids.js";
 import { dotAt, line, ring, zigzag } from "./strokes.js";
 import { colour, onTheme } from "./theme.js";
 
-const LIGHT = [0.35, -0.5, 0.79];
 const TRACE_SECONDS = 2;
 const STEP = 0.0005;
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-const plus = (a, b, by = 1) => [a[0] + by * b[0], a[1] + by * b[1], a[2] + by * b[2]];
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const size = (a) => Math.sqrt(dot(a, a));
+const REST = 200; // time after which the camera rests [ms]
+const BALL = 8; // smallest radius of the device's ball [pixels]
 
 export class Space {
-  // `move` is called with the wanted position of the hand [m], or null on release.
-  constructor(canvas, move) {
-    Object.assign(this, { canvas, move, still: document.createElement("canvas"), shape: null, solids: null, section: null, finger: null, now: null, trace: [], held: null, ready: false, by: "" });
+  // `move` is called with the wanted position of the hand [m], or null on release; `modes` are the
+  // buttons of what a drag moves along.
+  constructor(canvas, move, modes = []) {
+    Object.assign(this, { canvas, move, modes: [...modes], mode: "view", shape: null, solids: null, section: null, finger: null, now: null, trace: [], held: null, ready: false, by: "", drawn: "", loaded: null });
     this.turn = { yaw: -0.7, pitch: 0.45, scale: 1, middle: [0, 0, 0] };
+    this.newStill(true);
     onTheme(() => { this.drawn = ""; });
     canvas.addEventListener("pointerdown", (event) => this.press(event));
     canvas.addEventListener("pointermove", (event) => this.drag(event));
@@ -26,15 +27,43 @@ export class Space {
     canvas.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     canvas.addEventListener("keydown", (event) => this.key(event));
     canvas.addEventListener("blur", () => { if (!this.by) this.letGo(); });
+    for (const button of this.modes) button.addEventListener("click", () => this.choose(button.dataset.mode));
+  }
+
+  // A picture by WebGL 2; by the processor where a browser has none, or loses it.
+  newStill(wanted) {
+    this.still = document.createElement("canvas");
+    this.lit = wanted ? Lit.on(this.still) : null;
+    if (wanted && !this.lit) this.still = document.createElement("canvas");
+    this.picture = this.lit ?? new Painter(this.still);
+    this.loaded = null;
+    this.drawn = "";
+    this.still.addEventListener("webglcontextlost", () => this.newStill(false));
+  }
+
+  // What a drag moves along: view, ground or surface.
+  choose(mode) {
+    this.mode = mode;
+    for (const button of this.modes) button.setAttribute("aria-pressed", button.dataset.mode === mode);
   }
 
   start({ shape, hand, axes }) {
-    this.shape = axes.length > 1 && (shape?.triangles?.length || shape?.bodies) ? shape : null;
+    this.shape = axes.length > 1 && shape?.parts?.length ? shape : null;
     this.solids = this.shape && new Solids(shape);
     this.ready = hand;
     this.drawn = "";
+    this.loaded = null;
     this.trace.length = 0;
-    if (this.shape) Object.assign(this.turn, this.solids.extent());
+    if (this.shape) this.fit();
+    for (const button of this.modes) button.parentElement.hidden = !this.shape || !hand;
+  }
+
+  // Camera and ground for everything that is placed.
+  fit() {
+    const { middle, reach, low } = this.solids.extent();
+    Object.assign(this.turn, { middle, reach });
+    this.ground = { at: low - 0.004 * reach, cell: step(reach / 4) };
+    this.drawn = "";
   }
 
   // Set the poses of the bodies.
@@ -42,16 +71,10 @@ export class Space {
     if (!this.solids) return;
     const first = !this.solids.poses;
     this.solids.pose(poses);
-    if (first) Object.assign(this.turn, this.solids.extent());
+    if (first) this.fit();
   }
 
   // -- the camera ---------------------------------------------------------------------------------
-
-  axes() {
-    const { yaw, pitch } = this.turn;
-    const right = [Math.cos(yaw), Math.sin(yaw), 0], away = [-Math.sin(yaw) * Math.cos(pitch), Math.cos(yaw) * Math.cos(pitch), -Math.sin(pitch)];
-    return { right, up: cross(right, away), away };
-  }
 
   // Project to pixels from the middle, and depth [m].
   seen(point) {
@@ -68,10 +91,10 @@ export class Space {
     const [u, v] = this.now ? this.seen(this.now.target) : [1e9, 0], { clientWidth: width, clientHeight: height } = this.canvas;
     const near = Math.hypot(event.offsetX - width / 2 - u, event.offsetY - height / 2 - v) < 40;
     this.by = this.ready && near ? "hand" : "camera";
-    if (this.by === "hand") this.held = [...this.now.target];
+    if (this.by === "hand") this.take();
   }
 
-  // The handle moves in the camera's plane; dragging anywhere else turns the camera.
+  // The handle moves along what was chosen; dragging anywhere else turns the camera.
   drag(event) {
     if (!this.by || event.pointerId !== this.finger) return;
     const du = event.offsetX - this.last[0], dv = event.offsetY - this.last[1];
@@ -83,8 +106,36 @@ export class Space {
     }
     // Released meanwhile: the connection was lost, or another page holds the hand.
     if (!this.held) return;
-    this.held = plus(plus(this.held, this.camera.right, du / this.pixels), this.camera.up, -dv / this.pixels);
+    this.shift(du / this.pixels, -dv / this.pixels);
+  }
+
+  // Move the hand by a step of the picture [m].
+  shift(across, above) {
+    this.held = plus(this.held, stepOf(this.camera, planeOf(this.mode, this.normal), across, above));
     this.tell();
+  }
+
+  // Move the hand in depth: away, to the ground, or into the surface [m].
+  push(by) {
+    this.held = plus(this.held, depthOf(this.mode, this.camera, this.normal), by);
+    if (this.depth !== null) this.depth += by;
+    this.tell();
+  }
+
+  take() {
+    this.held ??= [...this.now.target];
+    this.depth ??= null;
+    if (this.now.contact === 1 && this.now.normal.some(Boolean)) this.depth ??= -dot(minus(this.held, this.now.proxy), this.now.normal);
+  }
+
+  // Along a surface, the target follows its curvature at the depth at which it was taken.
+  follow() {
+    const { now } = this, touches = now.contact === 1 && now.normal.some(Boolean);
+    if (touches) this.normal = [...now.normal];
+    if (!this.held || this.mode !== "surface") { if (!this.held) this.depth = null; return; }
+    if (!touches) return;
+    this.depth ??= -dot(minus(this.held, now.proxy), now.normal);
+    this.held = atDepth(this.held, now.proxy, now.normal, this.depth);
   }
 
   lift() {
@@ -93,31 +144,32 @@ export class Space {
     this.letGo();
   }
 
-  // Arrow keys move the hand in the camera's plane, Page Up and Page Down in depth; Escape releases
-  // it.
+  // Arrow keys move the hand along what was chosen, Page Up and Page Down in depth; V, G and S
+  // choose; Escape releases it.
   key(event) {
     if (event.key === "Escape") return this.letGo();
-    const { right, up, away } = this.camera ?? {}, way = { ArrowRight: [right, 1], ArrowLeft: [right, -1], ArrowUp: [up, 1], ArrowDown: [up, -1], PageUp: [away, 1], PageDown: [away, -1] }[event.key];
-    if (!way || !right || !this.ready || !this.now || this.by) return;
+    const mode = MODES[event.key.toLowerCase()];
+    if (mode && !event.ctrlKey && !event.metaKey && !event.altKey) return this.choose(mode);
+    const way = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1], PageUp: [0, 0, 1], PageDown: [0, 0, -1] }[event.key];
+    if (!way || !this.camera || !this.ready || !this.now || this.by) return;
     event.preventDefault();
-    this.held = plus(this.held ?? [...this.now.target], way[0], way[1] * STEP * (event.shiftKey ? 10 : 1));
-    this.tell();
+    this.take();
+    const by = STEP * (event.shiftKey ? 10 : 1);
+    if (way[2]) this.push(way[2] * by); else this.shift(way[0] * by, way[1] * by);
   }
 
   // The wheel moves the hand in depth while it is held, else the camera.
   wheel(event) {
     event.preventDefault();
-    if (this.held) {
-      this.held = plus(this.held, this.camera.away, -event.deltaY * 2e-5);
-      this.tell();
-    } else this.turn.scale = Math.min(8, Math.max(0.2, this.turn.scale * Math.exp(-event.deltaY * 0.001)));
+    if (this.held) this.push(-event.deltaY * 2e-5);
+    else this.turn.scale = Math.min(8, Math.max(0.2, this.turn.scale * Math.exp(-event.deltaY * 0.001)));
   }
 
   tell() { if (this.held) this.move(this.held); }
 
   letGo() {
     if (!this.held) return;
-    this.held = null;
+    this.held = this.depth = null;
     this.move(null);
   }
 
@@ -125,6 +177,7 @@ export class Space {
 
   show(now) {
     this.now = now;
+    this.follow();
     this.trace.push([now.t, [...now.position], Math.hypot(...now.force)]);
     while (this.trace.length && (this.trace[0][0] < now.t - TRACE_SECONDS || this.trace[0][0] > now.t)) this.trace.shift();
   }
@@ -133,46 +186,45 @@ export class Space {
     const { canvas, still } = this, width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
     if (!width || !this.shape) return;
     const { yaw, pitch, scale, reach } = this.turn, view = [yaw, pitch, scale, width, height, ratio, this.solids.version].join();
-    this.camera = this.axes();
+    this.camera = axesOf(this.turn);
     this.pixels = (0.42 * Math.min(width, height) * scale) / reach;
     for (const each of [canvas, still]) if (each.width !== Math.round(width * ratio) || each.height !== Math.round(height * ratio)) { each.width = Math.round(width * ratio); each.height = Math.round(height * ratio); }
-    const middle = (g) => g.setTransform(ratio, 0, 0, ratio, (width * ratio) / 2, (height * ratio) / 2);
-    if (this.drawn !== view) {
-      const g = still.getContext("2d");
-      g.setTransform(1, 0, 0, 1, 0, 0);
-      g.clearRect(0, 0, still.width, still.height);
-      middle(g);
-      this.paint(g);
+    if (this.loaded !== this.solids) {
+      this.picture.load(this.solids);
+      this.loaded = this.solids;
+    }
+    // A picture of less detail, while the camera turns, is replaced when it rests.
+    const time = performance.now(), turning = this.drawn !== view && this.drawn !== "";
+    if (turning) this.turned = time;
+    if (this.drawn !== view || (this.rough && time - this.turned > REST)) {
+      this.rough = turning && Boolean(this.picture.differs);
+      this.picture.draw({ turn: this.turn, pixels: this.pixels, width, height, ground: this.ground, tints: this.tints(), turning });
       this.drawn = view;
     }
+    const there = this.now !== null && this.now.position.every(Number.isFinite);
+    this.picture.finish(this.balls(there));
     const g = canvas.getContext("2d");
     g.setTransform(1, 0, 0, 1, 0, 0);
     g.clearRect(0, 0, canvas.width, canvas.height);
     g.drawImage(still, 0, 0);
-    middle(g);
-    if (this.now && this.now.position.every(Number.isFinite)) this.bodies(g);
+    g.setTransform(ratio, 0, 0, ratio, (width * ratio) / 2, (height * ratio) / 2);
+    this.directions(g);
+    if (there) this.bodies(g);
   }
 
-  // From far to near, brighter towards the light.
-  paint(g) {
-    const faces = [];
-    for (const { points: [a, b, c], tool } of this.solids.all()) {
-      const normal = cross(minus(b, a), minus(c, a)), length = size(normal);
-      if (length < 1e-15) continue;
-      const points = [a, b, c].map((point) => this.seen(point));
-      faces.push([points[0][2] + points[1][2] + points[2][2], points, Math.abs(dot(normal, LIGHT)) / length, tool]);
-    }
-    faces.sort((one, other) => other[0] - one[0]);
-    g.lineWidth = 1;
-    for (const [, points, bright, tool] of faces) {
-      g.beginPath();
-      points.forEach(([u, v], n) => g[n ? "lineTo" : "moveTo"](u, v));
-      g.closePath();
-      g.fillStyle = g.strokeStyle = `color-mix(in srgb, ${colour(tool ? "proxy" : "wall-edge")} ${Math.round(100 - 75 * bright)}%, ${colour("wall")})`;
-      g.fill();
-      g.stroke();
-    }
-    this.directions(g);
+  // Colours of the parts: their own, or those of the page.
+  tints() {
+    const found = this.solids.parts.map((part) => part.colour ?? rgb(part.tool ? "proxy" : "solid"));
+    return Object.assign(found, { ground: rgb("ground") });
+  }
+
+  // Device and proxy as balls, and where a plumb line from the device lands.
+  balls(there) {
+    const tints = { device: rgb("device"), proxy: rgb("proxy"), line: rgb("soft") }, { now } = this;
+    if (!there) return { device: null, proxy: null, landing: 0, tints };
+    const radius = Math.max(this.shape.tool_radius, BALL / this.pixels);
+    const proxy = now.contact === 1 && !this.shape.bodies ? [...now.proxy, Math.max(this.shape.tool_radius, 0.75 * radius)] : null;
+    return { device: [...now.position, radius], proxy, landing: this.solids.below(now.position, this.ground.at), tints };
   }
 
   directions(g) {
@@ -196,19 +248,26 @@ export class Space {
     for (const ends of this.section?.lines(now) ?? []) line(g, "ink", 1, ends.map((point) => this.seen(point)));
     g.globalAlpha = 1;
     line(g, "target", 1.5, [device, taken], [4, 3]);
-    dotAt(g, "target", taken, 8);
+    dotAt(g, "target", taken, 4);
     ring(g, "target", target, 13, 1.5);
     if (now.contact === 1) {
       const proxy = this.seen(now.proxy);
       this.cone(g, now);
       line(g, "proxy", 2, zigzag(device, proxy));
-      if (!this.shape.bodies) dotAt(g, "proxy", proxy, 7);
+      if (!this.shape.bodies && !this.lit) dotAt(g, "proxy", proxy, 7);
       line(g, "wall-edge", 2, [proxy, this.seen(plus(now.proxy, now.normal, 0.008))]);
     }
-    // Draw the device transparent while it is inside.
-    g.globalAlpha = now.contact === 1 ? 0.55 : 1;
-    dotAt(g, "device", device, 9);
-    g.globalAlpha = 1;
+    // Without depth, the device is transparent while it is inside.
+    if (!this.lit) {
+      g.globalAlpha = now.contact === 1 ? 0.55 : 1;
+      dotAt(g, "device", device, 9);
+      g.globalAlpha = 1;
+    }
+    const other = this.beside?.at(now.t);
+    if (Array.isArray(other?.place)) {
+      ring(g, "beside", this.seen(other.place), BALL + 1, 3);
+      line(g, "beside", 2, [this.seen(other.place), this.seen(plus(other.place, other.whole, 0.01))]);
+    }
     const force = Math.hypot(...now.force);
     if (force > 0.02) {
       const tip = this.seen(plus(now.position, now.force, 0.01));
@@ -219,20 +278,26 @@ export class Space {
     }
   }
 
+  // Whether the force lies on the friction cone, or outside.
+  slides() {
+    const { force, normal } = this.now, straight = dot(force, normal);
+    return size(minus(force, normal.map((each) => each * straight))) > 0.98 * this.shape.friction * Math.abs(straight);
+  }
+
   // Figures of this moment.
   read(place) {
     if (!this.now) return;
     const { contact, distance, normal, force } = this.now, parts = [];
     if (contact === 1 && normal.some(Boolean)) parts.push(`${fixed(Math.abs(distance) * 1e3, 2)} mm deep`);
+    if (parts.length && this.shape.friction && size(force) > 0.02) parts.push(this.slides() ? "slides" : "sticks");
     place.textContent = unbroken([...parts, `${fixed(Math.hypot(...force), 2)} N`].join("   ·   "));
   }
 
   // Friction cone: inside it the contact sticks; red when the force is on it or outside.
-  cone(g, { proxy, normal, force }) {
+  cone(g, { proxy, normal }) {
     const mu = this.shape.friction;
     if (!mu) return;
-    const straight = dot(force, normal), aside = size(minus(force, normal.map((each) => each * straight)));
-    const slides = aside > 0.98 * mu * Math.abs(straight), first = cross(normal, Math.abs(normal[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]), long = size(first);
+    const slides = this.slides(), first = cross(normal, Math.abs(normal[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]), long = size(first);
     const a = first.map((each) => each / long), b = cross(normal, a), points = [];
     for (let k = 0; k <= 24; k++) {
       const angle = (2 * Math.PI * k) / 24;
@@ -241,4 +306,10 @@ export class Space {
     line(g, slides ? "bad" : "good", 1.5, points);
     for (const k of [0, 6, 12, 18]) line(g, slides ? "bad" : "good", 1, [this.seen(proxy), points[k]]);
   }
+}
+
+// A colour of the page as red, green and blue of 1.
+function rgb(name) {
+  const code = colour(name);
+  return [1, 3, 5].map((at) => parseInt(code.slice(at, at + 2), 16) / 255);
 }

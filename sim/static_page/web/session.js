@@ -271,6 +271,7 @@ class Beside {
     moved(b.environment, player.environment, []);
     moved(b.coupling, player.coupling, []);
     b.memory.set(player.memory);
+    b.table.set(player.table);
     b.rings.forEach((ring, n) => ring.set(player.rings[n]));
     b.schedule = [];
     b.leaving = [];
@@ -281,11 +282,11 @@ class Beside {
   }
 
   tick() {
-    const { player: b } = this, axis = b.axes[0];
+    const { player: b } = this, [axis] = b.axes, one = b.axes.length === 1;
     b.tick();
     b.events.length = 0;
-    this.position.push(b.driver.position[axis]);
-    this.force.push(b.driver.force[axis]);
+    this.position.push(one ? b.driver.position[axis] : Array.from(b.driver.position));
+    this.force.push(one ? b.driver.force[axis] : Array.from(b.driver.force));
   }
 }
 

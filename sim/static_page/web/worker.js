@@ -47,6 +47,18 @@ const frame = () => {
   post(buffer, [buffer]);
 };
 
+// Shapes that move, where they are.
+const MOVES = (DATA.hello.shape.parts ?? []).some(({ pose }) => pose >= 0);
+const poses = () => {
+  if (!MOVES) return;
+  const { table } = session.player, found = [];
+  for (let n = 0; n < table[SHAPES_COUNT_]; n++) {
+    const row = ROWS_ + ROW_ * n, at = row + SHIFT_;
+    if (table[row + SPEED_] > 0) found.push([...table.slice(at, at + 3), 1, 0, 0, 0, 1, 0, 0, 0, 1]);
+  }
+  say("poses", { poses: found });
+};
+
 // -- documents ------------------------------------------------------------------------------------
 
 let why = "", stop = null, revision = 0;
@@ -217,6 +229,7 @@ const play = () => {
   events();
   if (bins.length) {
     frame();
+    poses();
     beside();
   }
   if (time - told > STATUS_PERIOD) {

@@ -103,6 +103,38 @@ def test_a_request_without_an_end_does_not_hold_up_the_node(
             control.join(DEADLINE)
 
 
+def test_what_a_node_loads_itself_is_not_taken_for_requests(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mesh of 327 680 triangles cut the page off from its node; its size has a limit, too."""
+    memory = [100 << 20]
+    monkeypatch.setattr("nodes.base.realtime.memory_bytes", lambda: memory[0])
+    with private_runtime_dir() as folder:
+        control = server(context, folder)
+        denied: list[str] = []
+        node = control._node
+        monkeypatch.setattr(node.events, "deny", lambda text, _: denied.append(text))
+
+        def grown(by: int) -> int:
+            memory[0] += by
+            control._review_memory()
+            return len(denied)
+
+        assert grown(control_thread.MAX_GROWTH) == 0
+        with node.loading:
+            assert grown(1 << 30) == 0
+            memory[0] += 1 << 30
+        assert grown(0) == 0
+        # From there on requests count again, from one byte beyond their limit.
+        assert grown(control_thread.MAX_GROWTH) == 0
+        assert grown(1) == 1
+        # Nor does a load hide more than the largest file takes.
+        with node.loading:
+            assert grown(control_thread.MAX_LOADED) == 1
+            assert grown(control_thread.MAX_LOADED + 1) == 2
+        assert control.stop()
+
+
 def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> None:
     """A flood takes the interpreter from the loop: only the flooding client waits."""
     with private_runtime_dir() as folder:

@@ -12,7 +12,8 @@ from nodes.environment.shapes.convex import gap
 from nodes.environment.shapes.kinds import Shape
 from nodes.environment.shapes.scene import scene_table
 from nodes.environment.surfaces import SURFACES, parse_surface
-from nodes.view.shape import ACROSS, AROUND, shape_of
+from nodes.view.shape import patches_of
+from nodes.view.tessellation import ACROSS, AROUND
 from sim.lab.proxy_shapes import nearest_on
 
 RADIUS = 0.01
@@ -61,17 +62,12 @@ def test_every_registered_shape_has_an_example() -> None:
 
 @pytest.mark.parametrize("kind", EXAMPLES)
 def test_a_shape_is_drawn_where_it_is_felt(kind: str) -> None:
-    drawn = shape_of({"surface": {"kind": kind, **EXAMPLES[kind]}})["triangles"]
-    corners = np.array(drawn).reshape(-1, 3, 3)
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    corners = corners[
-        sides.min(axis=1) > 1e-9
-    ]  # at a pole two corners of a triangle are one
+    (patch,) = patches_of({"surface": {"kind": kind, **EXAMPLES[kind]}})
     for point in POINTS:
         away, _ = distance(kind, point)
-        seen = np.linalg.norm(point - nearest_on(corners, point), axis=1).min()
-        # 2e-6: coordinates are rounded to 1e-6 m
-        assert abs(abs(away) - seen) <= SAGITTA + 2e-6
+        seen = np.linalg.norm(point - nearest_on(patch.corners, point), axis=1).min()
+        # 1e-12: rounding of lengths below 0.1 m
+        assert abs(abs(away) - seen) <= SAGITTA + 1e-12
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)

@@ -73,7 +73,7 @@ def test_bodies_of_an_environment_that_starts_later_are_waited_for(
     )
     path, count = (
         poses_file(tmp_path, "environment"),
-        len(bodies_of(load_world_of(parameters))["bodies"]),
+        len(bodies_of(load_world_of(parameters))["parts"]),
     )
     given_up = MadeLater(
         path,

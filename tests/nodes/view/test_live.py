@@ -8,14 +8,18 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from messages.types import DeviceState, NodeStatus
+from nodes.launcher import launch_file
 from nodes.launcher.runs import RunInfo, write_end
-from nodes.view.comparison import Changed, Comparison
+from nodes.view.comparison import FREE, Changed, Comparison
 from nodes.view.live import Facts, LiveRun
 from sim.drill.drill import scene as drill_scene
 from sim.drill.last_line import ORDER
+from sim.play.hops import setup_of
 from tests.support.browser import viewing
 from tests.support.launching import running, wait_for
 from tests.support.live_page import live, texts
@@ -182,3 +186,52 @@ def test_a_law_unchosen_before_its_simulation_begins_is_no_error(other: str) -> 
 
     asyncio.run(visit())
     assert told == [{"law": "pd", "at": None}, {"law": other, "at": None}]
+
+
+def state(seq: int, force: float) -> DeviceState:
+    """Return a state in which device and target go along y and z."""
+    at = (0.0, 1e-3 * seq, -2e-3 * seq)
+    return DeviceState(
+        seq=seq, stamp=0.0, position=at, target=at, force=(0.0, 0.0, force)
+    )
+
+
+def test_b_of_three_axes_begins_where_a_is_free() -> None:
+    """A proxy that begins inside a shape does not feel it."""
+    launch = launch_file.read("sphere_feel", {})
+    nodes = {name: setup_of(launch, name) for name in launch.nodes}
+    run = RunInfo(run="r", scenario="s", launcher=0, nodes=nodes)
+    played = Comparison(run, "driver", lambda *_: None)
+    assert played.there
+    played.choose("pd", {"kind": "pd", "stiffness": 500.0, "damping": 3.0})
+    ticks = math.ceil(FREE / 0.002)
+    for seq in range(20):
+        played.take("", state(seq, 1.0))
+    # The first of them comes after one with a force, so it does not count.
+    begun = 21 + ticks
+    for seq in range(20, begun):
+        played.take("", state(seq, 0.0))
+    assert played._targets == []
+    played.take("", state(begun, 0.0))
+    played.take("", state(begun + 3, 0.0))
+    assert played._from == begun
+    place, speed = played._begin
+    assert place == state(begun, 0.0).position
+    assert speed == pytest.approx((0.0, 0.5, -1.0))
+    # Two states were lost: their targets lie in between.
+    wanted = [state(begun + k, 0.0).target for k in range(4)]
+    assert np.allclose(played._targets, wanted, rtol=0.0, atol=1e-15)
+
+
+def test_moving_bodies_and_shapes_are_not_compared() -> None:
+    launch = launch_file.read("sphere_feel", {})
+    ball = dict(launch.nodes["environment"].parameters["surface"])
+    moving = {"kind": "union", "shapes": [{**ball, "motion": {}}]}
+    for surface in ({**ball, "motion": {}}, moving):
+        nodes = {name: setup_of(launch, name) for name in launch.nodes}
+        parameters = {"surface": surface}
+        nodes["environment"] = msgspec.structs.replace(
+            nodes["environment"], parameters=parameters
+        )
+        run = RunInfo(run="r", scenario="s", launcher=0, nodes=nodes)
+        assert not Comparison(run, "driver", lambda *_: None).there

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,9 +12,9 @@ import pytest
 import yaml
 
 from messages.topics import DEVICE_STATE
-from nodes import view
 from nodes.launcher import scenario_files
 from nodes.recording.reader import Recording
+from tests.support.ball_picture import CENTRE, COLOURS, RADIUS, Camera, shade
 from tests.support.browser import OpenPage, needs_browser, shown, url_of, viewing
 from tests.support.launching import Running, running, wait_for
 
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = needs_browser
-
-WEB = Path(view.__file__).parent / "web"
-CENTRE, RADIUS = [0.045, 0.012, -0.02], 0.03
 
 
 @pytest.fixture(scope="module")
@@ -148,78 +144,10 @@ def test_the_ball_is_where_and_as_large_as_the_geometry_says(page: Page) -> None
           return [[1, 0], [-1, 0], [0, 1], [0, -1]].map(([du, dv]) => reach(du, dv)); }""",
             [u, v],
         )
-        # 28 by 14 parts: the outline of the polygons is up to 1 - cos(pi/28) inside; lines and
+        # 48 by 24 parts: the outline of the polygons is up to 1 - cos(pi/48) inside; lines and
         # pixels add two.
         for found in extent:
-            assert 0.98 * pixels * RADIUS - 2.0 <= found <= pixels * RADIUS + 2.0
-
-
-COLOURS = {
-    name: tuple(bytes.fromhex(code))
-    for name, code in re.findall(
-        r"--([a-z-]+): #([0-9a-f]{6})\b",
-        (WEB / "style.css").read_text(encoding="utf-8").partition(":root[")[0],
-    )
-}
-"""The light theme's."""
-
-LIGHT = (0.35, -0.5, 0.79)
-"""Where the light comes from."""
-
-
-def dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return math.fsum(x * y for x, y in zip(a, b, strict=True))
-
-
-class Camera:
-    """A parallel projection by formula: yaw about z, then pitch, the scene's box centred."""
-
-    def __init__(self, yaw: float, pitch: float, width: float, height: float) -> None:
-        sines, cosines = (
-            (math.sin(yaw), math.sin(pitch)),
-            (math.cos(yaw), math.cos(pitch)),
-        )
-        self.right = (cosines[0], sines[0], 0.0)
-        self.up = (-sines[0] * sines[1], cosines[0] * sines[1], cosines[1])
-        self.away = (-sines[0] * cosines[1], cosines[0] * cosines[1], -sines[1])
-        low, high = (
-            [f(0.0, c + s * RADIUS) for c in CENTRE]
-            for f, s in ((min, -1.0), (max, 1.0))
-        )
-        self.middle = [0.5 * (a + b) for a, b in zip(low, high, strict=True)]
-        self.pixels = 0.42 * min(width, height) / (0.5 * math.dist(low, high))
-
-    def seen(self, point: Sequence[float]) -> tuple[float, float]:
-        """Return pixels from the middle of the canvas, right and down."""
-        apart = [a - b for a, b in zip(point, self.middle, strict=True)]
-        return self.pixels * dot(apart, self.right), -self.pixels * dot(apart, self.up)
-
-    def met(
-        self, u: float, v: float, side: float = -1.0
-    ) -> tuple[float, float, float] | None:
-        """Return the ball's normal where the ray through a pixel meets its front (back: side 1)."""
-        at = self.seen(CENTRE)
-        aside, above = (
-            (u - at[0]) / (self.pixels * RADIUS),
-            -(v - at[1]) / (self.pixels * RADIUS),
-        )
-        rest = 1.0 - aside**2 - above**2
-        if rest < 0.0:
-            return None
-        x, y, z = (
-            aside * r + above * w + side * math.sqrt(rest) * a
-            for r, w, a in zip(self.right, self.up, self.away, strict=True)
-        )
-        return x, y, z
-
-
-def shade(normal: Sequence[float]) -> list[float]:
-    """Return the colour of a face of the ball: brighter towards the light."""
-    dark = 1.0 - 0.75 * abs(dot(normal, LIGHT))
-    return [
-        dark * a + (1.0 - dark) * b
-        for a, b in zip(COLOURS["wall-edge"], COLOURS["wall"], strict=True)
-    ]
+            assert 0.99 * pixels * RADIUS - 2.0 <= found <= pixels * RADIUS + 2.0
 
 
 @pytest.mark.process
@@ -242,14 +170,9 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) 
         for y in range(-12, 13)
     ]
     _, _, found = page.evaluate(read, [yaw, pitch, points])
-    # Faces of 2 pi/28: normals are off by up to 0.11 rad along and across, of 0.75 of the way from
-    # colour to colour.
-    off = (
-        0.75
-        * math.hypot(math.pi / 28.0, math.pi / 28.0)
-        * (COLOURS["wall"][0] - COLOURS["wall-edge"][0])
-        + 2.0
-    )
+    # Faces of 2 pi / 48: normals are off by up to half of that along and across, and light by as
+    # much of its share; two more for rounding.
+    off = 0.6 * math.hypot(math.pi / 48.0, math.pi / 48.0) * max(COLOURS["solid"]) + 2.0
     told_apart = 0
     for (u, v), (*colour, alpha) in zip(points, found, strict=True):
         far = math.dist((u, v), at)

@@ -12,12 +12,13 @@ import haptic
 import msgspec
 import numpy as np
 import pytest
+import yaml
 
 import nodes.view
 from messages.types import DeviceState, Force, Proxy
 from nodes.driver.force_words import explain
 from nodes.driver.state import SAFETY
-from nodes.launcher import launch_file
+from nodes.launcher import launch_file, scenario_files
 from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, without_spring
@@ -457,3 +458,51 @@ def test_a_law_rests_up_to_its_edge_and_one_with_own_code_is_not_judged(
         "touch_wall",
     )
     assert found == [True, False, False]
+
+
+MOVING: dict[str, Any] = {
+    "kind": "union",
+    "shapes": [
+        {
+            "kind": "sphere",
+            "position": [0.05, 0.01, -0.03],
+            "radius": 0.035,
+            "friction": {"static": 0.3},
+            "motion": {
+                "path": [[0.0, 0, 0, 0], [1.0, 0, 0, 0.01], [2.0, 0, 0, 0]],
+                "repeat": 2.0,
+            },
+        },
+        {"kind": "box", "position": [0.05, 0.06, 0.0], "size": [0.04, 0.02, 0.04]},
+    ],
+}
+
+
+def test_b_of_three_axes_with_the_law_of_a_is_a(tmp_path: Path) -> None:
+    """From the middle of a contact on, with its friction and its moving ball, to the bit."""
+    content = yaml.safe_load(scenario_files.find("sphere_feel").read_text())
+    content["nodes"]["environment"]["parameters"]["surface"] = MOVING
+    path = tmp_path / "moving.yaml"
+    path.write_text(yaml.safe_dump(content))
+    found = run(
+        tmp_path,
+        """const s = new Session(DATA);
+        s.hand([0.05, 0.02, -0.005]);
+        const rows = [];
+        for (let k = 0; k < 900; k++) {
+          if (k === 600) s.compare("pd");
+          if (k % 50 === 0) s.hand([0.05 + 0.01 * Math.sin(k / 90), 0.02, -0.005]);
+          s.tick();
+          const { position, force } = s.player.driver;
+          if (k >= 600) rows.push([[...position], [...force]]);
+        }
+        const { position, force } = s.beside;
+        result = { rows, position, force, shift: s.player.table[ROWS_ + SHIFT_ + 2] };""",
+        str(path),
+    )
+    a = np.array(found["rows"])
+    assert np.array_equal(a[:, 0], found["position"])
+    assert np.array_equal(a[:, 1], found["force"])
+    assert np.abs(a[:, 1]).max(axis=0).min() > 0.02
+    # At 1.8 s the ball is on its way back.
+    assert found["shift"] == pytest.approx(0.01 * (2.0 - 899 * T), abs=1e-12)

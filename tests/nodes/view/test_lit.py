@@ -1,0 +1,249 @@
+"""The lit picture by WebGL 2 in a real browser: light, occlusion, shadows, meshes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import nodes.view
+from nodes.environment.shapes.mesh_edges import first_of_equal
+from nodes.view.bundle import bundle
+from nodes.view.shape import _part, shape_of
+from nodes.view.tessellation import Patch
+from sim.lab.proxy_shapes import icosphere
+from tests.support.ball_picture import CENTRE, COLOURS, RADIUS, Camera, shade
+from tests.support.browser import SOFTWARE_GL, chromium, needs_browser
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [needs_browser, pytest.mark.process]
+
+WIDTH, HEIGHT = 600, 400
+_MAIN = """import { Space } from "./space.js";
+import { startTheme } from "./theme.js";
+startTheme(document.createElement("button"));
+globalThis.made = (shape) => {
+  globalThis.space = new Space(document.getElementById("space"), () => {});
+  space.start({ shape, hand: true, axes: ["x", "y", "z"] });
+};
+globalThis.shown = ({ yaw, pitch, position = [0, 0, 1], contact = 0, ...now }) => {
+  Object.assign(space.turn, { yaw, pitch, scale: 1 });
+  const zero = [0, 0, 0], none = { proxy: position, normal: zero, force: zero, asked: zero };
+  space.show({ t: 1, position, ...none, target: [0, 0, 1], distance: NaN, contact, ...now });
+  space.draw();
+};
+// Colours of points of the solids' picture, right and down from the middle.
+globalThis.colours = (points) => {
+  const { still } = space, copy = document.createElement("canvas");
+  [copy.width, copy.height] = [still.width, still.height];
+  space.draw();
+  const g = copy.getContext("2d");
+  g.drawImage(still, 0, 0);
+  const { data } = g.getImageData(0, 0, copy.width, copy.height);
+  return points.map(([u, v]) => {
+    const at = 4 * (Math.round(v + copy.height / 2) * copy.width + Math.round(u + copy.width / 2));
+    return [...data.subarray(at, at + 4)];
+  });
+};
+"""
+
+
+@pytest.fixture(scope="module")
+def lit() -> Iterator[Browser]:
+    """Return a browser whose WebGL 2 is drawn by a processor."""
+    with chromium(SOFTWARE_GL) as found:
+        yield found
+
+
+def opened(browser: Browser, shape: dict[str, Any]) -> Page:
+    """Return a page with nothing but the scene in 3D, without a server."""
+    web = Path(nodes.view.__file__).with_name("web")
+    modules = {path.name: path.read_text(encoding="utf-8") for path in web.glob("*.js")}
+    script = bundle({**modules, "alone.js": _MAIN}, "alone")
+    style = (web / "style.css").read_text(encoding="utf-8")
+    page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+    size = f"width: {WIDTH}px; height: {HEIGHT}px"
+    page.set_content(
+        f'<style>{style}</style><canvas id="space" style="{size}"></canvas>'
+        f"<script>{script}</script>"
+    )
+    page.evaluate("shape => made(shape)", shape)
+    return page
+
+
+def ball(tool_radius: float = 0.0) -> dict[str, Any]:
+    surface = {"kind": "sphere", "position": CENTRE, "radius": RADIUS}
+    return shape_of({"surface": {**surface, "tool_radius": tool_radius}})
+
+
+@pytest.fixture(scope="module")
+def page(lit: Browser) -> Iterator[Page]:
+    found = opened(lit, ball())
+    yield found
+    found.close()
+
+
+YAW, PITCH = -0.4, 0.6
+
+
+def seen(page: Page, now: dict[str, Any], points: Any) -> Any:
+    page.evaluate("now => shown(now)", {"yaw": YAW, "pitch": PITCH, **now})
+    return page.evaluate("points => colours(points)", points)
+
+
+def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) -> None:
+    assert page.evaluate("space.lit !== null"), "no WebGL 2"
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    at, reach = camera.seen(CENTRE), camera.pixels * RADIUS
+    grid = np.arange(-9, 10) / 10.0
+    points = [(at[0] + reach * x, at[1] + reach * y) for x in grid for y in grid]
+    checked = 0
+    for (u, v), (*colour, alpha) in zip(points, seen(page, {}, points), strict=True):
+        if math.dist((u, v), at) < 0.97 * reach - 2.0:
+            normal = camera.met(round(u), round(v))
+            assert normal is not None
+            # Normals of the corners, mixed in between, are off by (pi / 48)² / 2 at most, those of
+            # a pixel by half of one; two for rounding.
+            off = 0.6 * ((math.pi / 48.0) ** 2 + 2.0 / reach) * max(COLOURS["solid"])
+            assert colour == pytest.approx(shade(normal), abs=off + 2.0)
+            assert alpha == 255
+            checked += 1
+    assert checked > 200
+
+
+def test_a_device_behind_the_ball_shines_through_it(page: Page) -> None:
+    """In front it hides the ball; behind, four tenths of its colour are seen."""
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    found = []
+    for side in (-1.0, 1.0):
+        place = [
+            c + side * 2.0 * RADIUS * a
+            for c, a in zip(CENTRE, camera.away, strict=True)
+        ]
+        found.append(seen(page, {"position": place}, [camera.seen(CENTRE)])[0])
+    (bare,) = seen(page, {}, [camera.seen(CENTRE)])
+    front = shade([-a for a in camera.away], "device")
+    # Its radius is 8 pixels, so half a pixel turns its normal by 1/16 along and across.
+    off = 0.6 * math.hypot(1.0 / 16.0, 1.0 / 16.0) * max(COLOURS["device"]) + 2.0
+    assert found[0][:3] == pytest.approx(front, abs=off)
+    mixed = [0.4 * a + 0.6 * b for a, b in zip(front, bare[:3], strict=True)]
+    assert found[1][:3] == pytest.approx(mixed, abs=off)
+
+
+def test_the_ball_and_the_device_cast_shadows_straight_down(page: Page) -> None:
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    ground = page.evaluate("space.ground.at")
+    low = CENTRE[2] - RADIUS
+    assert ground == pytest.approx(low, abs=1e-3)
+    # Within the ball's circle on the side that is seen, and well outside.
+    under, aside = (
+        [c + k * RADIUS * a for c, a in zip(CENTRE[:2], toward, strict=True)]
+        for k, toward in (
+            (0.9, (-camera.away[0], -camera.away[1])),
+            (1.6, (-camera.away[0], -camera.away[1])),
+        )
+    )
+    points = [camera.seen([*each, ground]) for each in (under, aside)]
+    shaded, bare = seen(page, {}, points)
+    # 0.72 of the light, of a ground that is at most 18 % darker on its lines.
+    assert shaded[0] < 0.85 * bare[0]
+    # The device, above that place: its shadow halves what is there, and a line leads to it.
+    (below,) = seen(page, {"position": [*aside, 0.03]}, points[1:])
+    assert below[0] < 0.7 * bare[0]
+    # On the ball it falls on the ball.
+    top = [*CENTRE[:2], CENTRE[2] + RADIUS]
+    lit, dark = (
+        seen(page, {"position": [*at, 0.06]}, [camera.seen(top)])[0]
+        for at in (aside, CENTRE[:2])
+    )
+    assert dark[0] < 0.7 * lit[0]
+
+
+def fine_ball(halvings: int) -> dict[str, Any]:
+    """Return a ball of 20·4ⁿ triangles as a page reads a mesh."""
+    corners = np.round(icosphere(halvings, RADIUS) + CENTRE, 9).reshape(-1, 3)
+    first, which = first_of_equal(corners)
+    patch = Patch(corners[first], which.reshape(-1, 3), flat=True, closed=True)
+    return {"parts": [_part(patch)], "tool_radius": 0.0, "friction": 0.0}
+
+
+def test_a_fine_mesh_is_closed_uploaded_once_and_drawn_in_one_call(
+    lit: Browser,
+) -> None:
+    """81 920 triangles were drawn as confetti of every fifth."""
+    shape = fine_ball(6)
+    page = opened(lit, shape)
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    at, reach = camera.seen(CENTRE), camera.pixels * RADIUS
+    inside = [
+        (at[0] + u, at[1] + v)
+        for u in range(-int(reach), int(reach), 2)
+        for v in range(-int(reach), int(reach), 2)
+        if math.hypot(u, v) < 0.99 * reach - 1.5
+    ]
+    assert all(alpha == 255 for *_, alpha in seen(page, {}, inside))
+    calls = page.evaluate("""() => {
+      const { gl } = space.lit, found = { uploads: 0, calls: [] };
+      const { bufferData, drawElements } = gl;
+      gl.bufferData = (...given) => { found.uploads++; bufferData.apply(gl, given); };
+      gl.drawElements = (...given) => {
+        found.calls.push(given[1] / 3);
+        drawElements.apply(gl, given);
+      };
+      space.drawn = "";
+      for (let k = 0; k < 3; k++) space.draw();
+      Object.assign(gl, { bufferData, drawElements });
+      return found; }""")
+    # The mesh and the ground, once, though the device was drawn three times.
+    assert calls == {"uploads": 0, "calls": [20 * 4**6, 2]}
+    page.close()
+
+
+def test_without_webgl_a_fine_mesh_is_drawn_coarser_and_closed(lit: Browser) -> None:
+    """Also when a browser takes WebGL away in the middle."""
+    shape = fine_ball(5)
+    page = opened(lit, shape)
+    seen(page, {}, [(0.0, 0.0)])
+    page.evaluate("space.lit.gl.getExtension('WEBGL_lose_context').loseContext()")
+    page.wait_for_function("space.lit === null")
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    at, reach = camera.seen(CENTRE), camera.pixels * RADIUS
+    # A cell of the grid is 1/77 of the width; corners move by half of it at most, inwards.
+    inside = [
+        (at[0] + reach * x, at[1] + reach * y)
+        for x in np.linspace(-0.9, 0.9, 37)
+        for y in np.linspace(-0.9, 0.9, 37)
+        if math.hypot(x, y) < 0.93
+    ]
+    found = seen(page, {}, inside)
+    # A hair between two polygons with smooth edges is no hole.
+    assert all(alpha >= 245 for *_, alpha in found)
+    count = page.evaluate(
+        "[...space.picture.coarse.values()].map(({ faces }) => faces.length / 3)"
+    )
+    assert 1000 < count[0] <= 6000
+    page.close()
+
+
+def test_the_theme_and_a_parts_own_colour_are_seen(lit: Browser) -> None:
+    shape = ball()
+    shape["parts"][0]["colour"] = [1.0, 0.0, 0.5]
+    page = opened(lit, shape)
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    (found,) = seen(page, {}, [camera.seen(CENTRE)])
+    assert found[1] == 0
+    assert found[2] == pytest.approx(0.5 * found[0], abs=1.0)
+    ground = camera.seen([CENTRE[0] - 2.0 * RADIUS, CENTRE[1], CENTRE[2] - RADIUS])
+    (day,) = seen(page, {}, [ground])
+    page.evaluate("document.documentElement.dataset.theme = 'dark'")
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_function("getComputedStyle(document.body).colorScheme === 'dark'")
+    (night,) = seen(page, {}, [ground])
+    assert sum(night[:3]) < 0.4 * sum(day[:3])
+    page.close()
