@@ -16,7 +16,7 @@ from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.base.printable import printable
 from nodes.recording.difference import difference
-from nodes.recording.figure_style import COLOURS, LINES
+from nodes.recording.figure_style import COLOURS, LINES, PAGE_WIDTH
 from nodes.recording.plot import end_of, form_of, head, new_figure, render
 from nodes.recording.plot_panels import COLORS, style
 from nodes.recording.reader import Recording
@@ -104,7 +104,7 @@ def overlay(
         n for n in range(1, len(lines)) if set(lines[n].axes) & set(lines[0].axes)
     ]
     rows = 3 if compared else 2
-    figure = new_figure(3.3 * rows + 0.12 * len(recordings))
+    figure = new_figure(2.3 * rows + 0.12 * len(recordings), PAGE_WIDTH)
     grid = figure.subplots(rows, len(drawn), sharex=True, squeeze=False)
     labels = _labels(recordings, lines)
     for column, axis in enumerate(drawn):
@@ -229,6 +229,29 @@ def _trace(
     return x, y
 
 
+def sight_of(
+    traces: Sequence[tuple[Sequence[float], Sequence[float]]],
+) -> tuple[float, float] | None:
+    """Return the positions [mm] where forces act, with a margin; None if that is most of all.
+
+    The way to a wall is no part of what is felt there, and often twenty times as long.
+    """
+    places = [x for xs, _ in traces for x in xs if math.isfinite(x)]
+    felt = [
+        x
+        for xs, ys in traces
+        for x, y in zip(xs, ys, strict=True)
+        if math.isfinite(x) and y != 0.0
+    ]
+    if not felt:
+        return None
+    low, high = min(felt), max(felt)
+    margin = 0.25 * (high - low)
+    if high - low + 2.0 * margin >= 0.6 * (max(places) - min(places)):
+        return None
+    return low - margin, high + margin
+
+
 def _extent(line: Line, axis: int) -> float:
     values = line.arrays()[1][:, axis]
     return float(np.ptp(values)) if len(values) else 0.0
@@ -244,7 +267,7 @@ def force_over_position(
     ends = start or 0.0, math.inf if stop is None else stop
     lines = [Lines(recording, *ends) for recording in recordings]
     labels = _labels(recordings, lines)
-    figure = new_figure(6.6 + 0.12 * len(recordings))
+    figure = new_figure(4.6 + 0.12 * len(recordings), PAGE_WIDTH)
     drawn = sorted({axis for one in lines for axis in one.axes})
     if any(len(one.axes) > 1 for one in lines) and all(
         any(one.normal) for one in lines
@@ -259,22 +282,27 @@ def force_over_position(
         facts = ["dashed: the surface", "only ticks at which a surface was near"]
     else:
         grid = list(figure.subplots(1, len(drawn), squeeze=False)[0])
+        zoomed = False
         for axes, axis in zip(grid, drawn, strict=True):
+            traces = []
             for number, (recording, one) in enumerate(
                 zip(recordings, lines, strict=True)
             ):
                 if axis in one.axes:
-                    axes.plot(
-                        *_trace(recording, one, axis, *ends),
-                        label=labels[number],
-                        **_look(number, len(lines)),
-                    )
+                    traces.append(_trace(recording, one, axis, *ends))
+                    look = _look(number, len(lines))
+                    axes.plot(*traces[-1], label=labels[number], **look)
+            if (sight := sight_of(traces)) is not None:
+                axes.set_xlim(*sight)
+                zoomed = True
             for level in _levels(lines, axis):
                 axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
             axes.set_xlabel(f"position {'xyz'[axis]} [mm]")
             axes.set_ylabel(f"force {'xyz'[axis]} [N]")
         levels = _levels(lines, drawn[0]) if len(drawn) == 1 else []
         facts = [_facts(levels)] if levels else []
+        if zoomed:
+            facts.append("shown: where a force acts")
         if len(recordings) == len(drawn) == 1:
             facts.append(end_of(summarise(recordings[0]), drawn))
     for axes in grid:

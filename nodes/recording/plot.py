@@ -101,12 +101,12 @@ def head(axes: Axes, title: str, text: str, room: int = 21) -> None:
     )
 
 
-def new_figure(height: float) -> Figure:
-    """Create an empty figure without a window; `height` in inches."""
+def new_figure(height: float, width: float = 10.0) -> Figure:
+    """Create an empty figure without a window; sizes in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, height), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 

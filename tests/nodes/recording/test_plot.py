@@ -23,7 +23,7 @@ from messages import topics
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Receipt
 from nodes.cli import main
 from nodes.recording import plot, plot_panels
-from nodes.recording.overlay import RUNS, force_over_position, overlay
+from nodes.recording.overlay import RUNS, force_over_position, overlay, sight_of
 from nodes.recording.reader import Recording
 from nodes.recording.series import BINS, POINTS, Line, Lines, Spans
 from nodes.recording.writer import RecordWriter
@@ -553,3 +553,17 @@ def test_a_long_recording_is_drawn_in_bounded_memory(tmp_path: Path) -> None:
     # sorted) and nothing else.
     grown = (peaks[1] - peaks[0]) * 1024
     assert grown < 36_000 * 100 + 4e6
+
+
+def test_force_over_position_shows_where_a_force_acts() -> None:
+    """A quarter of that more on both sides; all of it, if that is most of it."""
+    way = [0.0, 20.0, 21.0, 20.5, 0.0]
+    force = [0.0, 0.0, -1.0, -0.5, 0.0]
+    assert sight_of([(way, force)]) == (20.375, 21.125)
+    # A second run that is felt elsewhere, and points where the pen is lifted.
+    other = ([math.nan, 18.0], [math.nan, 0.1])
+    assert sight_of([(way, force), other]) == (17.25, 21.75)
+    assert sight_of([(way, [0.0] * 5)]) is None
+    assert sight_of([([0.0, 8.0, 10.0], [0.0, 1.0, 1.0])]) == (7.5, 10.5)
+    # Six tenths of all, and the rest is shown as well.
+    assert sight_of([([0.0, 6.0, 10.0], [0.0, 1.0, 1.0])]) is None
