@@ -27,6 +27,7 @@ PLAYED = (
     "free_space",
     "identify",
     "mesh_pebble",
+    "reach",
     "ros2_wall",
     "rough_plane",
     "sphere_feel",
