@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import math
 from pathlib import Path
@@ -21,6 +20,7 @@ from sim.drill.drill import scene as drill_scene
 from sim.drill.last_line import ORDER
 from sim.play.hops import setup_of
 from tests.support.browser import viewing
+from tests.support.coroutines import complete
 from tests.support.launching import running, wait_for
 from tests.support.live_page import live, texts
 
@@ -184,7 +184,7 @@ def test_a_law_unchosen_before_its_simulation_begins_is_no_error(other: str) -> 
         await played._job
         await played.close()
 
-    asyncio.run(visit())
+    complete(visit())
     assert told == [{"law": "pd", "at": None}, {"law": other, "at": None}]
 
 

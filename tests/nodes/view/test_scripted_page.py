@@ -257,8 +257,8 @@ def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
     page: Page, script: Script
 ) -> None:
     canvases = page.evaluate(
-        "[...document.querySelectorAll('canvas:not([aria-hidden])')].map((e) => [e.id, e.getAttribute('role'),"
-        " e.ariaLabel])"
+        "[...document.querySelectorAll('canvas:not([aria-hidden])')].map((e) =>"
+        " [e.id, e.getAttribute('role'), e.ariaLabel])"
     )
     assert len(canvases) > 8
     assert [each for each in canvases if not all(each[1:])] == []
