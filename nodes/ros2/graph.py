@@ -10,8 +10,11 @@ from nodes.parameters.store import ParameterError
 
 Backend = Literal["auto", "rclpy", "cyclonedds"]
 
-# sets a parameter by its full name; returns why it was refused, or ""
-SetParameter = Callable[[str, Any], str]
+# sets parameters by their full names, all or none; returns why they were refused, or ""
+SetParameters = Callable[[Mapping[str, Any]], str]
+
+# carries out a request without arguments; returns whether it was, and what there is to say
+Trigger = Callable[[], tuple[bool, str]]
 
 
 class Graph(Protocol):
@@ -20,14 +23,22 @@ class Graph(Protocol):
     def look_up(self, name: str) -> Any:
         """Return the constructor of a message type; ImportError if the type is not installed."""
 
-    def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
-        """Return a reliable publish function for a topic."""
+    def publisher(
+        self, topic: str, name: str, latched: bool = False
+    ) -> Callable[[Any], None]:
+        """Return a reliable publish function; latched: a late subscriber gets the last ones."""
 
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
         """Subscribe to a topic, best effort, because an old force or target is useless."""
 
-    def serve(self, values: Mapping[str, Any], change: SetParameter) -> bool:
-        """Serve parameters. Return whether the library can."""
+    def serve(self, change: SetParameters) -> bool:
+        """Serve parameters and requests. Return whether the library can."""
+
+    def show(self, values: Mapping[str, Any], about: Callable[[str], str]) -> None:
+        """Show these parameters, and no others; `about` describes one by its name."""
+
+    def offer(self, requests: Mapping[str, Trigger]) -> None:
+        """Offer these requests as services below the node's name, and no others."""
 
     def take(self) -> None:
         """Deliver received messages to their subscribers, without waiting."""
