@@ -20,7 +20,6 @@ from nodes.recording.export import parameters
 from nodes.recording.reader import Recording
 from nodes.recording.ros2_defaults import Constructors
 from nodes.recording.ros2_messages import (
-    MAX_LATCHED,
     QUEUE,
     RosMessages,
     ros2_messages,
@@ -71,7 +70,7 @@ def export_ros2(
         for chain, topic in map(topics.split, recording.topics)
         if topic in topics.LOOP
     }
-    kinds: dict[str, tuple[str, bool]] = {}
+    kinds: dict[str, tuple[str, int]] = {}
     # A recording of a single chain is read as if it were alone; on a graph it has its namespace.
     outer = recording.namespace
     for chain in sorted(found or {""}):
@@ -141,7 +140,7 @@ def within_chain(nodes: Mapping[str, Any], chain: str) -> dict[str, Any]:
     return inside or dict(nodes)
 
 
-def _qos(latched: bool) -> Any:
+def _qos(latched: int) -> Any:
     """Return what the node ``ros2`` offers live, for ``ros2 bag play``."""
     from rosbags.interfaces import (
         Qos,
@@ -156,7 +155,7 @@ def _qos(latched: bool) -> Any:
     forever = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE
     return Qos(
         QosHistory.KEEP_LAST,
-        MAX_LATCHED if latched else QUEUE,
+        latched or QUEUE,
         QosReliability.RELIABLE,
         durability,
         forever,

@@ -19,8 +19,8 @@ FRAME = "haptic"  # frame of all positions
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 TEXT, MARKER = "std_msgs/msg/String", "visualization_msgs/msg/Marker"
 TF, DIAGNOSTICS, CLOCK = "/tf", "/diagnostics", "/clock"
-QUEUE = 10  # messages kept for a subscriber that is late
-MAX_LATCHED = 100  # messages of a latched topic that a late subscriber receives
+QUEUE = 10  # messages kept for a subscriber that is slow
+MOST_SHAPES = 100  # shapes that are drawn
 
 # topic, type, and the function that builds the message
 RosMessage: TypeAlias = tuple[str, str, Callable[[], Any]]
@@ -37,8 +37,8 @@ CHAIN_TOPICS = {
     "wall": MARKER,
     "parameters": TEXT,
 }
-# Topics of a chain whose last messages a late subscriber receives (transient local).
-LATCHED = frozenset({"law", "wall", "parameters"})
+# Latched topics of a chain (transient local), and how many messages a late subscriber receives.
+LATCHED = {"law": 1, "wall": MOST_SHAPES, "parameters": 1}
 # Topics that all chains share.
 SHARED_TOPICS = {
     TF: "tf2_msgs/msg/TFMessage",
@@ -50,14 +50,14 @@ SIMULATED_TOPICS = {CLOCK: "rosgraph_msgs/msg/Clock"}
 
 def ros2_topics(
     chain: str = "", prefix: str = "haptic", simulated: bool = False
-) -> dict[str, tuple[str, bool]]:
-    """Return all topics of a chain: full name to type, and whether it is latched."""
+) -> dict[str, tuple[str, int]]:
+    """Return all topics of a chain: full name to type and latched messages, 0 for none."""
     own = {
-        within(chain, f"/{prefix}/{name}"): (kind, name in LATCHED)
+        within(chain, f"/{prefix}/{name}"): (kind, LATCHED.get(name, 0))
         for name, kind in CHAIN_TOPICS.items()
     }
     shared = SHARED_TOPICS | (SIMULATED_TOPICS if simulated else {})
-    return own | {topic: (kind, False) for topic, kind in shared.items()}
+    return own | {topic: (kind, 0) for topic, kind in shared.items()}
 
 
 def stamp_offset(manifest: Mapping[str, str]) -> int:
@@ -139,7 +139,7 @@ def standing_messages(
     """
     for tree in parameters.values():
         surface = tree.get("surface") if isinstance(tree, Mapping) else None
-        for number, shape in enumerate(drawn_shapes(surface)[:MAX_LATCHED]):
+        for number, shape in enumerate(drawn_shapes(surface)[:MOST_SHAPES]):
             build = partial(make.marker, number, shape)
             yield _of_chain(chain, prefix, "wall", build)
     text = json.dumps({**about, "parameters": parameters}, ensure_ascii=False)

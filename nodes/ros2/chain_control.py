@@ -16,7 +16,7 @@ from nodes.client.launches import ask
 from nodes.launcher.runs import RunInfo
 from nodes.laws.base import LAWS
 from nodes.laws.presets import PRESETS
-from nodes.parameters.describe import described
+from nodes.parameters.describe import Description, described
 from nodes.parameters.store import ParameterError, flattened
 from nodes.ros2.graph import Graph, Trigger
 
@@ -69,7 +69,12 @@ class ChainControl:
         if self.trees == before:
             return False
         if self._serves:
-            self._graph.show(ros_values(self.trees), self.about)
+            values = {
+                # A law's numbers are as they were written; ROS tells 700 from 700.0.
+                name: float(value) if self._is_number(name, value) else value
+                for name, value in ros_values(self.trees).items()
+            }
+            self._graph.show(values, self.about)
         return True
 
     def offer_laws(self) -> None:
@@ -86,16 +91,22 @@ class ChainControl:
             )
 
     def about(self, name: str) -> str:
-        """Return meaning, limits and unit of a parameter."""
+        """Return meaning with unit, limits and type of a parameter."""
+        found = self._described(name)
+        told = found.meaning.removesuffix("."), found.limits, found.type
+        return "; ".join(filter(None, told))
+
+    def _described(self, name: str) -> Description:
         node, _, path = name.partition(".")
         target = load(self._run.nodes[node].factory).Parameters
         try:
-            found = described(target, self.trees[node], path, _struct_of)
-        except ParameterError:
-            return ""
-        return "; ".join(
-            filter(None, (found.meaning.removesuffix("."), found.limits, found.type))
-        )
+            return described(target, self.trees[node], path, _struct_of)
+        except ParameterError:  # of a kind that is not described
+            return Description(type="")
+
+    def _is_number(self, name: str, value: Any) -> bool:
+        is_whole = isinstance(value, int) and not isinstance(value, bool)
+        return is_whole and self._described(name).type.startswith("number")
 
     def change(self, values: Mapping[str, Any]) -> str:
         """Set parameters of one node, all or none. Return why they were refused, or ""."""
@@ -114,7 +125,7 @@ class ChainControl:
         try:
             ask(self._run, nodes.pop(), "param.set", values=paths)
         except HapticError as error:
-            return str(error)
+            return _in_words_of_ros(error)
         return ""
 
     def _switch_to(self, law: str) -> Trigger:
@@ -124,11 +135,16 @@ class ChainControl:
             try:
                 receipt = ask(self._run, self._roles["coupling"], "law.switch", law=law)
             except HapticError as error:
-                return False, str(error)
+                return False, _in_words_of_ros(error)
             step = receipt.get("force_step_n", 0.0)
             return True, f"{law} from tick {receipt['seq']} on, force step {step:.3g} N"
 
         return switch
+
+
+def _in_words_of_ros(error: HapticError) -> str:
+    """Return a refusal; a change by force is not for the graph."""
+    return str(error).replace("use --force", "use haptic param set --force")
 
 
 def _struct_of(kind: str) -> type[Any] | None:

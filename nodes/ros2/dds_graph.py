@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any
 
 from nodes.recording.ros2_defaults import Constructors
-from nodes.recording.ros2_messages import MAX_LATCHED, QUEUE
+from nodes.recording.ros2_messages import QUEUE
 from nodes.ros2.graph import SetParameters, Trigger
 
 _LENIENT = (  # types with sequences match those of other vendors by name only
@@ -93,13 +93,13 @@ class DdsGraph:
         )
 
     def publisher(
-        self, topic: str, name: str, latched: bool = False
+        self, topic: str, name: str, latched: int = 0
     ) -> Callable[[Any], None]:
         """Return a publish function for a topic, with the type hash for newer ROS versions."""
         policy = self._core.Policy
         qos = self._core.Qos(
             policy.Reliability.Reliable(0),
-            policy.History.KeepLast(MAX_LATCHED if latched else QUEUE),
+            policy.History.KeepLast(latched or QUEUE),
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
             policy.Userdata(f"typehash={self._store.hash_rihs01(name)};".encode()),
         )

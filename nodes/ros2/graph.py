@@ -24,9 +24,9 @@ class Graph(Protocol):
         """Return the constructor of a message type; ImportError if the type is not installed."""
 
     def publisher(
-        self, topic: str, name: str, latched: bool = False
+        self, topic: str, name: str, latched: int = 0
     ) -> Callable[[Any], None]:
-        """Return a reliable publish function; latched: a late subscriber gets the last ones."""
+        """Return a reliable publish function; a late subscriber gets the last `latched` ones."""
 
     def listen(self, topic: str, name: str, take: Callable[[Any], None]) -> None:
         """Subscribe to a topic, best effort, because an old force or target is useless."""

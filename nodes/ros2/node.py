@@ -138,7 +138,7 @@ class Ros2(Node):
     def _publish(self, topic: str, kind: str, build: Callable[[], Any]) -> None:
         """Publish a message; a type whose package is not installed is skipped and reported once."""
         if topic not in self._publishers:
-            latched = topic.removeprefix(f"{self._prefix}/") in LATCHED
+            latched = LATCHED.get(topic.removeprefix(f"{self._prefix}/"), 0)
             try:
                 self._graph.look_up(kind)
                 self._publishers[topic] = self._graph.publisher(topic, kind, latched)

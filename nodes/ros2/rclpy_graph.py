@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from nodes.recording.ros2_messages import MAX_LATCHED, QUEUE
+from nodes.recording.ros2_messages import QUEUE
 from nodes.ros2.graph import SetParameters, Trigger
 
 
@@ -38,7 +38,7 @@ class RclpyGraph:
         return getattr(import_module(f"{package}.{kind}"), message)
 
     def publisher(
-        self, topic: str, name: str, latched: bool = False
+        self, topic: str, name: str, latched: int = 0
     ) -> Callable[[Any], None]:
         """Return a publish function for a topic."""
         qos = import_module("rclpy.qos")
@@ -47,8 +47,7 @@ class RclpyGraph:
             qos.DurabilityPolicy.VOLATILE,
         )
         profile = qos.QoSProfile(
-            depth=MAX_LATCHED if latched else QUEUE,
-            durability=durable if latched else volatile,
+            depth=latched or QUEUE, durability=durable if latched else volatile
         )
         publish: Callable[[Any], None] = self._node.create_publisher(
             self.look_up(name), topic, profile

@@ -32,7 +32,7 @@ from tests.support.setups import setup_of
 
 pytest.importorskip("rosbags")
 
-LATCHED_DEPTH, DEPTH = 100, 10
+DEPTH = 10
 
 
 class Graph:
@@ -43,14 +43,14 @@ class Graph:
 
         self.store = get_typestore(Stores.ROS2_HUMBLE)
         self.told: dict[str, list[bytes]] = defaultdict(list)
-        self.kinds: dict[str, tuple[str, bool]] = {}
+        self.kinds: dict[str, tuple[str, int]] = {}
         self.look_up = Constructors(
             self.store,
             self.store.types.__getitem__,
             lambda name: np.empty(0, np.dtype(name)),
         ).look_up
 
-    def publisher(self, topic: str, name: str, latched: bool) -> Callable[[Any], None]:
+    def publisher(self, topic: str, name: str, latched: int) -> Callable[[Any], None]:
         """Return a function that keeps a message."""
         self.kinds[topic] = name, latched
         return lambda message: self.told[topic].append(
@@ -182,7 +182,7 @@ def test_a_bag_has_the_very_bytes_that_the_graph_hears(
     for topic, (_, latched) in wanted.items():
         (qos,) = offered[topic].ext.offered_qos_profiles  # type: ignore[union-attr]
         assert qos.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")
-        assert qos.depth == (LATCHED_DEPTH if latched else DEPTH)
+        assert qos.depth == (latched or DEPTH)
         assert qos.reliability.name == "RELIABLE"
     prefix = topics.within(chain, "/haptic")
     # The text about the run has more in a file, which knows its own name.
