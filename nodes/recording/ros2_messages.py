@@ -12,7 +12,12 @@ from typing import Any, TypeAlias
 
 from messages.topics import within
 from messages.types import DeviceState, Force, Message, NodeStatus, Proxy, Vector
-from nodes.recording.ros2_shapes import NOT_TURNED, Drawn, Quaternion, drawn_shapes
+from nodes.recording.ros2_shapes import (
+    NOT_TURNED,
+    MarkerShape,
+    Quaternion,
+    drawn_shapes,
+)
 from nodes.recording.wall_clock import offsets_of
 
 FRAME = "haptic"  # frame of all positions
@@ -280,7 +285,7 @@ class RosMessages:
         """Build a message of simulated time."""
         return self._type("rosgraph_msgs/msg/Clock")(clock=self.time(nanoseconds))
 
-    def marker(self, number: int, drawn: Drawn) -> Any:
+    def marker(self, number: int, drawn: MarkerShape) -> Any:
         """Build a half-transparent shape for RViz, with its number in the scene, at any time."""
         color = self._type("std_msgs/msg/ColorRGBA")(r=0.3, g=0.5, b=0.8, a=0.5)
         seen: dict[str, Any] = {

@@ -16,7 +16,7 @@ Quaternion: TypeAlias = tuple[float, float, float, float]  # x, y, z, w
 NOT_TURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
-class Drawn(NamedTuple):
+class MarkerShape(NamedTuple):
     """One marker: type, centre [m], extents along its own axes [m], orientation."""
 
     shape: int
@@ -25,7 +25,7 @@ class Drawn(NamedTuple):
     turn: Quaternion = NOT_TURNED
 
 
-def drawn_shapes(surface: Any) -> list[Drawn]:
+def drawn_shapes(surface: Any) -> list[MarkerShape]:
     """Return the markers of a surface's parameters; of a mesh or a moving shape, none.
 
     A plane is drawn as a thin plate whose free side is the surface that is touched.
@@ -48,10 +48,12 @@ def drawn_shapes(surface: Any) -> list[Drawn]:
     if kind == "oriented_plane":
         return [_plate(place, surface.get("normal", (0.0, 0.0, 1.0)))]
     if kind == "sphere":
-        return [Drawn(SPHERE, _vector(place), (2.0 * surface["radius"],) * 3)]
+        return [MarkerShape(SPHERE, _vector(place), (2.0 * surface["radius"],) * 3)]
     if kind == "box":
         turn = surface.get("rotation", (0.0, 0.0, 0.0))
-        return [Drawn(CUBE, _vector(place), _vector(surface["size"]), turned_by(turn))]
+        return [
+            MarkerShape(CUBE, _vector(place), _vector(surface["size"]), turned_by(turn))
+        ]
     return []
 
 
@@ -60,24 +62,28 @@ def _vector(values: Any) -> Vector:
     return x, y, z
 
 
-def _plate(place: Any, normal: Any) -> Drawn:
+def _plate(place: Any, normal: Any) -> MarkerShape:
     """Return the plate below a plane through `place`."""
     length = math.hypot(*normal)
     unit = _vector(part / length for part in normal)
     centre = _vector(
         at - 0.5 * THICK * part for at, part in zip(place, unit, strict=True)
     )
-    return Drawn(CUBE, centre, (ACROSS, ACROSS, THICK), from_z_to(unit))
+    return MarkerShape(CUBE, centre, (ACROSS, ACROSS, THICK), from_z_to(unit))
 
 
-def _rod(surface: Mapping[str, Any], with_ends: bool) -> list[Drawn]:
+def _rod(surface: Mapping[str, Any], with_ends: bool) -> list[MarkerShape]:
     """Return a cylinder, of a capsule with the balls at its ends."""
     start, end = _vector(surface["start"]), _vector(surface["end"])
     length, wide = math.dist(start, end), 2.0 * surface["radius"]
     centre = _vector(0.5 * (a + b) for a, b in zip(start, end, strict=True))
     unit = _vector((b - a) / length for a, b in zip(start, end, strict=True))
-    ends = [Drawn(SPHERE, at, (wide,) * 3) for at in (start, end)] if with_ends else []
-    return [Drawn(CYLINDER, centre, (wide, wide, length), from_z_to(unit)), *ends]
+    ends = (
+        [MarkerShape(SPHERE, at, (wide,) * 3) for at in (start, end)]
+        if with_ends
+        else []
+    )
+    return [MarkerShape(CYLINDER, centre, (wide, wide, length), from_z_to(unit)), *ends]
 
 
 def from_z_to(unit: Vector) -> Quaternion:

@@ -39,7 +39,8 @@ from nodes.recording.ros2_messages import (
     standing_messages,
 )
 from nodes.ros2.chain_control import ChainControl
-from nodes.ros2.graph import Backend, Graph, choose, join
+from nodes.ros2.graph import Graph
+from nodes.ros2.ros_library import Backend, choose, join
 
 MAX_FRAMES = 16  # foreign frames that are reported
 SELDOM = 1.0  # period of publishing law, wall and parameters, which rarely change [s]

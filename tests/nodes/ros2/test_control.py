@@ -1,4 +1,4 @@
-"""Parameters and laws of a chain as a ROS 2 graph sees and changes them; without any graph."""
+"""Parameters and laws of a chain as a ROS 2 graph sees and changes them."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Shown:
         return True
 
     def show(self, values: Mapping[str, Any], about: Callable[[str], str]) -> None:
-        """Keep parameters and their descriptions."""
+        """Store parameters and their descriptions."""
         self.values, self.times = dict(values), self.times + 1
         self.texts = {name: about(name) for name in values}
 
     def offer(self, requests: Mapping[str, Trigger]) -> None:
-        """Keep services."""
+        """Store services."""
         self.requests = dict(requests)
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-import nodes.ros2.graph as graph
+import nodes.ros2.ros_library as ros_library
 from messages.types import DeviceState, Event, Receipt
 from nodes.base.setup import Setup
 from nodes.driver.external import ExternalParameters
@@ -133,14 +133,14 @@ def heard(
 
 
 def poses_in_bag(heard: Heard, folder: Path) -> dict[int, tuple[float, ...]]:
-    """Return stamp [ns] and position of each pose in the recording's bag, and check its topics."""
+    """Return stamp [ns] and position of each pose in a run's bag, and check its topics."""
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
     namespace = heard.told["namespace"]
     export_ros2(heard.recording, folder)
     store = get_typestore(Stores.ROS2_HUMBLE)
-    found = {}
+    found: dict[int, tuple[float, ...]] = {}
     with Reader(folder) as reader:
         kinds = {one.topic: [one.msgtype] for one in reader.connections}
         poses = [
@@ -276,7 +276,7 @@ def node(**parameters: Any) -> Setup:
 def test_without_a_library_both_extras_are_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(graph, "find_spec", lambda _: None)
+    monkeypatch.setattr(ros_library, "find_spec", lambda _: None)
     with pytest.raises(
         ParameterError, match=r"haptic-nodes\[ros2\].*haptic-nodes\[rclpy\]"
     ):

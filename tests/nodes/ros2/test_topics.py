@@ -180,7 +180,7 @@ def test_a_bag_has_the_very_bytes_that_the_graph_hears(
         topic: kind for topic, (kind, _) in wanted.items()
     }
     for topic, (_, latched) in wanted.items():
-        (qos,) = offered[topic].ext.offered_qos_profiles  # type: ignore[union-attr]
+        (qos,) = offered[topic].ext.offered_qos_profiles
         assert qos.durability.name == ("TRANSIENT_LOCAL" if latched else "VOLATILE")
         assert qos.depth == (latched or DEPTH)
         assert qos.reliability.name == "RELIABLE"
