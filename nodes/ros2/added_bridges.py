@@ -26,7 +26,7 @@ def with_ros2(launch: Launch, mode: Mode) -> Launch:
     has_one = {
         name.rpartition("/")[0] for name, spec in nodes.items() if spec.kind == KIND
     }
-    added = NodeSpec(kind=KIND, required=False, parameters=changes)
+    added = NodeSpec(kind=KIND, required=False, respawn=True, parameters=changes)
     for chain in chains_of(launch):
         if chain not in has_one:
             wanted = f"{chain}/{KIND}" if chain else KIND

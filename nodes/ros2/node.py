@@ -28,13 +28,13 @@ from nodes.launcher.runs import RunInfo, read_chain
 from nodes.parameters.store import ParameterError, convert
 from nodes.recording.ros2_messages import (
     FRAME,
-    LATCHED,
     POSE,
     TEXT,
     WRENCH,
     RosMessages,
     frames_of,
     ros2_messages,
+    ros2_topics,
     stamp_offset,
     standing_messages,
 )
@@ -130,23 +130,32 @@ class Ros2(Node):
         )
         self._make = RosMessages(self._graph.look_up, parameters.frame)
         self._prefix = f"{namespace}/{parameters.prefix}"
-        self._publishers: dict[str, Callable[[Any], None] | None] = {}
+        self._open_publishers()
         self.events.log(
             f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose,"
             f" {parameters.rate:g} Hz"
         )
 
-    def _publish(self, topic: str, kind: str, build: Callable[[], Any]) -> None:
-        """Publish a message; a type whose package is not installed is skipped and reported once."""
-        if topic not in self._publishers:
-            latched = LATCHED.get(topic.removeprefix(f"{self._prefix}/"), 0)
+    def _open_publishers(self) -> None:
+        """Create all publishers, which others then discover before there is anything to hear.
+
+        A type whose package is not installed is left out, and reported.
+        """
+        self._publishers: dict[str, Callable[[Any], None]] = {}
+        missing: dict[str, list[str]] = {}
+        for topic, (kind, latched) in ros2_topics(
+            self.setup.namespace, self.store.current.prefix, self._simulated
+        ).items():
             try:
                 self._graph.look_up(kind)
                 self._publishers[topic] = self._graph.publisher(topic, kind, latched)
             except ImportError as error:
-                self._publishers[topic] = None
-                self.events.emit("ros2", f"{topic} is left out: {error}")
-        publish = self._publishers[topic]
+                missing.setdefault(str(error), []).append(topic)
+        for why, left_out in missing.items():
+            self.events.emit_each("ros2", f"{', '.join(left_out)}: left out: {why}")
+
+    def _publish(self, topic: str, build: Callable[[], Any]) -> None:
+        publish = self._publishers.get(topic)
         if publish is not None:
             publish(build())
 
@@ -171,7 +180,7 @@ class Ros2(Node):
                 self._make, message, at, chain, prefix, self._simulated
             ):
                 if said or kind != TEXT:
-                    self._publish(name, kind, build)
+                    self._publish(name, build)
         if seldom and self._control is not None:
             self._seldom = time.monotonic() + SELDOM
             self._publish_standing(self._control.trees)
@@ -187,7 +196,7 @@ class Ros2(Node):
         ):
             # Kilobytes, for which late subscribers need no second time.
             if kind != TEXT or self._changed:
-                self._publish(topic, kind, build)
+                self._publish(topic, build)
         self._changed = False
 
     def _read_parameters(self, control: ChainControl) -> None:

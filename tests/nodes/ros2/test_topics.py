@@ -86,7 +86,8 @@ def node_on(
     node._make = RosMessages(
         graph.look_up, sequence=lambda values: np.array(values, float)
     )
-    node._prefix, node._publishers = topics.within(chain, "/haptic"), {}
+    node._prefix = topics.within(chain, "/haptic")
+    node._open_publishers()
     node._control = ChainControl(
         graph,  # type: ignore[arg-type]
         None,  # type: ignore[arg-type]
@@ -197,18 +198,11 @@ def test_a_bag_has_the_very_bytes_that_the_graph_hears(
     assert [one["parameters"] for one in live] == [nodes]
     assert live[0]["manifest"] == in_bag[0]["manifest"]
     assert dict(graph.told) == dict(found)
-    if pace == "lockstep":
-        assert graph.kinds == {
-            topic: one for topic, one in wanted.items() if topic != "/diagnostics"
-        }
-    else:
-        assert graph.kinds == wanted
+    assert graph.kinds == wanted
+    if pace == "realtime":
         (status,) = graph.read("/diagnostics")[0].status
-        assert (status.level, status.name, status.message) == (
-            0,
-            "left/driver",
-            "running",
-        )
+        told = status.level, status.name, status.message
+        assert told == (0, "left/driver", "running")
     # PD, PDα, multi-term: each is said when it takes over.
     assert len(found[f"{prefix}/law"]) == 3
     begin = f"{chain}/haptic" if chain else "haptic"
@@ -224,6 +218,30 @@ def test_a_bag_has_the_very_bytes_that_the_graph_hears(
     # A double at 1.8e9 s has a spacing of 2.4e-7 s.
     wall_time = 0 if pace == "lockstep" else 1764000000_123456789
     assert abs(stamp - round(state.stamp * 1e9) - wall_time) <= 240
+
+
+def test_a_type_that_is_not_installed_is_left_out_and_said_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    graph, said = Graph(), list[tuple[str, str]]()
+    found = graph.look_up
+
+    def look_up(name: str) -> Any:
+        if name.startswith(("tf2_msgs", "visualization_msgs")):
+            raise ImportError(f"No module named {name.partition('/')[0]!r}")
+        return found(name)
+
+    graph.look_up = look_up  # type: ignore[method-assign]
+    monkeypatch.setattr(
+        bridge.Ros2, "events", property(lambda _: Events(said)), raising=False
+    )
+    node_on(graph, "", {"pace": "lockstep"}, "lockstep", {})
+    missing = {"/tf", "/haptic/wall"}
+    assert graph.kinds.keys() == ros2_topics(simulated=True).keys() - missing
+    assert sorted(said) == [
+        ("ros2", "/haptic/wall: left out: No module named 'visualization_msgs'"),
+        ("ros2", "/tf: left out: No module named 'tf2_msgs'"),
+    ]
 
 
 ANGLE = st.floats(-math.pi, math.pi)
