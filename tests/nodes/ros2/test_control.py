@@ -66,6 +66,7 @@ def control(graph: Shown, dump: Any, refusal: str = "") -> ChainControl:
 
 def test_what_a_node_has_is_shown_until_it_is_different() -> None:
     graph, now = Shown(), trees()
+    now["coupling"]["laws"]["pd"]["stiffness"] = 800
     made = control(graph, lambda node: now[node])
     assert made.refresh()
     stiffness = graph.values["coupling.laws.pd.stiffness"]

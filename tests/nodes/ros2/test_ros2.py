@@ -36,6 +36,7 @@ PYTHON = os.environ.get("RCLPY_PYTHON") or (
 
 PROBE = Path(__file__).parents[2] / "support" / "rclpy_probe.py"
 SECONDS = 0.8
+RATE = 100.0  # of the scenario [Hz]
 
 
 class Heard(NamedTuple):
@@ -188,7 +189,7 @@ def test_rclpy_hears_what_was_recorded(heard: Heard, tmp_path: Path) -> None:
 def test_it_is_told_at_the_decimated_rate(heard: Heard) -> None:
     rate = len(heard.told["poses"]) / heard.told["span"]
     # Of 500 Hz every fifth or less: a busy machine sends less, never more.
-    assert rate <= 100.0 * 1.05
+    assert rate <= RATE * 1.05
     assert heard.told["poses_are"] == ["geometry_msgs/msg/PoseStamped"]
 
 
@@ -225,7 +226,8 @@ def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(
         )
         for since, until in spans
     )
-    assert pushed > 0.4 * pulled
+    # On a machine that publishes hardly any there is nothing to compare.
+    assert pushed > 0.4 * pulled or pulled < 0.1 * RATE * SECONDS
     refusals = [
         e.reason
         for e in heard.recording.messages("/ros2/event")
