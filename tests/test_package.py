@@ -21,9 +21,9 @@ import pytest
 from tests.support import ROOT
 from tests.support.launching import assert_nothing_left, private_runtime_dir
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
-    "project"
-]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = PYPROJECT["project"]
+SHARED = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["shared-data"]
 PACKAGES = ("haptic", "messages", "nodes", "sim")
 
 
@@ -76,7 +76,12 @@ def inside(wheel: Path) -> dict[str, bytes]:
 def test_wheel_holds_packages_scenarios_markers_and_licence(wheel: Path) -> None:
     files = inside(wheel)
     metadata = f"haptic_nodes-{PROJECT['version']}.dist-info"
-    assert {name.split("/")[0] for name in files} == {*PACKAGES, metadata}
+    # What goes into the environment's own ``share``: the package of ROS 2.
+    shared = f"haptic_nodes-{PROJECT['version']}.data"
+    assert {name.split("/")[0] for name in files} == {*PACKAGES, metadata, shared}
+    assert {name for name in files if name.startswith(shared)} == {
+        f"{shared}/data/{place}" for place in SHARED.values()
+    }
     for package in PACKAGES:
         beside = {
             path

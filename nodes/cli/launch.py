@@ -32,6 +32,7 @@ from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.logger import LoggerParameters, file_of
+from nodes.ros2.added_bridges import MODES, with_ros2
 
 _FLAGS = (
     (("--list",), "list the scenarios"),
@@ -88,6 +89,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     for names, text in _FLAGS:
         parser.add_argument(*names, action="store_true", help=text)
+    parser.add_argument(
+        "--ros2",
+        choices=MODES,
+        help="put each chain on the ROS 2 graph, to read only or to set parameters too",
+    )
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -149,6 +155,8 @@ def run(arguments: argparse.Namespace) -> int:
         )
         if arguments.out_dir:
             launch = _into(launch, arguments.out_dir)
+        if arguments.ros2:
+            launch = with_ros2(launch, arguments.ros2)
         _check_places(launch)
         return _launch(with_view(launch) if arguments.view else launch, arguments)
     except ParameterError as error:

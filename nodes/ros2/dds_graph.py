@@ -11,7 +11,9 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-QUEUE = 10
+from nodes.recording.ros2_defaults import Constructors
+from nodes.recording.ros2_messages import QUEUE
+from nodes.ros2.graph import SetParameters, Trigger
 
 _LENIENT = (  # types with sequences match those of other vendors by name only
     "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation>"
@@ -47,6 +49,7 @@ class DdsGraph:
         self._participant = import_module("cyclonedds.domain").DomainParticipant(
             int(os.environ.get("ROS_DOMAIN_ID", "0"))
         )
+        self._constructors = Constructors(self._store, self._class)
         self._classes: dict[str, Any] = {}
         self._readers: list[tuple[Any, Callable[[Any], None]]] = []
 
@@ -80,44 +83,24 @@ class DdsGraph:
             )
         return self._classes[name]
 
-    def _empty(self, description: Any) -> Any:
-        kind, inner = description
-        if kind.name == "NAME":
-            return self.look_up(inner)()
-        if kind.name == "SEQUENCE":
-            return []
-        if kind.name == "ARRAY":
-            return [self._empty(inner[0]) for _ in range(inner[1])]
-        return {"string": "", "bool": False}.get(
-            inner[0], 0.0 if inner[0].startswith("float") else 0
-        )
-
     def look_up(self, name: str) -> Any:
         """Return a constructor of messages; missing fields are zero or empty, as in ROS."""
-        made = self._class(name)
-        (_, fields) = self._store.fielddefs[name]
-
-        def build(**given: Any) -> Any:
-            return made(
-                **{
-                    field: given[field] if field in given else self._empty(kind)
-                    for field, kind in fields
-                }
-            )
-
-        return build
+        return self._constructors.look_up(name)
 
     def _topic(self, topic: str, name: str) -> Any:
         return import_module("cyclonedds.topic").Topic(
             self._participant, f"rt{topic}", self._class(name)
         )
 
-    def publisher(self, topic: str, name: str) -> Callable[[Any], None]:
+    def publisher(
+        self, topic: str, name: str, latched: int = 0
+    ) -> Callable[[Any], None]:
         """Return a publish function for a topic, with the type hash for newer ROS versions."""
         policy = self._core.Policy
         qos = self._core.Qos(
             policy.Reliability.Reliable(0),
-            policy.History.KeepLast(QUEUE),
+            policy.History.KeepLast(latched or QUEUE),
+            policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
             policy.Userdata(f"typehash={self._store.hash_rihs01(name)};".encode()),
         )
         publishing = import_module("cyclonedds.pub")
@@ -139,12 +122,16 @@ class DdsGraph:
         )
         self._readers.append((reader, take))
 
-    def serve(
-        self, values: Mapping[str, Any], change: Callable[[str, Any], str]
-    ) -> bool:
+    def serve(self, change: SetParameters) -> bool:
         """Return False: parameters are services of a ROS node, which DDS alone lacks."""
-        del values, change
+        del change
         return False
+
+    def show(self, values: Mapping[str, Any], about: Callable[[str], str]) -> None:
+        """Do nothing: see `serve`."""
+
+    def offer(self, requests: Mapping[str, Trigger]) -> None:
+        """Do nothing: see `serve`."""
 
     def take(self) -> None:
         """Deliver received messages."""

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import msgspec
@@ -21,28 +19,33 @@ from messages.codec import Decoder, MessageRefusedError
 from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import Connection
-from messages.types import DeviceState, Force, NodeStatus
+from messages.types import Force, NodeStatus, Receipt
 from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.client.launches import roles
 from nodes.driver.pointer import PointerWriter, awaited_pointer
 from nodes.launcher.runs import RunInfo, read_chain
-from nodes.parameters.store import ParameterError, convert, flattened
+from nodes.parameters.store import ParameterError, convert
 from nodes.recording.ros2_messages import (
-    CUBE,
     FRAME,
     POSE,
-    SPHERE,
+    TEXT,
     WRENCH,
     RosMessages,
+    frames_of,
     ros2_messages,
+    ros2_topics,
+    stamp_offset,
+    standing_messages,
 )
-from nodes.ros2.graph import Backend, Graph, choose, join
+from nodes.ros2.chain_control import ChainControl
+from nodes.ros2.graph import Graph
+from nodes.ros2.ros_library import Backend, choose, join
 
 MAX_FRAMES = 16  # foreign frames that are reported
-SELDOM = 1.0  # period of publishing law and wall, which rarely change [s]
+SELDOM = 1.0  # period of publishing law, wall and parameters, which rarely change [s]
+READING = 2.0  # period of reading parameters that others may have changed [s]
 ASKING = 0.5  # longest wait for a node's answer [s]
-ACROSS, THICK = 0.3, 0.002  # drawn extent and thickness of a plane [m]
 
 
 class Ros2Parameters(
@@ -54,6 +57,8 @@ class Ros2Parameters(
     prefix: Prefix of the topics, after the namespace of the chain: ``/left/haptic/device/pose``.
     frame: Frame of positions and forces; input from the graph in any other named frame is refused.
     backend: ``rclpy``, ``cyclonedds``, or ``auto``: rclpy if it can be imported.
+    control: Whether the graph may set parameters of driver, environment and coupling, and switch
+        the law, as far as each node grants it; it may always read them. Needs rclpy.
     wrench: Topic of a WrenchStamped, after the namespace of the chain, whose force is added to the
         law's; empty for none. The driver must allow it (``external``).
     target: Topic of a PoseStamped, after that namespace too, to which the hand of a virtual device
@@ -68,6 +73,7 @@ class Ros2Parameters(
     ] = "haptic"
     frame: str = FRAME
     backend: Backend = "auto"
+    control: bool = False
     wrench: Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_/]*)?$")] = ""
     target: Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_/]*)?$")] = ""
     age_limit: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 0.1
@@ -78,7 +84,7 @@ class Ros2(Node):
 
     Parameters: ClassVar[type[msgspec.Struct]] = Ros2Parameters
     listens_to: ClassVar[tuple[str, ...]] = ("*",)
-    queue: ClassVar[int] = 10_000
+    queue: ClassVar[int] = 1000  # only the newest are published
 
     @classmethod
     def check(cls, setup: Setup) -> None:
@@ -98,13 +104,10 @@ class Ros2(Node):
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._simulated = setup.pace == "lockstep"
-        self._offset = (
-            0.0
-            if self._simulated
-            else float(setup.manifest.get("wall_minus_monotonic_s", "0"))
-        )
-        self._law, self._seldom = "", 0.0
-        self._wall: tuple[int, Any, Any] | None = None
+        self._offset = stamp_offset(setup.manifest)
+        self._law, self._seldom, self._reading = "", 0.0, 0.0
+        self._control: ChainControl | None = None
+        self._changed = False  # whether the parameters shown are not yet published
         self._decoders: dict[str, Decoder[Any]] = {
             topic: Decoder(kind) for topic, kind in topics.LOOP.items()
         }
@@ -127,30 +130,38 @@ class Ros2(Node):
         )
         self._make = RosMessages(self._graph.look_up, parameters.frame)
         self._prefix = f"{namespace}/{parameters.prefix}"
-        self._publishers: dict[str, Callable[[Any], None] | None] = {}
+        self._open_publishers()
         self.events.log(
             f"on the ROS 2 graph through {backend}: {self._prefix}/device/pose,"
             f" {parameters.rate:g} Hz"
         )
 
-    def _publish(self, topic: str, kind: str, build: Callable[[], Any]) -> None:
-        """Publish a message; a type whose package is not installed is skipped and reported once."""
-        if topic not in self._publishers:
+    def _open_publishers(self) -> None:
+        """Create all publishers, which others then discover before there is anything to hear.
+
+        A type whose package is not installed is left out, and reported.
+        """
+        self._publishers: dict[str, Callable[[Any], None]] = {}
+        missing: dict[str, list[str]] = {}
+        for topic, (kind, latched) in ros2_topics(
+            self.setup.namespace, self.store.current.prefix, self._simulated
+        ).items():
             try:
                 self._graph.look_up(kind)
-                self._publishers[topic] = self._graph.publisher(topic, kind)
+                self._publishers[topic] = self._graph.publisher(topic, kind, latched)
             except ImportError as error:
-                self._publishers[topic] = None
-                self.events.emit("ros2", f"{topic} is left out: {error}")
-        publish = self._publishers[topic]
+                missing.setdefault(str(error), []).append(topic)
+        for why, left_out in missing.items():
+            self.events.emit_each("ros2", f"{', '.join(left_out)}: left out: {why}")
+
+    def _publish(self, topic: str, build: Callable[[], Any]) -> None:
+        publish = self._publishers.get(topic)
         if publish is not None:
             publish(build())
-            self.sent += 1
 
     def _newest(self, newest: dict[str, bytes]) -> None:
         """Publish the newest message of each topic of the loop."""
-        make = self._make
-        prefix = self.store.current.prefix
+        chain, prefix = self.setup.namespace, self.store.current.prefix
         seldom = self._seldom <= time.monotonic()
         said = False
         for topic, payload in newest.items():
@@ -159,61 +170,44 @@ class Ros2(Node):
             except MessageRefusedError as error:
                 self.events.refuse(str(error))
                 continue
-            at = round((message.stamp + self._offset) * 1e9)
+            at = round(message.stamp * 1e9) + self._offset
+            if isinstance(message, Receipt):
+                self._reading = 0.0
             if isinstance(message, Force):
                 changed, self._law = message.law != self._law, message.law
                 said = seldom or changed
             for name, kind, build in ros2_messages(
-                make, message, at, self.setup.namespace, prefix
+                self._make, message, at, chain, prefix, self._simulated
             ):
-                if said or kind != "std_msgs/msg/String":
-                    self._publish(name, kind, build)
-            if isinstance(message, DeviceState):
-                if self._simulated:
-                    self._publish(
-                        "/clock", "rosgraph_msgs/msg/Clock", partial(make.clock, at)
-                    )
-                if seldom and self._wall is not None:
-                    self._publish(
-                        f"{self._prefix}/wall",
-                        "visualization_msgs/msg/Marker",
-                        partial(make.marker, at, *self._wall),
-                    )
-        if seldom:
+                if said or kind != TEXT:
+                    self._publish(name, build)
+        if seldom and self._control is not None:
             self._seldom = time.monotonic() + SELDOM
-            self._wall = self._see_wall()
+            self._publish_standing(self._control.trees)
 
-    def _see_wall(self) -> tuple[int, Any, Any] | None:
-        """Return shape, position [m] and size [m] of a marker for the surface, or None."""
-        if "environment" not in self._roles:
-            return None
-        surface: dict[str, Any] = {}
-        with suppress(HapticError):
-            surface = self._ask("environment", "param.get", name="surface") or {}
-        kind = surface.get("kind")
-        if kind == "plane":
-            size = [ACROSS] * 3
-            place = [0.0] * 3
-            across = AXIS_INDEX[surface.get("axis", "z")]
-            size[across] = THICK
-            # The free side is the surface that is touched.
-            place[across] = (
-                surface.get("position", 0.0) - surface.get("normal", 1) * THICK / 2.0
-            )
-            return CUBE, tuple(place), tuple(size)
-        if kind == "sphere":
-            return (
-                SPHERE,
-                tuple(surface.get("position", (0.0, 0.0, 0.0))),
-                (2.0 * surface["radius"],) * 3,
-            )
-        if kind == "box" and not any(surface.get("rotation", ())):
-            return (
-                CUBE,
-                tuple(surface.get("position", (0.0, 0.0, 0.0))),
-                tuple(surface["size"]),
-            )
-        return None
+    def _publish_standing(self, parameters: dict[str, Any]) -> None:
+        # Named as in a recording, which has parameters and launch file beside its manifest.
+        manifest = dict(self.setup.manifest)
+        manifest.pop("nodes", None)
+        about = {"launch_file": manifest.pop("launch_file", ""), "manifest": manifest}
+        chain, prefix = self.setup.namespace, self.store.current.prefix
+        for topic, kind, build in standing_messages(
+            self._make, parameters, about, chain, prefix
+        ):
+            # Kilobytes, for which late subscribers need no second time.
+            if kind != TEXT or self._changed:
+                self._publish(topic, build)
+        self._changed = False
+
+    def _read_parameters(self, control: ChainControl) -> None:
+        """Show on the graph what the chain's parameters are now."""
+        self._reading = time.monotonic() + READING
+        if control.refresh():
+            self._seldom, self._changed = 0.0, True
+            try:
+                control.offer_laws()
+            except ImportError as error:
+                self.events.emit("ros2", f"no services switch the law: {error}")
 
     def _ask(self, role: str, op: str, **args: object) -> Any:
         if role not in self._lines:
@@ -243,12 +237,14 @@ class Ros2(Node):
         """Return whether a message is in our frame or names none; report a foreign one once.
 
         A force in a tool's frame would push in some other direction. tf is not used, because its
-        transform may be outdated.
+        transform may be outdated. The frames of device and proxy are not turned: a force may name
+        them.
         """
         # tf 1 used a leading slash.
-        ours = frame.removeprefix("/") in (
-            "",
-            self.store.current.frame.removeprefix("/"),
+        own = self.store.current.frame.removeprefix("/")
+        named = frame.removeprefix("/")
+        ours = named in ("", own) or (
+            name == "wrench" and named in frames_of(own, self.setup.namespace)
         )
         if (
             not ours
@@ -298,21 +294,6 @@ class Ros2(Node):
             except ValueError as error:
                 self.events.emit("target", str(error))
 
-    def _change(self, name: str, value: Any) -> str:
-        """Set a parameter of a node for the graph. Return why it was refused, or ""."""
-        node, _, path = name.partition(".")
-        try:
-            self._ask(
-                node,
-                "param.set",
-                values={
-                    path: list(value) if isinstance(value, (list, tuple)) else value
-                },
-            )
-        except HapticError as error:
-            return str(error)
-        return ""
-
     def _listen(self, parameters: Ros2Parameters) -> None:
         """Subscribe to the enabled topics, and serve the nodes' parameters."""
         driver = self._roles.get("driver", "")
@@ -342,19 +323,19 @@ class Ros2(Node):
             self._graph.listen(
                 self._namespace + parameters.target, POSE, self._take_target
             )
-        self._graph.serve(self._parameters(), self._change)
-
-    def _parameters(self) -> dict[str, Any]:
-        """Return all parameters of driver, environment and coupling that have a ROS type."""
-        found: dict[str, Any] = {}
-        for node in self._roles.values():
-            with suppress(HapticError):
-                found |= flattened(self._ask(node, "param.dump"), node)
-        return {
-            name: value
-            for name, value in found.items()
-            if isinstance(value, (bool, int, float, str))
-        }
+        refusal = (
+            ""
+            if parameters.control
+            else f"{self.setup.name}: the graph may only read; control: true allows it in the"
+            " launch file"
+        )
+        self._control = ChainControl(
+            self._graph,
+            self._run,
+            self._roles,
+            lambda node: self._ask(node, "param.dump"),
+            refusal,
+        )
 
     def loop(self) -> None:
         """Publish until stopped."""
@@ -369,6 +350,8 @@ class Ros2(Node):
             for topic in (topics.status(one.name) for one in self._run.nodes.values()):
                 names[topic.encode()] = topic
                 self._decoders[topic] = Decoder(NodeStatus)
+            names[self.setup.topic(topics.RECEIPT).encode()] = topics.RECEIPT
+            self._decoders[topics.RECEIPT] = Decoder(Receipt)
             self._listen(parameters)
             self._serve(names, 1.0 / parameters.rate)
         finally:
@@ -384,11 +367,13 @@ class Ros2(Node):
             frames = inbox.receive(max(0, min(50, int(left * 1e3 + 1.0))))
             now = time.monotonic()
             due = now >= following
-            # Before publishing, receive everything that waits, so that the newest is published.
+            # Before publishing, receive what waits, so that the newest is published; for a period
+            # at most, because a fast loop in lockstep may send more than a busy machine receives.
             while frames is not None:
                 if (topic := names.get(frames[0])) is not None:
                     newest[topic] = frames[1]
-                frames = inbox.receive(0) if due else None
+                is_late = time.monotonic() - now > period
+                frames = inbox.receive(0) if due and not is_late else None
             if due:
                 # Periods that were missed are skipped, never made up for.
                 following = (
@@ -398,6 +383,8 @@ class Ros2(Node):
                 newest.clear()
                 self._graph.take()
                 self._push()
+                if self._control is not None and self._reading <= now:
+                    self._read_parameters(self._control)
                 self.counters.ticks += 1
                 self.between_ticks(0)
 

@@ -15,6 +15,67 @@ from typing import Any
 PUSH, PULL = 0.5, 0.012
 
 
+def parameters(rclpy: Any, node: Any, name: str) -> dict[str, Any]:
+    """Read and set parameters of a node, and switch its law; return what came of it."""
+    from rclpy.parameter import Parameter
+    from rclpy.parameter_client import AsyncParameterClient
+    from std_srvs.srv import Trigger
+
+    client = AsyncParameterClient(node, name)
+    client.wait_for_services(10.0)
+    stiffness, damping = "coupling.laws.pd.stiffness", "coupling.laws.pd.damping"
+
+    def wait(future: Any) -> Any:
+        rclpy.spin_until_future_complete(node, future, timeout_sec=15.0)
+        return future.result()
+
+    def change(together: bool, **values: Any) -> list[Any]:
+        made = [Parameter(one.replace("__", "."), value=v) for one, v in values.items()]
+        if together:
+            result = wait(client.set_parameters_atomically(made)).result
+        else:
+            (result,) = wait(client.set_parameters(made)).results
+        return [result.successful, result.reason]
+
+    told: dict[str, Any] = {}
+    # The node shows its chain's parameters as soon as the chain answers.
+    while stiffness not in wait(client.list_parameters()).result.names:
+        time.sleep(0.05)
+    told["good"] = change(
+        True, coupling__laws__pd__stiffness=700, coupling__laws__pd__damping=3.0
+    )
+    told["bad"] = change(False, coupling__laws__pd__stiffness=-1.0)
+    told["none_of_two"] = change(
+        True, coupling__laws__pd__damping=4.0, coupling__laws__pd__stiffness=-1.0
+    )
+    told["law"] = change(False, coupling__law="pd_alpha")
+    service = node.create_client(Trigger, f"{name}/law/multi_term")
+    service.wait_for_service(10.0)
+    answer = wait(service.call_async(Trigger.Request()))
+    told["switched"] = [answer.success, answer.message]
+    # What the law became is shown, as the project has it: 700 as a double.
+    deadline = time.time() + 10.0
+    shown = ["coupling.law", stiffness, damping]
+    while time.time() < deadline:
+        values = wait(client.get_parameters(shown)).values
+        told["shown"] = [
+            values[0].string_value,
+            values[1].double_value,
+            values[2].double_value,
+        ]
+        if told["shown"][0] == "multi_term":
+            break
+        time.sleep(0.05)
+    told["about"] = (
+        wait(client.describe_parameters([stiffness])).descriptors[0].description
+    )
+    told["nodes"] = sorted(
+        f"{space.rstrip('/')}/{one}"
+        for one, space in node.get_node_names_and_namespaces()
+    )
+    return told
+
+
 # Long: one run of a program that a test starts, in the order of its steps.
 def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa: PLR0915
     """Run the probe."""
@@ -87,20 +148,7 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
     told["pulled_to"] = time.time()
     spin(time.time() + 0.2)
     if with_parameters:
-        from rclpy.parameter import Parameter
-        from rclpy.parameter_client import AsyncParameterClient
-
-        client = AsyncParameterClient(node, "ros2")
-        client.wait_for_services(5.0)
-        for name, value in (("good", 700.0), ("bad", -1.0)):
-            future = client.set_parameters(
-                [Parameter("coupling.laws.pd.stiffness", value=value)]
-            )
-            rclpy.spin_until_future_complete(node, future, timeout_sec=5.0)
-            answer: Any = future.result()
-            result = answer.results[0]
-            told[name] = [result.successful, result.reason]
-        told["nodes"] = node.get_node_names()
+        told |= parameters(rclpy, node, f"{namespace}/ros2")
     told["types"] = dict(node.get_topic_names_and_types())
     told["counts"] = {topic: len(found) for topic, found in got.items()}
     told["poses"] = [
@@ -119,6 +167,7 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
     told["span"] = first(got["device/pose"][-1]) - first(got["device/pose"][0])
     told["frame"] = got["device/pose"][0].header.frame_id
     told["laws"] = sorted({m.data for m in got["law"]})
+    told["force_frame"] = got["device/force"][0].header.frame_id
     told["contact"] = sorted({m.data for m in got["contact"]})
     print(json.dumps(told), flush=True)
 

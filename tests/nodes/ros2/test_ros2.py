@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-import nodes.ros2.graph as graph
+import nodes.ros2.ros_library as ros_library
 from messages.types import DeviceState, Event, Receipt
 from nodes.base.setup import Setup
 from nodes.driver.external import ExternalParameters
 from nodes.launcher import launch_file
 from nodes.parameters.store import ParameterError
+from nodes.recording.export_ros2 import export_ros2
 from nodes.recording.reader import Recording
 from nodes.ros2.node import Ros2
 from tests.support.launching import running
@@ -35,6 +36,7 @@ PYTHON = os.environ.get("RCLPY_PYTHON") or (
 
 PROBE = Path(__file__).parents[2] / "support" / "rclpy_probe.py"
 SECONDS = 0.8
+RATE = 100.0  # of the scenario [Hz]
 
 
 class Heard(NamedTuple):
@@ -90,7 +92,7 @@ def heard(
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     # One of them within a namespace, as where several chains share a graph.
-    namespace = "/left" if backend == "cyclonedds" else ""
+    namespace = "/left" if backend == "rclpy" else ""
     include = {
         "launch": "ros2_wall",
         "namespace": namespace[1:],
@@ -123,6 +125,7 @@ def heard(
     recording = Recording(folder / figures["recording"])
     told = json.loads(done.stdout)
     told["backend"] = backend
+    told["namespace"] = namespace
     told["poses_are"] = told["types"][f"{namespace}/haptic/device/pose"]
     # Each chain is pulled and pushed by what is named as its own, and by nothing else.
     inputs = {name for name in told["types"] if name.endswith(("/wrench", "/target"))}
@@ -130,34 +133,63 @@ def heard(
     return Heard(told, recording, float(recording.manifest["wall_minus_monotonic_s"]))
 
 
-def test_rclpy_hears_what_was_recorded(heard: Heard) -> None:
-    states = {
-        round((s.stamp + heard.offset) * 1e9): s.position
-        for s in heard.recording.messages("/device/state")
-    }
+def poses_in_bag(heard: Heard, folder: Path) -> dict[int, tuple[float, ...]]:
+    """Return stamp [ns] and position of each pose in a run's bag, and check its topics."""
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    namespace = heard.told["namespace"]
+    export_ros2(heard.recording, folder)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    found: dict[int, tuple[float, ...]] = {}
+    with Reader(folder) as reader:
+        kinds = {one.topic: [one.msgtype] for one in reader.connections}
+        poses = [
+            one
+            for one in reader.connections
+            if one.topic == f"{namespace}/haptic/device/pose"
+        ]
+        for line, _, raw in reader.messages(connections=poses):
+            pose: Any = store.deserialize_cdr(raw, line.msgtype)
+            point = pose.pose.position
+            stamp = pose.header.stamp.sec * 10**9 + pose.header.stamp.nanosec
+            found[stamp] = (point.x, point.y, point.z)
+    live = {topic: kinds.get(topic) for topic in heard.told["types"]}
+    own = {topic for topic in live if live[topic] or topic in kinds}
+    assert all(heard.told["types"][topic] == kinds[topic] for topic in own)
+    # A type whose package this Python lacks is on no graph of rclpy.
+    missing = kinds.keys() - own - {f"{namespace}/haptic/parameters"}
+    assert missing <= ({"/tf"} if heard.told["backend"] == "rclpy" else set())
+    return found
+
+
+def test_rclpy_hears_what_was_recorded(heard: Heard, tmp_path: Path) -> None:
+    recorded = poses_in_bag(heard, tmp_path / "bag")
     poses = heard.told["poses"]
-    # A stamp in seconds is a double, good to 0.2 µs at today's date: the node rounds as we do here.
+    # Each pose that was heard stands in the bag, with the very stamp.
     assert [tuple(pose[2:]) for pose in poses] == [
-        states[pose[0] * 10**9 + pose[1]] for pose in poses
+        recorded[pose[0] * 10**9 + pose[1]] for pose in poses
     ]
-    positions = {tuple(position) for position in states.values()}
+    positions = {state.position for state in heard.recording.messages("/device/state")}
     assert all(tuple(joints[1]) in positions for joints in heard.told["joints"])
     assert heard.told["joints"][0][0] == ["x", "y", "z"]
     assert heard.told["frame"] == "haptic"
+    begin = f"{heard.told['namespace'][1:]}/haptic".lstrip("/")
+    assert heard.told["force_frame"] == f"{begin}_device"
     # What no package of this Python can read is on the graph all the same, if it is ours to send.
     if heard.told["backend"] == "cyclonedds":
         assert heard.told["types"]["/tf"] == ["tf2_msgs/msg/TFMessage"]
         assert heard.told["types"]["/diagnostics"] == [
             "diagnostic_msgs/msg/DiagnosticArray"
         ]
-    assert heard.told["laws"] == ["pd"]
+    assert "pd" in heard.told["laws"]
     assert all(heard.told["counts"].values())
 
 
 def test_it_is_told_at_the_decimated_rate(heard: Heard) -> None:
     rate = len(heard.told["poses"]) / heard.told["span"]
     # Of 500 Hz every fifth or less: a busy machine sends less, never more.
-    assert rate <= 100.0 * 1.05
+    assert rate <= RATE * 1.05
     assert heard.told["poses_are"] == ["geometry_msgs/msg/PoseStamped"]
 
 
@@ -194,7 +226,8 @@ def test_a_wrench_is_taken_on_top_of_the_law_and_ends_with_its_age(
         )
         for since, until in spans
     )
-    assert pushed > 0.4 * pulled
+    # On a machine that publishes hardly any there is nothing to compare.
+    assert pushed > 0.4 * pulled or pulled < 0.1 * RATE * SECONDS
     refusals = [
         e.reason
         for e in heard.recording.messages("/ros2/event")
@@ -213,17 +246,27 @@ def test_a_target_pulls_the_hand_at_its_limited_speed(heard: Heard) -> None:
 def test_rclpy_sets_parameters_and_hears_refusals(heard: Heard) -> None:
     if "good" not in heard.told:
         pytest.skip("cyclonedds serves no parameters")
-    assert "ros2" in heard.told["nodes"]
+    assert f"{heard.told['namespace']}/ros2" in heard.told["nodes"]
     assert heard.told["good"] == [True, ""]
     receipts = [
-        r
-        for r in heard.recording.messages("/coupling/receipt")
-        if isinstance(r, Receipt)
+        json.loads(receipt.after)
+        for receipt in heard.recording.messages("/coupling/receipt")
+        if isinstance(receipt, Receipt)
     ]
-    assert json.loads(receipts[-1].after)["stiffness"] == 700.0
-    done, why = heard.told["bad"]
-    assert not done
-    assert "stiffness" in why
+    told = [(one["law"], one.get("stiffness"), one.get("damping")) for one in receipts]
+    # Both at one tick; the refused ones at none.
+    assert told[0] == ("pd", 700.0, 3.0)
+    assert [law for law, *_ in told] == ["pd", "pd_alpha", "multi_term"]
+    for refused in ("bad", "none_of_two"):
+        done, why = heard.told[refused]
+        assert not done
+        assert "coupling.laws.pd.stiffness: expected a number above 0, got -1.0" in why
+    assert heard.told["law"] == [True, ""]
+    done, text = heard.told["switched"]
+    assert done
+    assert text.startswith("multi_term from tick ")
+    assert heard.told["shown"] == ["multi_term", 700.0, 3.0]
+    assert heard.told["about"] == "K [N/m]; above 0; number"
 
 
 def node(**parameters: Any) -> Setup:
@@ -235,7 +278,7 @@ def node(**parameters: Any) -> Setup:
 def test_without_a_library_both_extras_are_named(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(graph, "find_spec", lambda _: None)
+    monkeypatch.setattr(ros_library, "find_spec", lambda _: None)
     with pytest.raises(
         ParameterError, match=r"haptic-nodes\[ros2\].*haptic-nodes\[rclpy\]"
     ):
