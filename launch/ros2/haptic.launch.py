@@ -7,7 +7,6 @@ import os
 import shlex
 import shutil
 
-from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
@@ -15,6 +14,8 @@ from launch.actions import (
     Shutdown,
 )
 from launch.substitutions import LaunchConfiguration
+
+from launch import LaunchDescription
 
 ARGUMENTS = {
     "scenario": (
