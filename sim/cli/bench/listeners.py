@@ -1,4 +1,4 @@
-"""Measure the cost of listeners to the loop, against none: unruly loggers, or a Python stream.
+"""Measure the cost of listeners to the loop: unruly loggers, or a Python stream.
 
 Four more loggers, of which one is stopped and one killed; with --stream one program that reads all
 ticks by ``run.stream``.
