@@ -56,7 +56,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     change.add_argument(
         "pairs",
-        nargs="+",
+        nargs="*",
         metavar="NAME VALUE",
         help="parameter and YAML value, e.g. laws.pd.stiffness 1500",
     )
@@ -116,8 +116,10 @@ def _get(arguments: argparse.Namespace) -> int:
 
 
 def _set(arguments: argparse.Namespace) -> int:
-    run, node = chosen_node(arguments)
     words = arguments.pairs
+    if not words:
+        raise UsageError(f"param set: expected NODE NAME VALUE{_meant(arguments.node)}")
+    run, node = chosen_node(arguments)
     if len(words) % 2:
         name, sign, value = words[-1].partition("=")
         meant = f"; did you mean {name.rstrip(':')} {value}?" if sign else ""
@@ -135,6 +137,13 @@ def _set(arguments: argparse.Namespace) -> int:
         {"run": run.run, "node": node, "values": values, "receipt": receipt},
         receipt_text(node, receipt),
     )
+
+
+def _meant(word: str) -> str:
+    """Return what was probably meant by NODE.NAME=VALUE in one word, as a launch takes it."""
+    place, sign, value = word.partition("=")
+    node, dot, name = place.rstrip(":").partition(".")
+    return f"; did you mean {node} {name} {value or 'VALUE'}?" if sign or dot else ""
 
 
 def receipt_text(node: str, receipt: dict[str, Any]) -> str:

@@ -65,15 +65,29 @@ def expected_seconds(modules: Sequence[str]) -> tuple[float, bool]:
     return max(max(took, default=0.0), sum(took) / _processors()), is_measured
 
 
-def build_in_background(modules: Sequence[str]) -> None:
-    """Compile kernels at idle priority, in processes that outlive this one."""
-    nothing = [
-        (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0) for stream in range(3)
-    ]
-    command = [sys.executable, "-m", "nodes.compiled.build", "--idle", *modules]
-    os.posix_spawn(
-        sys.executable, command, os.environ, file_actions=nothing, setsid=True
-    )
+def build_in_background(modules: Sequence[str]) -> bool:
+    """Compile kernels at idle priority, in processes that outlive this one.
+
+    Returns False, and does nothing, if other processes are at it. Raises CacheRefusedError if
+    nothing can be written to the cache.
+    """
+    lock = cache.alone()
+    if lock is None:
+        return False
+    try:
+        # inherited, so that it is held until the last kernel is made
+        os.set_inheritable(lock, True)
+        nothing = [
+            (os.POSIX_SPAWN_OPEN, stream, os.devnull, os.O_RDWR, 0)
+            for stream in range(3)
+        ]
+        command = [sys.executable, "-m", "nodes.compiled.build", "--idle", *modules]
+        os.posix_spawn(
+            sys.executable, command, os.environ, file_actions=nothing, setsid=True
+        )
+    finally:
+        os.close(lock)
+    return True
 
 
 def build(modules: Sequence[str]) -> None:
@@ -167,13 +181,14 @@ def _compile(module: str, keep_failure: bool) -> None:
 
 
 def _idle(modules: Sequence[str]) -> None:
-    """Compile missing kernels in parallel, when nothing else wants a processor."""
+    """Compile missing kernels in parallel, when nothing else wants a processor.
+
+    The caller passes on the lock of background compilation.
+    """
     os.nice(19)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     os.chdir("/")
-    if cache.alone() is None:
-        return
     running = 0
     for module in modules:
         if find(module) is not None:

@@ -381,6 +381,8 @@ def alone() -> int | None:
     at = _enter("background.lock", make=True)
     try:
         return _locked(at, "background.lock")
+    except OSError as error:
+        raise CacheRefusedError(f"{folder()}: {error.strerror}") from error
     finally:
         os.close(at)
 

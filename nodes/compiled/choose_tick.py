@@ -87,9 +87,16 @@ def compile_later(modules: Collection[str], say: Callable[[str], None]) -> None:
         missing = sorted(module for module in modules if find(module) is None)
     except CacheRefusedError:
         return  # the launch has reported it
-    if missing:
-        build_in_background(missing)
-        say(
-            "the plain tick ran; the compiled one is being made in the background, for the next"
-            " launch"
-        )
+    if not missing:
+        return
+    try:
+        begun = build_in_background(missing)
+    except CacheRefusedError as error:
+        say(f"the plain tick ran; a compiled one cannot be kept: {error}")
+        return
+    what = (
+        "the compiled one is being made in the background, for the next launch"
+        if begun
+        else "a compilation is under way in the background already"
+    )
+    say(f"the plain tick ran; {what}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Sequence
 from typing import cast
 
@@ -10,10 +9,8 @@ import msgspec
 
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
+from nodes.driver.response_times import ResponseTimes
 from nodes.recording.reader import Recording
-
-# Quantiles reported of the response time.
-QUANTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999, "max": 1.0}
 
 
 class Summary(msgspec.Struct):
@@ -51,13 +48,14 @@ def summarise(recording: Recording) -> Summary:
         return Summary(0, 0.0, 0.0, None, None, {}, None, [], [])
     last: DeviceState | None = None
     ticks = seqs = missed = overruns = oldest = 0
-    span, response_times = 0.0, array("d")
+    # the driver's own histogram, so that a launch and its plot give the same figures
+    span, times = 0.0, ResponseTimes()
     for entry in recording.entries([DEVICE_STATE]):
         before, last = last, cast("DeviceState", entry.message)
         oldest = max(oldest, last.age)
         # A state holds the response time of the tick before; 0 if not answered in time.
         if last.response > 0.0:
-            response_times.append(last.response * 1e6)
+            times.add(last.response)
         # A restarted driver counts from zero and reports nothing about the tick before.
         if before is not None and last.seq > before.seq:
             ticks += 1
@@ -67,18 +65,13 @@ def summarise(recording: Recording) -> Summary:
             overruns += max(last.overruns - before.overruns, 0)
     assert last is not None  # noqa: S101  # a topic of the recording has a message
     figures = recording.topics[DEVICE_STATE]
-    responses = sorted(response_times)
     return Summary(
         ticks=ticks,
         duration_s=figures.last_stamp - figures.first_stamp,
         rate_hz=seqs / span if span > 0.0 else 0.0,
         missed=missed,
         overruns=overruns,
-        response_us=(
-            {name: quantile(responses, f) for name, f in QUANTILES.items()}
-            if responses
-            else {}
-        ),
+        response_us=times.summary_us() if times.count else {},
         age_ticks_max=oldest,
         position_m=list(last.position),
         force_n=list(last.force),

@@ -22,6 +22,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.client import launches
 from nodes.client.listen import listen
 from nodes.launcher.runs import RunInfo
+from sim.api.python_words import speaking_python
 from sim.api.recordings import TickTable
 
 if TYPE_CHECKING:
@@ -320,7 +321,8 @@ class Live:
             raise UsageError(
                 f"table: seconds is {seconds!r}; expected more than 0 and at most {LONGEST:g} s"
             )
-        self.info.only_chain()
+        with speaking_python():
+            self.info.only_chain()
         topics = tuple(
             topic
             for topic in (DEVICE_STATE, PROXY, FORCE)

@@ -121,7 +121,8 @@ class Run(Live):
         str
             Name of the node.
         """
-        found = launches.roles(self.info)
+        with speaking_python():
+            found = launches.roles(self.info)
         if part not in found:
             raise LaunchError(
                 f"{self.info.run}: no node is its {part}; it has {', '.join(self.info.nodes)}"
@@ -176,7 +177,14 @@ class Run(Live):
         -------
         Recorded
             The recording.
+
+        Raises
+        ------
+        nodes.launcher.runs.RunError
+            If the launch has several chains; ``haptic.connect("SCENARIO/CHAIN")`` records one.
         """
+        with speaking_python():
+            self.info.only_chain()
         path = (
             Path(out)
             if out is not None

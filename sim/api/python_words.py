@@ -30,6 +30,7 @@ WORDS: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"\bhaptic law switch\b", "run.law.switch"),
         (r"\bhaptic study (\w+)", r'haptic.study("\1")'),
         (r"\bhaptic lab (\w+)", r'haptic.lab("\1")'),
+        (r"choose one with --run (\S+)", r'choose one with haptic.connect("\1")'),
         (r"--tick (\w+)", r'tick="\1"'),
         (r"--out-dir\b", "out_dir="),
         (r"--without\b", "without="),

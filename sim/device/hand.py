@@ -43,7 +43,8 @@ class Hand(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         check_fields(self, "hand")
         if bool(self.path) == bool(self.file):
             both = "both are given" if self.path else "neither is given"
-            raise ValueError(f"path or file: {both}; expected one of them")
+            way = "; path: [] leaves out that of a launch file" if self.path else ""
+            raise ValueError(f"path or file: {both}; expected one of them{way}")
         if not self.file and (self.columns or self.units or self.rate is not None):
             raise ValueError("columns, units and rate are of a file, but path is given")
         for name, given in (("columns", self.columns), ("units", self.units)):

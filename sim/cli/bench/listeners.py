@@ -1,9 +1,14 @@
-"""Measure the cost of listeners: four more loggers, one stopped, one killed, against none."""
+"""Measure the cost of listeners to the loop: unruly loggers, or a Python stream.
+
+Four more loggers, of which one is stopped and one killed; with --stream one program that reads all
+ticks by ``run.stream``.
+"""
 
 import argparse
 import signal
 import statistics
 import subprocess
+import sys
 import time
 from typing import Any
 
@@ -12,11 +17,26 @@ from nodes.parameters.quantities import ROUNDS, SECONDS, declare
 from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from sim.cli.answers import add_answer, report
-from sim.measure.haptic_commands import HAPTIC, wait_for
+from sim.measure.haptic_commands import HAPTIC, MeasurementError, wait_for
 from sim.measure.measured_launch import Running, machine, responses_in
 from sim.measure.stopwatch import Progress
 
 LISTENERS = 4
+FIRST = 100  # messages after which a stream counts as attached
+# As a notebook does: every message of the loop, until it is killed.
+STREAM = f"""
+import haptic, itertools
+run = haptic.connect()
+messages = iter(run.stream("/device/state", "/environment/proxy", "/coupling/force"))
+for received in itertools.islice(messages, {FIRST}):
+    pass
+print("attached", flush=True)
+for received in messages:
+    pass
+"""
+
+
+WORDS = {False: "with four loggers, one stopped, one killed", True: "with run.stream"}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +54,11 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="length of each half of a round (default 4 s)",
     )
     declare(parser, rate=500.0)
+    parser.add_argument(
+        "--stream",
+        action="store_true",
+        help="a Python program with run.stream in place of the loggers",
+    )
     add_answer(parser, run, files=False)
 
 
@@ -59,10 +84,33 @@ def _listen(launch: Running, count: int, label: str) -> list[subprocess.Popen[by
     return listeners
 
 
+def _stream(launch: Running) -> list[subprocess.Popen[bytes]]:
+    """Attach a Python program that streams; wait until messages come."""
+    streamer = subprocess.Popen(
+        [sys.executable, "-c", STREAM],
+        cwd=launch.folder,
+        env=launch.environment,
+        stdout=subprocess.PIPE,
+    )
+    assert streamer.stdout is not None  # noqa: S101  # it is a pipe
+    if streamer.stdout.readline() != b"attached\n":
+        raise MeasurementError("bench listeners: the stream ended before its messages")
+    return [streamer]
+
+
+def _attach(launch: Running, stream: bool, label: str) -> list[subprocess.Popen[bytes]]:
+    if stream:
+        return _stream(launch)
+    listeners = _listen(launch, LISTENERS, label)
+    listeners[0].send_signal(signal.SIGSTOP)
+    listeners[1].kill()
+    return listeners
+
+
 def measure(
-    rounds: int, seconds: float, rate: float, progress: Progress
+    rounds: int, seconds: float, rate: float, stream: bool, progress: Progress
 ) -> dict[str, Any]:
-    """Run one launch and attach loggers in every second half of a round."""
+    """Run one launch and attach listeners in every second half of a round."""
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     with Running(
         "floor_drop", "duration:=0", f"rate:={rate}", "stiffness:=500"
@@ -74,13 +122,11 @@ def measure(
                 time.sleep(seconds)
                 halves["without"].append((began, time.monotonic()))
                 progress.step("without listeners")
-                listeners = _listen(launch, LISTENERS, f"round{i}")
-                listeners[0].send_signal(signal.SIGSTOP)
-                listeners[1].kill()
+                listeners = _attach(launch, stream, f"round{i}")
                 began = time.monotonic()
                 time.sleep(seconds)
                 halves["with"].append((began, time.monotonic()))
-                progress.step("with four, one stopped, one killed")
+                progress.step(WORDS[stream])
                 for listener in listeners:
                     listener.kill()
                     listener.wait()
@@ -93,18 +139,18 @@ def measure(
         states = recording.messages(DEVICE_STATE)
         gaps = recording.topics[DEVICE_STATE].gaps - (overruns(recording) or 0)
     found = {label: responses_in(states, spans) for label, spans in halves.items()}
-    quiet, busy = found["without"]["p99_us"], found["with"]["p99_us"]
-    middle = {
+    middle: dict[str, Any] = {
         f"{label}_us": {
             name: statistics.median(one[f"{name}_us"]) for name in ("p50", "p99")
         }
         for label, one in found.items()
     }
+    for name in ("p50", "p99"):
+        quiet, busy = found["without"][f"{name}_us"], found["with"][f"{name}_us"]
+        pairs = zip(busy, quiet, strict=True)
+        middle[f"{name}_ratio"] = statistics.median(a / b for a, b in pairs)
+        middle[f"{name}_spread"] = max(quiet) / min(quiet)
     return middle | {
-        "p99_ratio": statistics.median(
-            with_ / without for with_, without in zip(busy, quiet, strict=True)
-        ),
-        "spread_without": max(quiet) / min(quiet),
         "missed": {label: one["missed"] for label, one in found.items()},
         "lost_by_own_logger": gaps,
     }
@@ -113,16 +159,24 @@ def measure(
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     progress = Progress(2 * arguments.rounds)
-    figures = measure(arguments.rounds, arguments.seconds, arguments.rate, progress)
+    figures = measure(
+        arguments.rounds, arguments.seconds, arguments.rate, arguments.stream, progress
+    )
     figures["machine"] = machine()
     without, with_ = figures["without_us"], figures["with_us"]
-    text = (
-        f"{figures['machine']}\nresponse without listeners p50 {without['p50']:.0f} µs, p99"
-        f" {without['p99']:.0f} µs; with four extra loggers, one stopped and one killed, p50"
-        f" {with_['p50']:.0f} µs, p99 {with_['p99']:.0f} µs\np99 with/without"
-        f" {figures['p99_ratio']:.2f}; rounds without listeners differ by"
-        f" {figures['spread_without']:.2f}; missed {figures['missed']['without']} without,"
-        f" {figures['missed']['with']} with; lost by the launch's own logger"
-        f" {figures['lost_by_own_logger']}"
+    lines = [
+        figures["machine"],
+        f"response without listeners p50 {without['p50']:.0f} µs, p99 {without['p99']:.0f} µs;"
+        f" {WORDS[arguments.stream]} p50 {with_['p50']:.0f} µs, p99 {with_['p99']:.0f} µs",
+    ]
+    lines += [
+        f"{name} with/without {figures[f'{name}_ratio']:.2f}; rounds without listeners differ by"
+        f" {figures[f'{name}_spread']:.2f}"
+        for name in ("p50", "p99")
+    ]
+    missed = figures["missed"]
+    lines.append(
+        f"missed {missed['without']} without, {missed['with']} with; lost by the launch's own"
+        f" logger {figures['lost_by_own_logger']}"
     )
-    return report(arguments, figures, text)
+    return report(arguments, figures, lines)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nodes.cli.main import Parser
+from nodes.cli.main import Parser, main
 
 
 @pytest.mark.parametrize("default", [["pd"], []])
@@ -55,3 +55,16 @@ def test_a_default_that_the_text_tells_is_told_once() -> None:
     parser = Parser()
     parser.add_argument("--time", default=3, help="how long (default: as the run)")
     assert parser.format_help().count("default") == 1
+
+
+@pytest.mark.parametrize(
+    "word", ["coupling.laws.pd.stiffness=500", "coupling.laws.pd.stiffness:=500"]
+)
+def test_a_parameter_as_a_launch_takes_it_is_put_right(
+    word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["param", "set", word]) == 2
+    meant = "did you mean coupling laws.pd.stiffness 500?"
+    assert meant in capsys.readouterr().err
+    assert main(["param", "set", "coupling"]) == 2
+    assert "expected NODE NAME VALUE\n" in capsys.readouterr().err

@@ -175,19 +175,29 @@ def test_what_a_launch_lacked_is_compiled_in_the_background(
     # As two launches that end together do.
     compile_later([TINY], told.append)
     compile_later([TINY], told.append)
-    assert (
-        told
-        == [
-            "the plain tick ran; the compiled one is being made in the background, for the next"
-            " launch"
-        ]
-        * 2
-    )
+    assert told == [
+        "the plain tick ran; the compiled one is being made in the background, for the next launch",
+        "the plain tick ran; a compilation is under way in the background already",
+    ]
     wait_for(lambda: find(TINY), "it is compiled")
     assert obtain(TINY)(41) == 42
     compile_later([TINY], told.append)
     assert len(told) == 2
     assert choose("auto", [TINY], told.append) == "compiled"
+
+
+def test_a_cache_that_cannot_be_written_is_named(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAPTIC_COMPILE", "background")
+
+    lock = cache.folder() / "background.lock"
+    lock.mkdir(mode=0o700, parents=True)  # what is no file cannot be locked
+    told: list[str] = []
+    compile_later([TINY], told.append)
+    assert told == [
+        f"the plain tick ran; a compiled one cannot be kept: {lock.parent}: Is a directory"
+    ]
 
 
 @pytest.mark.process

@@ -20,6 +20,7 @@ from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.wiring import wire
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
+from nodes.recording.summary import summarise
 from tests.support import slowly
 from tests.support.launching import (
     DEADLINE,
@@ -93,6 +94,7 @@ def test_every_scenario_runs_in_real_time(scenario: str, tmp_path: Path) -> None
     assert states[-1].missed == figures["missed"]
     if "chains" not in figures:
         assert_summary_is_true(figures, states)
+        assert summarise(recording).response_us == figures["response_us"]
     if scenario == "free_space":
         assert {message.force for message in recording.messages(FORCE)} == {
             (0.0, 0.0, 0.0)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import haptic
 import msgspec
 import pytest
 
@@ -112,6 +114,23 @@ def test_a_verb_takes_one_chain_as_if_it_were_alone(two_hands: Running) -> None:
     assert [json.loads(each)["active"] for each in told] == ["pd_alpha", "pd"]
     refused = typed(two_hands, "topic", "list", "--run", "/middle", code=2).stderr
     assert "no namespace 'middle'; available: left, right" in refused
+
+
+@pytest.mark.process
+def test_python_names_the_chains_before_it_records(
+    two_hands: Running, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name, value in (two_hands.environment or {}).items():
+        monkeypatch.setenv(name, value)
+    run = haptic.connect()
+    remedy = re.escape('choose one with haptic.connect("two_hands/right")')
+    out = tmp_path / "both.mcap"
+    for wanted in (lambda: run.record(0.1, out), run.table, lambda: run.mark("x")):
+        with pytest.raises(haptic.HapticError, match=remedy):
+            wanted()
+    assert not out.exists()
+    one = haptic.connect("two_hands/right").record(0.2, out)
+    assert len(one["time"]) > 1
 
 
 @pytest.mark.slow
