@@ -389,22 +389,21 @@ def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> No
 
 
 def guarded_along_a_line(axes: tuple[int, ...], direction: Any, normal: Any) -> Any:
-    """Return the forces [N] of a guarded device with a latency that moves along a line."""
-    rng = np.random.default_rng(3)
+    """Return the forces [N] of a late spring to 0 that a guarded device moves along a line."""
     s = state_of(axes, latency=1.5)
     set_guard(s, ON)
     s.normal[:] = normal
     given = []
-    for place, force in rng.normal(0.0, (1e-3, 2.0), (60, 2)).tolist():
+    for place in (5e-3 * np.sin(0.4 * np.arange(120))).tolist():
         s.place[:] = place * direction
         if sample(s, 0.0):
             count_step(s)
-        s.wanted[:] = force * direction
+        s.wanted[:] = -800.0 * place * direction
         guarded(s, 0.25)
         s.handed[:] = s.mean[:] = s.wanted[:]
         given.append(float(np.dot(s.wanted[:], direction)))
         act(s, 1)
-    assert s.lowered > 5
+    assert 5 < s.lowered < 60
     return given
 
 
@@ -420,7 +419,7 @@ def test_along_the_normal_a_guard_in_space_is_that_of_one_axis(direction: Any) -
     """Account, step and forces under way along a line in space are those of one axis."""
     line = np.array(direction)
     one = guarded_along_a_line((0,), np.eye(3)[0], np.zeros(3))
-    # Products of three components each, over 60 ticks of some newtons.
+    # Products of three components each, over 120 ticks of some newtons.
     assert guarded_along_a_line((0, 1, 2), line, line) == pytest.approx(one, abs=1e-12)
 
 
