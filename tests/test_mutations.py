@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import ROOT
-from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of
+from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of, suite_of
 from tests.support.mutations.mutation import (
     copy_sources,
     mutated,
@@ -115,6 +115,23 @@ def test_files_are_tried_before_the_rest_of_their_folders() -> None:
     assert near(tests) == tests
     assert near(("a/test_e.py", *tests)) == ("a/test_e.py", *tests[:2])
     assert stages(law.tests)[-1][:1] == ROOMS["nodes/laws"]
+
+
+@pytest.mark.parametrize(
+    ("file", "noticing"),
+    [
+        # By its name, by an import of it, by one of what imports it.
+        ("nodes/driver/pointer.py", "tests/nodes/driver/test_pointer.py"),
+        ("nodes/driver/motion.py", "tests/nodes/driver/test_oracles.py"),
+        ("sim/identify/conclude.py", "tests/sim/identify/test_identify.py"),
+        ("nodes/driver/tick.py", "tests/nodes/driver/test_no_push.py"),
+    ],
+)
+def test_a_file_is_tried_by_the_tests_that_run_it(file: str, noticing: str) -> None:
+    one = all_of(ROOT / file)[0]
+    files = stages(suite_of(room_of(one), ROOT / file))[0]
+    assert noticing in files
+    assert len(set(files)) == len(files)
 
 
 @pytest.mark.parametrize(

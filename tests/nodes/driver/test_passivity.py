@@ -388,24 +388,39 @@ def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> No
     assert acted == pytest.approx(expected, abs=1e-15)
 
 
+def guarded_along_a_line(axes: tuple[int, ...], direction: Any, normal: Any) -> Any:
+    """Return the forces [N] of a late spring to 0 that a guarded device moves along a line."""
+    s = state_of(axes, latency=1.5)
+    set_guard(s, ON)
+    s.normal[:] = normal
+    given = []
+    for place in (5e-3 * np.sin(0.4 * np.arange(120))).tolist():
+        s.place[:] = place * direction
+        if sample(s, 0.0):
+            count_step(s)
+        s.wanted[:] = -800.0 * place * direction
+        guarded(s, 0.25)
+        s.handed[:] = s.mean[:] = s.wanted[:]
+        given.append(float(np.dot(s.wanted[:], direction)))
+        act(s, 1)
+    assert 5 < s.lowered < 60
+    return given
+
+
 def test_a_guard_counts_the_forces_that_are_on_their_way_along_its_own_axis() -> None:
-    rng = np.random.default_rng(3)
-    path, wanted = rng.normal(0.0, 1e-3, 60), rng.normal(0.0, 2.0, 60)
-    played = []
-    for axis in range(3):
-        s = state_of((axis,), latency=1.5)
-        set_guard(s, ON)
-        for place, force in zip(path, wanted, strict=True):
-            s.place[axis] = place
-            if sample(s, 0.0):
-                count_step(s)
-            s.wanted[axis] = force
-            guarded(s, 0.25)
-            s.handed[axis] = s.mean[axis] = s.wanted[axis]
-            played.append(s.wanted[axis])
-            act(s, 1)
-        assert s.lowered > 5
-    assert played[:60] == played[60:120] == played[120:]
+    one, *others = (
+        guarded_along_a_line((i,), np.eye(3)[i], np.zeros(3)) for i in range(3)
+    )
+    assert others == [one, one]
+
+
+@pytest.mark.parametrize("direction", [*np.eye(3), [0.6, 0.0, 0.8], [-0.48, 0.6, 0.64]])
+def test_along_the_normal_a_guard_in_space_is_that_of_one_axis(direction: Any) -> None:
+    """Account, step and forces under way along a line in space are those of one axis."""
+    line = np.array(direction)
+    one = guarded_along_a_line((0,), np.eye(3)[0], np.zeros(3))
+    # Products of three components each, over 120 ticks of some newtons.
+    assert guarded_along_a_line((0, 1, 2), line, line) == pytest.approx(one, abs=1e-12)
 
 
 def test_ticks_that_were_left_out_go_through_the_line_too() -> None:

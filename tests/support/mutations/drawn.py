@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ast
 import random
-import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -158,7 +157,9 @@ def draw(number: int, seed: str, rooms: list[str] | None = None) -> list[Mutatio
     for pool in pools:
         chance.shuffle(pool)
     drawn = [pools[i % len(pools)][i // len(pools)] for i in range(number)]
-    return [one._replace(tests=_tests(room_of(one), ROOT / one.file)) for one in drawn]
+    return [
+        one._replace(tests=suite_of(room_of(one), ROOT / one.file)) for one in drawn
+    ]
 
 
 @cache
@@ -174,15 +175,41 @@ def room_of(mutation: Mutation) -> str:
 
 
 @cache
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+def _imports(path: Path) -> frozenset[str]:
+    """Return what a file imports: modules, and names from them as if they were modules."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {f"{node.module}.{name.name}" for name in node.names}
+            found.add(str(node.module))
+    return frozenset(found)
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 @cache
-def _tests(room: str, file: Path) -> tuple[str, ...]:
-    """Return the tests of a file: those with its name, those that import it, its room's."""
-    module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
-    package, _, name = module.rpartition(".")
+def _users(room: str, module: str) -> frozenset[str]:
+    """Return a module with all of its room and of tests/support that import it in the end."""
+    files = [*(ROOT / room).rglob("*.py"), *SUPPORT.glob("*.py")]
+    found = {module}
+    while more := {
+        _module(file)
+        for file in files
+        if _module(file) not in found and _imports(file) & found
+    }:
+        found |= more
+    return frozenset(found)
+
+
+@cache
+def suite_of(room: str, file: Path) -> tuple[str, ...]:
+    """Return a file's tests: of its name, importing it or what imports it, its room's."""
+    module = _module(file)
     folders: tuple[str, ...] = ROOMS[room]
     if file.stem in COMPILED:
         folders = ("tests/nodes/compiled", *folders)
@@ -190,18 +217,12 @@ def _tests(room: str, file: Path) -> tuple[str, ...]:
         path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))
     ]
 
-    own = re.compile(
-        rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b"
-    )
-    # What drives a node in many tests stands in tests/support.
-    through = [path.stem for path in SUPPORT.glob("*.py") if own.search(_text(path))]
-    shared = re.compile(rf"tests\.support\.(?:{'|'.join(through) or '-'})\b")
+    def distance(test: Path) -> int:
+        if test.stem.startswith(f"test_{file.stem}"):
+            return 0
+        if module in _imports(test):
+            return 1
+        return 2 if _imports(test) & _users(room, module) else 3
 
-    def imports(test: Path) -> bool:
-        text = _text(test)
-        return own.search(text) is not None or shared.search(text) is not None
-
-    named = [path for path in tests if path.stem.startswith(f"test_{file.stem}")]
-    importing = [path for path in tests if path not in named and imports(path)]
-    first = [str(path.relative_to(ROOT)) for path in (*named, *importing)]
-    return (*first, *folders)
+    near = sorted((test for test in tests if distance(test) < 3), key=distance)
+    return (*(str(test.relative_to(ROOT)) for test in near), *folders)
