@@ -495,7 +495,8 @@ def test_forces_over_a_slow_cable_are_as_old_as_the_cable_makes_them(
     assert figures["exit_reason"] == "done"
     # Never in time within a period of 10 ms, 60 ms late and more, and taken all the same: max_age
     # is 10 ticks.
-    assert figures["missed"] == figures["ticks"]
+    # On a busy machine the driver is late itself, and an answer is then there in time.
+    assert figures["ticks"] - figures["missed"] <= figures["overruns"]
     assert figures["age_ticks_max"] >= 6
     assert figures["safety"]["entered"]["active"] >= 1
     assert figures["nodes"]["coupling"]["clock_error"] >= 0.03

@@ -323,7 +323,7 @@ def test_what_sections_buy_beyond_taps() -> None:
         (0.0, 1.0, 1.0001),
         (1.0, 1.03, 1.06),
         (1.5, 1.03, 1.05),
-        (2.0, 1.06, 1.07),
+        (2.0, 1.06, 1.075),
     ):
         members = {
             member.family: member

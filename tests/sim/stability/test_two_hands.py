@@ -114,7 +114,7 @@ def _delay(rng: np.random.Generator, most: int) -> float:
             60,
             marks=pytest.mark.thorough("test_no_hands_make_what_is_passive_unstable"),
         ),
-        pytest.param(3000, marks=pytest.mark.slow),
+        pytest.param(1000, marks=pytest.mark.slow),
     ],
 )
 def test_no_hands_make_what_is_passive_unstable(cases: int) -> None:
