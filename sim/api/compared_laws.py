@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.laws import CompiledLaw
+from nodes.parameters.store import ParameterError
 from nodes.stability.closed_loop import pole_radius
 from sim.api.laws import LawLike, compiled, law_name
 from sim.api.laws import law as made
@@ -164,7 +165,12 @@ def compare(
         raise ValueError("laws: none to compare")
     if not 0.0 <= resolution < np.inf:
         raise ValueError(f"resolution = {resolution!r}: must be finite and at least 0")
-    rows = {name: _row(one, device, resolution) for name, one in named.items()}
+    rows = {}
+    for name, one in named.items():
+        try:
+            rows[name] = _row(one, device, resolution)
+        except ParameterError as error:
+            raise type(error)(error.text, f"{name}: {error.path}") from None
     figures = list(rows.values())
 
     def column(key: str) -> Any:

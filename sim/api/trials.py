@@ -39,16 +39,29 @@ class PlannedTrial:
     ]  # what differs in this condition, e.g. arguments of a launch
 
     def row(self) -> dict[str, Any]:
-        """Return the columns that the plan decides, and the scalars of the condition."""
-        shown = {
-            name: value
-            for name, value in plain(self.arguments).items()
-            if isinstance(value, bool | int | float | str)
-        }
-        return {
-            **dict(zip(_PLAN, (self.number, self.block, self.condition), strict=True)),
-            **shown,
-        }
+        """Return the columns that the plan decides, and the scalars of the condition.
+
+        Those of ``params`` too, by their path: ``coupling.field.gain``; not those of a law.
+        """
+        plan = dict(zip(_PLAN, (self.number, self.block, self.condition), strict=True))
+        given = dict(plain(self.arguments))
+        params = given.pop("params", None)
+        inner = dict(_scalars(params, "")) if isinstance(params, Mapping) else {}
+        return {**plan, **{k: v for k, v in given.items() if _is_scalar(v)}, **inner}
+
+
+def _is_scalar(value: Any) -> bool:
+    return isinstance(value, bool | int | float | str)
+
+
+def _scalars(tree: Mapping[str, Any], path: str) -> Iterator[tuple[str, Any]]:
+    """Yield the scalars of a tree of parameters by path."""
+    for name, value in tree.items():
+        place = f"{path}.{name}" if path else str(name)
+        if isinstance(value, Mapping):
+            yield from _scalars(value, place)
+        elif _is_scalar(value):
+            yield place, value
 
 
 @dataclass(repr=False)

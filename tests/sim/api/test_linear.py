@@ -159,6 +159,11 @@ def test_laws_with_the_same_kind_are_numbered_and_own_code_has_no_edges() -> Non
     assert found.law.tolist() == ["pd_windowed", "pd_windowed 2"]
     assert np.isnan(found.k_max_wall_n_per_m).all()
     assert haptic.compare(own, PLANT).law.tolist() == ["pd_windowed"]
+    # a law of another period is named
+    with pytest.raises(haptic.HapticError, match=r"^good: law\.period: these taps"):
+        haptic.compare(
+            {"good": "designed_d0"}, haptic.Plant(rate=1000, mass=0.1, damping=1)
+        )
     with pytest.raises(ValueError, match="none to compare"):
         haptic.compare([], PLANT)
 

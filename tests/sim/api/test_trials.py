@@ -273,3 +273,18 @@ def test_a_field_is_a_condition_and_a_column() -> None:
     assert rows["curl"]["outcome"] > 0.01
     # mirrored to the bit: F(−B) = −F(B) across, and along by the square
     assert rows["other"]["outcome"] == rows["curl"]["outcome"]
+
+
+def test_each_parameter_that_differs_is_a_column_too(tmp_path: Path) -> None:
+    conditions: dict[str, dict[str, Any]] = {
+        "curl": {"params": {"coupling.field": {"kind": "curl", "gain": 13.0}}},
+        "soft": {"params": {"coupling": {"laws": {"pd": {"stiffness": 500}}}}},
+    }
+    out = tmp_path / "t.csv"
+    made = haptic.trials(conditions, out=out).run(lambda trial: trial.number)
+    rows = {row["condition"]: row for row in made.rows}
+    assert rows["curl"]["coupling.field.kind"] == "curl"
+    assert rows["curl"]["coupling.field.gain"] == 13.0
+    assert rows["soft"]["coupling.laws.pd.stiffness"] == 500
+    assert rows["soft"]["coupling.field.gain"] is None
+    assert haptic.trials(conditions, out=out).rows == made.rows  # as it is read again
