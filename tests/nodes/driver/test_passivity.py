@@ -391,7 +391,8 @@ def test_what_goes_through_a_line_comes_out_late_and_whole(latency: float) -> No
 def guarded_along_a_line(axes: tuple[int, ...], direction: Any, normal: Any) -> Any:
     """Return the forces [N] of a late spring to 0 that a guarded device moves along a line."""
     s = state_of(axes, latency=1.5)
-    set_guard(s, ON)
+    # So much is taken back that the account is near zero, where forces under way decide.
+    set_guard(s, PassivityParameters(damping=20.0, allowance=2e-3))
     s.normal[:] = normal
     given = []
     for place in (5e-3 * np.sin(0.4 * np.arange(120))).tolist():
@@ -403,7 +404,7 @@ def guarded_along_a_line(axes: tuple[int, ...], direction: Any, normal: Any) -> 
         s.handed[:] = s.mean[:] = s.wanted[:]
         given.append(float(np.dot(s.wanted[:], direction)))
         act(s, 1)
-    assert 5 < s.lowered < 60
+    assert min(s.lowered, s.raised) > 5
     return given
 
 

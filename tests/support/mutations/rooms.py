@@ -19,6 +19,8 @@ LAWS = "tests/nodes/laws/test_laws.py"
 GAINS = "tests/nodes/laws/test_gains.py"
 FITS = "tests/sim/identify/test_judge.py"
 IDENTIFY = "tests/sim/identify/test_identify.py"
+ORACLES = "tests/nodes/driver/test_oracles.py"
+PASSIVE = "tests/nodes/driver/test_passivity.py"
 REMAINDER = "tests/sim/identify/test_remainder.py"
 
 NAMED_RULES: Final = (
@@ -184,5 +186,72 @@ NAMED_RULES: Final = (
         "between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows",
         "between = 0.0 * inverse",
         (IDENTIFY, FITS, REMAINDER),
+    ),
+    Mutation(
+        "a guard along one axis reads the forces under way of another",
+        "nodes/driver/passivity.py",
+        "            reals_at(s.lines + 8 * i * s.line_length, s.line_length), s.line_part\n"
+        "        )\n"
+        "    expected += (share",
+        "            reals_at(s.lines, s.line_length), s.line_part\n"
+        "        )\n"
+        "    expected += (share",
+        (PASSIVE,),
+    ),
+    Mutation(
+        "a guard in space takes y for z",
+        "nodes/driver/passivity.py",
+        "else y if i == 1 else z)",
+        "else y if i != 1 else z)",
+        (PASSIVE,),
+    ),
+    Mutation(
+        "an answer that came too late to be played is not counted",
+        "nodes/driver/tick.py",
+        "            s.skipped += 1\n            if s.arrival",
+        "            if s.arrival",
+        (ORACLES,),
+    ),
+    Mutation(
+        "an answer of another tick is not counted in lockstep",
+        "nodes/driver/tick.py",
+        "            s.skipped += 1\n        s.response",
+        "        s.response",
+        (ORACLES,),
+    ),
+    Mutation(
+        "a rate is ticks times seconds",
+        "nodes/driver/run_report.py",
+        "(s.asked - self.first_seq) / span",
+        "(s.asked - self.first_seq) * span",
+        (ORACLES,),
+    ),
+    Mutation(
+        "a loop's polynomial keeps a root at 0",
+        "nodes/stability/closed_loop.py",
+        "if numerator.any() else numerator",
+        "if not numerator.any() else numerator",
+        (STABILITY,),
+    ),
+    Mutation(
+        "a figure's frame is in half millimetres",
+        "nodes/recording/plot_panels.py",
+        "position = lines.position.arrays()[1][:, axis] * 1e3",
+        "position = lines.position.arrays()[1][:, axis] * 2e3",
+        ("tests/nodes/recording/test_plot.py",),
+    ),
+    Mutation(
+        "a recording in lockstep is one in real time",
+        "sim/identify/recorded_scene.py",
+        'lockstep = launch.run.pace == "lockstep"',
+        'lockstep = launch.run.pace != "lockstep"',
+        ("tests/sim/identify/test_counterfactual.py",),
+    ),
+    Mutation(
+        "a mass in a gap begins at the end that it will reach",
+        "sim/identify/suspects.py",
+        "y = 0.5 * gap * np.sign(v[:, 0])",
+        "y = 0.5 * gap * np.sign(v[:, 1])",
+        (FITS,),
     ),
 )

@@ -78,6 +78,13 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         "41",
         "one more draw of a distribution whose share of 1/40 decides nothing",
     ),
+    Equivalent(
+        "nodes/driver/paired/paired_device.py",
+        "self._read_at = -1",
+        "1",
+        "2",
+        "any negative number stands for a pair that was never read",
+    ),
     *(
         Equivalent(
             "nodes/driver/state.py",
