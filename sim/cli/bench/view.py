@@ -14,7 +14,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ OPTIONS = [
     "--disable-background-networking",
     "--disable-sync",
 ]
+# WebGL 2 without a graphics card, for pictures of the 3D view
+WITH_WEBGL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 COMPILED = 180.0  # longest wait until another law plays beside the launch [s]
 # In the page: time from navigation until scene, plots and laws are shown [ms].
@@ -257,7 +259,7 @@ def memory(minutes: float, rate: float) -> dict[str, float]:
 
 
 @contextlib.contextmanager
-def browsing() -> Iterator[Any]:
+def browsing(options: Sequence[str] = OPTIONS) -> Iterator[Any]:
     """Run a browser for the length of a with block."""
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
     try:
@@ -269,7 +271,7 @@ def browsing() -> Iterator[Any]:
     if path is None:
         raise UsageError("bench view: needs a browser; apt install chromium")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=OPTIONS)
+        browser = playwright.chromium.launch(executable_path=path, args=list(options))
         try:
             yield browser
         finally:
@@ -281,7 +283,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.pictures is not None:
         unused = ("rounds", "seconds", "rate", "picture", "minutes")
         idle(arguments, "--pictures measures nothing", *unused)
-        with browsing() as browser:
+        drawn = [option for option in OPTIONS if option != "--disable-gpu"]
+        with browsing([*drawn, *WITH_WEBGL]) as browser:
             taken = take(
                 browser,
                 arguments.pictures,

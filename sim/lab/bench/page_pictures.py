@@ -138,7 +138,7 @@ def take(browser: Any, folder: Path, step: Callable[[str], None]) -> list[Path]:
                 act(page)
                 shot(page, name)
     with Running(
-        "sphere_feel", "--view", "--without", "logger", "duration:=0"
+        "sphere_feel", "--view", "--without", "logger", "duration:=0", "friction:=0.3"
     ) as launch:
         opened = browser.new_page(viewport={"width": 1366, "height": 768})
         opened.goto(_url(launch))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,19 @@ from messages.types import DeviceState, Proxy
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.bodies.poses import Poses, poses_file
+from nodes.environment.shown_offsets import offsets_file
+from nodes.environment.surfaces import parse_surface
+from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file
 from nodes.parameters.store import convert
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
-from nodes.view.drawn_bodies import RecordedBodies, RunningBodies
+from nodes.view.drawn_bodies import (
+    RecordedBodies,
+    RecordedShapes,
+    RunningBodies,
+    RunningShapes,
+)
 from nodes.view.foxglove_scene import SCENE, export_foxglove
 from nodes.view.shape import bodies_of
 from tests.support.setups import MadeLater, setup_of
@@ -151,3 +160,69 @@ def test_foxglove_is_shown_the_bodies_where_the_replay_shows_them(
     ]
     assert len(shown) == len(places)
     assert sorted(shown) == sorted(places)
+
+
+BALL: dict[str, Any] = {"kind": "sphere", "position": [0.05, 0.0, 0.0], "radius": 0.02}
+MOVING: dict[str, Any] = {
+    "kind": "union",
+    "shapes": [
+        BALL,
+        {
+            **BALL,
+            "position": [0.0, 0.0, -0.03],
+            "motion": {
+                "path": [[0.0, 0.0, 0.0, 0.0], [1.0, 0.05, 0.0, 0.01]],
+                "power": 0.001,
+            },
+        },
+    ],
+}
+
+
+def test_shapes_that_move_are_shown_where_the_environment_has_them(
+    tmp_path: Path,
+) -> None:
+    """Also where a device slows them, after a change of the surface, and in a replay."""
+    setup = setup_of(name="environment", run_dir=str(tmp_path), parameters={})
+    path, running = offsets_file(tmp_path, "environment"), RunningShapes(setup)
+    assert running.news() is None, "no environment yet"
+    place = TouchedSurface(parse_surface(MOVING, "surface"), 0.002)
+    place.show(path)
+    recorded = RecordedShapes({"surface": MOVING}, 0.002)
+    assert recorded.moves
+    slowed = 0
+    for seq in range(400):
+        # From 0.2 s on the device lies in its way, and pushes it back with 3 N.
+        at = (0.025, 0.0, -0.028) if seq >= 100 else (0.0, 0.05, 0.0)
+        force = (3.0, 0.0, 0.0) if seq >= 100 else (0.0, 0.0, 0.0)
+        place.note(seq, force)
+        place.meet(at)
+        state = DeviceState(
+            seq=seq, stamp=0.002 * seq, position=at, force=force, force_seq=seq - 1
+        )
+        recorded.follow(state)
+        news = running.news()
+        assert news is not None
+        (pose,) = news["poses"]
+        wanted = [0.05 * seq * 0.002, 0.0, 0.01 * seq * 0.002]
+        assert pose[3:] == np.eye(3).ravel().tolist()
+        assert recorded.poses()[0, :3] == pytest.approx(pose[:3], abs=1e-6)
+        slowed += math.dist(pose[:3], wanted) > 1e-5
+        # Written with six decimals, and never ahead of its path.
+        assert pose[0] <= wanted[0] + 1e-6
+        assert slowed or pose[:3] == pytest.approx(wanted, abs=1e-6)
+    assert slowed > 50
+    stiff = {**MOVING, "tool_radius": 0.002}
+    after = TouchedSurface(parse_surface(stiff, "surface"), 0.002)
+    after.show(path)
+    place.take(after)
+    shown = running.news()
+    assert shown is not None
+    assert shown["poses"][0][:3] == pytest.approx(pose[:3], abs=1e-6)
+
+
+def test_a_surface_that_stays_has_no_file(tmp_path: Path) -> None:
+    place = TouchedSurface(parse_surface(BALL, "surface"), 0.002)
+    place.show(tmp_path / "environment.shapes")
+    assert list(tmp_path.iterdir()) == []
+    assert not RecordedShapes({"surface": BALL}, 0.002).moves

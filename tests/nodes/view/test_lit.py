@@ -70,7 +70,7 @@ def opened(browser: Browser, shape: dict[str, Any]) -> Page:
     page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
     size = f"width: {WIDTH}px; height: {HEIGHT}px"
     page.set_content(
-        f'<style>{style}</style><canvas id="space" style="{size}"></canvas>'
+        f'<style>{style}</style><canvas id="space" tabindex="0" style="{size}"></canvas>'
         f"<script>{script}</script>"
     )
     page.evaluate("shape => made(shape)", shape)
@@ -247,3 +247,65 @@ def test_the_theme_and_a_parts_own_colour_are_seen(lit: Browser) -> None:
     (night,) = seen(page, {}, [ground])
     assert sum(night[:3]) < 0.4 * sum(day[:3])
     page.close()
+
+
+@pytest.mark.parametrize("key", ["s", "g", "v"])
+def test_a_real_mouse_drags_along_what_was_chosen(page: Page, key: str) -> None:
+    """A hand 4 mm deep in a ball without friction; its proxy is the nearest point of it."""
+    page.evaluate(
+        """([centre, radius]) => {
+      space.letGo();
+      Object.assign(globalThis, { moved: [], fed: () => {
+        const at = space.held ?? globalThis.from, off = at.map((each, k) => each - centre[k]);
+        const normal = off.map((each) => each / Math.hypot(...off));
+        const proxy = centre.map((each, k) => each + radius * normal[k]);
+        const distance = Math.hypot(...off) - radius;
+        const now = { position: at, proxy, normal, target: at, distance };
+        shown({ yaw: -0.4, pitch: 0.6, contact: Number(distance < 0), ...now });
+      } });
+    }""",
+        [CENTRE, RADIUS],
+    )
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    deep = RADIUS - 0.004
+    # Towards the viewer and up, so that ground and surface are both seen from above.
+    start = [c - deep * a for c, a in zip(CENTRE, camera.away, strict=True)]
+    page.evaluate("from => { globalThis.from = from; fed(); }", start)
+    page.locator("#space").focus()
+    page.keyboard.press(key)
+    u, v = camera.seen(start)
+    page.mouse.move(WIDTH / 2 + u, HEIGHT / 2 + v)
+    page.mouse.down()
+    for _ in range(20):
+        u, v = u + 2.0, v + 1.0
+        page.mouse.move(WIDTH / 2 + u, HEIGHT / 2 + v)
+        # As frames come: the proxy follows, and the target with it.
+        page.evaluate("() => { for (let k = 0; k < 20; k++) fed(); }")
+    held = page.evaluate("space.held")
+    across = [h - s for h, s in zip(held, start, strict=True)]
+    if key == "s":
+        assert math.dist(held, CENTRE) == pytest.approx(deep, abs=1e-6)
+        assert math.dist(held, start) > 0.2 * RADIUS
+    else:
+        assert camera.seen(held) == pytest.approx((u, v), abs=1.1)
+        normal = (0.0, 0.0, 1.0) if key == "g" else camera.away
+        assert sum(a * b for a, b in zip(across, normal, strict=True)) == pytest.approx(
+            0.0, abs=1e-12
+        )
+    # The wheel moves it in depth: into the surface, down, or away.
+    before = page.evaluate("[...space.held]")
+    page.mouse.wheel(0.0, -100.0)
+    page.wait_for_function(
+        "before => Math.hypot(...space.held.map((each, k) => each - before[k])) > 1e-6",
+        arg=before,
+    )
+    page.evaluate("fed()")
+    pushed = page.evaluate("space.held")
+    step = [p - b for p, b in zip(pushed, before, strict=True)]
+    inward = [
+        (c - b) / math.dist(CENTRE, before) for c, b in zip(CENTRE, before, strict=True)
+    ]
+    way = {"s": inward, "g": (0.0, 0.0, -1.0), "v": camera.away}[key]
+    assert step == pytest.approx([100.0 * 2e-5 * w for w in way], abs=1e-9)
+    page.mouse.up()
+    assert page.evaluate("space.held") is None
