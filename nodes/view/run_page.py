@@ -1,4 +1,4 @@
-"""One open page of a running launch: what it has not received yet, its hand and its requests."""
+"""One open page of a running launch: what it has not received, its hand, its requests."""
 
 from __future__ import annotations
 

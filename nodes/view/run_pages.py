@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 # A screen's refresh period: waking for each message would cost more processor time [s].
 DRAIN_PERIOD = 1.0 / 60.0
+REST_PERIOD = 0.05  # the same while nothing has moved for REST_AFTER [s]
+REST_AFTER = 1.0  # [s]
 AT_ONCE = 5000  # messages processed before pages get their turn
 ASK_AGAIN = 0.2  # time until nodes that did not answer are asked again [s]
 FINAL = 0.5  # time that pages have to receive the end of a run [s]
@@ -91,6 +93,8 @@ class RunPages:
         self._bodies: RunningBodies | RunningShapes | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
+        self._place: Any = None  # position, force and target at the last look
+        self._moved_at = 0.0
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -222,7 +226,7 @@ class RunPages:
                 if self._commander.records:
                     self._start("recorder", self._look_at_recorder)
                 between()
-                await asyncio.sleep(DRAIN_PERIOD)
+                await asyncio.sleep(self._pause())
             await self._finish()
         finally:
             loop = asyncio.get_running_loop()
@@ -239,6 +243,14 @@ class RunPages:
             self._asking.shutdown()
             self._maps.close()
             self.hand.close()
+
+    def _pause(self) -> float:
+        """Return the time until the next messages are read, longer while nothing moves [s]."""
+        state, now = self.live.feed.state, time.monotonic()
+        place = (state.position, state.force, state.target) if state else None
+        if place != self._place:
+            self._place, self._moved_at = place, now
+        return REST_PERIOD if now - self._moved_at > REST_AFTER else DRAIN_PERIOD
 
     def _move_hand(self) -> None:
         state, proxy, axis = self.live.feed.state, self.live.feed.proxy, self._axis

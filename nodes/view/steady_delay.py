@@ -1,4 +1,4 @@
-"""The loop's delay for maps: the median of the last seconds, so that an edge does not wander."""
+"""The loop's delay for maps: the median of some seconds, so that no edge wanders."""
 
 from __future__ import annotations
 
