@@ -25,6 +25,7 @@ from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
+from nodes.view.page_words import in_page_words
 from nodes.view.run_page import RunPage
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
@@ -158,7 +159,14 @@ class RunPages:
         return RunPage(self.live, self.hand, self.command)
 
     async def command(self, request: dict[str, Any]) -> Any:
-        """Execute a page's request off the pages' thread."""
+        """Execute a page's request off the pages' thread; refusals are in its own terms."""
+        try:
+            return await self._command(request)
+        except CommandError as error:
+            text = in_page_words(str(error), self._commander.beyond)
+            raise CommandError(text) from error
+
+    async def _command(self, request: dict[str, Any]) -> Any:
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
