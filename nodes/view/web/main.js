@@ -276,7 +276,7 @@ function chart() {
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
-  dial.show(law?.stiffness ?? edges?.rest[laws.state.active] ?? null, laws.edge, edges !== null || map.map !== null);
+  dial.show(law?.stiffness ?? edges?.rest[laws.state?.active] ?? null, laws.edge, edges !== null || map.map !== null);
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
