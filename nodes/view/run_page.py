@@ -10,8 +10,28 @@ from messages.types import DeviceState
 from nodes.view.live import HISTORY, LiveRun
 from nodes.view.shared_hand import SharedHand
 
+# A screen's refresh period: waking for each message would cost more processor time [s].
+DRAIN_PERIOD = 1.0 / 60.0
+REST_PERIOD = 0.05  # the same while nothing has moved for REST_AFTER [s]
+REST_AFTER = 1.0  # [s]
 STILL_PERIOD: Final = 0.2  # time between two frames while nothing moves [s]
 _NEAR, _WEAK = 1e-5, 5e-3  # differences that a page does not show [m], [N]
+
+
+class Pace:
+    """How often messages are read: less often while nothing moves."""
+
+    def __init__(self) -> None:
+        self._place: Any = None  # position, force and target at the last look
+        self._moved_at = 0.0
+
+    def pause(self, state: DeviceState | None) -> float:
+        """Return the time until the next messages are read [s]."""
+        now = time.monotonic()
+        place = (state.position, state.force, state.target) if state else None
+        if place != self._place:
+            self._place, self._moved_at = place, now
+        return REST_PERIOD if now - self._moved_at > REST_AFTER else DRAIN_PERIOD
 
 
 class RunPage:

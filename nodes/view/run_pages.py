@@ -26,7 +26,7 @@ from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.page_words import in_page_words
-from nodes.view.run_page import RunPage
+from nodes.view.run_page import DRAIN_PERIOD, Pace, RunPage
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 
@@ -34,10 +34,6 @@ if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RunningBodies, RunningShapes
     from nodes.view.foxglove import Bridge
 
-# A screen's refresh period: waking for each message would cost more processor time [s].
-DRAIN_PERIOD = 1.0 / 60.0
-REST_PERIOD = 0.05  # the same while nothing has moved for REST_AFTER [s]
-REST_AFTER = 1.0  # [s]
 AT_ONCE = 5000  # messages processed before pages get their turn
 ASK_AGAIN = 0.2  # time until nodes that did not answer are asked again [s]
 FINAL = 0.5  # time that pages have to receive the end of a run [s]
@@ -94,8 +90,7 @@ class RunPages:
         self._bodies: RunningBodies | RunningShapes | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
-        self._place: Any = None  # position, force and target at the last look
-        self._moved_at = 0.0
+        self._pace = Pace()
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -234,7 +229,7 @@ class RunPages:
                 if self._commander.records:
                     self._start("recorder", self._look_at_recorder)
                 between()
-                await asyncio.sleep(self._pause())
+                await asyncio.sleep(self._pace.pause(self.live.feed.state))
             await self._finish()
         finally:
             loop = asyncio.get_running_loop()
@@ -251,14 +246,6 @@ class RunPages:
             self._asking.shutdown()
             self._maps.close()
             self.hand.close()
-
-    def _pause(self) -> float:
-        """Return the time until the next messages are read, longer while nothing moves [s]."""
-        state, now = self.live.feed.state, time.monotonic()
-        place = (state.position, state.force, state.target) if state else None
-        if place != self._place:
-            self._place, self._moved_at = place, now
-        return REST_PERIOD if now - self._moved_at > REST_AFTER else DRAIN_PERIOD
 
     def _move_hand(self) -> None:
         state, proxy, axis = self.live.feed.state, self.live.feed.proxy, self._axis
