@@ -123,6 +123,7 @@ class RunPages:
             self.hand.there
             and self._commander.beyond
             and self._comparison.there
+            and len(self._run.nodes[self._commander.driver].axes) == 1
             and isinstance(surface, Mapping)
             and surface.get("kind") == "plane"
         )
