@@ -412,7 +412,6 @@ def test_each_number_of_a_command_line_has_its_limits() -> None:
 STATE = "everything that goes on from tick to tick, one line a variable with its unit"
 
 WIDE = {
-    "nodes.view.comparison.Comparison": "course, choice and job of one simulated law",
     "nodes.base.node.Node": "the parts that every node is made of, one attribute each",
     "nodes.base.setup.Setup": "what a node is told: one field a fact",
     "nodes.ros2.node.Ros2": "a node, and one publisher or subscription a topic of the graph",

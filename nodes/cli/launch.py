@@ -20,7 +20,7 @@ from nodes.cli.debugging import Debugging
 from nodes.cli.dispatch import refuse_unwritable
 from nodes.cli.launch_report import note_cut, recordings_of, summarise, text_of
 from nodes.cli.main import add_json, answer, coloured, heeding
-from nodes.cli.page import PageAnnouncer, with_view
+from nodes.cli.page import PageAnnouncer, wants_another_run, with_view
 from nodes.cli.status_line import StatusLine
 from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file, scenario_files
@@ -229,13 +229,24 @@ def _print(text: str) -> None:
 def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
     # A reader of the launcher's output may pause; supervision and Ctrl-C must not wait for it.
     instead_of_stderr()
+    page = PageAnnouncer(arguments.json)
+    while True:
+        supervisor, code = _run_once(launch, arguments, page)
+        recordings = [place + path for place, path in recordings_of(launch, supervisor)]
+        if not wants_another_run(launch, supervisor, page, recordings):
+            return code
+
+
+def _run_once(
+    launch: Launch, arguments: argparse.Namespace, page: PageAnnouncer
+) -> tuple[Supervisor, int]:
+    """Run a launch from start to end; return its supervisor and the exit code."""
     status = StatusLine(launch)
 
     def say(text: str) -> None:
         status.clear()
         sys.stderr.write(f"{coloured('[launch]', 'dim', sys.stderr)} {text}\n")
 
-    page = PageAnnouncer(arguments.json)
     debug = Debugging(launch, say) if arguments.debug else None
 
     def progress(supervisor: Supervisor) -> None:
@@ -244,7 +255,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
         page(supervisor)
         status(supervisor)
 
-    supervisor = Supervisor(launch, say)
+    supervisor = Supervisor(launch, say, page.files())
 
     def on_signal(number: int) -> None:
         supervisor.interrupt(
@@ -259,7 +270,7 @@ def _launch(launch: Launch, arguments: argparse.Namespace) -> int:
             supervisor.exit_reason = str(error)
             say(str(error))
     status.clear()
-    return _end(launch, supervisor, arguments, page, say)
+    return supervisor, _end(launch, supervisor, arguments, page, say)
 
 
 def _end(

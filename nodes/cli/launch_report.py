@@ -89,6 +89,11 @@ def summarise(launch: Launch, supervisor: Supervisor) -> dict[str, Any]:
         "plot": None,
         "exit_reason": supervisor.exit_reason,
         "failures": supervisor.failures,
+        "restarts": {
+            name: child.restarts
+            for name, child in supervisor.children.items()
+            if child.restarts
+        },
         "not_judged": supervisor.unjudged,
         "load": None
         if supervisor.load is None
@@ -186,6 +191,10 @@ def text_of(launch: Launch, figures: dict[str, Any], overload: str = "") -> str:
         f"  failed    {failure}"
         for failure in figures["failures"]
         if failure != figures["exit_reason"]
+    ]
+    lines += [
+        f"  restarts  {name}: {count}; its figures are those of the last process"
+        for name, count in figures["restarts"].items()
     ]
     by_node = figures["tick_by_node"]
     if by_node:

@@ -6,11 +6,13 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 import msgspec
 
+from nodes.base.node_kinds import is_hop, load, node_kinds
 from nodes.base.stderr_queue import StderrQueue
+from nodes.cli.main import heeding
 from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.launcher.wiring import chains_of, free_name
 
@@ -18,29 +20,29 @@ if TYPE_CHECKING:
     from nodes.launcher.supervisor import Supervisor
 
 KIND = "view"  # kind of node that serves a page
+STOP_REASON = "stop requested"  # end of a run that a page, or a request, stopped
+RESPAWNS = 20  # restarts of a demo's node in one run
+
+
+def is_demo(launch: Launch) -> bool:
+    """Whether a page may make this launch unstable, so that it goes on whatever happens to it."""
+    return launch.run.pace == "realtime" and any(
+        (spec.parameters.get("pointer") or {}).get("beyond")
+        for spec in launch.nodes.values()
+    )
 
 
 def with_view(launch: Launch) -> Launch:
-    """Add a view node to a launch without one.
-
-    Drivers whose page may push them beyond a limit are set to restart.
-    """
+    """Add a view node to a launch without one; the loop's nodes of a demo are set to restart."""
     if any(spec.kind == KIND for spec in launch.nodes.values()):
         return launch
-    realtime = launch.run.pace == "realtime"
-    again = {
-        driver: msgspec.structs.replace(
-            spec, respawn=True, respawn_delay=0.0, respawn_max=-1
-        )
-        for driver, spec in launch.nodes.items()
-        if realtime and (spec.parameters.get("pointer") or {}).get("beyond")
-    }
-    view = NodeSpec(
-        kind=KIND,
-        required=False,
-        respawn=True,
-        parameters={"again": True} if again else {},
-    )
+    again, kinds = {}, node_kinds()
+    for name, spec in launch.nodes.items() if is_demo(launch) else ():
+        if spec.kind in kinds and is_hop(load(kinds[spec.kind])) and not spec.host:
+            again[name] = msgspec.structs.replace(
+                spec, respawn=True, respawn_delay=0.0, respawn_max=RESPAWNS
+            )
+    view = NodeSpec(kind=KIND, required=False, respawn=True)
     chains = chains_of(launch)  # a page shows one chain
     pages = {
         free_name(
@@ -49,6 +51,34 @@ def with_view(launch: Launch) -> Launch:
         for chain in chains or [""]
     }
     return msgspec.structs.replace(launch, nodes={**launch.nodes, **again, **pages})
+
+
+def wants_another_run(
+    launch: Launch, supervisor: Supervisor, page: PageAnnouncer, recordings: list[str]
+) -> bool:
+    """Wait for the pages of a demo that has ended; return whether one asks to start it again.
+
+    A demo is over when its duration has passed, the user ends it, or no page has seen the end.
+    """
+    stopped = supervisor.exit_reason == STOP_REASON
+    if not (page.places and is_demo(launch) and (supervisor.failed or stopped)):
+        return False
+    place = next(iter(page.places.values()))
+    reports = [supervisor.reports.get(name, {}) for name in page.places]
+    # A view that was killed could not report its pages.
+    if supervisor.interrupted or not any(one.get("pages", 1) for one in reports):
+        return False
+    from nodes.view.ended_run import wait_for_page
+
+    ended: list[int] = []
+    with heeding(ended.append):
+        return wait_for_page(
+            place["token"],
+            place["port"],
+            supervisor.exit_reason,
+            recordings,
+            lambda: bool(ended),
+        )
 
 
 def announce(url: str, as_json: bool, out: IO[str] | StderrQueue | None = None) -> None:
@@ -85,8 +115,15 @@ class PageAnnouncer:
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
-        self._announced: set[str] = set()
+        self.places: dict[str, dict[str, Any]] = {}  # address of each page by its node
         self._words: StderrQueue | None = None
+
+    def files(self) -> dict[str, bytes]:
+        """Return the files that give the views of another run the same addresses."""
+        return {
+            f"{name}.page.json": msgspec.json.encode(place)
+            for name, place in self.places.items()
+        }
 
     def drain(self) -> None:
         """Wait for the reader of the output, before anything else is printed."""
@@ -98,17 +135,13 @@ class PageAnnouncer:
         for name, child in supervisor.children.items():
             if (
                 child.setup.kind == KIND
-                and name not in self._announced
+                and name not in self.places
                 and child.running
                 and not supervisor.ending
             ):
                 # Decoded here, so that the launcher need not import the view.
                 path = Path(supervisor.run_dir) / f"{name}.page.json"
                 if path.exists():
-                    self._announced.add(name)
+                    self.places[name] = msgspec.json.decode(path.read_bytes())
                     self._words = self._words or StderrQueue(sys.stdout.fileno())
-                    announce(
-                        msgspec.json.decode(path.read_bytes())["url"],
-                        self._as_json,
-                        self._words,
-                    )
+                    announce(self.places[name]["url"], self._as_json, self._words)

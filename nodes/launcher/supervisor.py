@@ -13,8 +13,9 @@ import contextlib
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from messages.errors import HapticError
@@ -54,8 +55,16 @@ class LaunchFailedError(HapticError):
 class Supervisor:
     """Starts and ends the nodes of one launch."""
 
-    def __init__(self, launch: Launch, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        launch: Launch,
+        say: Callable[[str], None],
+        files: Mapping[str, bytes] = MappingProxyType({}),
+    ) -> None:
         self._launch = launch
+        self._files = (
+            files  # what the run's directory contains from the beginning, by name
+        )
         self._say = say
         self.run = runs.name_of(launch.scenario)
         self.reports: dict[str, dict[str, Any]] = {}
@@ -68,7 +77,7 @@ class Supervisor:
         self.load: Load | None = None  # load of the chains' processors
         self.unjudged: dict[str, str] = {}  # nodes not judged for stability, and why
         self._stop_asked = ""
-        self._interrupted = self._hurry = False
+        self.interrupted = self._hurry = False
         self._begun = 0.0
         self.run_dir = Path()
         self.context = new_context()
@@ -82,8 +91,8 @@ class Supervisor:
 
     def interrupt(self, reason: str) -> None:
         """Request the end for a user; a second request hurries. Safe in a signal handler."""
-        self._hurry = self._interrupted
-        self._interrupted = True
+        self._hurry = self.interrupted
+        self.interrupted = True
         self.stop(reason)
 
     @property
@@ -109,6 +118,8 @@ class Supervisor:
         run_dir = runs.new_run_dir(self.run)
         held.callback(os.close, runs.hold(run_dir))
         self.run_dir = run_dir
+        for name, content in self._files.items():
+            (run_dir / name).write_bytes(content)
         try:
             offset = time.time() - time.monotonic()
             if self._launch.run.tick == "compiled":

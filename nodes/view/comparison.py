@@ -89,7 +89,6 @@ class Comparison:
             one.kind in ("world", "mujoco") or _moves(one.parameters.get("surface"))
             for one in run.nodes.values()
         )
-        self._late = least_delay(setup.apply) if setup else 0.0
         self._pool: Workers | None = None
         self._chosen = _Chosen({}, Changed())
         self.rings = ""  # how B rings, in words; empty if it does not
@@ -112,6 +111,12 @@ class Comparison:
         self.rings = ""
         self._restart()
         self._put("beside", {"law": law, "at": self._at})
+
+    @property
+    def _late(self) -> float:
+        """Delay that the launch has by itself [ticks]."""
+        setup = self._setups.get(self._driver)
+        return least_delay(setup.apply) if setup else 0.0
 
     @property
     def _at(self) -> float | None:

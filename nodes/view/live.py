@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from statistics import median
 from typing import Any, NamedTuple
 
 import msgspec
@@ -20,14 +19,14 @@ from nodes.parameters.refusals import cut
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
+from nodes.view.page_words import in_page_words
 from nodes.view.ringing import Ring, Ringing
+from nodes.view.steady_delay import SteadyDelay
 
 STATUS_PERIOD = 0.2  # time between status updates [s]
 RECENT = 5.0  # time span of the response-time percentiles [s]
 # Time without a status after which a node is shown as silent; it sends two per second [s].
 SILENT_NODE = 1.5
-DELAY_SPAN = 10.0  # time span of the delay's median [s]
-DELAY_PERIOD = 0.1  # time between two of its samples [s]
 LATELY = 10.0  # time span in which missed ticks count as a present problem [s]
 HISTORY = 30.0  # time span of the past that a newly opened page shows [s]
 KEPT = 60.0  # time span stored for slow pages [s]
@@ -149,8 +148,7 @@ class LiveRun:
         self.board = Board()  # everything else
         # Measured delay of the loop, smoothed over 64 ticks [ticks].
         self.delay = least_delay(facts.apply)
-        # Samples of it over DELAY_SPAN [s, ticks]; a map at their median does not wander.
-        self._delays: deque[tuple[float, float]] = deque()
+        self.steady_delay = SteadyDelay()  # its median, for maps
         self.rests = False  # whether the map says that this loop cannot ring
         # Returns what A and B do, in words; None where nothing is compared.
         self.sings: Callable[[], dict[str, str] | None] | None = None
@@ -194,13 +192,6 @@ class LiveRun:
             return None
         self.keep(known[0], message, now)
         return known[0], message
-
-    @property
-    def median_delay(self) -> float:
-        """Return the median of the loop's delay over DELAY_SPAN [ticks]."""
-        if not self._delays:
-            return self.delay
-        return median(delay for _, delay in self._delays)
 
     def rings(self) -> Ring | None:
         """Return the strongest ringing of all axes; None if there is none."""
@@ -253,7 +244,7 @@ class LiveRun:
             told = {
                 "node": message.node,
                 "event": message.kind,
-                "text": message.reason,
+                "text": in_page_words(message.reason),
                 "data": message.data,
             }
             self.board.log({"kind": "event", "t": message.seq * self._period, **told})
@@ -287,18 +278,11 @@ class LiveRun:
         if self._failed and not self.ended and end_of(self._run_dir).reason:
             self.end(self._failed)
         self.feed.file(bool(self.ended))
-        self._sample_delay(now)
+        if self.feed.state is not None:
+            self.steady_delay.add(now, self.delay)
         if now - self._status_at >= STATUS_PERIOD or self.ended:
             self._status_at = now
             self.board.put("status", self.status(now))
-
-    def _sample_delay(self, now: float) -> None:
-        kept = self._delays
-        if self.feed.state is None or (kept and now - kept[-1][0] < DELAY_PERIOD):
-            return
-        kept.append((now, self.delay))
-        while now - kept[0][0] > DELAY_SPAN:
-            kept.popleft()
 
     def status(self, now: float) -> dict[str, Any]:
         """Return the status document."""

@@ -31,14 +31,11 @@ class ViewParameters(
     port: Port; 0 for any free one.
     foxglove: Port of the live bridge to Foxglove and Lichtblick (nodes/view/foxglove.py); None for
         none.
-    again: Whether a page may restart a virtual driver that stopped the loop; set by ``launch
-        --view`` if the launcher respawns the driver.
     """
 
     address: str = ADDRESS
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0
     foxglove: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
-    again: bool = False
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True):
@@ -97,10 +94,9 @@ class View(Node):
         before = read_place(self.setup.run_dir, self.setup.name)
         token = before.token if before else ""
         assert self.inbox is not None  # noqa: S101  # every kind that listens has one
-        again = self.store.current.again
         with self.loading:
             self._pages = self._make_pages(
-                run, self.inbox, token, again, lambda: self.stopping
+                run, self.inbox, token, lambda: self.stopping
             )
         asyncio.run(self._serve(self._pages, before.port if before else 0))
 
@@ -122,9 +118,8 @@ class View(Node):
         self.between_ticks(0)
 
     def report(self) -> dict[str, Any]:
-        """Return the number of requests turned away."""
-        return (
-            {"turned_away": self._pages.server.turned_away}
-            if hasattr(self, "_pages")
-            else {}
-        )
+        """Return the requests turned away, and the pages that saw the end."""
+        if not hasattr(self, "_pages"):
+            return {}
+        pages = self._pages
+        return {"turned_away": pages.server.turned_away, "pages": pages.seen_to_the_end}

@@ -23,8 +23,10 @@ from nodes.laws.law_fields import all_law_fields
 from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Changed, Comparison
-from nodes.view.live import HISTORY, LiveRun, facts_of
+from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
+from nodes.view.page_words import in_page_words
+from nodes.view.run_page import DRAIN_PERIOD, Pace, RunPage
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 
@@ -32,52 +34,9 @@ if TYPE_CHECKING:
     from nodes.view.drawn_bodies import RunningBodies, RunningShapes
     from nodes.view.foxglove import Bridge
 
-# A screen's refresh period: waking for each message would cost more processor time [s].
-DRAIN_PERIOD = 1.0 / 60.0
 AT_ONCE = 5000  # messages processed before pages get their turn
 ASK_AGAIN = 0.2  # time until nodes that did not answer are asked again [s]
 FINAL = 0.5  # time that pages have to receive the end of a run [s]
-
-
-class RunPage:
-    """An open page of a running launch."""
-
-    def __init__(self, pages: RunPages) -> None:
-        self._pages = pages
-        self._feed = pages.live.feed
-        self._version = self._logged = 0
-        self._cursor = self._feed.oldest(HISTORY)
-        self._seq = -1
-        self._void = True
-        self._refused = False
-
-    def news(self) -> list[str | bytes]:
-        """Return everything not sent yet."""
-        texts, self._version, self._logged = self._pages.live.board.since(
-            self._version, self._logged
-        )
-        found: list[str | bytes] = list(texts)
-        state = self._feed.state
-        if state is not None and (
-            state.seq != self._seq or self._feed.head > self._cursor
-        ):
-            found.append(self._feed.frame(self._cursor, self._feed.head, self._void))
-            self._cursor, self._seq, self._void = self._feed.head, state.seq, False
-        return found
-
-    def hand(self, target: list[float] | None) -> str:
-        """Move the hand's target; report repeated refusals once, until the page lets go."""
-        refused = self._pages.hand.move(id(self), target)
-        document, self._refused = self._refused, bool(refused)
-        return "" if document else refused
-
-    async def ask(self, request: dict[str, Any]) -> Any:
-        """Execute a request of the page."""
-        return await self._pages.command(request)
-
-    def close(self) -> None:
-        """Release the hand."""
-        self._pages.hand.move(id(self), None)
 
 
 def _opened(path: Path, name: str, page: Page, over: bool) -> Page:
@@ -88,17 +47,13 @@ def _opened(path: Path, name: str, page: Page, over: bool) -> Page:
 
 
 class RunPages:
-    """Everything behind the pages of one run.
-
-    `again` tells that the launcher starts the run again at a page's request.
-    """
+    """Everything behind the pages of one run."""
 
     def __init__(
         self,
         run: RunInfo,
         inbox: Subscription,
         token: str = "",
-        again: bool = False,
         stopping: Callable[[], bool] = lambda: False,
     ) -> None:
         self._run = run
@@ -114,6 +69,7 @@ class RunPages:
         )
         # Serves the pages.
         self.server = PageServer(self._open_page, token, opened=_opened)
+        self.seen_to_the_end = 0  # pages that were open when the run ended
         self._comparison = Comparison(run, self._commander.driver, self.live.board.put)
         self.live.sings = self._what_both_do
         # Called with topic and content of every message.
@@ -134,6 +90,7 @@ class RunPages:
         self._bodies: RunningBodies | RunningShapes | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
+        self._pace = Pace()
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -142,7 +99,6 @@ class RunPages:
             "hand": self.hand.there,
             "beyond": self._commander.beyond,
             "again": self._commander.beyond,
-            "restarts": again,
             "compares": self._comparison.there,
             "sings": self._sings(),
             "opens": True,
@@ -167,6 +123,7 @@ class RunPages:
             self.hand.there
             and self._commander.beyond
             and self._comparison.there
+            and len(self._run.nodes[self._commander.driver].axes) == 1
             and isinstance(surface, Mapping)
             and surface.get("kind") == "plane"
         )
@@ -195,10 +152,17 @@ class RunPages:
         return shape
 
     def _open_page(self) -> RunPage:
-        return RunPage(self)
+        return RunPage(self.live, self.hand, self.command)
 
     async def command(self, request: dict[str, Any]) -> Any:
-        """Execute a page's request off the pages' thread."""
+        """Execute a page's request off the pages' thread; refusals are in its own terms."""
+        try:
+            return await self._command(request)
+        except CommandError as error:
+            text = in_page_words(str(error), self._commander.beyond)
+            raise CommandError(text) from error
+
+    async def _command(self, request: dict[str, Any]) -> Any:
         if self.live.ended:
             raise CommandError(f"view: the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
@@ -266,7 +230,7 @@ class RunPages:
                 if self._commander.records:
                     self._start("recorder", self._look_at_recorder)
                 between()
-                await asyncio.sleep(DRAIN_PERIOD)
+                await asyncio.sleep(self._pace.pause(self.live.feed.state))
             await self._finish()
         finally:
             loop = asyncio.get_running_loop()
@@ -329,6 +293,7 @@ class RunPages:
         # The environment has ended, so these poses are final.
         self._show_bodies()
         self.live.tick(time.monotonic())
+        self.seen_to_the_end = self.server.pages
         if self.server.pages:
             await asyncio.sleep(FINAL)
 
@@ -339,7 +304,7 @@ class RunPages:
             return
         if live.changed:
             self._start("laws", self._read_laws)
-        delay = live.median_delay
+        delay = live.steady_delay.median(live.delay)
         self._maps.step(self._laws, delay, bool(self.server.pages))
         # A virtual device is exactly the declared one; a real loop may ring all the same.
         live.rests = self._is_exact and self._maps.says_stable(self._laws, delay)

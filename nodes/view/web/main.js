@@ -20,6 +20,7 @@ import { SlowMotion } from "./slow_motion.js";
 import { Sound } from "./sound.js";
 import { Space } from "./space.js";
 import { Status } from "./status.js";
+import { Still } from "./still.js";
 import { Store } from "./store.js";
 import { Strip } from "./strip.js";
 import { onTheme, startTheme } from "./theme.js";
@@ -34,8 +35,9 @@ let hello = null;
 let stoppedAt = null;
 let charted = null;
 const log = new Log($("log"));
-const status = new Status({ words: $("words"), told: $("told"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice") });
+const status = new Status({ words: $("words"), told: $("told"), dot: $("dot"), figures: $("figures"), nodes: $("nodes"), notice: $("notice"), over: $("over"), overTold: $("over-told"), again: $("start-again") });
 const lag = new Lag();
+const still = new Still();
 
 let edges = null; // edge and H(1) of each law, as far as known
 function moved(target) {
@@ -92,7 +94,7 @@ const link = new Link({
     plots.marks.length = 0;
     hello = found;
     offer(true);
-    status.ended = false;
+    status.begun();
     // The old ring gets no more data; the state is sent again.
     if (!slow.run?.begun) { stoppedAt = null; slow.end(); }
     store = new Store(found.series, found.bin_s, found.kept_s + 30);
@@ -135,6 +137,7 @@ const link = new Link({
   frame(frame) {
     if (!store) return;
     store.add(frame);
+    if (!still.is(frame, hello.axes.length)) changedAt = performance.now();
     lag.arrive(frame, scene.axis, store.index(`target.${"xyz"[scene.axis]}`));
     sound.hear(hello.replay ? frame.now.t : Infinity);
     if (!slow.on) { scene.show(frame.now); space.show(frame.now); }
@@ -161,8 +164,9 @@ const link = new Link({
     chart();
     if (!hello?.replay) open();
   },
+  ended(found) { status.end(found); },
   poses({ poses }) { space.pose(poses); },
-  beside(found) { beside.show(found); },
+  beside(found) { beside.show(found); if (found.law) changedAt = performance.now(); },
   over(found) {
     overlaid = overview.over = new Over(found);
     plots.name();
@@ -272,7 +276,7 @@ function chart() {
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
-  dial.show(law?.stiffness ?? edges?.rest[laws.state.active] ?? null, laws.edge, edges !== null || map.map !== null);
+  dial.show(law?.stiffness ?? edges?.rest[laws.state?.active] ?? null, laws.edge, edges !== null || map.map !== null);
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
@@ -331,6 +335,12 @@ const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-a
   compared: () => beside.law !== "" && beside.law !== laws.state.active,
 });
 
+$("start-again").addEventListener("click", async () => {
+  status.starting();
+  const answer = await ask({ op: "restart" });
+  if (!answer.ok) $("start-again").disabled = false;
+});
+
 // -- stop and restart -----------------------------------------------------------------------------
 
 function watchSlowly(stop) {
@@ -363,7 +373,7 @@ $("again").addEventListener("click", async () => {
 // Hide controls that change the loop if there is no loop.
 function offer(there) {
   map.movable = there && !hello.replay;
-  for (const id of ["dial", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = !there;
+  for (const id of ["dial", "sing", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = !there;
   $("other").parentElement.inert = !there;
 }
 
@@ -400,17 +410,20 @@ addEventListener("keydown", (event) => {
 // Draw at the screen's rate while something is dragged or in slow motion, else at half of it; pause
 // without data.
 const LIVELY = 500, HALF = 30;
-let drawn = 0, plotted = 0, read = 0, touched = 0;
+let drawn = 0, plotted = 0, read = 0, touched = 0, changedAt = 0;
+// What rests is drawn once it has left the strip, and looked at ten times a second.
+const RESTING = 4500, GLANCE = 100;
 for (const event of ["pointerdown", "pointermove", "wheel", "keydown", "click", "input", "change", "resize"]) {
   addEventListener(event, () => { touched = performance.now(); }, { capture: true, passive: true });
 }
 onTheme(() => { touched = performance.now(); });
 
 function draw(time) {
-  requestAnimationFrame(draw);
+  const rests = time - changedAt > RESTING && time - touched > RESTING && !$("lab").open && !slow.on;
+  if (rests) setTimeout(() => requestAnimationFrame(draw), GLANCE); else requestAnimationFrame(draw);
   const past = slow.window(), held = scene.held !== null || space.held !== null;
   const lively = held || (past && past.at < past.sight[1]) || time - touched < LIVELY;
-  if (!lively && (time - link.heard > LIVELY || time - drawn < HALF)) return;
+  if (!lively && (rests || time - link.heard > LIVELY || time - drawn < HALF)) return;
   drawn = time;
   if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
   if ($("space").hidden) scene.draw();

@@ -123,7 +123,10 @@ export class Scene {
   placeReading() {
     const { reading, surface, canvas, upright } = this;
     const at = surface && WIDE.matches ? (surface.at - this.middle) * this.scale() : null;
-    if (at === null) { reading.style.left = reading.style.right = reading.style.top = ""; return; }
+    if (at === null) { this.placed = ""; reading.style.left = reading.style.right = reading.style.top = ""; return; }
+    const key = [at, canvas.clientWidth, canvas.clientHeight, reading.textContent.length].join();
+    if (key === this.placed) return;
+    this.placed = key;
     const along = upright ? canvas.clientHeight / 2 - at : canvas.clientWidth / 2 + at;
     const size = upright ? reading.offsetHeight : reading.offsetWidth, behind = (upright ? surface.side > 0 : surface.side < 0) ? 10 : -10 - size;
     const most = (upright ? canvas.clientHeight : canvas.clientWidth) - size - 10, place = Math.max(10, Math.min(most, along + behind));
@@ -139,7 +142,8 @@ export class Scene {
     const parts = [`${fixed(now.position[axis] * 1e3, 2)} mm`];
     if (now.contact === 1 && this.surface) parts.push(`${fixed(Math.abs(now.distance * 1e3), 2)} mm deep`);
     parts.push(`${fixed(now.force[axis], 2)} N`);
-    this.reading.textContent = unbroken(parts.join("   ·   "));
+    const told = unbroken(parts.join("   ·   "));
+    if (told !== this.reading.textContent) this.reading.textContent = told;
     this.placeReading();
   }
 }

@@ -7,7 +7,7 @@ const TIMES = [3, 2, 1], SAFE = 0.7; // stiffness of B: so many times A's, if be
 const HALF_LATE = 0.5; // delay of the device at least [ticks]
 // The page's own hand presses until a visitor takes it: [s], depth and begin [m], time to get there [s].
 const PRESS = 9, DEPTH = 0.008, OUTSIDE = 0.004, EASE = 1, EVERY = 40;
-const WAITS = 8e3; // longest wait for B, and for the change to be seen [ms]
+const WAITS = 8e3, B_WAITS = 40e3; // longest wait for the change to be seen, and for B [ms]
 const SETTLED = 1.5; // time after which B is said to rest, or to ring [s]
 
 // Return both laws with stiffness and edge [N/m].
@@ -98,7 +98,7 @@ export class Sing {
       return this.show(null);
     }
     facts.seen ||= same;
-    if (facts.begun === Infinity && (this.page.compared() || performance.now() - facts.asked > WAITS)) this.press();
+    if (facts.begun === Infinity && (this.page.compared() || performance.now() - facts.asked > B_WAITS)) this.press();
     facts.sang = sings?.a || facts.sang;
     facts.stopped = safety === "stopped";
     this.show(sings);
@@ -117,7 +117,7 @@ export class Sing {
     const late = `The answer comes ${fixed(facts.delay, 1)} ticks late.`, sang = facts.sang.replace("It rings", "sings");
     const past = performance.now() - facts.begun, over = past > 1e3 * PRESS && this.pressing === null;
     const does = facts.stopped && sang ? `${sang.replace("sings", "sang")}, until the driver stopped it` : sings?.a ? sang
-      : sang && over ? sang.replace("sings", "sang") : "is pressed";
+      : sang && over ? sang.replace("sings", "sang") : facts.begun === Infinity ? "waits" : "is pressed";
     const other = !this.page.compared() ? "is coming" : past < 1e3 * SETTLED ? "is pressed by the same hand"
       : sings?.b ? sings.b.replace("It rings", "rings") : over ? "rested" : "rests";
     this.say(`${late} A, ${facts.law} at ${figure(facts.stiffness)} N/m (edge ${rough(facts.edge)}), ${does}. B, ${facts.beside} at ${figure(facts.hardness)} N/m (edge ${rough(facts.besideEdge)}), ${times}, ${other}.`);

@@ -74,6 +74,8 @@ def test_a_killed_node_is_told_and_a_killed_view_is_found_again(
         scenario_files.find("touch_wall").read_text(encoding="utf-8")
     )
     content["nodes"]["environment"] |= {"respawn": True, "respawn_delay": 0.0}
+    # Not a demo, whose nodes are all started again.
+    del content["nodes"]["driver"]["parameters"]["pointer"]["beyond"]
     (tmp_path / "touch.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
     words = (str(tmp_path / "touch.yaml"), "--view", "--without", "logger")
     with running(tmp_path, *words) as launch, lab(browser, launch) as page:
@@ -144,7 +146,7 @@ def test_a_scene_of_several_axes_is_looked_at_along_each(
 
 
 @pytest.mark.slow
-def test_stop_ends_the_run_and_the_page_keeps_what_it_has(
+def test_after_a_stop_the_page_keeps_what_it_has_and_starts_another_run(
     browser: Browser, tmp_path: Path
 ) -> None:
     with (
@@ -154,16 +156,20 @@ def test_stop_ends_the_run_and_the_page_keeps_what_it_has(
         page.locator("#stop").click()
         assert shown(page, "#stop") == "End the run?"
         page.locator("#stop").click()
+        wait_for(lambda: page.locator("#over").is_visible(), "the end is told")
+        assert "The run has ended: stop requested." in shown(page, "#over")
+        kept, first = bins(page), page.evaluate("document.body.dataset.ready")
+        assert kept > 0
+        recorded = f"recordings/{first}.mcap"
+        assert f"Recorded: {recorded}" in shown(page, "#over")
+        assert (tmp_path / recorded).exists()
+        page.locator("#start-again").click()
         wait_for(
-            lambda: "The run has ended: stop requested" in shown(page, "#words"),
-            "the end is told",
+            lambda: page.evaluate("document.body.dataset.ready") != first,
+            "another run, on the same page",
         )
-        kept = bins(page)
-        figures = launch.finish()
-        assert figures["exit_reason"] == "stop requested"
-        assert bins(page) >= kept > 0
-        replayed = figures["recording"]
-    assert (tmp_path / replayed).exists()
+        wait_for(lambda: "nothing is touched" in shown(page, "#words"), "it runs")
+        assert not page.locator("#over").is_visible()
 
 
 @pytest.mark.process

@@ -295,7 +295,7 @@ def test_a_page_asks_what_it_may_and_nothing_else(launch: Running) -> None:
         assert launch.call("coupling", "param.get", name="ramp") == 40
         assert ask(op="undo")["ok"]
         assert launch.call("coupling", "param.get", name="ramp") == 0
-        assert ask(op="undo")["error"] == "view: nothing to undo"
+        assert ask(op="undo")["error"] == "nothing to undo"
         page.send("not JSON")
         with pytest.raises(Exception, match="1003"):
             texts(page, "never")
