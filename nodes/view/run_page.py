@@ -18,7 +18,7 @@ STILL_PERIOD: Final = 0.2  # time between two frames while nothing moves [s]
 _NEAR, _WEAK = 1e-5, 5e-3  # differences that a page does not show [m], [N]
 
 
-class Pace:
+class Wakes:
     """How often messages are read: less often while nothing moves."""
 
     def __init__(self) -> None:

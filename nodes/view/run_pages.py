@@ -26,7 +26,7 @@ from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.page_words import in_page_words
-from nodes.view.run_page import DRAIN_PERIOD, Pace, RunPage
+from nodes.view.run_page import DRAIN_PERIOD, RunPage, Wakes
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 
@@ -90,7 +90,7 @@ class RunPages:
         self._bodies: RunningBodies | RunningShapes | None = None
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
-        self._pace = Pace()
+        self._pace = Wakes()
         feed = self.live.feed
         document = {
             "series": feed.names,

@@ -111,72 +111,6 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     typed(press, "law", "switch", "pd")
 
 
-@pytest.mark.slow
-def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
-    """Last: the loop is unstable afterwards."""
-    told = press.haptic("law", "switch", "hard", "--force").stdout
-    assert "UNSTABLE: applied because of --force" in told
-    # The hand comes back every 3 s.
-    wait_for(
-        lambda: press.call("driver", "progress")["safety"] == "stopped", "the safe stop"
-    )
-    assert "[driver] stopped: active → stopped at tick" in press.errors
-    # It stays so, whatever is sent: a stable law does not bring the force back.
-    typed(press, "law", "switch", "pd")
-    stopped = press.wait_ticks(1500) - 1500
-    # Until somebody asks for it.
-    done = press.haptic("node", "rearm", "--json")
-    again = json.loads(done.stdout.splitlines()[-1])["seq"]
-    wait_for(
-        lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event"
-    )
-    wait_for(
-        lambda: press.call("driver", "progress")["safety"] == "active",
-        "the force to be back",
-    )
-    assert "has not stopped the loop" in typed(press, "node", "rearm", code=1).stderr
-    # A loop that swings again is stopped again.
-    typed(press, "law", "switch", "hard", "--force")
-    wait_for(
-        lambda: press.call("driver", "progress")["safety"] == "stopped",
-        "the second stop",
-    )
-    figures = press.finish(signal.SIGINT, code=0)
-    recording = Recording(press.folder / figures["recording"])
-    states = recording.messages(DEVICE_STATE)
-    # The device's own limit, and slew between two ticks (data sheet of the Touch X; the launch file
-    # says so too).
-    assert max(abs(state.force[0]) for state in states) <= 7.9
-    # The hand's spring and twice the workspace bound where a device that is pushed at 7.9 N can go.
-    assert max(abs(state.position[0]) for state in states) < 0.2
-    assert figures["safety"]["limited"]["peak"] > 0
-    # 50 ticks of damping, and a hundred for the words to get here.
-    after = [state for state in states if stopped + 150 < state.seq < again]
-    assert len(after) > 1000
-    assert {state.safety for state in after} == {"stopped"}
-    assert {state.force for state in after} == {(0.0, 0.0, 0.0)}
-    event = next(
-        event
-        for event in recording.messages("/driver/event")
-        if event.kind == "stopped"
-    )
-    assert (event.data["limit_n"], event.data["strokes"]) == (7.9, 6.0)
-    assert event.data["energy_j"] > 0.0
-    assert SAFETY[int(event.data["after"])] == "stopped"
-    assert "haptic node rearm, or launch again" in event.reason
-    # From nothing, by the whole ramp: each tick at most a 75th of the largest force, until it is
-    # active.
-    ramp = round(SafetyParameters().recovery / 0.002)
-    back = [state for state in states if again < state.seq <= again + ramp]
-    assert any(state.safety == "ramp" for state in back)
-    # One more for the tick in which it was asked, and the rounding of a quotient.
-    assert all(
-        abs(state.force[0]) <= 7.9 * (state.seq - again + 1) / ramp * (1.0 + 1e-12)
-        for state in back
-    )
-    assert figures["safety"]["entered"]["stopped"] == 2
-
-
 @pytest.mark.process
 def test_a_watched_file_that_would_be_unstable_is_refused(tmp_path: Path) -> None:
     scenario = tmp_path / "press.yaml"
@@ -264,3 +198,69 @@ def test_what_is_certain_of_a_scene_that_moves_is_said_anew_when_the_law_changes
     )
     assert len(reported) == 6
     assert all("coupling.laws.pd_alpha: " in reason for reason in reported[-2:])
+
+
+@pytest.mark.slow
+def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
+    """Last: the loop is unstable afterwards."""
+    told = press.haptic("law", "switch", "hard", "--force").stdout
+    assert "UNSTABLE: applied because of --force" in told
+    # The hand comes back every 3 s.
+    wait_for(
+        lambda: press.call("driver", "progress")["safety"] == "stopped", "the safe stop"
+    )
+    assert "[driver] stopped: active → stopped at tick" in press.errors
+    # It stays so, whatever is sent: a stable law does not bring the force back.
+    typed(press, "law", "switch", "pd")
+    stopped = press.wait_ticks(1500) - 1500
+    # Until somebody asks for it.
+    done = press.haptic("node", "rearm", "--json")
+    again = json.loads(done.stdout.splitlines()[-1])["seq"]
+    wait_for(
+        lambda: "[driver] rearmed: stopped → zero at tick" in press.errors, "the event"
+    )
+    wait_for(
+        lambda: press.call("driver", "progress")["safety"] == "active",
+        "the force to be back",
+    )
+    assert "has not stopped the loop" in typed(press, "node", "rearm", code=1).stderr
+    # A loop that swings again is stopped again.
+    typed(press, "law", "switch", "hard", "--force")
+    wait_for(
+        lambda: press.call("driver", "progress")["safety"] == "stopped",
+        "the second stop",
+    )
+    figures = press.finish(signal.SIGINT, code=0)
+    recording = Recording(press.folder / figures["recording"])
+    states = recording.messages(DEVICE_STATE)
+    # The device's own limit, and slew between two ticks (data sheet of the Touch X; the launch file
+    # says so too).
+    assert max(abs(state.force[0]) for state in states) <= 7.9
+    # The hand's spring and twice the workspace bound where a device that is pushed at 7.9 N can go.
+    assert max(abs(state.position[0]) for state in states) < 0.2
+    assert figures["safety"]["limited"]["peak"] > 0
+    # 50 ticks of damping, and a hundred for the words to get here.
+    after = [state for state in states if stopped + 150 < state.seq < again]
+    assert len(after) > 1000
+    assert {state.safety for state in after} == {"stopped"}
+    assert {state.force for state in after} == {(0.0, 0.0, 0.0)}
+    event = next(
+        event
+        for event in recording.messages("/driver/event")
+        if event.kind == "stopped"
+    )
+    assert (event.data["limit_n"], event.data["strokes"]) == (7.9, 6.0)
+    assert event.data["energy_j"] > 0.0
+    assert SAFETY[int(event.data["after"])] == "stopped"
+    assert "haptic node rearm, or launch again" in event.reason
+    # From nothing, by the whole ramp: each tick at most a 75th of the largest force, until it is
+    # active.
+    ramp = round(SafetyParameters().recovery / 0.002)
+    back = [state for state in states if again < state.seq <= again + ramp]
+    assert any(state.safety == "ramp" for state in back)
+    # One more for the tick in which it was asked, and the rounding of a quotient.
+    assert all(
+        abs(state.force[0]) <= 7.9 * (state.seq - again + 1) / ramp * (1.0 + 1e-12)
+        for state in back
+    )
+    assert figures["safety"]["entered"]["stopped"] == 2

@@ -239,7 +239,7 @@ def test_a_file_is_opened_below_the_recording_and_nowhere_else(
         (out,) = export_foxglove(recording, folder / "out.mcap", overwrite=True)
         left_out = Recording(out).metadata.get("scene", {}).get("left_out", "")
         if opened:
-            assert pages["shape"]["triangles"]
+            assert pages["shape"]["parts"]
             assert (pages["notice"], left_out) == ("", "")
         else:
             assert not pages["shape"]
