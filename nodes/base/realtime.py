@@ -160,4 +160,5 @@ def memory_bytes() -> int:
 
     The file stays open, so that a process without free descriptors can still report.
     """
-    return int(os.pread(_statm(), 256, 0).split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    pages = int(os.pread(_statm(), 256, 0).split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")

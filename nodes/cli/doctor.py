@@ -237,7 +237,8 @@ def wake_ups(period: float = WAKE_UP_PERIOD, count: int = WAKE_UPS) -> dict[str,
     start = time.monotonic()
     deadlines = [start + k * period for k in range(1, count + 1)]
     late = sorted(realtime.sleep_until(deadline) - deadline for deadline in deadlines)
-    places = {"p50": count // 2, "p99": min(int(0.99 * count), count - 1), "max": -1}
+    p99 = min(int(0.99 * count), count - 1)
+    places = {"p50": count // 2, "p99": p99, "max": -1}
     return {name: round(late[place] * 1e6, 1) for name, place in places.items()}
 
 

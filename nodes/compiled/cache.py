@@ -284,7 +284,8 @@ def read(name: str) -> CacheEntry | None:
         )
     with os.fdopen(descriptor, "rb") as file:
         whole = file.read(LARGEST) if found.st_size <= LARGEST else b""
-    digest, rest = whole[:_DIGEST], whole[_DIGEST:]
+    digest = whole[:_DIGEST]
+    rest = whole[_DIGEST:]
     if hashlib.sha256(rest).hexdigest().encode() != digest:
         return None
     about, _, content = rest.partition(b"\n")

@@ -112,4 +112,5 @@ def slots(fields: tuple[Field, ...], *names: str) -> list[int]:
 def key_blocks(message: type[Message]) -> bytes:
     """Return the encoded keys of a message, in blocks of 16 bytes."""
     keys = [field.name.encode() for field in fields_of(message)]
-    return b"".join((bytes([0xA0 | len(key)]) + key).ljust(16, b"\0") for key in keys)
+    encoded = [bytes([0xA0 | len(key)]) + key for key in keys]
+    return b"".join(one.ljust(16, b"\0") for one in encoded)

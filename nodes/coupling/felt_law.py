@@ -65,7 +65,8 @@ def trailing(law: CompiledLaw, lag: float, period: float) -> CompiledLaw:
     if last * -math.log(rho) <= _FEW:
         end = sum(tap * rho**-m for m, tap in enumerate(law.taps))
         # N(q)/(1 − ρq) = Q(q) + N(1/ρ)/(1 − ρq), Q from its highest power down
-        quotient, value = [0.0] * last, 0.0
+        quotient = [0.0] * last
+        value = 0.0
         for m in range(last, 0, -1):
             value = (value - law.taps[m]) / rho
             quotient[m - 1] = value
@@ -77,7 +78,8 @@ def trailing(law: CompiledLaw, lag: float, period: float) -> CompiledLaw:
         taps[m] -= (1.0 - rho) * value
     for section in law.sections:
         (b0, _, a1, a2), w = section, _residue(section, rho)
-        u, v = b0 - w, w * a2 / rho
+        u = b0 - w
+        v = w * a2 / rho
         more += [
             (-(1.0 - rho) * u, -(1.0 - rho) * v, a1, a2),
             (-(1.0 - rho) * w, 0.0, -rho, 0.0),
@@ -126,7 +128,8 @@ def slow(law: CompiledLaw, period: float) -> tuple[float, float]:
     """Return H(1) [N/m], and the damping of slow motion −T dH/dq at q = 1 [N s/m]."""
     slope = sum(m * tap for m, tap in enumerate(law.taps))
     for b0, b1, a1, a2 in law.sections:
-        above, below = b0 + b1, 1.0 + a1 + a2
+        above = b0 + b1
+        below = 1.0 + a1 + a2
         if below != 0.0:
             slope += (b1 * below - above * (a1 + 2.0 * a2)) / (below * below)
     return still_of(law), -period * slope

@@ -105,7 +105,8 @@ class Curl(_Kind, frozen=True, kw_only=True, tag="curl"):
         """Return the field as M and F₀."""
         rows = [[0.0] * 3 for _ in range(3)]
         first, second = _TURNS[self.plane]
-        rows[first][second], rows[second][first] = self.gain, -self.gain
+        rows[first][second] = self.gain
+        rows[second][first] = -self.gain
         return LinearField(tuple(map(tuple, rows)), ZERO)  # type: ignore[arg-type]
 
 

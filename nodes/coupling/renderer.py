@@ -71,7 +71,8 @@ def settle_conventions(
     s.raw, s.clamp, s.ease_usual = raw, clamp, round(parameters.ease / period)
     begin_turning(s, parameters.frame)
     if begin_field(s, parameters.field, period):
-        s.ease_ramp, s.ease_done = max(s.ease_usual, 1), 0
+        s.ease_ramp = max(s.ease_usual, 1)
+        s.ease_done = 0
 
 
 class Renderer:

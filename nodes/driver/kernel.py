@@ -70,7 +70,8 @@ def _read(s: DriverState, seq: int) -> bool:
     if status == JUMPED:
         s.jumped = 1
     for i in range(3):
-        s.place[i], s.target[i] = room[i], room[3 + i]
+        s.place[i] = room[i]
+        s.target[i] = room[3 + i]
     return True
 
 
@@ -135,7 +136,8 @@ def _receive(s: DriverState, until: float) -> int:
     s.taken += 1
     s.got_seq = s.wholes[_SEQ]
     for i in range(3):
-        s.got[i], s.got_normal[i] = s.reals[_FORCE + i], s.reals[_NORMAL + i]
+        s.got[i] = s.reals[_FORCE + i]
+        s.got_normal[i] = s.reals[_NORMAL + i]
     s.got_credit = s.reals[_CREDIT]
     return GOT
 

@@ -343,7 +343,8 @@ def watch_swings(s: DriverState, seq: int) -> None:
         s.peaked = 0
         # ring of the newest moments: tick, and the energy generated until then [J]
         at = s.peaks_count % s.stop_after
-        s.peaks[2 * at], s.peaks[2 * at + 1] = float(seq), s.energy
+        s.peaks[2 * at] = float(seq)
+        s.peaks[2 * at + 1] = s.energy
         s.peaks_count += 1
         first = s.peaks_count % s.stop_after if s.peaks_count >= s.stop_after else 0
         span = (seq - s.peaks[2 * first]) * s.period

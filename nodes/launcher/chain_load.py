@@ -115,7 +115,8 @@ def kind_of_chain(launch: Launch, namespace: str, tick: str) -> str:
             spec.kind,
             str(surface.get("kind", ""))[:64] if isinstance(surface, Mapping) else "",
         ]
-    return " ".join([*parts, "".join(launch.axes.get(namespace) or launch.run.axes)])
+    axes = launch.axes.get(namespace) or launch.run.axes
+    return " ".join([*parts, "".join(axes)])
 
 
 def _place() -> Path:

@@ -340,7 +340,8 @@ def with_gain(kind: type[Law], parameters: Mapping[str, Any]) -> dict[str, Any]:
         parameter ``gain`` of its own keeps it, and so does one that is given both, which its own
         check refuses.
     """
-    found, fields = dict(parameters), kind.__struct_fields__
+    found = dict(parameters)
+    fields = kind.__struct_fields__
     if (
         "gain" in found
         and "gain" not in fields

@@ -132,7 +132,9 @@ class Push:
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
         """Return the push of a tick [N]."""
-        load, reach, k = self.law.load, self.law.reach, self._pushed
+        load = self.law.load
+        reach = self.law.reach
+        k = self._pushed
         if k >= self.ticks:
             self._pushed = min(k + 1, self.ticks + self.fade)
             return faded(load, self._pushed - self.ticks, self.fade)

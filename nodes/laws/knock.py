@@ -62,7 +62,9 @@ class Trial:
         self._far = law.far * abs(law.step)
         # deflection at the start [m], ticks since, ring head of the last tick (−1: before the
         # first)
-        self._start, self._since, self._last = 0.0, 0, -1
+        self._start = 0.0
+        self._since = 0
+        self._last = -1
 
     def on_axis(self, axis: int) -> Trial:
         """Return the test of an axis; called before the first tick."""
@@ -70,12 +72,15 @@ class Trial:
 
     def __call__(self, ring: Sequence[float], head: int) -> float:
         """Return the force of a tick in addition to spring and damper [N]."""
-        law, damper, newest = self._law, self._damper, ring[head]
+        law = self._law
+        damper = self._damper
+        newest = ring[head]
         if self._since > law.ticks:
             return self._load
         if self._last < 0:
             # it takes over after the deflection of the previous tick
-            self._start, self._since = ring[head + 1], 1
+            self._start = ring[head + 1]
+            self._since = 1
         else:
             # The ring stores everything twice, and its head moves down by one a tick, lost ticks
             # included.

@@ -134,7 +134,8 @@ def merge(base: Any, over: Any) -> Any:
         return over
     if "kind" in over and over["kind"] != base.get("kind", over["kind"]):
         return dict(over)
-    return {**base, **{key: merge(base.get(key), value) for key, value in over.items()}}
+    merged = {key: merge(base.get(key), value) for key, value in over.items()}
+    return {**base, **merged}
 
 
 def of_node(tree: Any, node: str) -> Any:

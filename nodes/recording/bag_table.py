@@ -143,7 +143,8 @@ def _with_force(
     """Add to each row the last force before it; rows before the first force are left out."""
     import numpy as np
 
-    time, (pushed_at, forces) = read[place][0], read[push]
+    time = read[place][0]
+    pushed_at, forces = read[push]
     row = np.searchsorted(pushed_at, time, side="right") - 1
     known = row >= 0
     if known.sum() < 2:
@@ -281,7 +282,8 @@ def _own(path: Path, bag: Any) -> ForeignTable:
     def enter(name: str, topic: str, field: str, later: int = 0) -> None:
         at, found = _series(bag, topic)
         row = np.searchsorted(at, time)
-        hit = (row < len(at)) & (np.append(at, 0)[np.minimum(row, len(at))] == time)
+        there = np.append(at, 0)[np.minimum(row, len(at))]
+        hit = (row < len(at)) & (there == time)
         for axis in "xyz":
             column = np.full(len(time) + later, np.nan)
             column[: len(time)][hit] = found[f"{topic}.{field}.{axis}"][row[hit]]

@@ -15,7 +15,8 @@ _NEAR = 1e-6  # of a tick: stamps this near are of the same time
 
 def _motion(recording: Recording) -> Iterator[tuple[float, Vector]]:
     """Yield time since the first tick [s] and position [m], as long as the stamps rise."""
-    begin, last = recording.topics[DEVICE_STATE].first_stamp, -1.0
+    begin = recording.topics[DEVICE_STATE].first_stamp
+    last = -1.0
     for entry in recording.entries([DEVICE_STATE]):
         state = entry.message
         if isinstance(state, DeviceState):

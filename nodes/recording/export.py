@@ -155,7 +155,8 @@ def export_csv(
         for topic, name in plain_names(recording.topics).items()
     }
     made = list(files.values())
-    mode, begin = "w" if overwrite else "x", begin_of(recording)
+    mode = "w" if overwrite else "x"
+    begin = begin_of(recording)
     writers: dict[str, Any] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -116,7 +116,8 @@ def axes_of(recording: Recording) -> list[str]:
 
 def _moved(recording: Recording) -> list[str]:
     """Return the axes along which position or force changed, of a file that names none."""
-    low, high = [math.inf] * 6, [-math.inf] * 6
+    low = [math.inf] * 6
+    high = [-math.inf] * 6
     for state in recording.messages(DEVICE_STATE):
         for place, value in enumerate((*state.position, *state.force)):
             low[place], high[place] = min(low[place], value), max(high[place], value)

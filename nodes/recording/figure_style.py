@@ -241,19 +241,15 @@ def label_ends(axes: Axes, size: float = 8.0) -> None:
     ends: list[tuple[float, float, str, Any]] = []
     for line in axes.get_lines():
         name = str(line.get_label())
-        x, y = (
-            np.asarray(line.get_xdata(), dtype=float),
-            np.asarray(line.get_ydata(), dtype=float),
-        )
+        x = np.asarray(line.get_xdata(), dtype=float)
+        y = np.asarray(line.get_ydata(), dtype=float)
         seen = np.flatnonzero((x >= low) & (x <= high) & np.isfinite(y))
         if name.startswith("_") or not seen.size:
             continue
-        end = axes.transAxes.inverted().transform(
-            axes.transData.transform((x[seen[-1]], y[seen[-1]]))
-        )
-        ends.append(
-            (float(np.clip(end[1], 0.0, 1.0)), float(end[0]), name, line.get_color())
-        )
+        last = axes.transData.transform((x[seen[-1]], y[seen[-1]]))
+        end = axes.transAxes.inverted().transform(last)
+        height = float(np.clip(end[1], 0.0, 1.0))
+        ends.append((height, float(end[0]), name, line.get_color()))
     ends.sort(key=lambda end: end[0])
     # Height of a line of text, as a fraction of the panel's height.
     dpi = axes.get_figure(root=True).dpi  # type: ignore[union-attr]
@@ -319,7 +315,8 @@ def threshold(
             **text,
         )
         return
-    curves, inside = _pixels(axes), axes.get_window_extent()
+    curves = _pixels(axes)
+    inside = axes.get_window_extent()
     names = [each.get_window_extent() for each in axes.texts if each.get_text()]
     axes.axhline(value, **look)
     axes.autoscale_view()  # now: the line may move what is compared

@@ -239,7 +239,8 @@ def _read_text(path: Path, decimal_comma: bool) -> ForeignTable:
     if all(map(_is_number, header)) or (
         decimal_comma and all(map(_COMMA.fullmatch, header))
     ):
-        header, first = [str(number + 1) for number in range(len(header))], skipped + 1
+        header = [str(number + 1) for number in range(len(header))]
+        first = skipped + 1
     else:
         fields = fields[1:]
     if (

@@ -152,7 +152,8 @@ def _messages(
     if is_own(table):
         yield from _own_messages(table, samples)
         return
-    energy, before = 0.0, (0.0, 0.0, 0.0)
+    energy = 0.0
+    before = (0.0, 0.0, 0.0)
     seqs, stamps = samples.seq.tolist(), samples.stamp.tolist()
     positions = samples.position.tolist()
     forces = None if samples.force is None else samples.force.tolist()

@@ -176,7 +176,8 @@ def samples_of(
                 " with --rate HZ, or the column with --columns time=NAME"
             )
         _refuse_rate(table, rate)
-        period, seq = 1.0 / rate, np.arange(len(position))
+        period = 1.0 / rate
+        seq = np.arange(len(position))
         stamp = np.multiply(seq, period, dtype=np.float64)
         sources["time"] = f"rows at {rate:g} Hz"
     else:
@@ -505,7 +506,8 @@ def _ticks(
         )
     if rate is not None:
         period = 1.0 / rate
-    seq = np.concatenate(([0], np.cumsum(np.rint(steps / step)))).astype(np.int64)
+    ticks = np.cumsum(np.rint(steps / step))
+    seq = np.concatenate(([0], ticks)).astype(np.int64)
     begin = float(table.numbers(name)[0]) * factor
     sources["time"] = source + (f", from {begin:.9g} s on" if begin else "")
     return period, seq, since * factor
@@ -551,12 +553,14 @@ def _own_ticks(
     import numpy as np
 
     seq = table.numbers("seq")
-    if np.any(seq != np.rint(seq)) or np.any(np.diff(seq) <= 0) or seq[0] < 0:
+    fractional = np.any(seq != np.rint(seq))
+    if fractional or np.any(np.diff(seq) <= 0) or seq[0] < 0:
         raise RecordError(
             f"{table.path}: column 'seq' does not grow; of a run whose driver restarted, import"
             " one part"
         )
-    period = float((stamp[-1] - stamp[0]) / (seq[-1] - seq[0]))
+    lasted = stamp[-1] - stamp[0]
+    period = float(lasted / (seq[-1] - seq[0]))
     period = 1.0 / table.rate if table.rate is not None else period
     if not period > 0.0:
         raise RecordError(f"{table.path}: column 'stamp' does not grow")

@@ -120,7 +120,8 @@ class Recorder:
 
     def drain(self, end: float = math.inf) -> None:
         """Record messages in flight, until none comes or all were sent after `end` [s]."""
-        wait, pid = ProcessorWait(), os.getpid()
+        wait = ProcessorWait()
+        pid = os.getpid()
         late = 0
         # Publishers are received in turn: a late message of one says nothing about the queue of
         # another.
@@ -128,7 +129,8 @@ class Recorder:
             if not self.take(0):
                 # Silence counts only while this process had a processor; otherwise messages may
                 # still be in ZeroMQ's I/O thread.
-                began, before = time.monotonic(), wait.update(pid)
+                began = time.monotonic()
+                before = wait.update(pid)
                 if not self.take(QUIET_MS):
                     if (
                         time.monotonic() - began - (wait.update(pid) - before)

@@ -56,7 +56,9 @@ class _Reader:
     """Elements of a block of bytes, one after the other."""
 
     def __init__(self, data: bytes | memoryview, order: str) -> None:
-        self._data, self._order, self._at = memoryview(data), order, 0
+        self._data = memoryview(data)
+        self._order = order
+        self._at = 0
 
     @property
     def ended(self) -> bool:
@@ -223,7 +225,8 @@ def _structure(
     if len(width) != 1 or not 0 < width[0] <= len(names) + 1 or not len(names):
         raise _DamagedError("the names of a structure's fields")
     step = int(width[0])
-    fields = [names[at : at + step].split("\0")[0] for at in range(0, len(names), step)]
+    padded = [names[at : at + step] for at in range(0, len(names), step)]
+    fields = [name.split("\0")[0] for name in padded]
     if count != 1:
         return None
     _counted(len(fields), content)
@@ -243,7 +246,9 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Any]]:
         kind, rows, columns, imaginary, length = struct.unpack_from(
             f"{order}5I", data, at
         )
-        number, form, layout = kind // 1000, kind // 10 % 10, kind % 10
+        number = kind // 1000
+        form = kind // 10 % 10
+        layout = kind % 10
         if (
             number not in (0, 1)
             or form not in _VERSION_4
@@ -252,7 +257,8 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Any]]:
         ):
             raise _DamagedError("it begins as none does")
         size = np.dtype(_VERSION_4[form]).itemsize
-        start, count = at + 20 + length, rows * columns
+        start = at + 20 + length
+        count = rows * columns
         end = start + count * size * (2 if imaginary else 1)
         if end > len(data):
             raise _DamagedError(f"a matrix of {rows} by {columns}, which does not fit")

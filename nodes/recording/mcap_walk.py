@@ -198,7 +198,9 @@ def frame_length(data: bytes | memoryview) -> int:
         if at + 3 > len(data) or blocks > BLOCK_LIMIT:
             raise ValueError("the compressed frame does not end")
         header = data[at] | data[at + 1] << 8 | data[at + 2] << 16
-        is_last, kind, size = bool(header & 1), header >> 1 & 3, header >> 3
+        is_last = bool(header & 1)
+        kind = header >> 1 & 3
+        size = header >> 3
         if kind == RESERVED:
             raise ValueError("a block of the compressed frame is of no known kind")
         at += 3 + (1 if kind == RUN_LENGTH else size)

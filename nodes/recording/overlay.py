@@ -100,9 +100,8 @@ def overlay(
         if 0.0 < rest < 0.5 * max(one.stop - one.begin for one in lines):
             lines = [Lines(recording, 0.0, rest) for recording in recordings]
     drawn = sorted({axis for one in lines for axis in one.axes})
-    compared = [
-        n for n in range(1, len(lines)) if set(lines[n].axes) & set(lines[0].axes)
-    ]
+    first = set(lines[0].axes)
+    compared = [n for n, one in enumerate(lines) if n and first & set(one.axes)]
     rows = 3 if compared else 2
     figure = new_figure(2.3 * rows + 0.12 * len(recordings), PAGE_WIDTH)
     grid = figure.subplots(rows, len(drawn), sharex=True, squeeze=False)
@@ -329,11 +328,13 @@ def _along_the_normal(
             )
             point = (proxy.distance * 1e3, force)
         # At rest, and off any surface, every tick is the same point.
-        if not x or (
-            point != (x[-1], y[-1]) and not (math.isnan(point[0]) and math.isnan(x[-1]))
-        ):
-            x.append(point[0])
-            y.append(point[1])
+        if x:
+            same = point == (x[-1], y[-1])
+            away = math.isnan(point[0]) and math.isnan(x[-1])
+            if same or away:
+                continue
+        x.append(point[0])
+        y.append(point[1])
     return x, y
 
 

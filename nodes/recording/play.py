@@ -29,7 +29,8 @@ def play(
     if not rate > 0.0:
         raise ValueError(f"rate is {rate}, must be above 0")
     simulated = in_simulated_time(recording)
-    names, begin = remap or {}, time.monotonic()
+    names = remap or {}
+    begin = time.monotonic()
     first = (recording.first_stamp if simulated else recording.first_log) + offset
     last = recording.first_stamp + recording.duration
     for entry in recording.entries(topics):

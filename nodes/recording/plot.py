@@ -119,7 +119,8 @@ def figure_of(
     summary = summarise(recording)
     lines, shown = whole, ""
     if start is None and stop is None:
-        length, rest = whole.stop - whole.begin, whole.rest()
+        length = whole.stop - whole.begin
+        rest = whole.rest()
         if 0.0 < rest < 0.4 * length:
             lines = Lines(recording, 0.0, 1.25 * rest)
             shown = f"at rest from {rest:.3g} s on: {1.25 * rest:.3g} of {length:.4g} s shown"

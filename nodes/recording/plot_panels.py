@@ -68,7 +68,8 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
         surface = proxy[:, 3 + axis] * 1e3
         faced = ~np.isnan(surface)
         if faced.any():
-            at, level = time[faced] - lines.begin, surface[faced]
+            at = time[faced] - lines.begin
+            level = surface[faced]
             axes.plot(at, level, color=COLORS["surface"], lw=1.5, label="surface")
             reach = math.copysign(high - low + 1.0, lines.normal[axis])
             axes.fill_between(
@@ -86,7 +87,8 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
 def draw_positions(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
     """Draw position and proxy of several axes; a curved surface has no place in such a panel."""
     for axis in drawn:
-        color, name = COLOURS[axis], "xyz"[axis]
+        color = COLOURS[axis]
+        name = "xyz"[axis]
         _line(
             axes,
             lines.proxy,
@@ -104,7 +106,8 @@ def draw_positions(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
 
 def draw_force(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
     """Draw the force handed over along the axes; of a single one also the law's."""
-    begin, alone = lines.begin, len(drawn) == 1
+    begin = lines.begin
+    alone = len(drawn) == 1
     for axis in drawn:
         color, label = COLOURS[axis], f"after limits {'xyz'[axis]}"
         if alone:

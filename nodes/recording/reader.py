@@ -197,7 +197,9 @@ class Recording:
                 self.cut = self.cut or str(error)
 
     def _scan(self) -> None:
-        first_log, last_log, finished = 1 << 64, 0, 0
+        first_log = 1 << 64
+        last_log = 0
+        finished = 0
         for shift, record in self._records():
             if record.opcode == mcap_walk.MESSAGE:
                 raw = self._message(shift, record)
@@ -344,7 +346,8 @@ class Recording:
             # A tool dropped the record or moved it to the end, or the file is another program's.
             inside = self._stamped(raw)
             if inside is not None:
-                sequence, stamp = inside.seq & 0xFFFFFFFF, inside.stamp
+                sequence = inside.seq & 0xFFFFFFFF
+                stamp = inside.stamp
             if part not in self._clocks:
                 begin = (
                     raw.publish_time - round(stamp * _NANO) if inside is not None else 0

@@ -87,7 +87,8 @@ def _search(path: Path) -> Iterator[Record]:
         at = data.find(mark, lead)
         while at >= 0:
             # The opcode may be damaged too; the content has a checksum.
-            start, following = at - lead, at + 1
+            start = at - lead
+            following = at + 1
             content = _chunk_at(view, start, budget)
             if content is None:
                 return
@@ -260,7 +261,8 @@ def _layout(
 
 def recover(path: str | Path, out: str | Path, *, overwrite: bool = False) -> Recovered:
     """Copy everything sound in a recording, with all its parts, into a new complete file."""
-    path, out = file_of(Path(path)), Path(out)
+    path = file_of(Path(path))
+    out = Path(out)
     parts = parts_of(path)
     wrong = {part: _problems(part) for part in parts}
     problems = [text for texts in wrong.values() for text in texts]

@@ -49,16 +49,14 @@ class Line:
             self._folded = empty, empty.copy()
         rows = np.array(self._rows, dtype=np.float64)
         self._rows.clear()
-        place = np.clip((rows[:, 0] - self._start) / self._width, 0, BINS - 1).astype(
-            int
-        )
+        since = (rows[:, 0] - self._start) / self._width
+        place = np.clip(since, 0, BINS - 1).astype(int)
         order = np.argsort(place, kind="stable")
         bins, first = np.unique(place[order], return_index=True)
         # fmin and fmax ignore NaN.
         for held, smaller in zip(self._folded, (np.fmin, np.fmax), strict=True):
-            held[bins] = smaller(
-                held[bins], smaller.reduceat(rows[order, 1:], first, axis=0)
-            )
+            found = smaller.reduceat(rows[order, 1:], first, axis=0)
+            held[bins] = smaller(held[bins], found)
 
     def arrays(self) -> tuple[AnyArray, AnyArray]:
         """Return times, shape (N,), and values, shape (N, columns)."""
@@ -249,9 +247,10 @@ class Lines:
         values = self.proxy.arrays()[1][:, 3 + axis]
         seen = values[~np.isnan(values)]
         # A reduced line holds extremes of a bin; of a curved surface they differ.
-        if not len(seen) or np.ptp(seen) > _FLAT * max(1.0, float(np.abs(seen).max())):
+        if not len(seen):
             return None
-        return float(seen[0])
+        size = max(1.0, float(np.abs(seen).max()))
+        return None if np.ptp(seen) > _FLAT * size else float(seen[0])
 
     @property
     def axis(self) -> int:

@@ -51,7 +51,8 @@ def summarise(recording: Recording) -> Summary:
     # the driver's own histogram, so that a launch and its plot give the same figures
     span, times = 0.0, ResponseTimes()
     for entry in recording.entries([DEVICE_STATE]):
-        before, last = last, cast("DeviceState", entry.message)
+        before = last
+        last = cast("DeviceState", entry.message)
         oldest = max(oldest, last.age)
         # A state holds the response time of the tick before; 0 if not answered in time.
         if last.response > 0.0:

@@ -118,7 +118,8 @@ class Output:
 
     def close(self) -> None:
         """Close the file; repeating it is harmless."""
-        descriptor, self.descriptor = self.descriptor, -1
+        descriptor = self.descriptor
+        self.descriptor = -1
         if descriptor >= 0:
             try:
                 os.close(descriptor)

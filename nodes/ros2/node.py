@@ -174,7 +174,8 @@ class Ros2(Node):
             if isinstance(message, Receipt):
                 self._reading = 0.0
             if isinstance(message, Force):
-                changed, self._law = message.law != self._law, message.law
+                changed = message.law != self._law
+                self._law = message.law
                 said = seldom or changed
             for name, kind, build in ros2_messages(
                 self._make, message, at, chain, prefix, self._simulated

@@ -132,12 +132,10 @@ def tick_matrix(
     step = np.zeros((size, size))
     for s, (b0, b1, a1, a2) in enumerate(law.sections):
         row = first_section + 2 * s
-        step[row, 0], step[row, states], step[row, row], step[row, row + 1] = (
-            b0 * unit,
-            b1 * unit,
-            -a1,
-            -a2,
-        )
+        step[row, 0] = b0 * unit
+        step[row, states] = b1 * unit
+        step[row, row] = -a1
+        step[row, row + 1] = -a2
         step[row + 1, row] = 1.0
         force -= step[row]
     step[:states, :states] = device

@@ -130,7 +130,8 @@ def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
     curvature = float(order**2 @ np.abs(cosines))
     left = np.linspace(0.0, np.pi, 8 * len(cosines) + 1)
     width = left[1]
-    low, high = values(cosines, left[:-1]), values(cosines, left[1:])
+    low = values(cosines, left[:-1])
+    high = values(cosines, left[1:])
     left = left[:-1]
     seen = 0
     for _ in range(_DEPTH):

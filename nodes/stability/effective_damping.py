@@ -46,7 +46,8 @@ def _effective(
 ) -> NDArray[np.float64]:
     w = np.exp(-1j * theta)
     # t_j = Σ_{m>j} h_m, the quotient of the taps by w − 1
-    tails = np.cumsum(np.array(law.taps[::-1]))[::-1][1:]
+    backwards = np.array(law.taps[::-1])
+    tails = np.cumsum(backwards)[::-1][1:]
     total = (power_sum(tails, w) + _section_tails(law, w)) * w ** (delay + 1)
     # The delay's effect on the spring: (w^d − 1)/(1 − z) = w + … + w^d.
     for j in range(1, delay + 1):
@@ -106,7 +107,9 @@ def _section_tails(
     total = np.zeros_like(w)
     for b0, b1, a1, a2 in law.sections:
         gain = (b0 + b1) / (1.0 + a1 + a2)
-        total = total + ((gain - b0) - gain * a2 * w) / (1.0 + w * (a1 + w * a2))
+        above = (gain - b0) - gain * a2 * w
+        below = 1.0 + w * (a1 + w * a2)
+        total = total + above / below
     return total
 
 

@@ -53,7 +53,8 @@ def field_matrix(
         earlier forces (scaled to lengths by T²/m).
     """
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
-    period, unit = plant.period, plant.period**2 / plant.mass
+    period = plant.period
+    unit = plant.period**2 / plant.mass
     pushes = [(whole, new), (whole + 1, old)] if any(old) else [(whole, new)]
     lags = pushes[-1][0]
     history = max(len(law.taps) - 1, 1)
@@ -89,7 +90,8 @@ def field_matrix(
             forces[i] -= step[row]
     forces -= unit / period * (resistance @ ways)
     for i in range(len(touched)):
-        o, first = starts[i], starts[i + 1] - lags
+        o = starts[i]
+        first = starts[i + 1] - lags
         for lag, (by_place, by_speed) in pushes:
             push = np.array([by_place, by_speed * period]) / unit
             if lag == 0:
@@ -185,5 +187,6 @@ def _normals(n: int, resistance: NDArray[np.float64]) -> list[NDArray[np.float64
         return [np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
     if (resistance == resistance[0, 0] * np.eye(n)).all():
         return [np.eye(n)[0]]
-    whole = [np.array(one, float) for one in product((-1, 0, 1), repeat=n) if any(one)]
+    signs = product((-1, 0, 1), repeat=n)
+    whole = [np.array(one, float) for one in signs if any(one)]
     return [one / np.linalg.norm(one) for one in whole[len(whole) // 2 :]]

@@ -77,7 +77,8 @@ class FlexiblePlant:
         matrix = np.zeros((5, 5))
         matrix[0, 1] = 1.0
         if not self.rigid:
-            own, states = self.mass * (1.0 - self.share), 4
+            own = self.mass * (1.0 - self.share)
+            states = 4
             spring, damper = self.joint
             pull = np.array([-spring, -damper, spring, damper])
             matrix[1, :4] = pull / own

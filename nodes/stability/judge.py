@@ -92,8 +92,7 @@ def between(start: float, end: float, share: float) -> float:
         return end if share else start
     if start * end > 0.0:
         # Logarithmic, so that all decades from 1e3 to 1e300 are checked and none overflows.
-        return math.copysign(
-            math.exp((1.0 - share) * math.log(abs(start)) + share * math.log(abs(end))),
-            end,
-        )
+        low, high = math.log(abs(start)), math.log(abs(end))
+        size = math.exp((1.0 - share) * low + share * high)
+        return math.copysign(size, end)
     return start + (end - start) * share

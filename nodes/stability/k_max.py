@@ -83,9 +83,11 @@ def k_max(derivative: CompiledLaw, plant: Plant, method: str | None = None) -> K
     leak = derivative.h1
     floor = max(0.0, -leak)
     if closed and method in (None, "closed_form"):
-        name, stable = "closed_form", _jury(derivative, plant, floor)
+        name = "closed_form"
+        stable = _jury(derivative, plant, floor)
     else:
-        name, stable = "pole_radius", _between_boundaries(derivative, plant, floor)
+        name = "pole_radius"
+        stable = _between_boundaries(derivative, plant, floor)
     if not stable:
         return KMax(None, None, name, ())
     top = stable[0][1]
@@ -173,7 +175,8 @@ def edge_of(derivative: CompiledLaw, plant: Plant) -> Edge | None:
 def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]]:
     """Return all nominal stiffnesses [N/m] with a pole on the unit circle and its ωT, sorted."""
     plant = as_one(plant)
-    held, other = held_plant(plant), plant.other
+    held = held_plant(plant)
+    other = plant.other
     numerator, denominator = np.array(held.numerator), np.array(held.denominator)
 
     def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
@@ -183,20 +186,18 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
                 -1.0 / position_over_force(z, plant) - derivative.response(z)
             )
         top = np.polyval(numerator, z)
-        loop = np.polyval(denominator, z) * z ** (
-            held.whole + 1
-        ) + top * derivative.response(z)
+        late = z ** (held.whole + 1)
+        bottom = np.polyval(denominator, z) * late
+        loop = bottom + top * derivative.response(z)
         return np.asarray(-loop / top)
 
     # Sixteen points per fastest turn of the curve; logarithmic at low frequency, for heavy devices.
     turns = held.whole if other is None else max(held.whole, math.ceil(other.delay)) + 8
     count = 16 * (len(derivative.taps) + turns + 8)
-    grid = np.union1d(
-        np.linspace(0.0, np.pi, count + 1)[1:-1], np.geomspace(1e-7, np.pi, 801)[:-1]
-    )
-    grid = np.union1d(
-        grid, [theta for theta in resonances(derivative).tolist() if theta < math.pi]
-    )
+    even = np.linspace(0.0, np.pi, count + 1)[1:-1]
+    grid = np.union1d(even, np.geomspace(1e-7, np.pi, 801)[:-1])
+    peaks = resonances(derivative).tolist()
+    grid = np.union1d(grid, [theta for theta in peaks if theta < math.pi])
     signs = np.sign(curve(grid).imag)
     found = [
         (float(curve(grid[i]).real), float(grid[i]))
@@ -257,7 +258,8 @@ def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:
         return None
     decades = np.geomspace(1.0, 1e4, 81)[1:]
     hands = plant.stiffness + np.geomspace(1.0, 1e6, 61)
-    delays = plant.delay + np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
+    later = np.concatenate([np.arange(1, 81) / 20.0, np.arange(5, 101)])
+    delays = plant.delay + later
 
     def changed(field: str, value: float) -> Plant:
         fields: dict[str, Any] = {field: value}

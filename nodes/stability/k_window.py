@@ -175,7 +175,8 @@ def _roots(a: Reals, b: Reals, c: Reals) -> tuple[Reals, Reals, Reals]:
     square = b * b - 4.0 * a * c
     with np.errstate(divide="ignore", invalid="ignore"):
         half = -0.5 * (b + np.copysign(np.sqrt(np.maximum(square, 0.0)), b))
-        first, second = half / a, np.where(half == 0.0, 0.0, c / half)
+        first = half / a
+        second = np.where(half == 0.0, 0.0, c / half)
     return square, np.minimum(first, second), np.maximum(first, second)
 
 
@@ -188,9 +189,8 @@ def _unresolved(theta: Reals, a: Reals, b: Reals, c: Reals) -> Reals:
     whole = (a > 0.0) & (square > 0.0)
     with np.errstate(invalid="ignore"):
         apart = (below[1:] > above[:-1]) | (below[:-1] > above[1:])
-    jumps = np.flatnonzero(
-        whole[:-1] & whole[1:] & apart & (np.diff(theta) > 1e-12 * theta[1:])
-    )
+    wide = np.diff(theta) > 1e-12 * theta[1:]
+    jumps = np.flatnonzero(whole[:-1] & whole[1:] & apart & wide)
     return np.asarray(0.5 * (theta[jumps] + theta[jumps + 1]), dtype=np.float64)
 
 
@@ -230,7 +230,9 @@ def _gaps(
     inner = (a < 0.0) & (square >= 0.0)
     whole = (a > 0.0) & (square > 0.0)
     linear = a == 0.0
-    low, high, at = floor, math.inf, math.pi
+    low = floor
+    high = math.inf
+    at = math.pi
     if inner.any():
         low = max(low, float(below[inner].max()))
         least = np.flatnonzero(inner)[int(np.argmin(above[inner]))]
@@ -240,7 +242,8 @@ def _gaps(
         if b[i] > 0.0:
             low = max(low, crossing)
         elif crossing < high:
-            high, at = crossing, float(theta[i])
+            high = crossing
+            at = float(theta[i])
     ends = [
         (float(below[i]), float(above[i]), float(theta[i]))
         for i in np.flatnonzero(whole)

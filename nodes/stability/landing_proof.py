@@ -166,10 +166,12 @@ def _loop(
 
 def law_polynomials(law: CompiledLaw) -> tuple[Laurent, Laurent]:
     """Return numerator [N/m] and denominator of a law as polynomials in w."""
-    top, bottom = Laurent(np.array(law.taps)), Laurent(np.array([1.0]))
+    top = Laurent(np.array(law.taps))
+    bottom = Laurent(np.array([1.0]))
     for b0, b1, a1, a2 in law.sections:
         own = Laurent(np.array([1.0, a1, a2]))
-        top, bottom = top * own + Laurent(np.array([b0, b1])) * bottom, bottom * own
+        top = top * own + Laurent(np.array([b0, b1])) * bottom
+        bottom = bottom * own
     return top, bottom
 
 
@@ -181,15 +183,18 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
     own = loop.sum_of(Laurent(np.array([1.0])))
     shifted = [loop.sum_of(Laurent(np.array([1.0]), i)) for i in shifts]
     size = max(map(len, [own, *shifted]))
-    table = np.array([np.pad(one, (0, size - len(one))) for one in [own, *shifted]])
-    theta = np.union1d(np.linspace(0.0, np.pi, 257)[1:], np.geomspace(1e-4, np.pi, 257))
+    padded = [np.pad(one, (0, size - len(one))) for one in [own, *shifted]]
+    table = np.array(padded)
+    even = np.linspace(0.0, np.pi, 257)[1:]
+    theta = np.union1d(even, np.geomspace(1e-4, np.pi, 257))
     limits = np.append(np.zeros(2 * taps + 1), 1.0)
     limits[-2] = -1.0
-    fine = np.union1d(
-        np.linspace(0.0, np.pi, 40 * size + 1)[1:], np.geomspace(1e-6, np.pi, 4001)
-    )
-    fine_table, fine_scale = values_of(table, fine), loop.scale(fine)
-    margin, weights = -math.inf, np.zeros(2 * taps)
+    finer = np.linspace(0.0, np.pi, 40 * size + 1)[1:]
+    fine = np.union1d(finer, np.geomspace(1e-6, np.pi, 4001))
+    fine_table = values_of(table, fine)
+    fine_scale = loop.scale(fine)
+    margin = -math.inf
+    weights = np.zeros(2 * taps)
     for _ in range(_ROUNDS):
         rows = values_of(table, theta) / loop.scale(theta)
         # Unknowns are m and the margin: margin + Σ m_i rows_i ≤ rows_0, Σ m_i ≤ 1.

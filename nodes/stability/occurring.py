@@ -95,4 +95,6 @@ def position_over_force(z: Any, plant: Plant) -> Any:
     held = held_plant(plant)
     n2, n1, n0 = held.numerator
     _, d1, d0 = held.denominator
-    return ((n2 * z + n1) * z + n0) / (z ** (held.whole + 1) * ((z + d1) * z + d0))
+    top = (n2 * z + n1) * z + n0
+    bottom = (z + d1) * z + d0
+    return top / (z ** (held.whole + 1) * bottom)

@@ -67,7 +67,8 @@ def held_pair(
     other = plant.other
     if other is None:
         raise ValueError("plant: has no partner")
-    step, pushes = np.zeros((4, 4)), []
+    step = np.zeros((4, 4))
+    pushes = []
     for first, one, sign in ((0, plant, 1.0), (2, other, -1.0)):
         whole, (a11, a12, a21, a22), new, old = held_step(
             replace(one, delay=one.delay, partner=None)

@@ -255,8 +255,10 @@ def held_plant(plant: Plant) -> HeldPlant:
     whole, transition, new, old = held_step(plant)
     a11, a12, _, a22 = transition
     # first row of adj(zI − A) times each input vector: (z − a22) g1 + a12 g2
-    new_1, new_0 = new[0], a12 * new[1] - a22 * new[0]
-    old_1, old_0 = old[0], a12 * old[1] - a22 * old[0]
+    new_1 = new[0]
+    new_0 = a12 * new[1] - a22 * new[0]
+    old_1 = old[0]
+    old_0 = a12 * old[1] - a22 * old[0]
     determinant = math.exp(-plant.damping * plant.period / plant.mass)
     # tr A = 1 + det A − k·(...), written so that the pole of a free device is exactly at z = 1
     trace = 1.0 + determinant if plant.stiffness == 0.0 else a11 + a22
@@ -321,7 +323,8 @@ def _transition(
     )
     h = duration / 2.0**halvings
     # Series of φ(t), the response to a unit force: x = Σ c_j t^j/j!, from the equation itself.
-    older, newer = 0.0, h * h / (2.0 * mass)
+    older = 0.0
+    newer = h * h / (2.0 * mass)
     g1, g2 = newer, h / mass
     for j in range(1, 40):
         term = (
@@ -334,7 +337,8 @@ def _transition(
         if abs(newer) + abs(older) < 1e-20 * g1:
             break
     a12 = mass * g2
-    a11, a21 = 1.0 - stiffness * g1, -stiffness * g2
+    a11 = 1.0 - stiffness * g1
+    a21 = -stiffness * g2
     a22 = a11 - damping * g2
     for _ in range(halvings):
         g1, g2 = a11 * g1 + a12 * g2 + g1, a21 * g1 + a22 * g2 + g2

@@ -61,7 +61,10 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
     rounding = 2.0**-52 * np.log2(points) * float(np.sum(np.abs(c)))
     width = 2.0 * np.pi / points
     left = np.arange(points // 2) * width
-    a, b, slope_a, slope_b = values[:-1], values[1:], slopes[:-1], slopes[1:]
+    a = values[:-1]
+    b = values[1:]
+    slope_a = slopes[:-1]
+    slope_b = slopes[1:]
     turned = 0.0
     for _ in range(_DEPTH):
         reach = curvature * width * width / 8.0 + rounding
@@ -74,7 +77,8 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
         left, a, b, slope_a, slope_b = (
             array[~sure] for array in (left, a, b, slope_a, slope_b)
         )
-        if min(np.abs(a).min(), np.abs(b).min()) <= 2.0 * rounding:
+        nearest = min(np.abs(a).min(), np.abs(b).min())
+        if nearest <= 2.0 * rounding:
             return None
         width /= 4.0
         inner = left[:, None] + width * np.arange(1, 4)
@@ -82,8 +86,10 @@ def roots_outside(coefficients: NDArray[np.float64], radius: float) -> int | Non
         values = np.column_stack([a, inner_values, b])
         slopes = np.column_stack([slope_a, np.abs(inner_slopes), slope_b])
         left = (left[:, None] + width * np.arange(4)).ravel()
-        a, b = values[:, :-1].ravel(), values[:, 1:].ravel()
-        slope_a, slope_b = slopes[:, :-1].ravel(), slopes[:, 1:].ravel()
+        a = values[:, :-1].ravel()
+        b = values[:, 1:].ravel()
+        slope_a = slopes[:, :-1].ravel()
+        slope_b = slopes[:, 1:].ravel()
     return None
 
 
@@ -108,8 +114,10 @@ def _narrow(c: NDArray[np.float64]) -> float:
     j = np.arange(1, len(c))
     nonzero = c[1:] != 0.0
     # Fujiwara's bound above; the geometric mean of all roots below.
-    high = 2.0 * float(np.max(np.exp(np.log(np.abs(c[1:][nonzero])) / j[nonzero])))
-    low = min(float(np.exp(np.log(abs(c[-1])) / (len(c) - 1))), high) * (1.0 - 1e-9)
+    logs = np.log(np.abs(c[1:][nonzero]))
+    high = 2.0 * float(np.max(np.exp(logs / j[nonzero])))
+    mean = float(np.exp(np.log(abs(c[-1])) / (len(c) - 1)))
+    low = min(mean, high) * (1.0 - 1e-9)
     for radius in (1.0, 0.98, 1.02, 0.9, 1.1, 0.7, 1.5, 0.4, 3.0):
         if low < radius < high:
             count = roots_outside(c, radius)
@@ -139,11 +147,13 @@ def _newton(c: NDArray[np.float64], low: float, high: float) -> float | None:
     j = np.arange(len(c), dtype=np.float64)
     scaled = c * np.exp(-j * np.log(middle))
     points = 1 << int(np.ceil(np.log2(16 * len(c))))
-    value, slope = np.fft.rfft(scaled, points), np.fft.rfft(j * scaled, points)
+    value = np.fft.rfft(scaled, points)
+    slope = np.fft.rfft(j * scaled, points)
     step = np.abs(value) / np.maximum(np.abs(slope), 1e-300)
     inner = step[1:-1]
     dips = np.flatnonzero((inner <= step[:-2]) & (inner <= step[2:])) + 1
-    starts = np.concatenate([[0, len(step) - 1], dips[np.argsort(step[dips])][:16]])
+    deepest = dips[np.argsort(step[dips])][:16]
+    starts = np.concatenate([[0, len(step) - 1], deepest])
     w = np.exp(-2j * np.pi * starts / points)
     for _ in range(30):
         value, slope = _evaluate(scaled, w)

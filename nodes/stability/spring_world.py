@@ -137,7 +137,8 @@ class _Swings:
 
     def points(self, theta: Reals) -> tuple[Reals, Reals]:
         """Return K [N/m] and compliance [m/N] on both branches, shape (2, n); NaN if undefined."""
-        h, p = self.derivative.response(np.exp(1j * theta)), _answer(self.plant, theta)
+        h = self.derivative.response(np.exp(1j * theta))
+        p = _answer(self.plant, theta)
         with np.errstate(invalid="ignore", divide="ignore"):
             root = np.sqrt(h.imag / p.imag - h.imag**2)
             k = np.stack([-h.real - root, -h.real + root])
@@ -198,7 +199,8 @@ class _Swings:
                 cells = np.linspace(left, right, 17)
                 values = sign * self.points(cells)[0][branch]
                 best = int(np.nanargmin(values))
-                left, right = cells[max(best - 1, 0)], cells[min(best + 1, 16)]
+                left = cells[max(best - 1, 0)]
+                right = cells[min(best + 1, 16)]
             compliance = float(self.points(cells[best : best + 1])[1][branch, 0])
             if (
                 self.least * (1.0 - 1e-9) - 1e-15

@@ -79,7 +79,9 @@ class Body:
         force matters to stepped bodies only [ticks]. Numerator and denominator have no common
         factor.
         """
-        inertia, loss, k = self.mass / period**2, self.damping / period, self.stiffness
+        inertia = self.mass / period**2
+        loss = self.damping / period
+        k = self.stiffness
         if self.integrator in STEPPED:
             return self._stepped(period, free, delay)
         if self.integrator == "lossless":
@@ -122,11 +124,13 @@ class Body:
 
     def _euler(self, period: float, delay: float) -> HeldStep:
         """Return one tick of semi-implicit Euler like `held_step`, the delay rounded to a step."""
-        step, whole = period / self.steps, math.floor(delay)
+        step = period / self.steps
+        whole = math.floor(delay)
         late = round((delay - whole) * self.steps)
         whole, late = (whole + 1, 0) if late == self.steps else (whole, late)
         stay = 1.0 / (1.0 + self.damping * step / self.mass)
-        pull, push = stay * step / self.mass * self.stiffness, stay * step / self.mass
+        pull = stay * step / self.mass * self.stiffness
+        push = stay * step / self.mass
         one = np.array([[1.0 - step * pull, step * stay], [-pull, stay]])
         kick = np.array([step * push, push])
         moved, new, old = np.eye(2), np.zeros(2), np.zeros(2)
@@ -183,8 +187,10 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
         answers.append(
             b1 * unit * past[0] - a1 * sections[2 * s] - a2 * sections[2 * s + 1]
         )
-        free, gain = free + answers[-1], gain + b0 * unit
-    rest, give = own[0] if order else 0.0 * p, ahead[0]
+        free = free + answers[-1]
+        gain = gain + b0 * unit
+    rest = own[0] if order else 0.0 * p
+    give = ahead[0]
     if not 1.0 + gain * give > 0.0:
         raise ValueError(
             "law: force and body have no common solution in one tick: its newest tap is too"
@@ -199,7 +205,8 @@ def world_matrix(law: CompiledLaw, plant: Plant, body: Body) -> NDArray[np.float
     ]
 
     acting = (-force, *(-f for f in forces))
-    push, before = acting[whole] / unit, acting[whole + 1] / unit
+    push = acting[whole] / unit
+    before = acting[whole + 1] / unit
     period = plant.period
     moved = (
         a11 * p

@@ -79,10 +79,12 @@ def worst_world(derivative: CompiledLaw, plant: Plant) -> WorstWorld | None:
     law = with_spring(derivative, edge.k_max_n_per_m).response(
         complex(math.cos(theta), math.sin(theta))
     )
-    left = (step / law + complex(known_answer(plant, np.array([theta]))[0])).imag
+    known = complex(known_answer(plant, np.array([theta]))[0])
+    left = (step / law + known).imag
     if left == 0.0 or theta > math.pi * (1.0 - 1e-9):
         return None
-    mass = 0.5 * plant.period**2 / (left * half) if left > 0.0 else None
+    heavy = 0.5 * plant.period**2
+    mass = heavy / (left * half) if left > 0.0 else None
     stiffness = -2.0 * half / left if left < 0.0 else None
     return WorstWorld(
         mass, stiffness, None, edge.frequency_hz, "lossless", edge.k_max_n_per_m

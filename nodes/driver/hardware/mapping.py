@@ -90,7 +90,10 @@ def matrix(mapping: Mapping, usual: Sequence[str]) -> Turn:
         j = (axis + 1) % 3
         k = (axis + 2) % 3
         turn = np.eye(3)
-        turn[j, j], turn[j, k], turn[k, j], turn[k, k] = cosine, -sine, sine, cosine
+        turn[j, j] = cosine
+        turn[j, k] = -sine
+        turn[k, j] = sine
+        turn[k, k] = cosine
         turned = turn @ turned
     made: Turn = msgspec.convert((mapping.scale * turned).tolist(), Turn)
     return made

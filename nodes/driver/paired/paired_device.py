@@ -99,7 +99,8 @@ class PairedDevice:
         # record jumps also while a position is unknown
         jumped = [jumps.again() for jumps in self._jumps]
         was_known = self._known and not any(jumped)
-        self._known = all(math.isfinite(x) for x in (*a, *b)) and not self.outside()
+        finite = all(math.isfinite(x) for x in (*a, *b))
+        self._known = finite and not self.outside()
         if not self._known:
             return (math.nan, math.nan, math.nan)
         apart = (a[0] - b[0], a[1] - b[1], a[2] - b[2])

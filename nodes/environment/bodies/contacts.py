@@ -78,7 +78,8 @@ def measure_contacts(
     tip = next((i for i in of_tool if kinds[i] or affinities[i]), None)
     if tip is None:
         return []
-    own, found = set(of_tool), []
+    own = set(of_tool)
+    found = []
     pressed: dict[str, tuple[float | None, float | None, float | None]] = {}
     for i in range(model.ngeom):
         if i in own or not (kinds[i] & affinities[tip] or kinds[tip] & affinities[i]):

@@ -387,7 +387,8 @@ class MovingScene:
         kinds = self._mujoco.mjtWarning
         bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
         found = sum(int(self.data.warning[int(kind)].number) for kind in bad)
-        new, self._bad = found > self._bad, found
+        new = found > self._bad
+        self._bad = found
         return new
 
     def stiffness(self) -> list[PairStiffness]:

@@ -137,7 +137,9 @@ class MujocoEnvironment(Node):
 
     def respond(self, state: DeviceState) -> bytes | None:
         """Answer a tick's state with a proxy."""
-        simulated, world, seq = self.clock.simulated, self._world, state.seq
+        simulated = self.clock.simulated
+        world = self._world
+        seq = state.seq
         if state.safety == "fault" and not simulated:
             return None
         begin = 0.0 if simulated else time.monotonic()
@@ -153,7 +155,8 @@ class MujocoEnvironment(Node):
             first,
             jumped,
         ):
-            self._rebased, self._driver_rebased = seq, state.rebased
+            self._rebased = seq
+            self._driver_rebased = state.rebased
             if not first:
                 self.events.emit("bodies", f"{why}; the tool restarts at the device")
         if world.inside != inside:
@@ -198,7 +201,8 @@ class MujocoEnvironment(Node):
 
     def _control(self, controls: Any) -> dict[str, Any]:
         """Set controls of actuators until they are renewed or expire."""
-        name, allowed = self.setup.name, self.store.current.controls
+        name = self.setup.name
+        allowed = self.store.current.controls
         if allowed is None:
             raise ParameterError(
                 "no controls from outside are accepted; allow them in the launch"

@@ -34,7 +34,8 @@ class Poses:
     def __init__(self, path: Path, count: int, make: bool = False) -> None:
         self._map = mapped(path, file_size(count), make)
         numbers = np.frombuffer(self._map, dtype=np.uint64)
-        self._after, self._before = numbers[:1], numbers[-1:]
+        self._after = numbers[:1]
+        self._before = numbers[-1:]
         self._poses = numbers[1:-1].view(np.float64).reshape(count, NUMBERS)
 
     def write(self, places: NDArray[np.float64], turns: NDArray[np.float64]) -> None:

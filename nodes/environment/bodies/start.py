@@ -102,7 +102,8 @@ def _delete_drives(mujoco: Any, spec: Any) -> None:
 
 def _move_to(mujoco: Any, body: Any, data: Any) -> None:
     """Move a body to its pose relative to its parent in `data`."""
-    at, parent = body.id, body.parent.id
+    at = body.id
+    parent = body.parent.id
     back, turn, place = np.zeros(4), np.zeros(4), np.zeros(3)
     mujoco.mju_negQuat(back, data.xquat[parent])
     mujoco.mju_mulQuat(turn, back, data.xquat[at])

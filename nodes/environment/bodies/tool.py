@@ -169,7 +169,8 @@ def _moved(
     """Return speed [m/s] and position [m] along an axis after a one-tick push, shape (n, 2)."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    begin, found = float(data.xpos[body][axis]), []
+    begin = float(data.xpos[body][axis])
+    found = []
     data.xfrc_applied[body][axis] = force
     for _ in range(_TICKS):
         mujoco.mj_step(model, data, steps)

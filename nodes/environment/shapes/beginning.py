@@ -61,7 +61,11 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     memory[t.INSIDE] = inside
     rounds, halfway = 0, 0.0
     while True:
-        deepest, which, nx, ny, nz = -t.TOUCH, 0, 0.0, 0.0, 1.0
+        deepest = -t.TOUCH
+        which = 0
+        nx = 0.0
+        ny = 0.0
+        nz = 1.0
         for n in range(shapes):
             if memory[t.LAST + shapes + n] == t.FELT:
                 away, px, py, pz = shape_gap(scene, memory, n, x, y, z)
@@ -76,7 +80,8 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
             if deepest > _STUCK * halfway:
                 break  # in a narrow wedge it comes out more slowly
             # No place is outside of all: the tool does not fit between them.
-            memory[t.LAST + shapes + which], rounds = t.UNFELT, 0
+            memory[t.LAST + shapes + which] = t.UNFELT
+            rounds = 0
             memory[t.INSIDE] += 1.0
             continue
         x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz

@@ -29,10 +29,12 @@ def advance(scene: MovingTable, memory: Memory) -> int:
     ticks = memory[t.NOW] - memory[t.BEFORE]
     if memory[t.PLACED] != t.ON or ticks <= 0.0:
         ticks = 0.0
-    memory[t.BEFORE], memory[t.TICKS] = memory[t.NOW], ticks
+    memory[t.BEFORE] = memory[t.NOW]
+    memory[t.TICKS] = ticks
     if scene[t.MOVERS] == 0.0:
         return 0
-    shapes, period = int(scene[t.SHAPES]), scene[t.CALL_PERIOD]
+    shapes = int(scene[t.SHAPES])
+    period = scene[t.CALL_PERIOD]
     span = max(min(ticks * period, _LONGEST), period)
     for n in range(shapes):
         row = t.ROWS + t.ROW * n
@@ -151,7 +153,8 @@ def mover(scene: Table, which: int) -> int:
 def begin_carry(scene: MovingTable, memory: Memory, n: int) -> bool:
     """Move a shape by its step. Return whether it carries the proxy, which then leaves it out."""
     row = t.ROWS + t.ROW * n
-    step, mode = row + t.STEP, t.LAST + int(scene[t.SHAPES]) + n
+    step = row + t.STEP
+    mode = t.LAST + int(scene[t.SHAPES]) + n
     dx, dy, dz = scene[step], scene[step + 1], scene[step + 2]
     far = sqrt(dx * dx + dy * dy + dz * dz)
     carries = False
@@ -162,7 +165,8 @@ def begin_carry(scene: MovingTable, memory: Memory, n: int) -> bool:
     for k in range(3):
         scene[row + t.SHIFT + k] += scene[step + k]
     if carries:
-        memory[mode], memory[t.TOUCHED] = t.UNFELT, 0.0
+        memory[mode] = t.UNFELT
+        memory[t.TOUCHED] = 0.0
     return carries
 
 
@@ -174,13 +178,17 @@ def end_carry(
     A proxy inside of it is placed anew. One on its other side, of a sheet or a plate thinner than
     the step, has been passed: that is a jump.
     """
-    memory[t.LAST + int(scene[t.SHAPES]) + n], memory[t.TOUCHED] = t.FELT, 0.0
+    memory[t.LAST + int(scene[t.SHAPES]) + n] = t.FELT
+    memory[t.TOUCHED] = 0.0
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
     away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
     if away < -t.TOUCH:
         memory[t.PLACED] = t.CARRIED
     elif x != tx or y != ty or z != tz:
-        row, sx, sy, sz = t.ROWS + t.ROW * n, x - tx, y - ty, z - tz
+        row = t.ROWS + t.ROW * n
+        sx = x - tx
+        sy = y - ty
+        sz = z - tz
         if scene[row + t.KIND] == t.MESH:
             part, _, _, _, _ = mesh_hit(scene, row, tx, ty, tz, sx, sy, sz)
         else:

@@ -19,7 +19,9 @@ _STRAIGHT = 1e-6
 
 def gap(scene: Table, row: int, x: float, y: float, z: float) -> Vector4:
     """Return the signed distance of the tool's centre from contact [m], and the normal."""
-    kind, at, on = scene[row + t.KIND], row + t.GIVEN, row + t.SHIFT
+    kind = scene[row + t.KIND]
+    at = row + t.GIVEN
+    on = row + t.SHIFT
     px, py, pz = x - scene[at], y - scene[at + 1], z - scene[at + 2]
     px, py, pz = px - scene[on], py - scene[on + 1], pz - scene[on + 2]
     if kind == t.PLANE:
@@ -71,7 +73,9 @@ def _from_cylinder(scene: Table, at: int, px: float, py: float, pz: float) -> Ve
 
 def _from_box(scene: Table, at: int, px: float, py: float, pz: float) -> Vector4:
     nx = ny = nz = squares = 0.0
-    outside, nearest, deepest = 0, 0, -1e300
+    outside = 0
+    nearest = 0
+    deepest = -1e300
     sign = 1.0
     for i in range(3):
         k = at + 3 + 3 * i
@@ -105,7 +109,9 @@ def core(
     nz: float,
 ) -> tuple[bool, float, float, float]:
     """Return whether the part at a normal is round, and its centre of curvature [m]."""
-    kind, at, on = scene[row + t.KIND], row + t.GIVEN, row + t.SHIFT
+    kind = scene[row + t.KIND]
+    at = row + t.GIVEN
+    on = row + t.SHIFT
     ox, oy, oz = scene[on], scene[on + 1], scene[on + 2]
     cx, cy, cz = scene[at] + ox, scene[at + 1] + oy, scene[at + 2] + oz
     if kind == t.SPHERE:

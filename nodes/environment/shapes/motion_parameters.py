@@ -43,7 +43,8 @@ class MotionParameters(
                 f"path ends at {self.path[-1][0]:g} s, expected at most repeat, {self.repeat:g} s"
             )
         for i, (a, b) in enumerate(zip(self.path, self.path[1:], strict=False)):
-            way, span = math.dist(a[1:], b[1:]), b[0] - a[0]
+            way = math.dist(a[1:], b[1:])
+            span = b[0] - a[0]
             if not span > 0.0:
                 raise ValueError(
                     f"path[{i + 1}] is at {b[0]:g} s, expected later than {a[0]:g} s"

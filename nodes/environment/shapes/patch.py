@@ -36,7 +36,8 @@ def nearer_in_patch(
     x, y, z = x - ox, y - oy, z - oz
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)
     least = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
-    first, reach = least, _SHALLOW * least * least
+    first = least
+    reach = _SHALLOW * least * least
     bx, by, bz, best = px, py, pz, face
     memory[SEEN] = float(face)
     seen, done = 1, 0
@@ -61,12 +62,17 @@ def nearer_in_patch(
             )
             away = sqrt((px - x) * (px - x) + (py - y) * (py - y) + (pz - z) * (pz - z))
             if away < least:
-                least, bx, by, bz, best = away, px, py, pz, int(other)
+                least = away
+                bx = px
+                by = py
+                bz = pz
+                best = int(other)
     if least >= first - _NEARER:
         return False, 0.0, 0.0, 0.0
     if least <= LIP:
         # The device is on that triangle: the direction between them is rounding error, or zero.
-        at, out = triangles + TRIANGLE * best, scene[RADIUS]
+        at = triangles + TRIANGLE * best
+        out = scene[RADIUS]
         bx, by, bz = bx + ox, by + oy, bz + oz
         return (
             True,
@@ -81,7 +87,8 @@ def nearer_in_patch(
 
 def _edge(scene: Table, at: int, k: int, x: float, y: float, z: float) -> float:
     """Return the squared distance to an edge of a triangle [m²]."""
-    i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+    i = at + 3 * k
+    j = at + 3 * ((k + 1) % 3)
     ex, ey, ez = (
         scene[j] - scene[i],
         scene[j + 1] - scene[i + 1],

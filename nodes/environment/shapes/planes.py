@@ -17,7 +17,10 @@ def step_between(memory: Memory, count: int, vx: float, vy: float, vz: float) ->
     that satisfies the conditions of Karush, Kuhn and Tucker is the answer. The multipliers, which
     are the normal parts of the deflection [m], are written beside the planes.
     """
-    best, bi, bj, bk = 1e300, -1, -1, -1
+    best = 1e300
+    bi = -1
+    bj = -1
+    bk = -1
     for size in range(4):
         if best <= _SLACK or count < size:
             break
@@ -75,7 +78,8 @@ def _against(
     a = _needs(memory, i, vx, vy, vz)
     b = c = 0.0
     if j >= 0:
-        g, nj = _dot(memory, i, j), _needs(memory, j, vx, vy, vz)
+        g = _dot(memory, i, j)
+        nj = _needs(memory, j, vx, vy, vz)
         if k < 0:
             whole = 1.0 - g * g
             if whole > _FLAT:

@@ -34,7 +34,9 @@ def group_by_corners(faces: list[list[int]]) -> dict[int, Ids]:
 
 def cut_faces(points: Coordinates, groups: dict[int, Ids]) -> tuple[Ids, int, int]:
     """Return triangles, shape (n, 3); how many faces were cut by ears, and crossed themselves."""
-    found, cut, crossed = [np.zeros((0, 3), dtype=np.int64)], 0, 0
+    found = [np.zeros((0, 3), dtype=np.int64)]
+    cut = 0
+    crossed = 0
     for k, faces in groups.items():
         if k == 3:
             found.append(faces)
@@ -65,13 +67,15 @@ def cut_faces(points: Coordinates, groups: dict[int, Ids]) -> tuple[Ids, int, in
                 )
             ears, forced = cut_ears(points[faces[row]], normal[row])
             found.append(faces[row][ears])
-            cut, crossed = cut + 1, crossed + forced
+            cut = cut + 1
+            crossed = crossed + forced
     return np.concatenate(found), cut, crossed
 
 
 def cut_ears(corners: Coordinates, normal: Coordinates) -> tuple[Ids, bool]:
     """Cut one face, seen along its normal, best-shaped ears first; whether it crosses itself."""
-    count, size = len(corners), float(np.linalg.norm(normal))
+    count = len(corners)
+    size = float(np.linalg.norm(normal))
     if size < 1e-300:
         return np.array(
             [[0, i, i + 1] for i in range(1, count - 1)], dtype=np.int64
@@ -81,7 +85,9 @@ def cut_ears(corners: Coordinates, normal: Coordinates) -> tuple[Ids, bool]:
     across /= np.linalg.norm(across)
     flat = (corners - corners[0]) @ np.stack([across, np.cross(unit, across)], axis=1)
     limit = 1e-12 * size
-    left, ears, forced = list(range(count)), [], False
+    left = list(range(count))
+    ears = []
+    forced = False
     marks = [_mark(flat, left, i, limit) for i in left]
     while len(left) > 3:
         i = int(np.argmax(marks))

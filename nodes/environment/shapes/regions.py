@@ -16,7 +16,10 @@ from nodes.environment.shapes.tables import Memory, Table
 
 def find_goal(scene: Table, memory: Memory, x: float, y: float, z: float) -> Vector:
     """Return where the proxy would be without shapes [m]; the device itself outside regions."""
-    regions, gx, gy, gz = int(scene[t.REGIONS]), x, y, z
+    regions = int(scene[t.REGIONS])
+    gx = x
+    gy = y
+    gz = z
     if regions > 0:
         lag = pull = px = py = pz = 0.0
         shapes = int(scene[t.SHAPES])

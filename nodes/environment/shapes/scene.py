@@ -156,7 +156,8 @@ def scene_table(
     rows[t.REGIONS] = len(regions)
     rows[t.MOVERS] = sum(solid.motion is not None for solid in solids)
     for n, region in enumerate(regions, len(solids)):
-        at, shape = t.ROWS + t.ROW * n, region.shape
+        at = t.ROWS + t.ROW * n
+        shape = region.shape
         rows[at + t.KIND], rows[at + t.EFFECT] = shape.kind, region.effect
         rows[at + t.BAND], rows[at + t.LAG], rows[at + t.STIFF] = region[2:]
         rows[at + t.GIVEN : at + t.GIVEN + len(shape.numbers)] = array(
@@ -184,7 +185,8 @@ def scene_table(
         if solid.mesh is not None:
             import numpy as np
 
-            begin, found = float(len(rows) + len(behind)), solid.mesh
+            begin = float(len(rows) + len(behind))
+            found = solid.mesh
             count = len(found.corners)
             tree = begin + 12 * count
             numbers = (

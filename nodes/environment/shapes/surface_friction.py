@@ -65,7 +65,8 @@ def feel(scene: Table, memory: Memory, was_touched: bool) -> None:
     stiff, damp = (stiff / pressed, damp / pressed) if pressed > 0.0 else (1.0, 1.0)
     if was_touched and memory[t.TICKS] > 0.0:
         most = memory[t.TICKS] * scene[t.CALL_PERIOD] / _CHANGE
-        now, then = memory[t.FELT_AS], memory[t.FELT_AS + 1]
+        now = memory[t.FELT_AS]
+        then = memory[t.FELT_AS + 1]
         stiff = min(max(stiff, now - most), now + most)
         damp = min(max(damp, then - most), then + most)
     memory[t.FELT_AS], memory[t.FELT_AS + 1] = stiff, damp

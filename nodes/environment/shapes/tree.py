@@ -41,7 +41,11 @@ def mesh_hit(
         z - scene[row + t.SHIFT + 2],
     )
     margin = radius + t.LIP
-    best, bx, by, bz, face = 2.0, 0.0, 0.0, 1.0, -1.0
+    best = 2.0
+    bx = 0.0
+    by = 0.0
+    bz = 1.0
+    face = -1.0
     ex, ey, ez = x + sx, y + sy, z + sz
     k = 1
     while True:
@@ -63,7 +67,11 @@ def mesh_hit(
                     scene, triangles + t.TRIANGLE * i, radius, x, y, z, sx, sy, sz
                 )
                 if part < best:
-                    best, bx, by, bz, face = part, nx, ny, nz, float(i)
+                    best = part
+                    bx = nx
+                    by = ny
+                    bz = nz
+                    face = float(i)
                     ex, ey, ez = x + part * sx, y + part * sy, z + part * sz
         while k & 1:
             k = k >> 1
@@ -161,7 +169,8 @@ def mesh_winding(scene: Table, row: int, x: float, y: float, z: float) -> int:
             for i in range(j * count // leaves, (j + 1) * count // leaves):
                 at = triangles + t.TRIANGLE * i
                 if _is_across(scene, at, y, z):
-                    towards, height = scene[at + 9], height_above(scene, at, x, y, z)
+                    towards = scene[at + 9]
+                    height = height_above(scene, at, x, y, z)
                     if towards > 0.0 and height < 0.0:
                         found += 1
                     elif towards < 0.0 and height > 0.0:
@@ -177,7 +186,8 @@ def _is_across(scene: Table, at: int, y: float, z: float) -> bool:
     """Return whether a point lies in a triangle seen along x; of two at an edge, in one."""
     inside = False
     for k in range(3):
-        i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+        i = at + 3 * k
+        j = at + 3 * ((k + 1) % 3)
         if (scene[i + 1] <= y) == (scene[j + 1] <= y):
             continue
         if scene[i + 1] > scene[j + 1]:

@@ -78,7 +78,8 @@ def _within(scene: Table, at: int, x: float, y: float, z: float, lip: float) -> 
     """Return whether the projection of a point lies on the triangle, widened by `lip`."""
     nx, ny, nz = scene[at + 9], scene[at + 10], scene[at + 11]
     for k in range(3):
-        i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+        i = at + 3 * k
+        j = at + 3 * ((k + 1) % 3)
         ex, ey, ez = (
             scene[j] - scene[i],
             scene[j + 1] - scene[i + 1],
@@ -175,7 +176,8 @@ def _rim_hit(
     """Return when a moving ball hits an edge or a corner, and the normal."""
     best, bx, by, bz = 2.0, 0.0, 0.0, 1.0
     for k in range(3):
-        i, j = at + 3 * k, at + 3 * ((k + 1) % 3)
+        i = at + 3 * k
+        j = at + 3 * ((k + 1) % 3)
         px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
         part, nx, ny, nz = _ball_hit(radius, px, py, pz, sx, sy, sz)
         if part < best:

@@ -41,7 +41,8 @@ def exponentials(order: float, taps: int, period: float) -> CompiledLaw:
     # Gain: D^β = (1−w)/T · T^{1−β} Σ g_m w^m; `parallel` supplies the 1/T of every difference.
     gain = float(period) ** (1.0 - fraction)
     density = math.sin(math.pi * fraction) / math.pi
-    low, high = math.log(_SLOWEST / taps), math.log(_FASTEST / (_HEAD + 1))
+    low = math.log(_SLOWEST / taps)
+    high = math.log(_FASTEST / (_HEAD + 1))
     count = math.ceil((high - low) / _STEP)
     rates = [math.exp(high - i * _STEP) for i in range(count + 1)]
     poles = [math.exp(-s) for s in rates]

@@ -47,12 +47,9 @@ def _oustaloup(
         return difference(whole, period)
     span = 10.0 ** min(_DECADES_PER_PAIR * pairs, _MOST_DECADES)
     low = math.pi / span  # ωT of poles and zeros; ω_h is Nyquist, ωT = π
-    zeros = [
-        to_z(low * span ** ((i + 0.5 - 0.5 * fraction) / pairs)) for i in range(pairs)
-    ]
-    poles = [
-        to_z(low * span ** ((i + 0.5 + 0.5 * fraction) / pairs)) for i in range(pairs)
-    ]
+    half = 0.5 * fraction
+    zeros = [to_z(low * span ** ((i + 0.5 - half) / pairs)) for i in range(pairs)]
+    poles = [to_z(low * span ** ((i + 0.5 + half) / pairs)) for i in range(pairs)]
     middle = math.sqrt(low * math.pi)
     z = cmath.exp(1j * middle)
     gain = (middle / period) ** fraction / abs(

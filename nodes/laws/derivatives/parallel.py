@@ -69,7 +69,8 @@ def parallel(
             value, m = residue, 1
             while abs(value) > _EPSILON * abs(residue) and m < 12:
                 _add(head, m, value)
-                value, m = value * pole, m + 1
+                value = value * pole
+                m = m + 1
         else:
             single.append((pole, residue))
     taps = _convolve(head, binomial) if head else []

@@ -45,10 +45,9 @@ def relaxation(order: float, time: float, period: float) -> CompiledLaw:
         math.fsum(w * p**m for w, p in zip(weights, poles, strict=True))
         for m in range(_HEAD)
     ]
-    direct = [exact[0], *(a - b for a, b in zip(exact[1:], fitted[1:], strict=True))]
-    return parallel(
-        direct, poles, [w * p for w, p in zip(weights, poles, strict=True)], 1, 1.0
-    )
+    rest = [a - b for a, b in zip(exact[1:], fitted[1:], strict=True)]
+    residues = [w * p for w, p in zip(weights, poles, strict=True)]
+    return parallel([exact[0], *rest], poles, residues, 1, 1.0)
 
 
 def step_answer(order: float, share: float, count: int) -> list[float]:
@@ -71,7 +70,8 @@ def step_answer(order: float, share: float, count: int) -> list[float]:
 def exponentials(order: float, share: float) -> tuple[list[float], list[float]]:
     """Return poles and positive weights of the step response, s_m ≈ Σ weight pole^m."""
     # The peak lies in the middle of a sample: as order → 1 it is all there is, one exponential.
-    sample, peak = _CELL / _POINTS, _log_peak(order, share)
+    sample = _CELL / _POINTS
+    peak = _log_peak(order, share)
     top = peak + (math.floor((math.log(_FASTEST) - peak) / sample) + 0.5) * sample
     count = math.ceil((top - math.log(_SLOWEST)) / _CELL)
     poles: list[float] = []
