@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from nodes.cli.dispatch import refuse_unwritable
 from nodes.cli.main import add_json, answer
+from nodes.environment.shapes.mesh_file import MOST_EDGES, MOST_WIDTH
 from nodes.parameters.quantities import above_zero
 
 if TYPE_CHECKING:
     from nodes.environment.shapes.mesh_holes import Hole
     from nodes.environment.shapes.mesh_report import MeshReport
-
-MOST_EDGES = 40  # of a hole that --close fills
-MOST_WIDTH = 0.1  # of such a hole [of the mesh's width]
 
 
 def add(parser: argparse.ArgumentParser) -> None:

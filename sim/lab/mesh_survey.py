@@ -10,6 +10,7 @@ which neither is certain are not judged.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,12 +22,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from messages.errors import UsageError
-from nodes.cli.mesh import MOST_EDGES, MOST_WIDTH
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
 from nodes.environment.shapes.mesh_edges import Flags
-from nodes.environment.shapes.mesh_file import read_triangles
+from nodes.environment.shapes.mesh_file import MOST_EDGES, MOST_WIDTH, read_triangles
 from nodes.environment.shapes.mesh_repair import repair
 from nodes.environment.shapes.mesh_shells import winding_number
 from nodes.environment.shapes.scene import mesh, new_memory, scene_table
@@ -233,8 +233,8 @@ def _near_faces(raw: Array, count: int, rng: np.random.Generator) -> Array:
     on = np.einsum("ij,ijk->ik", rng.dirichlet((1.0, 1.0, 1.0), count), raw[chosen])
     way = rng.normal(size=(count, 3))
     way /= np.linalg.norm(way, axis=1)[:, None]
-    off = WIDTH * np.exp(rng.uniform(*np.log(_OFF), count))
-    places = on + off[:, None] * way
+    off = WIDTH * np.exp(rng.uniform(math.log(_OFF[0]), math.log(_OFF[1]), count))
+    places: Array = on + off[:, None] * way
     low, high = raw.reshape(-1, 3).min(axis=0), raw.reshape(-1, 3).max(axis=0)
     places[::4] = rng.uniform(low, high, (len(places[::4]), 3))
     return places
@@ -254,7 +254,7 @@ def inside(raw: Array, places: Array) -> Array:
     """
     turns = winding_number(raw, places)
     whole = np.rint(turns)
-    found = (whole != 0.0).astype(np.float64)
+    found: Array = (whole != 0.0).astype(np.float64)
     for n in np.flatnonzero(np.abs(turns - whole) > _WHOLE):
         parities = {
             int((_crossings(raw, places[n], ray) > 0.0).sum()) % 2 for ray in _RAYS

@@ -98,7 +98,7 @@ def near_faces(rng: np.random.Generator, corners: Array, count: int) -> Array:
     squared: Any = igl.point_mesh_squared_distance(places, corners.reshape(-1, 3), ids)[
         0
     ]
-    return places[squared > 4e-10]
+    return np.asarray(places[squared > 4e-10])
 
 
 @settings(max_examples=40, deadline=None)
