@@ -134,7 +134,9 @@ def judge(path: Path, seed: int = 0) -> MeshJudged:
         low, high = raw.reshape(-1, 3).min(axis=0), raw.reshape(-1, 3).max(axis=0)
         width = float((high - low).max())
         if not 0.0 < width < 1e30:
-            raise ParameterError(f"is {width:g} units wide", path="file")
+            raise ParameterError(
+                f"is {width:g} units wide; export the mesh again", path="file"
+            )
         raw = WIDTH / width * (raw - 0.5 * (low + high))
         with np.errstate(divide="raise", invalid="raise"):
             felt, made = _felt(raw)
@@ -144,7 +146,7 @@ def judge(path: Path, seed: int = 0) -> MeshJudged:
         truth = raw if felt is MeshFelt.SOLID else made.corners
         return compare(name, felt, made, truth, np.random.default_rng(seed))
     except ParameterError as error:
-        return MeshJudged(name, MeshFelt.REFUSED, reason=str(error))
+        return MeshJudged(name, MeshFelt.REFUSED, reason=error.text)
     except Exception as error:  # noqa: BLE001 - the survey goes on and names the file
         return MeshJudged(name, MeshFelt.FAILED, reason=repr(error))
 
@@ -209,7 +211,7 @@ def compare(
         ticks = np.flatnonzero(contact)
         first = int(ticks[0]) if len(ticks) else len(way)
         at = entered * len(_line(begin, middle))
-        if began or first < at - 2.0:
+        if began or (first < at - 2.0 and _clear(raw, way[first])):
             wrong += 1
             reason = f"felt in free air on the way from {begin.tolist()}"
         # A proxy in contact is outside of the solid.
@@ -284,7 +286,7 @@ def _first_crossing(raw: Array, begin: Array, end: Array) -> float:
 
 def _clear(raw: Array, place: Array) -> bool:
     """Whether a place is not within rounding or the tool's radius of a face."""
-    from sim.lab.proxies import nearest_on
+    from sim.lab.proxy_shapes import nearest_on
 
     area = np.linalg.norm(
         np.cross(raw[:, 1] - raw[:, 0], raw[:, 2] - raw[:, 0]), axis=1

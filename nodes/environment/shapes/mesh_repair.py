@@ -125,18 +125,18 @@ def _repaired(
     first, which = first_of_equal(places)
     points, ids = places[first], which.reshape(-1, 3)
     width = float(np.ptp(points, axis=0).max())
-    raw, dropped, moved = ids, Counter(counts), 0.0
-    ids = drop_copies(raw, dropped, no_pairs)
+    raw, dropped, moved, joined = ids, Counter(counts), 0.0, 0
+    ids = base = drop_copies(raw, dropped, no_pairs)
     for join in JOINS:
         if not len(ids) or not len(open_edges(ids)):
             break
-        # A triangle joins its copy later than another one: all are compared again.
+        # Not in addition to a smaller distance, which may have joined half of a face's corners.
         trial: Counts = Counter()
-        to, joined, apart = join_open(points, ids, join * width)
+        to, count, apart = join_open(points, base, join * width)
         new = drop_copies(to[raw], trial, no_pairs)
-        if joined and len(open_edges(new)) < len(open_edges(ids)):
-            raw, ids, dropped, moved = to[raw], new, trial, apart
-            counts["joined"] += joined
+        if count and len(open_edges(new)) < len(open_edges(ids)):
+            ids, dropped, moved, joined = new, trial, apart, count
+    counts["joined"] += joined
     counts.update(dropped)
     if len(ids) and lowest_heights(points[ids])[0].min() <= height:
         ids = remove_flat(points, ids, height, counts)

@@ -50,7 +50,7 @@ class MeshesFound(Findings):
 
 
 def meshes(options: MeshesOptions) -> MeshesFound:
-    """Judge all files; fail if one is refused, fails, or is felt wrongly."""
+    """Judge all files; fail if reading one fails, or one is felt wrongly."""
     from sim.lab.mesh_survey import WIDTH, MeshFelt, judge, sources
 
     found = sources(options.sources, 1e6 * options.largest)
@@ -81,18 +81,19 @@ def meshes(options: MeshesOptions) -> MeshesFound:
         f" {closed / len(rows):.1%} with --close; {places} places and ticks judged at a"
         f" width of {1e3 * WIDTH:g} mm"
     )
-    bad = [
+    named = [
         row
         for row in rows
         if row.wrong or row.felt in (MeshFelt.REFUSED, MeshFelt.FAILED)
     ]
     lines += [
-        f"{row.file}: {row.felt}, {row.wrong} wrong: {row.reason}"
-        for row in bad[:_SHOWN]
+        f"{os.path.basename(row.file)}: {row.felt}{f', {row.wrong} wrong' if row.wrong else ''}:"
+        f" {row.reason.replace(row.file, '').lstrip(': ')}"
+        for row in named[:_SHOWN]
     ]
     return MeshesFound(
         lines=lines,
-        held=not bad,
+        held=not any(row.wrong or row.felt is MeshFelt.FAILED for row in rows),
         counts=counts,
         places=places,
         rows=[replace(row, file=os.path.basename(row.file)) for row in rows],

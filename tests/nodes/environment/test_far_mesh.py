@@ -14,7 +14,7 @@ from nodes.environment.shapes.scene import mesh, new_memory, scene_table
 from nodes.environment.shapes.tables import LAST, ROWS, SKIN
 from nodes.environment.shapes.tree import mesh_gap
 from nodes.environment.shapes.triangle import nearest_on_triangle
-from sim.lab.proxies import icosphere, ring
+from sim.lab.proxy_shapes import icosphere, ring
 
 EXACT = 1e-12  # rounding of a few hundred operations on coordinates below 1 m [m]
 

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.kinds import TOOL_RADIUS
-from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
+from nodes.environment.shapes.mesh import PreparedMesh, _normals, prepare_mesh
 from nodes.environment.shapes.polygons import cut_faces
 from nodes.environment.shapes.proxy import meet
 from nodes.environment.shapes.scene import mesh, new_memory, scene_table
-from sim.lab.proxies import icosphere
+from sim.lab.proxy_shapes import icosphere
 from tests.support.shapes import Array, box_triangles, prism, turned, winding
 
 
@@ -39,9 +39,13 @@ def part(rng: np.random.Generator, size: float) -> Array:
     return np.asarray(points[ids] - [0.0, 0.0, 0.5 * size])
 
 
-def solid(rng: np.random.Generator) -> Array:
-    """Return triangles of one to three parts: some hollow, some with a flush neighbour."""
-    parts = []
+def solid(rng: np.random.Generator) -> tuple[Array, Any]:
+    """Return triangles of one to three parts: some hollow, some with a flush neighbour.
+
+    Also return which of them are not of the latter: an edge that two solids share may get
+    two T-joints.
+    """
+    parts, alone = [], []
     for n in range(int(rng.integers(1, 4))):
         size = float(rng.uniform(0.01, 0.02))
         made = part(rng, size)
@@ -53,14 +57,15 @@ def solid(rng: np.random.Generator) -> Array:
             made = np.concatenate([made, made + np.array([size, 0.0, 0.0])])
         made = turned(made, *rng.uniform(-1.0, 1.0, 3).tolist())
         parts.append(made + np.array([0.06 * n, 0.0, 0.0]))
-    return np.concatenate(parts)
+        alone.append(np.full(len(made), beside != 2))
+    return np.concatenate(parts), np.concatenate(alone)
 
 
-def damaged(rng: np.random.Generator, corners: Array) -> Array:
+def damaged(rng: np.random.Generator, corners: Array, alone: Any) -> Array:
     """Return the same solid with T-joints, copies, noise, and in single precision."""
     width = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    if rng.integers(0, 2):  # edges split on one side only: T-joints
-        split = rng.choice(len(corners), 3, replace=False)
+    if rng.integers(0, 2) and alone.any():  # edges split on one side only: T-joints
+        split = rng.choice(np.flatnonzero(alone), 3, replace=False)
         a, b, c = np.moveaxis(corners[split], 1, 0)
         middle = 0.5 * (a + b)
         halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
@@ -106,8 +111,8 @@ def near_faces(rng: np.random.Generator, corners: Array, count: int) -> Array:
 def test_a_damaged_solid_is_felt_where_it_was(seed: int) -> None:
     """Faces of many corners, shells, cavities, seams, singles, noise, T-joints, copies."""
     rng = np.random.default_rng(seed)
-    whole = solid(rng)
-    prepared = prepare_mesh(damaged(rng, whole), False, "file")
+    whole, alone = solid(rng)
+    prepared = prepare_mesh(damaged(rng, whole, alone), False, "file")
     places = near_faces(rng, whole, 60)
     truth = np.rint(winding(whole, places)) != 0.0
     found = winding(prepared.corners, places)
@@ -189,3 +194,17 @@ def test_a_tool_begins_where_the_winding_number_says(
     truth = np.rint(winding(prepared.corners, places)) != 0.0
     assert 0 < truth.sum() < len(truth)
     assert felt_inside(prepared, places) == truth.tolist()
+
+
+def test_a_flat_triangle_that_a_repair_left_has_its_neighbours_normal() -> None:
+    """A zero in its length made the normal, and then the force, no number."""
+    corners = box_triangles([0.02] * 3)
+    middle = 0.5 * (corners[0, 0] + corners[0, 1])
+    flat = np.array([[corners[0, 0], corners[0, 1], middle]])
+    with np.errstate(all="raise"):
+        found = _normals(
+            np.concatenate([corners, flat]),
+            np.concatenate([np.zeros((12, 3), dtype=np.int64), [[0, -1, -1]]]),
+        )
+    assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 1e-12
+    assert np.array_equal(found[12], found[0])
