@@ -106,7 +106,7 @@ def near_faces(rng: np.random.Generator, corners: Array, count: int) -> Array:
     return np.asarray(places[squared > 4e-10])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_damaged_solid_is_felt_where_it_was(seed: int) -> None:
     """Faces of many corners, shells, cavities, seams, singles, noise, T-joints, copies."""

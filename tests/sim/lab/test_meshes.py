@@ -56,6 +56,7 @@ def test_each_file_is_counted_once_by_how_it_is_felt(
     assert "33.3% are felt as solids as they are, 66.7% with" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_mesh_felt_elsewhere_than_it_is_is_noticed() -> None:
     """Moved by 2 mm, and a cavity that is filled."""
     ball = icosphere(3, 0.5 * WIDTH)
