@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 from messages.errors import UsageError
 from nodes.cli.dispatch import refuse_unwritable
 from nodes.cli.main import add_json, answer
+from nodes.environment.shapes.mesh_file import MOST_EDGES, MOST_WIDTH
 from nodes.parameters.quantities import above_zero
 
 if TYPE_CHECKING:
     from nodes.environment.shapes.mesh_holes import Hole
     from nodes.environment.shapes.mesh_report import MeshReport
-
-_MOST_EDGES = 40  # of a hole that --close fills
-_MOST_WIDTH = 0.1  # of such a hole [of the mesh's width]
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="OUT",
         help=(
             "write the repaired mesh to OUT (.stl or .obj), in the file's unit, with holes of at"
-            f" most {_MOST_EDGES} edges and {_MOST_WIDTH:.0%} of its width filled".replace(
+            f" most {MOST_EDGES} edges and {MOST_WIDTH:.0%} of its width filled".replace(
                 "%", "%%"
             )
         ),
@@ -65,7 +63,7 @@ def _run(arguments: argparse.Namespace) -> int:
             "filled": filled,
             "holes_left": _holes(left),
         }
-        limit = f"more than {_MOST_EDGES} edges or {_MOST_WIDTH:.0%} of the width"
+        limit = f"more than {MOST_EDGES} edges or {MOST_WIDTH:.0%} of the width"
         rest = (
             f"{len(left)} left ({limit}, or crossing itself): {_hole(left[0])}"
             if left
@@ -87,8 +85,8 @@ def _close(found: MeshReport, out: Path) -> tuple[list[Hole], int]:
     closed = repair(
         found.read.corners,
         height=SLIVER / found.scale,
-        widest=_MOST_EDGES,
-        part=_MOST_WIDTH,
+        widest=MOST_EDGES,
+        part=MOST_WIDTH,
     )
     write_mesh(out, closed.points, closed.ids)
     return holes(closed.points, closed.ids, rims(closed.partner)), closed.counts[

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Container, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from messages.topics import PROXY
+from messages.topics import PROXY, event
 from messages.types import DeviceState, Vector
 from nodes.base.setup import Setup
 from nodes.base.shared_file import awaited
@@ -120,10 +121,39 @@ class RecordedShapes:
         return _unturned([] if numbers is None else offsets_of(numbers.table))
 
 
+class SceneChange(NamedTuple):
+    """A reset of a scene, or a control of one of its actuators, from a tick on."""
+
+    tick: int
+    actuator: int = -1  # −1 for a reset
+    control: float = 0.0
+    until: int = 0  # tick at which the controls of the start return
+
+
+def scene_changes(recording: Recording, name: str) -> list[SceneChange]:
+    """Return the recorded resets and controls of the scene of node `name`, by tick."""
+    topic, found = event(name), []
+    for one in recording.messages(topic) if topic in recording.topics else ():
+        numbers = one.data
+        if one.kind == "reset" and "tick" in numbers:
+            found.append(SceneChange(int(numbers["tick"])))
+        elif one.kind == "controls" and {"tick", "actuator", "control"} <= set(numbers):
+            found.append(
+                SceneChange(
+                    int(numbers["tick"]),
+                    int(numbers["actuator"]),
+                    numbers["control"],
+                    int(numbers.get("until_tick", numbers["tick"])),
+                )
+            )
+    return sorted(found, key=lambda one: one.tick)
+
+
 class RecordedBodies:
     """Bodies of a recording, found by stepping its scene as the node did.
 
-    Only the ticks in `met` (see `met_ticks`) step the scene.
+    Only the ticks in `met` (see `met_ticks`) step the scene; `changes` (see `scene_changes`)
+    are applied at theirs.
     """
 
     def __init__(
@@ -132,14 +162,19 @@ class RecordedBodies:
         period: float,
         name: str,
         met: Container[int] | None = None,
+        changes: Sequence[SceneChange] = (),
     ) -> None:
         self._met = met
         # the scene
         self.world: MovingScene = load_world(
             convert(parameters, MujocoParameters, name), period, name
         )
+        self._changes = deque(
+            one for one in changes if one.actuator < self.world.model.nu
+        )
         # Whether a tick was passed to `follow`, and whether one was stepped.
         self.asked = self._begun = False
+        self._rebased = 0  # jump of the device that the scene has followed
 
     def follow(self, state: DeviceState) -> None:
         """Step the scene to a state's tick."""
@@ -148,14 +183,22 @@ class RecordedBodies:
             self._met is not None and state.seq not in self._met
         ):
             return
-        self.world.follow(
+        while self._changes and self._changes[0].tick <= state.seq:
+            one = self._changes.popleft()
+            if one.actuator < 0:
+                self.world.reset_due = True
+            else:
+                self.world.control({one.actuator: one.control}, one.until)
+        if self.world.follow(
             state.seq,
             state.position,
             state.force,
             state.seq - 1 - state.age,
             state.delay,
             not self._begun,
-        )
+            state.rebased != self._rebased,
+        ):
+            self._rebased = state.rebased
         self._begun = True
 
     def poses(self) -> NDArray[np.float64]:

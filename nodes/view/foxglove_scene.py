@@ -21,7 +21,7 @@ from nodes.recording.facts import parameters_of, period_of, refuse_foreign_files
 from nodes.recording.reader import Recording
 from nodes.recording.recover import Copy
 from nodes.recording.writer import RecordError, mcap_writer, written
-from nodes.view.drawn_bodies import RecordedBodies, met_ticks
+from nodes.view.drawn_bodies import RecordedBodies, met_ticks, scene_changes
 from nodes.view.shape import patches_of, tool_radius_of
 from nodes.view.tessellation import Patch
 
@@ -208,8 +208,13 @@ class DrawnScene:
                     self._radius[chain] = tool_radius_of(parameters)
                 elif "scene" in parameters:
                     topic = f"/{chain}{PROXY}" if chain else PROXY
-                    met = None if recording is None else met_ticks(recording, topic)
-                    self._bodies[chain] = _Bodies(dict(parameters), period, node, met)
+                    met, changes = None, []
+                    if recording is not None:
+                        met = met_ticks(recording, topic)
+                        changes = scene_changes(recording, node)
+                    self._bodies[chain] = _Bodies(
+                        dict(parameters), period, node, met, changes
+                    )
             except (ParameterError, RecordError, OSError) as error:
                 self.left_out.append(f"{node}: {error}")
 

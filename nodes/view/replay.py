@@ -314,7 +314,12 @@ class ReplayPages:
     def _read_shape(
         self, name: str, parameters: dict[str, Any], recording: Recording
     ) -> list[str]:
-        from nodes.view.drawn_bodies import RecordedBodies, RecordedShapes, met_ticks
+        from nodes.view.drawn_bodies import (
+            RecordedBodies,
+            RecordedShapes,
+            met_ticks,
+            scene_changes,
+        )
         from nodes.view.shape import bodies_of, moves, shape_of
 
         # Without the shape's package or file, the flat views remain.
@@ -322,7 +327,11 @@ class ReplayPages:
             refuse_foreign_files(recording, parameters, name)
             if "scene" in parameters:
                 self._bodies = RecordedBodies(
-                    parameters, self._facts.period, name, met_ticks(recording)
+                    parameters,
+                    self._facts.period,
+                    name,
+                    met_ticks(recording),
+                    scene_changes(recording, name),
                 )
                 self._shape = bodies_of(self._bodies.world)
             else:

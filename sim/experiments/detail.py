@@ -19,7 +19,15 @@ from messages.types import Vector
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters
 from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
-from nodes.environment.shapes.scene import SLIPPERY, Solid, capsule, mesh, plane, sphere
+from nodes.environment.shapes.scene import (
+    SLIPPERY,
+    FeltRegion,
+    Solid,
+    capsule,
+    mesh,
+    plane,
+    sphere,
+)
 from nodes.environment.shapes.tables import BOX, MESH, PLANE
 from nodes.launcher.launch_spec import Launch
 from nodes.parameters.store import ParameterError
@@ -34,6 +42,7 @@ _PIECES = (8, 4, 2, 1)
 _FEWEST = 8  # minimum number of points to fit a primitive to
 _PLACE = 10  # consecutive ticks without a difference that end a stretch
 _TIMED = 2000
+_WITHOUT_REGIONS = "without regions"
 
 
 @dataclass(frozen=True)
@@ -107,12 +116,14 @@ def detail(
     resolution: float,
     fraction: float,
     step: Callable[[str], None] = lambda _: None,
+    regions: Sequence[FeltRegion] = (),
 ) -> Detail:
     """Play a path, shape (ticks, 3) [m], through all levels of detail.
 
-    A force difference below `fraction` of the largest force counts as none.
+    A force difference below `fraction` of the largest force counts as none. The regions are
+    the same in all levels of the shapes, and left out of one.
     """
-    finest = touch(solids, path, tool_radius, period)
+    finest = touch(solids, path, tool_radius, period, regions=regions)
     if not finest.contact.any():
         raise ValueError(
             "the path touches nothing: let it run longer, or lead the hand further"
@@ -121,16 +132,18 @@ def detail(
         stiffness * np.linalg.norm(finest.proxy - path, axis=1)[finest.contact].max()
     )
     limit = max(stiffness * resolution, fraction * largest)
-    # Points on the surface, not the tool's centre.
-    touched = (finest.proxy - tool_radius * finest.normal)[finest.contact]
+    # Points on the surface, not the tool's centre. A region has no normal.
+    on_shape = finest.contact & (np.abs(finest.normal).max(axis=1) > 0.0)
+    touched = (finest.proxy - tool_radius * finest.normal)[on_shape]
     levels = []
     left_out = []
-    for name, made in _levels(solids, touched, finest.normal[finest.contact]):
+    for name, made in _levels(solids, touched, finest.normal[on_shape], bool(regions)):
         step(name)
         if isinstance(made, str):
             left_out.append(f"{name}: {made}")
             continue
-        found = touch(made, path, tool_radius, period)
+        acting = () if name == _WITHOUT_REGIONS else regions
+        found = touch(made, path, tool_radius, period, regions=acting)
         either = finest.contact | found.contact
         away = np.linalg.norm(
             np.where(found.contact[:, None], found.proxy, path)
@@ -138,7 +151,7 @@ def detail(
             axis=1,
         )
         difference = stiffness * away
-        times = 1e6 * call_times(made, path, tool_radius, period, _TIMED)
+        times = 1e6 * call_times(made, path, tool_radius, period, _TIMED, acting)
         triangles = sum(
             len(solid.mesh.corners) for solid in made if solid.mesh is not None
         )
@@ -166,11 +179,16 @@ def places(over: NDArray[np.bool_]) -> int:
 
 
 def _levels(
-    solids: Sequence[Solid], touched: Array, normals: Array
+    solids: Sequence[Solid], touched: Array, normals: Array, regions: bool
 ) -> Iterator[tuple[str, list[Solid] | str]]:
     """Yield the levels from the finest: name, and shapes or the reason why there are none."""
     rough = any(solid.friction != SLIPPERY for solid in solids)
     yield "as it is", list(solids)
+    if regions:
+        yield _WITHOUT_REGIONS, list(solids)
+    if not len(touched):
+        yield "coarser shapes", "the path touches no shape"
+        return
     if rough:
         yield (
             "without friction",

@@ -120,6 +120,14 @@ SECTIONS: Final[dict[str, ResultSection]] = {
         "haptic lab proxies",
         10.0,
     ),
+    "meshes": ResultSection(
+        "Meshes of other people",
+        "How a scene feels the meshes of ten Python packages, and whether rightly.",
+        "haptic lab meshes pybullet robosuite example-robot-data dm-control rtb-data"
+        " metaworld gymnasium-robotics gym-aloha gym-xarm safety-gymnasium --most 80"
+        " --workers 2",
+        5.0,
+    ),
     "loop": ResultSection(
         "The loop",
         "Ticks a second and response, beside bare pyzmq + msgpack and bare C.",

@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 # Registers the geometry with numba.
 import nodes.environment.shapes.compiled_geometry as _registered
 from nodes.environment.shapes import proxy
-from nodes.environment.shapes.scene import Solid, new_memory, scene_table
-from nodes.environment.shapes.tables import DISTANCE, IN_CONTACT, NORMAL, PROXY, ROUNDS
+from nodes.environment.shapes.scene import FeltRegion, Solid, new_memory, scene_table
+from nodes.environment.shapes.tables import (
+    DISTANCE,
+    IN_CONTACT,
+    NORMAL,
+    NOW,
+    PROXY,
+    ROUNDS,
+)
 from sim.arrays import Array
 from sim.play.compiled import compiled
 
@@ -26,6 +33,7 @@ _ANSWER = 9
 @compiled()
 def _walk(scene: Array, memory: Array, path: Array, answers: Array) -> None:
     for i in range(len(path)):
+        memory[NOW] = float(i)
         meet(scene, memory, path[i, 0], path[i, 1], path[i, 2])
         for k in range(3):
             answers[i, k] = memory[PROXY + k]
@@ -55,13 +63,17 @@ def touch(
     tool_radius: float = 0.0,
     period: float = 1e-3,
     interpreted: bool = False,
+    regions: Sequence[FeltRegion] = (),
 ) -> Touched:
-    """Guide a device along a path (ticks, 3) [m] over shapes."""
-    table = scene_table(solids, tool_radius, period)
+    """Guide a device along a path (ticks, 3) [m] over shapes and through regions."""
+    table = scene_table(solids, tool_radius, period, regions)
     answers = np.zeros((len(path), _ANSWER))
     if interpreted:
         kept: Any = new_memory(len(solids))
-        for answer, (x, y, z) in zip(answers, path.tolist(), strict=True):
+        for i, (answer, (x, y, z)) in enumerate(
+            zip(answers, path.tolist(), strict=True)
+        ):
+            kept[NOW] = float(i)
             proxy.meet(table, kept, x, y, z)
             answer[:] = [*kept[PROXY : PROXY + 8], kept[ROUNDS]]
         memory = np.array(kept)
@@ -90,15 +102,17 @@ def call_times(
     tool_radius: float = 0.0,
     period: float = 1e-3,
     most: int = 20_000,
+    regions: Sequence[FeltRegion] = (),
 ) -> Array:
     """Time single calls of the compiled proxy along a path [s].
 
     Each includes the interpreter's overhead of under 1 µs.
     """
-    table = np.array(scene_table(solids, tool_radius, period))
+    table = np.array(scene_table(solids, tool_radius, period, regions))
     memory = np.array(new_memory(len(solids)))
     times = []
-    for x, y, z in path[:most].tolist():
+    for i, (x, y, z) in enumerate(path[:most].tolist()):
+        memory[NOW] = float(i)
         begin = time.perf_counter_ns()
         meet(table, memory, x, y, z)
         times.append(time.perf_counter_ns() - begin)

@@ -122,11 +122,19 @@ def _shapes(
             f"{name}.surface.kind: {surface.kind!r} has one level of detail; take a shape"
             " in three axes, e.g. mesh_pebble"
         )
-    solids = surface.solids(f"{name}.surface")
+    at = f"{name}.surface"
+    solids, regions = surface.solids(at), surface.regions(at)
+    if any(solid.motion is not None for solid in solids):
+        raise UsageError(
+            f"{at}: shapes that move are not judged, because their speed depends on the"
+            " force; leave motion out to judge them where they begin"
+        )
     # In one process, bit-identical to a lockstep launch, whatever `run.pace` is.
     path = play(launch).measured
     loop = launch.run.period, stiffness, resolution, options.fraction
-    return detail(solids, path, surface.tool_radius, *loop, options.progress(12))
+    return detail(
+        solids, path, surface.tool_radius, *loop, options.progress(12), regions
+    )
 
 
 def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
@@ -119,3 +120,27 @@ def out_of_balance(
 def turned(triangles: Array, roll: float, pitch: float, yaw: float) -> Array:
     """Rotate triangles about the origin."""
     return np.ascontiguousarray(triangles @ np.array(rotation((roll, pitch, yaw))).T)
+
+
+def winding(corners: Array, places: Array) -> Array:
+    """Return libigl's winding number of triangles about places."""
+    ids = np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
+    found: Any = igl.winding_number(
+        corners.reshape(-1, 3), ids, np.ascontiguousarray(places)
+    )
+    return np.asarray(found, dtype=np.float64)
+
+
+def prism(outline: Array, height: float) -> tuple[Array, dict[int, Any]]:
+    """Return corners and faces of a prism whose two caps are one face each."""
+    count = len(outline)
+    points = np.concatenate(
+        [np.column_stack([outline, np.full(count, z)]) for z in (0.0, height)]
+    )
+    here = np.arange(count)
+    there = np.roll(here, -1)
+    walls = np.column_stack([here, there, there + count, here + count])
+    caps = np.array([here[::-1], here + count])
+    return points, {4: walls, count: caps} if count != 4 else {
+        4: np.concatenate([walls, caps])
+    }

@@ -197,6 +197,8 @@ class MujocoEnvironment(Node):
             return {"seq": seq}
 
         receipt: dict[str, Any] = self.changes.hand_over(apply)
+        tick = receipt["seq"]
+        self.events.emit_each("reset", f"on request, from tick {tick}", {"tick": tick})
         return receipt
 
     def _control(self, controls: Any) -> dict[str, Any]:
@@ -217,6 +219,12 @@ class MujocoEnvironment(Node):
             return {"seq": seq, "age_s": allowed.age}
 
         receipt: dict[str, Any] = self.changes.hand_over(apply)
+        tick = receipt["seq"]
+        for at, value in wanted.items():
+            # Recorded each time, so that a replay moves the bodies as they went.
+            numbers = {"actuator": at, "control": value, "until_tick": tick + ticks}
+            reason = f"actuator {at}: {value:g} from tick {tick}"
+            self.events.emit("controls", reason, {"tick": tick, **numbers}, always=True)
         return receipt
 
     def report(self) -> dict[str, Any]:

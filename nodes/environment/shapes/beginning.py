@@ -86,6 +86,24 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
             continue
         x, y, z = x - deepest * nx, y - deepest * ny, z - deepest * nz
     memory[t.AT], memory[t.AT + 1], memory[t.AT + 2] = x, y, z
+    _leave_out_meshes(scene, memory)
+
+
+def _leave_out_meshes(scene: Table, memory: Memory) -> None:
+    """Stop feeling meshes that a placed proxy is in, though it came out of the nearest face.
+
+    That face was hidden inside another shell of the mesh, or the tool does not fit into the
+    crack where it came out; the next step would go through the faces that it overlaps.
+    """
+    shapes = int(scene[t.SHAPES])
+    x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
+    for n in range(shapes):
+        mode = t.LAST + shapes + n
+        if memory[mode] == t.FELT and scene[t.ROWS + t.ROW * n + t.KIND] == t.MESH:
+            away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+            if away < -t.TOUCH or is_within(scene, n, x, y, z):
+                memory[mode] = t.UNFELT
+                memory[t.INSIDE] += 1.0
 
 
 def leave(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
@@ -96,10 +114,12 @@ def leave(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         if memory[t.LAST + shapes + n] == t.UNFELT:
             left = True
             for which in range(2):
+                px, py, pz = x, y, z
                 if which == 1:
-                    x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
-                away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
-                left = left and away >= -t.TOUCH and not is_within(scene, n, x, y, z)
+                    px, py, pz = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
+                away, _, _, _ = shape_gap(scene, memory, n, px, py, pz)
+                left = left and away >= -t.TOUCH
+                left = left and not is_within(scene, n, px, py, pz)
             if left:
                 memory[t.LAST + shapes + n] = t.FELT
             else:

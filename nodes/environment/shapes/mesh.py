@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_holes import holes
-from nodes.environment.shapes.mesh_repair import Repaired, repair
+from nodes.environment.shapes.mesh_repair import SLIVER, Repaired, repair
 from nodes.environment.shapes.tables import NODE
+from nodes.environment.shapes.triangle_sets import lowest_heights
 from nodes.parameters.store import ParameterError
 
 Corners = NDArray[np.float64]  # triangles, corners, coordinates [m], shape (n, 3, 3)
@@ -19,6 +20,7 @@ LARGEST = (
 )
 SMALLEST = 1e-3
 
+_FLAT_ROUNDS = 20  # steps from a flat triangle to one that has a normal
 _LEAF = 4  # largest number of triangles in a leaf of the tree
 
 
@@ -56,8 +58,7 @@ def prepare_mesh(
         back = np.where(neighbours < 0, -1, neighbours + len(found.ids))[:, [1, 0, 2]]
         neighbours = np.concatenate([neighbours, back])
     corners = found.points[ids]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = across / np.linalg.norm(across, axis=1)[:, None]
+    normals = _normals(corners, neighbours)
     order, leaves = _order(corners)
     corners, normals, neighbours = corners[order], normals[order], neighbours[order]
     place = np.append(np.argsort(order), -1)  # the last one is of a neighbour −1
@@ -71,6 +72,26 @@ def prepare_mesh(
         not both_sides,
         tuple(f"{where}: {text}" for text in (*notes, *found.texts())),
     )
+
+
+def _normals(corners: Corners, neighbours: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return outward normals; a flat triangle that a repair left has a neighbour's."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    flat = lowest_heights(corners)[0] <= SLIVER
+    for _ in range(_FLAT_ROUNDS):
+        left = np.flatnonzero(flat)
+        if not len(left):
+            break
+        beside = neighbours[left]
+        whole = (beside >= 0) & ~flat[beside]
+        solved = whole.any(axis=1)
+        chosen = beside[np.arange(len(left)), whole.argmax(axis=1)]
+        normals[left[solved]] = normals[chosen[solved]]
+        flat[left[solved]] = False
+        if not solved.any():
+            break
+    return np.asarray(normals)
 
 
 def repaired_triangles(corners: Corners, where: str) -> Repaired:

@@ -43,6 +43,14 @@ def open_edges(ids: Ids) -> Ids:
     return np.asarray(order[first[times == 1]], dtype=np.int64)
 
 
+def unmatched_edges(ids: Ids) -> Ids:
+    """Return the half-edges of edges that an odd number of triangles have."""
+    edge = half_edges(ids)[2]
+    order = np.argsort(edge, kind="stable")
+    _, times = _runs(edge[order])
+    return np.asarray(np.sort(order[np.repeat(times % 2 == 1, times)]), dtype=np.int64)
+
+
 def _runs(values: Ids) -> tuple[Ids, Ids]:
     """Return the start and length of each run of equal values."""
     first = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))

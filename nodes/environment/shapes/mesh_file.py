@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # largest file [bytes], about five million triangles; checked before reading
 LARGEST: Final = 256_000_000
+MOST_EDGES: Final = 40  # of a hole that is filled on request
+MOST_WIDTH: Final = 0.1  # of such a hole [of the mesh's width]
 
 _HEADER: Final = 84
 _RECORD: Final = 50

@@ -16,6 +16,7 @@ from nodes.environment.shapes.mesh_edges import (
     first_of_equal,
     half_edges,
     open_edges,
+    unmatched_edges,
 )
 from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import lowest_heights
@@ -39,8 +40,11 @@ MOST_OPEN = 8_000  # open edges of a mesh whose T-joints are searched
 _ROUNDS = 100
 
 
-def drop_copies(ids: Ids, counts: Counts) -> Ids:
-    """Leave out triangles of fewer than three corners, copies, and pairs back to back."""
+def drop_copies(ids: Ids, counts: Counts, no_pairs: bool = False) -> Ids:
+    """Leave out triangles of fewer than three corners, copies, and pairs back to back.
+
+    One of each pair stays if fewer edges are open then, unless `no_pairs`.
+    """
     good = (
         (ids[:, 0] != ids[:, 1]) & (ids[:, 1] != ids[:, 2]) & (ids[:, 2] != ids[:, 0])
     )
@@ -56,60 +60,54 @@ def drop_copies(ids: Ids, counts: Counts) -> Ids:
     rolled = ids[
         np.arange(len(ids))[:, None], (ids.argmin(axis=1)[:, None] + np.arange(3)) % 3
     ]
-    way = np.where(rolled[:, 1] < rolled[:, 2], 1, -1)
-    total = np.rint(np.bincount(same, way)).astype(np.int64)[same]
-    keep = (copies == 1) | (way * total > 0)
+    up = np.where(rolled[:, 1] < rolled[:, 2], 1.0, 0.0)
+    part_up = (np.bincount(same, up) / np.bincount(same))[same]
+    folded = (part_up > 0.0) & (part_up < 1.0)
     # Of copies that look the same way the first remains.
-    _, first = np.unique(np.where(keep, same, -1), return_index=True)
-    chosen = np.zeros(len(ids), dtype=bool)
-    chosen[first] = True
-    repeated = keep & ~chosen
-    folded = (copies > 1) & (total == 0)
-    if folded.any():
+    first = np.zeros(len(ids), dtype=bool)
+    first[np.unique(same, return_index=True)[1]] = True
+    keep = first & ~folded
+    if folded.any() and not no_pairs:
         # Back to back, they enclose nothing, unless both are one face of a sheet drawn twice.
-        both_gone = ids[(keep & chosen) & ~folded]
-        _, one_of_each = np.unique(np.where(folded, same, -1), return_index=True)
-        one_left = np.zeros(len(ids), dtype=bool)
-        one_left[one_of_each] = True
-        one_left &= folded
-        single = ids[(keep & chosen & ~folded) | one_left]
-        if not len(both_gone) or len(open_edges(both_gone)) > len(open_edges(single)):
-            counts["repeated"] += int(folded.sum() - one_left.sum())
-            keep |= one_left
-            chosen |= one_left
-        else:
-            counts["folded"] += int(folded.sum())
-    counts["repeated"] += int(repeated.sum())
-    counts["repeated"] += int(((copies > 1) & (total != 0) & (way * total < 0)).sum())
-    return np.asarray(ids[keep & chosen], dtype=np.int64)
+        fewer_open = len(open_edges(ids[keep])) > len(open_edges(ids[first]))
+        if fewer_open or not keep.any():
+            keep, folded = first, np.zeros(len(ids), dtype=bool)
+    counts["folded"] += int(folded.sum())
+    counts["repeated"] += int((~keep & ~folded).sum())
+    return np.asarray(ids[keep], dtype=np.int64)
 
 
 def join_open(points: Coordinates, ids: Ids, distance: float) -> tuple[Ids, int, float]:
     """Join corners of open edges within a distance of each other.
 
-    Returns the triangles, how many corners were joined, and the largest distance between them.
+    Returns the corner that each becomes, how many were joined, and the largest distance
+    between them.
     """
     half = open_edges(ids)
     start, end, _ = half_edges(ids)
     rim = np.unique(np.concatenate([start[half], end[half]]))
     pairs = cKDTree(points[rim]).query_pairs(distance, output_type="ndarray")
+    to = np.arange(len(points))
     if not len(pairs):
-        return ids, 0, 0.0
+        return to, 0, 0.0
     parts, label = components(len(rim), pairs[:, 0], pairs[:, 1])
     first = np.full(parts, len(points))
     np.minimum.at(first, label, rim)
-    to = np.arange(len(points))
     to[rim] = first[label]
     moved = float(np.linalg.norm(points[rim] - points[to[rim]], axis=1).max())
-    return to[ids], len(rim) - parts, moved
+    return to, len(rim) - parts, moved
 
 
 def split_t_joints(
-    points: Coordinates, ids: Ids, distance: float, counts: Counts
+    points: Coordinates,
+    ids: Ids,
+    distance: float,
+    counts: Counts,
+    no_pairs: bool = False,
 ) -> Ids:
-    """Split triangles at corners that lie on the middle of their open edges."""
+    """Split triangles at corners that lie on the middle of their unmatched edges."""
     for _ in range(20):
-        half = open_edges(ids)
+        half = unmatched_edges(ids)
         if not 0 < len(half) <= MOST_OPEN:
             return ids
         start, end, _ = half_edges(ids)
@@ -145,7 +143,7 @@ def split_t_joints(
         ids = np.concatenate(
             [np.delete(ids, sorted(gone), axis=0), np.array(new, dtype=np.int64)]
         )
-        ids = drop_copies(ids, Counter())
+        ids = drop_copies(ids, Counter(), no_pairs)
     return ids
 
 

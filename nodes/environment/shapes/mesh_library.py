@@ -86,7 +86,7 @@ def _check_size(data: bytes, largest: int) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(one.file_size for one in archive.infolist())
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, NotImplementedError) as error:
         raise ValueError(
             f"is no 3MF archive ({error}); export the mesh again"
         ) from error

@@ -107,27 +107,41 @@ def repair(
     Repaired
         Without triangles if none has an area.
     """
+    found = _repaired(corners, height, widest, part, False)
+    if len(found.ids) and not found.is_solid and found.counts["repeated"]:
+        # One of two faces back to back may be of a seam, whose T-joint opened its edges.
+        other = _repaired(corners, height, widest, part, True)
+        if len(other.ids) and (other.partner < 0).sum() < (found.partner < 0).sum():
+            return other
+    return found
+
+
+def _repaired(
+    corners: Coordinates, height: float, widest: int, part: float, no_pairs: bool
+) -> Repaired:
+    """Repair triangles, without faces back to back, or with one of each where it closes."""
     counts: Counts = Counter()
     places = corners.reshape(-1, 3) + 0.0  # −0.0 is 0.0
     first, which = first_of_equal(places)
     points, ids = places[first], which.reshape(-1, 3)
     width = float(np.ptp(points, axis=0).max())
-    ids = drop_copies(ids, counts)
-    moved = 0.0
+    raw, dropped, moved, joined = ids, Counter(counts), 0.0, 0
+    ids = base = drop_copies(raw, dropped, no_pairs)
     for join in JOINS:
         if not len(ids) or not len(open_edges(ids)):
             break
+        # Not in addition to a smaller distance, which may have joined half of a face's corners.
         trial: Counts = Counter()
-        new, joined, apart = join_open(points, ids, join * width)
-        new = drop_copies(new, trial)
-        if joined and len(open_edges(new)) < len(open_edges(ids)):
-            ids, moved = new, apart
-            counts["joined"] += joined
-            counts.update(trial)
+        to, count, apart = join_open(points, base, join * width)
+        new = drop_copies(to[raw], trial, no_pairs)
+        if count and len(open_edges(new)) < len(open_edges(ids)):
+            ids, dropped, moved, joined = new, trial, apart, count
+    counts["joined"] += joined
+    counts.update(dropped)
     if len(ids) and lowest_heights(points[ids])[0].min() <= height:
         ids = remove_flat(points, ids, height, counts)
     if len(ids) and len(open_edges(ids)):
-        ids = split_t_joints(points, ids, JOINS[-1] * width, counts)
+        ids = split_t_joints(points, ids, JOINS[-1] * width, counts, no_pairs)
         ids = remove_flat(points, ids, height, counts)
     if not len(ids):
         none = np.zeros(0, dtype=np.int64)
@@ -138,7 +152,7 @@ def repair(
         added = lids(points, ids, rims(partner), widest, part * width)
         if added:
             counts["holes"] += len(added)
-            ids = drop_copies(np.concatenate([ids, *added]), counts)
+            ids = drop_copies(np.concatenate([ids, *added]), counts, no_pairs)
             ids = remove_flat(points, ids, height, counts)
             counts["shared_edges"] = 0
             ids, partner, disagreeing = _knit(points, ids, counts)

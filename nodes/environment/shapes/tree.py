@@ -17,6 +17,9 @@ from nodes.environment.shapes.triangle import (
     triangle_hit,
 )
 
+# far above the rounding of coordinates up to 1 km [m]
+_ROUNDING = 1e-12
+
 
 def mesh_hit(
     scene: Table,
@@ -89,15 +92,17 @@ def mesh_gap(
     """
     count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
     triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
-    x, y, z = (
-        x - scene[row + t.SHIFT],
-        y - scene[row + t.SHIFT + 1],
-        z - scene[row + t.SHIFT + 2],
+    ox, oy, oz = (
+        scene[row + t.SHIFT],
+        scene[row + t.SHIFT + 1],
+        scene[row + t.SHIFT + 2],
     )
+    x, y, z = x - ox, y - oy, z - oz
     face = int(memory[last])
     qx, qy, qz, _ = nearest_on_triangle(scene, triangles + t.TRIANGLE * face, x, y, z)
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
     side = height_above(scene, triangles + t.TRIANGLE * face, x, y, z)
+    reach, ux, uy, uz = _towards(x - qx, y - qy, z - qz)
     k = 1
     while True:
         at = tree + t.NODE * k
@@ -111,6 +116,8 @@ def mesh_gap(
             j = k - leaves
             for i in range(j * count // leaves, (j + 1) * count // leaves):
                 at = triangles + t.TRIANGLE * i
+                if _is_beyond(scene, at, reach, x, y, z, ux, uy, uz):
+                    continue
                 px, py, pz, _ = nearest_on_triangle(scene, at, x, y, z)
                 away = (x - px) * (x - px) + (y - py) * (y - py) + (z - pz) * (z - pz)
                 if away <= best:
@@ -120,6 +127,7 @@ def mesh_gap(
                     if away < best * (1.0 - 1e-9) or abs(height) > abs(side):
                         face, side = i, height
                         qx, qy, qz = px, py, pz
+                        reach, ux, uy, uz = _towards(x - px, y - py, z - pz)
                     best = away
         while k & 1:
             k = k >> 1
@@ -128,7 +136,8 @@ def mesh_gap(
         k += 1
     memory[last] = float(face)
     away = sqrt(best)
-    sign = -1.0 if scene[row + t.CLOSED] == 1.0 and side < 0.0 else 1.0
+    behind = scene[row + t.CLOSED] == 1.0 and side < 0.0
+    sign = -1.0 if behind else 1.0
     at = triangles + t.TRIANGLE * face
     if away <= t.LIP:
         return (
@@ -137,8 +146,44 @@ def mesh_gap(
             scene[at + 10],
             scene[at + 11],
         )
+    if behind and mesh_winding(scene, row, x + ox, y + oy, z + oz) == 0:
+        sign = (
+            1.0  # where a mesh crosses itself, a face may be seen from behind outside
+        )
     away *= sign
     return away - scene[t.RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away
+
+
+def _towards(dx: float, dy: float, dz: float) -> Vector4:
+    """Return the length of a vector [m], rounded up by `_ROUNDING`, and its direction."""
+    length = sqrt(dx * dx + dy * dy + dz * dz)
+    if length == 0.0:
+        return _ROUNDING, 0.0, 0.0, 0.0
+    return length * (1.0 + 1e-12) + _ROUNDING, dx / length, dy / length, dz / length
+
+
+def _is_beyond(
+    scene: Table,
+    at: int,
+    reach: float,
+    x: float,
+    y: float,
+    z: float,
+    ux: float,
+    uy: float,
+    uz: float,
+) -> bool:
+    """Return whether all of a triangle is farther than `reach` from a point, along −u.
+
+    Seen from far, it spares the search the triangles around the nearest one: they fit into
+    the reach's box, but not into its ball.
+    """
+    for k in range(3):
+        i = at + 3 * k
+        px, py, pz = x - scene[i], y - scene[i + 1], z - scene[i + 2]
+        if px * ux + py * uy + pz * uz <= reach:
+            return False
+    return True
 
 
 def mesh_winding(scene: Table, row: int, x: float, y: float, z: float) -> int:

@@ -16,9 +16,11 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.launcher import launch_file
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
+from nodes.recording.facts import parameters_of
 from nodes.recording.reader import Recording
 from nodes.stability.k_max import k_max
 from nodes.stability.plant import Plant
+from nodes.view.drawn_bodies import RecordedBodies, met_ticks, scene_changes
 from tests.support import ROOT
 from tests.support.launching import launch_json, running, typed, wait_for
 
@@ -346,9 +348,22 @@ def test_a_running_scene_is_reset_and_its_actuators_controlled(tmp_path: Path) -
             "no actuator 'elbo'" in typed(launch, *one, "{elbo: 0.4}", code=None).stderr
         )
         launch.interrupt()
-    (recording,) = tmp_path.glob("recordings/own*.mcap")
-    told = [one.reason for one in Recording(recording).messages(event("environment"))]
+    (path,) = tmp_path.glob("recordings/own*.mcap")
+    recording = Recording(path)
+    told = [one.reason for one in recording.messages(event("environment"))]
     assert any(
         "the scene was reset on request; the tool restarts at the device" in one
         for one in told
     )
+    # A replay of the recording moves the bodies as they went, to the bit.
+    changes = scene_changes(recording, "environment")
+    assert [one.actuator for one in changes] == [-1, 0, 0]
+    (parameters,) = [one for one in parameters_of(recording).values() if "scene" in one]
+    drawn = RecordedBodies(
+        parameters, PERIOD, "environment", met_ticks(recording), changes
+    )
+    answers = {one.seq: one.proxy for one in recording.messages(PROXY)}
+    for state in recording.messages(DEVICE_STATE):
+        drawn.follow(state)
+        if state.seq in answers:
+            assert drawn.world.tool_position == answers[state.seq]

@@ -124,3 +124,18 @@ def test_a_missing_library_is_named_with_the_way_out(
     why = r"\.3mf needs a library .*pip install 'haptic-nodes\[meshes\]', or export the mesh as"
     with pytest.raises(ParameterError, match=why):
         read_mesh(archive(tmp_path), "file")
+
+
+def test_an_archive_of_an_unknown_version_is_refused(tmp_path: Path) -> None:
+    """Damaged by one bit, it raised NotImplementedError."""
+    pytest.importorskip("trimesh")
+    path = tmp_path / "box.3mf"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("3D/3dmodel.model", "")
+    data = bytearray(path.read_bytes())
+    data[data.rindex(b"PK\x01\x02") + 6] = 255  # version needed to extract
+    path.write_bytes(data)
+    with pytest.raises(
+        ParameterError, match=r"is no 3MF archive.*export the mesh again"
+    ):
+        read_mesh(path, "file")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import igl
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -28,19 +25,10 @@ from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
 from sim.lab.proxy_shapes import icosphere
 from tests.support import ROOT
-from tests.support.shapes import Array, box_triangles, turned
+from tests.support.shapes import Array, box_triangles, prism, turned, winding
 
 CUBE = box_triangles((0.02, 0.02, 0.02))
 FIXTURES = ROOT / "tests/fixtures/begin"
-
-
-def winding(corners: Array, places: Array) -> Array:
-    """Return libigl's winding number of triangles about places."""
-    ids = np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
-    found: Any = igl.winding_number(
-        corners.reshape(-1, 3), ids, np.ascontiguousarray(places)
-    )
-    return np.asarray(found, dtype=np.float64)
 
 
 def written(corners: Array) -> str:
@@ -52,21 +40,6 @@ def written(corners: Array) -> str:
             *(f"f {3 * n + 1} {3 * n + 2} {3 * n + 3}" for n in range(len(corners))),
         ]
     )
-
-
-def prism(outline: Array, height: float) -> tuple[Array, dict[int, Any]]:
-    """Return corners and faces of a prism whose two caps are one face each."""
-    count = len(outline)
-    points = np.concatenate(
-        [np.column_stack([outline, np.full(count, z)]) for z in (0.0, height)]
-    )
-    here = np.arange(count)
-    there = np.roll(here, -1)
-    walls = np.column_stack([here, there, there + count, here + count])
-    caps = np.array([here[::-1], here + count])
-    return points, {4: walls, count: caps} if count != 4 else {
-        4: np.concatenate([walls, caps])
-    }
 
 
 def in_outline(outline: Array, places: Array) -> Any:
@@ -119,89 +92,6 @@ def test_a_face_of_many_corners_is_cut_within_its_outline(
     edges = prepared.corners[:, 1:] - prepared.corners[:, :1]
     area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()
     assert area == pytest.approx(2.0 * cap + walls, rel=1e-6)
-
-
-def in_cube(places: Array, back: Array, half: float) -> Any:
-    return np.abs(places @ back.T).max(axis=1) < half
-
-
-def in_ball(places: Array, normals: Array, heights: Array) -> Any:
-    return (places @ normals.T < heights).all(axis=1)
-
-
-def solid(rng: np.random.Generator) -> tuple[Array, Callable[[Array], Any]]:
-    """Return triangles of random boxes and balls side by side, some hollow, and their inside."""
-    parts: list[Array] = []
-    tests: list[tuple[int, Array, Callable[[Array], Any]]] = []
-    for n in range(int(rng.integers(1, 4))):
-        centre = np.array([0.06 * n, 0.0, 0.0])
-        size = float(rng.uniform(0.01, 0.02))
-        for part, sign in ((1.0, 1), (0.5, -1))[: int(rng.integers(1, 3))]:
-            half = 0.5 * part * size
-            if rng.integers(0, 2):
-                roll, pitch, yaw = rng.uniform(-1.0, 1.0, 3).tolist()
-                made = turned(box_triangles([2.0 * half] * 3), roll, pitch, yaw)
-                back = turned(np.eye(3)[:, None], roll, pitch, yaw)[:, 0]
-                tests.append((sign, centre, partial(in_cube, back=back, half=half)))
-            else:
-                made = icosphere(2, half)
-                normals = np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0])
-                heights = np.einsum("ij,ij->i", normals, made[:, 0])
-                tests.append(
-                    (sign, centre, partial(in_ball, normals=normals, heights=heights))
-                )
-            parts.append((made + centre)[:, ::sign])
-
-    def inside(places: Array) -> Any:
-        return sum(
-            sign * test(places - centre).astype(int) for sign, centre, test in tests
-        )
-
-    return np.concatenate(parts), inside
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_a_damaged_solid_is_repaired_to_what_it_was(seed: int) -> None:
-    """Shells, cavities, noise at each corner, turned faces and shells, copies, T-joints."""
-    rng = np.random.default_rng(seed)
-    corners, inside = solid(rng)
-    width = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-    if rng.integers(0, 2):  # an edge split on one side only: a T-joint
-        one = corners[:1]
-        middle = 0.5 * (one[:, 0] + one[:, 1])
-        halves = np.array(
-            [[one[0, 0], middle[0], one[0, 2]], [middle[0], one[0, 1], one[0, 2]]]
-        )
-        corners = np.concatenate([corners[1:], halves])
-    if rng.integers(0, 2):  # a copy, a pair back to back, a triangle without area
-        corners = np.concatenate([corners, corners[3:4], corners[5:7, [0, 0, 1]]])
-    if rng.integers(0, 2):
-        corners = corners[:, ::-1]
-    flip = rng.random(len(corners)) < 0.2 * rng.integers(0, 2)
-    corners = np.where(flip[:, None, None], corners[:, ::-1], corners)
-    corners = corners[rng.permutation(len(corners))]
-    # Within the join, with room for the two ends: ±0.2e-7 of the width.
-    corners = corners + rng.uniform(-2e-8, 2e-8, corners.shape) * width * rng.integers(
-        0, 2
-    )
-    prepared = prepare_mesh(corners, False, "file")
-    places = rng.uniform(-0.02, 0.02, (200, 3)) + [0.06, 0.0, 0.0] * rng.integers(
-        0, 3, (200, 1)
-    )
-    found = winding(prepared.corners, places)
-    assert np.abs(found - np.rint(found)).max() < 1e-9  # closed
-    # Turned faces lose the file's own orientation of a cavity to its shell.
-    if not flip.any():
-        near = np.abs(np.rint(found) - inside(places)) > 0
-        assert near.sum() == 0
-    # Neighbours share the edge, seen from both sides.
-    for k in range(3):
-        other = prepared.corners[prepared.neighbours[:, k]]
-        for corner in (prepared.corners[:, k], prepared.corners[:, (k + 1) % 3]):
-            assert (
-                np.abs(other - corner[:, None]).max(axis=2).min(axis=1) == 0.0
-            ).all()
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from messages.topics import DEVICE_STATE, PROXY
-from messages.types import DeviceState, Proxy
+from messages.topics import DEVICE_STATE, PROXY, event
+from messages.types import DeviceState, Event, Proxy
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoParameters, load_world
 from nodes.environment.bodies.poses import Poses, poses_file
@@ -28,6 +29,7 @@ from nodes.view.drawn_bodies import (
     RecordedShapes,
     RunningBodies,
     RunningShapes,
+    scene_changes,
 )
 from nodes.view.foxglove_scene import SCENE, export_foxglove
 from nodes.view.shape import bodies_of
@@ -68,6 +70,72 @@ def test_positions_that_never_reached_the_environment_move_nothing(
         poses.append(bodies.poses())
     assert np.array_equal(poses[0], poses[1])
     assert not np.array_equal(poses[0], poses[2])
+
+
+ARM = """<mujoco><worldbody><body name="arm" pos="0 0.2 0">
+<joint name="hinge" axis="0 1 0" damping="0.01"/>
+<geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01"/></body></worldbody>
+<actuator><position name="elbow" joint="hinge" kp="1"/></actuator>
+<keyframe><key name="up" qpos="-0.5" ctrl="-0.5"/></keyframe></mujoco>"""
+
+
+def test_recorded_controls_and_resets_move_the_bodies_again(tmp_path: Path) -> None:
+    """Two controls, their end after 100 ticks, a reset, and a jump of the device."""
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM, encoding="ascii")
+    parameters = {
+        "scene": str(tmp_path / "arm.xml"),
+        "tool": {"mass": 0.05},
+        "keyframe": "up",
+        "controls": {"age": 0.2},
+    }
+    live, went = load_world_of(parameters), []
+    numbers: dict[int, tuple[str, dict[str, float]]] = {
+        50: ("controls", {"actuator": 0.0, "control": 0.4, "until_tick": 150.0}),
+        120: ("controls", {"actuator": 0.0, "control": -0.2, "until_tick": 220.0}),
+        300: ("reset", {}),
+    }
+    states = [
+        msgspec.structs.replace(one, rebased=350 if one.seq >= 350 else 0)
+        for one in STATES[:400]
+    ]
+    path = tmp_path / "run.mcap"
+    with RecordWriter(path, {"rate_hz": "500"}) as writer:
+        for state in states:
+            kind, data = numbers.get(state.seq, ("", {}))
+            if kind == "reset":
+                live.reset_due = True
+            elif kind:
+                live.control({0: data["control"]}, round(data["until_tick"]))
+            if kind:
+                told = Event(
+                    seq=state.seq,
+                    stamp=state.stamp,
+                    node="environment",
+                    kind=kind,
+                    reason="r",
+                    data={"tick": float(state.seq), **data},
+                )
+                writer.write(event("environment"), told, state.stamp)
+            live.follow(
+                state.seq,
+                state.position,
+                state.force,
+                state.seq - 1 - state.age,
+                state.delay,
+                state.seq == 0,
+                state.seq == 350,
+            )
+            went.append(live.data.qpos.copy())
+    changes = scene_changes(Recording(path), "environment")
+    drawn = RecordedBodies(parameters, 0.002, "environment", changes=changes)
+    for state, pose in zip(states, went, strict=True):
+        drawn.follow(state)
+        assert np.array_equal(drawn.world.data.qpos, pose)
+    plain = RecordedBodies(parameters, 0.002, "environment")
+    for state in states[:150]:
+        plain.follow(state)
+    assert np.abs(plain.world.data.qpos - went[149]).max() > 0.05
 
 
 def test_bodies_of_an_environment_that_starts_later_are_waited_for(

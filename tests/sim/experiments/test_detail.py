@@ -11,9 +11,18 @@ import pytest
 
 from nodes.cli.main import main
 from nodes.environment.shapes.mesh import prepare_mesh
-from nodes.environment.shapes.scene import SLIPPERY, Friction, mesh
+from nodes.environment.shapes.scene import (
+    SLIPPERY,
+    FeltRegion,
+    Friction,
+    box,
+    mesh,
+    plane,
+)
+from nodes.environment.shapes.tables import VISCOSITY
 from sim.experiments.detail import Detail, detail
 from sim.lab.proxy_shapes import icosphere, ring
+from tests.support import ROOT
 from tests.support.pictures import assert_drawn
 from tests.support.shapes import Array, box_triangles, turned
 
@@ -98,6 +107,40 @@ def test_friction_that_is_felt_is_needed() -> None:
 def test_a_path_in_the_air_is_refused() -> None:
     with pytest.raises(ValueError, match="touches nothing"):
         judged(box_triangles((0.04, 0.06, 0.02)), np.full((10, 3), 0.1))
+
+
+def test_a_region_that_is_felt_is_needed() -> None:
+    """Through a viscous one at a constant speed the proxy trails by speed times its time."""
+    speed, lag = 0.1, 0.02
+    way = np.arange(600)[:, None] * speed * PERIOD * np.array([1.0, 0.0, 0.0])
+    region = FeltRegion(
+        box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), VISCOSITY, band=0.002, lag=lag
+    )
+    far = [plane((0.0, 0.0, -0.4), (0.0, 0.0, 1.0))]
+    found = detail(far, way, 0.0, PERIOD, STIFFNESS, RESOLUTION, 0.0, regions=[region])
+    levels = {level.name: level for level in found.levels}
+    assert list(levels) == ["as it is", "without regions"]
+    assert found.left_out == ("coarser shapes: the path touches no shape",)
+    # After 30 time constants nothing is left of the start.
+    assert levels["without regions"].force_n == pytest.approx(
+        STIFFNESS * speed * lag, rel=1e-9
+    )
+    assert not levels["without regions"].enough
+    assert found.coarsest.name == "as it is"
+
+
+def test_shapes_that_move_are_not_judged(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    text = (ROOT / "launch" / "sphere_feel.yaml").read_text("utf-8")
+    moves = "motion: {path: [[0, 0, 0, 0], [1, 0.01, 0, 0]]}"
+    indent = "kind: sphere\n        "
+    assert indent in text
+    (tmp_path / "own.yaml").write_text(
+        text.replace(indent, f"{indent}{moves}\n        "), encoding="utf-8"
+    )
+    assert main(["study", "detail", str(tmp_path / "own.yaml")]) == 2
+    assert "shapes that move are not judged" in capsys.readouterr().err
 
 
 @pytest.mark.slow
