@@ -297,17 +297,25 @@ def _wrapped(printed: str) -> list[str]:
     return lines
 
 
+def _typed(command: str) -> str:
+    """Return a command as it is typed, over several lines if it is long."""
+    lines = textwrap.wrap(
+        f"$ {command}", COLUMNS - 2, subsequent_indent="    ", break_on_hyphens=False
+    )
+    return " \\\n".join(lines)
+
+
 def section(name: str, folder: Path = MEASURED) -> str:
     """Render one section as Markdown."""
     told, found = SECTIONS[name], recorded(name, folder)
     head = f"## {told.title}\n\n{told.asks}\n\n"
-    typed = f"```console\n$ {told.command}\n"
+    typed = f"```console\n{_typed(told.command)}\n"
     if isinstance(found, MeasuredOutput):
         where = (
             f"*{found.date}, commit {found.commit}, {found.seconds:g} s at a load of"
             f" {found.load[0]:g} to {found.load[1]:g}: {found.machine}.*"
         )
-        typed = f"```console\n$ {found.command}\n"
+        typed = f"```console\n{_typed(found.command)}\n"
         printed = "\n".join(_wrapped(found.printed))
         return f"{head}{textwrap.fill(where, COLUMNS)}\n\n{typed}{printed}\n```\n"
     earlier = (
