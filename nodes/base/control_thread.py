@@ -166,11 +166,13 @@ class ControlServer(threading.Thread):
         """Disconnect all requesting peers if memory keeps growing; ZeroMQ limits no request."""
         now = realtime.memory_bytes()
         self._usual_memory = self._usual_memory or now
-        grown, loading = now - self._usual_memory, self._node.loading
+        grown = now - self._usual_memory
+        loading = self._node.loading
         if loading.is_on or loading.has_been:
             if grown <= MAX_LOADED:
                 # what the node itself took; requests count from here on
-                loading.has_been, self._usual_memory = False, now
+                loading.has_been = False
+                self._usual_memory = now
                 return
             loading.has_been = False
         if grown > MAX_GROWTH:

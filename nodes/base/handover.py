@@ -69,12 +69,10 @@ class Changes:
         notify: Callable[[], None],
         lives: Callable[[], bool],
     ) -> None:
-        self._setup, self._store, self._notify, self._lives = (
-            setup,
-            store,
-            notify,
-            lives,
-        )
+        self._setup = setup
+        self._store = store
+        self._notify = notify
+        self._lives = lives
         self._waiting: deque[Change] = deque()
         self.serving = Stopwatch()  # working time of the control thread
 

@@ -36,7 +36,8 @@ def with_view(launch: Launch) -> Launch:
     """Add a view node to a launch without one; the loop's nodes of a demo are set to restart."""
     if any(spec.kind == KIND for spec in launch.nodes.values()):
         return launch
-    again, kinds = {}, node_kinds()
+    again = {}
+    kinds = node_kinds()
     for name, spec in launch.nodes.items() if is_demo(launch) else ():
         if spec.kind in kinds and is_hop(load(kinds[spec.kind])) and not spec.host:
             again[name] = msgspec.structs.replace(

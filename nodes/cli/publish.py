@@ -19,12 +19,10 @@ from nodes.parameters.yaml_io import parse_yaml
 
 # force added to the law's [N]; position that a virtual hand pulls to [m]; controls of actuators
 # in a scene of bodies; offset of a shape that moves [m]
-WRENCH, TARGET, CONTROLS, SHAPE = (
-    "/external/wrench",
-    "/external/target",
-    "/external/controls",
-    "/external/shape",
-)
+WRENCH = "/external/wrench"
+TARGET = "/external/target"
+CONTROLS = "/external/controls"
+SHAPE = "/external/shape"
 
 
 def add(parser: argparse.ArgumentParser) -> None:

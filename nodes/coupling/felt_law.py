@@ -59,7 +59,8 @@ def trailing(law: CompiledLaw, lag: float, period: float) -> CompiledLaw:
     rho = lag / (lag + period)
     while any(_same_pole(section, rho) for section in law.sections):
         rho -= 2.0 * _APART
-    taps, sections = list(law.taps), list(law.sections)
+    taps = list(law.taps)
+    sections = list(law.sections)
     last = len(taps) - 1
     more: list[tuple[float, float, float, float]] = []
     if last * -math.log(rho) <= _FEW:
@@ -77,7 +78,8 @@ def trailing(law: CompiledLaw, lag: float, period: float) -> CompiledLaw:
     for m, value in enumerate(quotient):
         taps[m] -= (1.0 - rho) * value
     for section in law.sections:
-        (b0, _, a1, a2), w = section, _residue(section, rho)
+        (b0, _, a1, a2) = section
+        w = _residue(section, rho)
         u = b0 - w
         v = w * a2 / rho
         more += [

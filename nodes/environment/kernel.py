@@ -66,16 +66,15 @@ def make_ticks(
             s.frames = 0
             count_gap(s, seq - s.seq - 1)
             s.seq = s.answered = seq
-            table, memory = (
-                reals_at(s.table, s.table_count),
-                reals_at(s.memory, s.memory_count),
-            )
+            table = reals_at(s.table, s.table_count)
+            memory = reals_at(s.memory, s.memory_count)
             x, y, z = taken[_POSITION], taken[_POSITION + 1], taken[_POSITION + 2]
             fx, fy, fz = taken[_FORCE], taken[_FORCE + 1], taken[_FORCE + 2]
             note_tick(s.kind, memory, seq, fx, fy, fz)
             s.contact = 1 if meet(s.kind, table, memory, x, y, z, s.met) else 0
             if s.met[_JUMPED] != 0.0:
-                s.rebased, s.ease = seq, 0
+                s.rebased = seq
+                s.ease = 0
             tell_jump(s)
             for i in range(3):
                 s.position[i] = taken[_POSITION + i]

@@ -56,11 +56,9 @@ def meet(
     """
     if kind != SHAPES:
         return meet_flat(kind, table, x, y, z, met)
-    was_lost, was_on, inside = (
-        memory[PLACED] == LOST,
-        memory[PLACED] == ON,
-        memory[INSIDE],
-    )
+    was_lost = memory[PLACED] == LOST
+    was_on = memory[PLACED] == ON
+    inside = memory[INSIDE]
     proxy.meet(table, memory, x, y, z)
     contact = memory[IN_CONTACT] == 1.0
     met[0], met[1], met[2] = x, y, z
@@ -92,6 +90,8 @@ def meeting_of(
     def ask(position: Vector) -> tuple[Vector, Vector, float, bool]:
         x, y, z = position
         contact = meet(kind, table, memory, x, y, z, met)
-        return (met[0], met[1], met[2]), (met[3], met[4], met[5]), met[6], contact
+        proxy = met[0], met[1], met[2]
+        normal = met[3], met[4], met[5]
+        return proxy, normal, met[6], contact
 
     return ask

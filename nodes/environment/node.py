@@ -133,7 +133,9 @@ class Environment(Node):
 
     def _touch(self, meet: Callable[[Vector], Meeting]) -> None:
         """Use the surface of `_place`; interpreted and compiled ticks share its proxy's memory."""
-        self._meet, s, numbers = meet, self.counters, self._place.numbers
+        self._meet = meet
+        s = self.counters
+        numbers = self._place.numbers
         s.kind = self._place.kind
         if numbers is not None:
             if numbers.widths:
@@ -192,7 +194,8 @@ class Environment(Node):
             place, meet = self._built(parameters)
 
         def apply(seq: int) -> dict[str, Any]:
-            jump, s = self._place.take(place), self.counters
+            jump = self._place.take(place)
+            s = self.counters
             self._touch(meet)
             if jump:
                 s.rebased = seq
@@ -249,7 +252,8 @@ class Environment(Node):
         proxy, normal, distance, contact = self._meet(state.position)
         if s.kind == SHAPES or s.inside != 0:
             if self._place.jumped:
-                s.rebased, s.ease = state.seq, 0
+                s.rebased = state.seq
+                s.ease = 0
             self.note_inside()
         if not simulated:
             note_spent(s.spent, time.monotonic() - begin)
@@ -270,7 +274,8 @@ class Environment(Node):
         if not 0 <= s.answered < state.seq or state.rebased <= s.rebased:
             # Also if the driver counts from zero again: an earlier jump of this node must not hide
             # this one.
-            s.rebased, s.ease = state.seq, 0
+            s.rebased = state.seq
+            s.ease = 0
         s.driver_rebased = state.rebased
 
     def note_inside(self) -> None:

@@ -77,7 +77,9 @@ class Partner:
             ticks = max(state.seq - self._seq, 1)
             if math.hypot(*step) > self._parameters.fastest * self._period * ticks:
                 self._offset = _minus(self._offset, step)
-        self._seq, self.place, self._fresh = state.seq, state.position, True
+        self._seq = state.seq
+        self.place = state.position
+        self._fresh = True
         self.credit = state.surplus
         return True
 
@@ -85,11 +87,13 @@ class Partner:
         """Return the position presented at own tick `seq` [m], and whether a partner is felt."""
         known = self.state
         if self._fresh:
-            self._fresh, self._heard_at = False, seq
+            self._fresh = False
+            self._heard_at = seq
             if known != HEARD:
                 # The presented position continues from its last value, or starts at the device.
                 begin = own if known == UNHEARD else self._presented
-                self._offset, self.state = _minus(begin, self.place), HEARD
+                self._offset = _minus(begin, self.place)
+                self.state = HEARD
         elif (
             known == HEARD
             and (seq - self._heard_at) * self._period > self._parameters.silence

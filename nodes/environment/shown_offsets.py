@@ -65,5 +65,6 @@ class ShownOffsets:
             return None
         if seen.st_ino != self._inode:
             whole = mapped(self._path, seen.st_size, make=False)
-            self._table, self._inode = memoryview(whole).cast("d"), seen.st_ino
+            self._table = memoryview(whole).cast("d")
+            self._inode = seen.st_ino
         return offsets_of(self._table)

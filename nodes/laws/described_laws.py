@@ -152,10 +152,8 @@ def calls(described: dict[str, Any]) -> dict[str, str]:
     example = described["example"]
     if example is None:
         return {}
-    kind, values = (
-        example["kind"],
-        {key: example[key] for key in example if key != "kind"},
-    )
+    kind = example["kind"]
+    values = {key: example[key] for key in example if key != "kind"}
     in_yaml = ", ".join(f"{key}: {json.dumps(value)}" for key, value in example.items())
     in_python = ", ".join(f"{key}={value!r}" for key, value in values.items())
     made = f"haptic.{described['python']}({in_python})"

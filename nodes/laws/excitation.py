@@ -115,10 +115,8 @@ class Push:
 
     def __init__(self, law: Excitation, period: float, axis: int = 0) -> None:
         self.law, self._period = law, period
-        self.ticks, self.growing = (
-            max(1, round(law.duration / period)),
-            law.start / period,
-        )
+        self.ticks = max(1, round(law.duration / period))
+        self.growing = law.start / period
         self.fade = max(1, round(FADE / period))
         self._pushed, self._astray, self._signal = 0, 0, self.signal(axis)
 

@@ -159,10 +159,8 @@ def _tick_topics(recording: Recording, status: NodeStatus) -> Sequence[str]:
 def _all_taken(recording: Recording, topics: Collection[str]) -> bool:
     """Whether all of a node's `topics` were to be recorded, so that counts are comparable."""
     full = {within(recording.namespace, topic) for topic in topics}
-    chosen, without = (
-        recording.facts(MANIFEST, CHOSEN, set[str]),
-        recording.facts(EXTRACT, WITHOUT, set[str]),
-    )
+    chosen = recording.facts(MANIFEST, CHOSEN, set[str])
+    without = recording.facts(EXTRACT, WITHOUT, set[str])
     return not full & without and (not chosen or full <= chosen)
 
 
@@ -217,11 +215,9 @@ def _compared(recording: Recording) -> tuple[dict[str, Account], int | None, lis
     statuses = {topic for topic in topics if message_type(topic) is NodeStatus}
     counts = dict.fromkeys(topics, 0)
     told: dict[str, _Told] = {}
-    states, before, left_out = (
-        msgspec.json.Decoder(DeviceState),
-        dict[str, DeviceState](),
-        dict[str, int](),
-    )
+    states = msgspec.json.Decoder(DeviceState)
+    before = dict[str, DeviceState]()
+    left_out = dict[str, int]()
     for topic, raw, offset in recording.raw():
         chain, inside = places[topic]
         if inside == DEVICE_STATE:

@@ -43,7 +43,8 @@ def difference(recording: Recording, lines: Lines, reference: Recording) -> Line
         Differences along x, y and z [m] at the recording's stamps; linear between the ticks of the
         reference, and nothing beyond its end.
     """
-    start, stop = lines.start - lines.begin, lines.stop - lines.begin
+    start = lines.start - lines.begin
+    stop = lines.stop - lines.begin
     found = Line(lines.start, lines.stop, 3)
     pairs = itertools.pairwise(_motion(reference))
     pair = next(pairs, None)

@@ -49,7 +49,8 @@ def plain_names(topics: Iterable[str]) -> dict[str, str]:
     for topic in topics:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", topic.strip("/"))[:55] or "topic"
         plain = plain if plain[0].isalpha() else f"t{plain}"
-        name, number = plain, 1
+        name = plain
+        number = 1
         while name in (TICKS, "parameters", *found.values()):
             number += 1
             name = f"{plain}_{number}"

@@ -68,10 +68,8 @@ def stamped_rate(recording: Recording) -> float | None:
     figures = recording.topics.get(DEVICE_STATE)
     if figures is None or figures.back:
         return None
-    steps, span = (
-        figures.last_seq - figures.first_seq,
-        figures.last_stamp - figures.first_stamp,
-    )
+    steps = figures.last_seq - figures.first_seq
+    span = figures.last_stamp - figures.first_stamp
     if steps < 1 or not span > 0.0:
         return None
     rate = steps / span
@@ -93,10 +91,8 @@ _RATE_TOLERANCE, _LATE = (
 def _agree(recording: Recording, rate: float) -> bool:
     """Whether a declared rate fits the stamps."""
     figures = recording.topics[DEVICE_STATE]
-    steps, span = (
-        figures.last_seq - figures.first_seq,
-        figures.last_stamp - figures.first_stamp,
-    )
+    steps = figures.last_seq - figures.first_seq
+    span = figures.last_stamp - figures.first_stamp
     return abs(span * rate - steps) <= _RATE_TOLERANCE * steps + _LATE
 
 

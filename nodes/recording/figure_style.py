@@ -349,7 +349,8 @@ def keep_best(
 
     A note of infinite cost is removed too.
     """
-    best, least = None, math.inf
+    best = None
+    least = math.inf
     for note in notes:
         if (found := cost(note)) >= least:
             note.remove()

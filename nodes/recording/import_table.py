@@ -154,7 +154,8 @@ def _messages(
         return
     energy = 0.0
     before = (0.0, 0.0, 0.0)
-    seqs, stamps = samples.seq.tolist(), samples.stamp.tolist()
+    seqs = samples.seq.tolist()
+    stamps = samples.stamp.tolist()
     positions = samples.position.tolist()
     forces = None if samples.force is None else samples.force.tolist()
     for row, position in enumerate(positions):

@@ -227,7 +227,8 @@ def motion_of(
     """
     import numpy as np
 
-    chosen, given = _checked_columns(table, columns), _checked_units(table, units)
+    chosen = _checked_columns(table, columns)
+    given = _checked_units(table, units)
     where = chosen.get("position") or _vector(table, "position", "x")
     if not where:
         raise RecordError(

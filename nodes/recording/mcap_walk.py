@@ -23,19 +23,18 @@ MAGIC = b"\x89MCAP0\r\n"
 # Suffixes of the tables that ``haptic bag import`` reads.
 TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")
 TABLES = (*TEXT_TABLES, ".npz", ".mat", ".parquet")
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = (
-    0x02,
-    0x03,
-    0x04,
-    0x05,
-    0x06,
-    0x0C,
-    0x0F,
-)
+FOOTER = 0x02
+SCHEMA = 0x03
+CHANNEL = 0x04
+MESSAGE = 0x05
+CHUNK = 0x06
+METADATA = 0x0C
+DATA_END = 0x0F
 """Opcodes of the MCAP specification that are read here; others are skipped."""
 
 MAX_RECORD = 1 << 28  # largest record that is read [bytes]
-MAX_CHUNK, MAX_RATIO = 8 << 20, 1000
+MAX_CHUNK = 8 << 20
+MAX_RATIO = 1000
 """Limits of an unpacked chunk: size [bytes], and size relative to its size in the file.
 
 This project writes chunks of 64 KiB, MCAP's own tools of up to 4 MiB. Data packed tighter than any

@@ -244,7 +244,8 @@ def sight_of(
     ]
     if not felt:
         return None
-    low, high = min(felt), max(felt)
+    low = min(felt)
+    high = max(felt)
     margin = 0.25 * (high - low)
     if high - low + 2.0 * margin >= 0.6 * (max(places) - min(places)):
         return None

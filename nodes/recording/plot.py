@@ -117,7 +117,8 @@ def figure_of(
     """Draw a run."""
     whole = Lines(recording, start or 0.0, math.inf if stop is None else stop)
     summary = summarise(recording)
-    lines, shown = whole, ""
+    lines = whole
+    shown = ""
     if start is None and stop is None:
         length = whole.stop - whole.begin
         rest = whole.rest()

@@ -63,7 +63,8 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
     time, proxy = lines.proxy.arrays()
     position = lines.position.arrays()[1][:, axis] * 1e3
     shown = np.concatenate((position, proxy[:, axis] * 1e3))
-    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
+    low = float(np.nanmin(shown))
+    high = float(np.nanmax(shown))
     if len(time):
         surface = proxy[:, 3 + axis] * 1e3
         faced = ~np.isnan(surface)
@@ -109,10 +110,12 @@ def draw_force(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
     begin = lines.begin
     alone = len(drawn) == 1
     for axis in drawn:
-        color, label = COLOURS[axis], f"after limits {'xyz'[axis]}"
+        color = COLOURS[axis]
+        label = f"after limits {'xyz'[axis]}"
         if alone:
             _line(axes, lines.asked, axis, begin, 1.0, COLORS["asked"], "law", lw=0.9)
-            color, label = COLORS["device"], "after limits"
+            color = COLORS["device"]
+            label = "after limits"
         _line(axes, lines.force, axis, begin, 1.0, color, label, drawstyle="steps-post")
     axes.set_ylabel(f"force {'xyz'[drawn[0]]} [N]" if alone else "force [N]")
     _draw_safety(axes, lines)
@@ -174,7 +177,8 @@ def draw_response(axes: Axes, lines: Lines, summary: Summary, realtime: bool) ->
     dots += zip(
         (time - lines.begin).tolist(), (extremes[:, 0] * 1e6).tolist(), strict=True
     )
-    at, values = [dot[0] for dot in dots], [dot[1] for dot in dots]
+    at = [dot[0] for dot in dots]
+    values = [dot[1] for dot in dots]
     axes.plot(
         at, values, ".", ms=1.6, color=COLORS["device"], label=label, rasterized=True
     )

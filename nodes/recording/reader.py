@@ -204,10 +204,8 @@ class Recording:
             if record.opcode == mcap_walk.MESSAGE:
                 raw = self._message(shift, record)
                 if self._count(raw, record.offset):
-                    first_log, last_log = (
-                        min(first_log, raw.log_time),
-                        max(last_log, raw.log_time),
-                    )
+                    first_log = min(first_log, raw.log_time)
+                    last_log = max(last_log, raw.log_time)
             elif record.opcode == mcap_walk.SCHEMA:
                 schema = mcap_walk.parse_schema(self.path, record)
                 self.schemas[schema.number + shift] = schema
@@ -341,7 +339,8 @@ class Recording:
             ).add(raw.publish_time)
             return False
         part = raw.channel // _OWN_NUMBERS
-        sequence, stamp = raw.sequence, 0.0
+        sequence = raw.sequence
+        stamp = 0.0
         if not self._clocks.get(part, (0, 0, False))[2]:
             # A tool dropped the record or moved it to the end, or the file is another program's.
             inside = self._stamped(raw)

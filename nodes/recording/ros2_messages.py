@@ -251,10 +251,8 @@ class RosMessages:
 
     def diagnostics(self, at: int, status: NodeStatus) -> Any:
         """Build a diagnostic array from a node's status."""
-        pair, kind = (
-            self._type("diagnostic_msgs/msg/KeyValue"),
-            self._type("diagnostic_msgs/msg/DiagnosticStatus"),
-        )
+        pair = self._type("diagnostic_msgs/msg/KeyValue")
+        kind = self._type("diagnostic_msgs/msg/DiagnosticStatus")
         values = [
             pair(key=name, value=str(getattr(status, name)))
             for name in status.__struct_fields__

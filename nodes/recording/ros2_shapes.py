@@ -74,8 +74,10 @@ def _plate(place: Any, normal: Any) -> MarkerShape:
 
 def _rod(surface: Mapping[str, Any], with_ends: bool) -> list[MarkerShape]:
     """Return a cylinder, of a capsule with the balls at its ends."""
-    start, end = _vector(surface["start"]), _vector(surface["end"])
-    length, wide = math.dist(start, end), 2.0 * surface["radius"]
+    start = _vector(surface["start"])
+    end = _vector(surface["end"])
+    length = math.dist(start, end)
+    wide = 2.0 * surface["radius"]
     centre = _vector(0.5 * (a + b) for a, b in zip(start, end, strict=True))
     unit = _vector((b - a) / length for a, b in zip(start, end, strict=True))
     ends = (

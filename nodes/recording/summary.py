@@ -49,7 +49,8 @@ def summarise(recording: Recording) -> Summary:
     last: DeviceState | None = None
     ticks = seqs = missed = overruns = oldest = 0
     # the driver's own histogram, so that a launch and its plot give the same figures
-    span, times = 0.0, ResponseTimes()
+    span = 0.0
+    times = ResponseTimes()
     for entry in recording.entries([DEVICE_STATE]):
         before = last
         last = cast("DeviceState", entry.message)

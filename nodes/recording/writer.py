@@ -26,12 +26,10 @@ from nodes.parameters.installed import version
 from nodes.recording import wall_clock
 
 CHUNK_SIZE = 65536  # uncompressed size at which a chunk is finished [bytes]
-MANIFEST, LAUNCH_FILE, PARAMETERS, VERSIONS = (
-    "manifest",
-    "launch_file",
-    "parameters",
-    "versions",
-)
+MANIFEST = "manifest"
+LAUNCH_FILE = "launch_file"
+PARAMETERS = "parameters"
+VERSIONS = "versions"
 """Names of the metadata records."""
 
 CHOSEN = "topics"  # manifest entry with the recorded topics, if not all

@@ -161,7 +161,8 @@ class Ros2(Node):
 
     def _newest(self, newest: dict[str, bytes]) -> None:
         """Publish the newest message of each topic of the loop."""
-        chain, prefix = self.setup.namespace, self.store.current.prefix
+        chain = self.setup.namespace
+        prefix = self.store.current.prefix
         seldom = self._seldom <= time.monotonic()
         said = False
         for topic, payload in newest.items():
@@ -191,7 +192,8 @@ class Ros2(Node):
         manifest = dict(self.setup.manifest)
         manifest.pop("nodes", None)
         about = {"launch_file": manifest.pop("launch_file", ""), "manifest": manifest}
-        chain, prefix = self.setup.namespace, self.store.current.prefix
+        chain = self.setup.namespace
+        prefix = self.store.current.prefix
         for topic, kind, build in standing_messages(
             self._make, parameters, about, chain, prefix
         ):

@@ -43,10 +43,8 @@ class RclpyGraph:
     ) -> Callable[[Any], None]:
         """Return a publish function for a topic."""
         qos = import_module("rclpy.qos")
-        durable, volatile = (
-            qos.DurabilityPolicy.TRANSIENT_LOCAL,
-            qos.DurabilityPolicy.VOLATILE,
-        )
+        durable = qos.DurabilityPolicy.TRANSIENT_LOCAL
+        volatile = qos.DurabilityPolicy.VOLATILE
         profile = qos.QoSProfile(
             depth=latched or QUEUE, durability=durable if latched else volatile
         )

@@ -33,8 +33,10 @@ def roots_between(
     ndarray, shape (n,)
         Roots, to the rounding of their position.
     """
-    a, b = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
-    at_a, at_b = np.array(function(a)), np.array(function(b))
+    a = np.array(low, dtype=np.float64)
+    b = np.array(high, dtype=np.float64)
+    at_a = np.array(function(a))
+    at_b = np.array(function(b))
     root = np.where(at_a == 0.0, a, b)
     open_ = (at_a != 0.0) & (at_b != 0.0)
     before = np.full_like(a, np.inf)
@@ -53,8 +55,10 @@ def roots_between(
             inside = open_ & (a <= point) & (point <= b)
             left = inside & (np.sign(value) == np.sign(at_a))
             right = inside & ~left
-            a, at_a = np.where(left, point, a), np.where(left, value, at_a)
-            b, at_b = np.where(right, point, b), np.where(right, value, at_b)
+            a = np.where(left, point, a)
+            at_a = np.where(left, value, at_a)
+            b = np.where(right, point, b)
+            at_b = np.where(right, value, at_b)
         root = np.where(open_, guess, root)
         # A guess that stays where it was is a root; its bracket may still be wide on one side.
         open_ &= (at_guess != 0.0) & (np.abs(guess - before) > _CLOSE * np.abs(guess))

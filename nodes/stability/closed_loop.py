@@ -121,10 +121,8 @@ def tick_matrix(
     """
     states = len(device)
     history = max(len(law.taps) - 1, 1 if law.sections else 0)
-    first_section, first_force = (
-        states + history,
-        states + history + 2 * len(law.sections),
-    )
+    first_section = states + history
+    first_force = states + history + 2 * len(law.sections)
     size = first_force + max(lag for lag, _ in pushes)
     force = np.zeros(size)
     force[0] = -law.taps[0] * unit

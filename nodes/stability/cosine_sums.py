@@ -146,9 +146,7 @@ def positive(cosines: Cosines, rounding: float = 1e-13) -> bool | None:
             return None
         width /= 4.0
         inner = values(cosines, left[:, None] + width * np.arange(1, 4))
-        low, high = (
-            np.column_stack([low, inner]).ravel(),
-            np.column_stack([inner, high]).ravel(),
-        )
+        low = np.column_stack([low, inner]).ravel()
+        high = np.column_stack([inner, high]).ravel()
         left = (left[:, None] + width * np.arange(4)).ravel()
     return None

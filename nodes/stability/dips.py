@@ -34,18 +34,14 @@ def dips(
     lowest = lowest[np.argsort(value[lowest])][:_DIPS]
     if not lowest.size:
         return np.empty(0), np.empty(0)
-    left, right = (
-        theta[np.maximum(lowest - 1, 0)],
-        theta[np.minimum(lowest + 1, len(theta) - 1)],
-    )
+    left = theta[np.maximum(lowest - 1, 0)]
+    right = theta[np.minimum(lowest + 1, len(theta) - 1)]
     column = np.arange(len(lowest))
     for _ in range(_ZOOMS):
         cells = np.linspace(left, right, _CELLS)
         values = function(cells.ravel()).reshape(cells.shape)
         values = np.where(np.isnan(values), np.inf, values)
         best = np.argmin(values, axis=0)
-        left, right = (
-            cells[np.maximum(best - 1, 0), column],
-            cells[np.minimum(best + 1, _CELLS - 1), column],
-        )
+        left = cells[np.maximum(best - 1, 0), column]
+        right = cells[np.minimum(best + 1, _CELLS - 1), column]
     return np.asarray(cells[best, column]), np.asarray(values[best, column])

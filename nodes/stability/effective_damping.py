@@ -157,19 +157,15 @@ def _lowest(
     padded = np.concatenate([[np.inf], value, [np.inf]])
     dips = np.flatnonzero((value <= padded[:-2]) & (value <= padded[2:]))
     dips = dips[np.argsort(value[dips])][:8]
-    left, right = (
-        theta[np.maximum(dips - 1, 0)],
-        theta[np.minimum(dips + 1, len(theta) - 1)],
-    )
+    left = theta[np.maximum(dips - 1, 0)]
+    right = theta[np.minimum(dips + 1, len(theta) - 1)]
     for _ in range(_ZOOMS):
         cells = np.linspace(left, right, 33)
         values = function(cells, _power_sum)
         best = np.argmin(values, axis=0)
         column = np.arange(len(best))
-        left, right = (
-            cells[np.maximum(best - 1, 0), column],
-            cells[np.minimum(best + 1, 32), column],
-        )
+        left = cells[np.maximum(best - 1, 0), column]
+        right = cells[np.minimum(best + 1, 32), column]
     values = values[best, column]
     winner = int(np.argmin(values))
     return float(cells[best, column][winner]), float(values[winner])

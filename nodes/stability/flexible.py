@@ -73,7 +73,8 @@ class FlexiblePlant:
 
     def continuous(self) -> tuple[Matrix, Matrix]:
         """Return A and B of the state: position and velocity on both sides, force [m, m/s, N]."""
-        own, states = self.mass, 2
+        own = self.mass
+        states = 2
         matrix = np.zeros((5, 5))
         matrix[0, 1] = 1.0
         if not self.rigid:

@@ -92,7 +92,8 @@ def between(start: float, end: float, share: float) -> float:
         return end if share else start
     if start * end > 0.0:
         # Logarithmic, so that all decades from 1e3 to 1e300 are checked and none overflows.
-        low, high = math.log(abs(start)), math.log(abs(end))
+        low = math.log(abs(start))
+        high = math.log(abs(end))
         size = math.exp((1.0 - share) * low + share * high)
         return math.copysign(size, end)
     return start + (end - start) * share

@@ -102,7 +102,9 @@ def _jury(
     n1, n0, _ = held.numerator
     _, trace, determinant = held.denominator
     h0, h1 = (*derivative.taps, 0.0)[:2]
-    a2, a1, a0 = trace + n1 * h0, determinant + n1 * h1 + n0 * h0, n0 * h1
+    a2 = trace + n1 * h0
+    a1 = determinant + n1 * h1 + n0 * h0
+    a0 = n0 * h1
     # each condition reads c + s·K > 0
     conditions = [
         (1.0 + a2 + a1 + a0, n1 + n0),
@@ -110,7 +112,8 @@ def _jury(
         (1.0 - a0 * a0 - a1 + a0 * a2, a0 * n1 - n0),
         (1.0 - a0 * a0 + a1 - a0 * a2, n0 - a0 * n1),
     ]
-    low, high = floor, math.inf
+    low = floor
+    high = math.inf
     for constant, slope in conditions:
         if slope > 0.0:
             low = max(low, -constant / slope)
@@ -177,7 +180,8 @@ def crossings(derivative: CompiledLaw, plant: Plant) -> list[tuple[float, float]
     plant = as_one(plant)
     held = held_plant(plant)
     other = plant.other
-    numerator, denominator = np.array(held.numerator), np.array(held.denominator)
+    numerator = np.array(held.numerator)
+    denominator = np.array(held.denominator)
 
     def curve(theta: NDArray[np.float64] | float) -> NDArray[np.complex128]:
         z = np.exp(1j * np.asarray(theta, dtype=np.float64))

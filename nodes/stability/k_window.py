@@ -236,7 +236,8 @@ def _gaps(
     if inner.any():
         low = max(low, float(below[inner].max()))
         least = np.flatnonzero(inner)[int(np.argmin(above[inner]))]
-        high, at = float(above[least]), float(theta[least])
+        high = float(above[least])
+        at = float(theta[least])
     for i in np.flatnonzero(linear & (b != 0.0)):
         crossing = float(-c[i] / b[i])
         if b[i] > 0.0:

@@ -144,11 +144,9 @@ def _loop(
     """Return law, delay and device as polynomials in w."""
     if isinstance(plant, Plant):
         held = held_plant(plant)
-        whole, above, below = (
-            held.whole,
-            np.array(held.numerator),
-            np.array(held.denominator),
-        )
+        whole = held.whole
+        above = np.array(held.numerator)
+        below = np.array(held.denominator)
     else:
         whole, above, below = plant.rational(period or math.nan)
     # In z: above / (z^(whole + 1) below), of equal degree; in w, the same after w^(whole + 1).

@@ -196,7 +196,8 @@ def known_answer(plant: Plant, theta: Reals) -> Complexes:
     """
     whole, (a11, a12, a21, a22), new, old = held_step(plant)
     w = np.exp(-1j * theta)
-    position, speed = new[0] + w * old[0], new[1] + w * old[1]
+    position = new[0] + w * old[0]
+    speed = new[1] + w * old[1]
     ahead = -2.0 * np.sin(0.5 * theta) ** 2 + 1j * np.sin(theta)  # z − 1
     top = (ahead + (1.0 - a22)) * position + a12 * speed
     if plant.stiffness == 0.0:

@@ -279,12 +279,10 @@ def held_step(
     and velocity per force [m/N], [m/(N s)], of the force that arrives within this tick, and of the
     one before it.
     """
-    mass, damping, stiffness, period = (
-        plant.mass,
-        plant.damping,
-        plant.stiffness,
-        plant.period,
-    )
+    mass = plant.mass
+    damping = plant.damping
+    stiffness = plant.stiffness
+    period = plant.period
     whole = math.floor(plant.delay)
     fraction = plant.delay - whole
     if fraction < _SHORTEST:
@@ -325,7 +323,8 @@ def _transition(
     # Series of φ(t), the response to a unit force: x = Σ c_j t^j/j!, from the equation itself.
     older = 0.0
     newer = h * h / (2.0 * mass)
-    g1, g2 = newer, h / mass
+    g1 = newer
+    g2 = h / mass
     for j in range(1, 40):
         term = (
             -(damping / mass * h / (j + 2)) * newer

@@ -190,11 +190,9 @@ class _Swings:
                 (inner > k[:-2]) & (inner >= k[2:])
             )
         for i in np.flatnonzero(turning) + 1:
-            left, right, sign = (
-                theta[i - 1],
-                theta[i + 1],
-                1.0 if k[i] <= k[i - 1] else -1.0,
-            )
+            left = theta[i - 1]
+            right = theta[i + 1]
+            sign = 1.0 if k[i] <= k[i - 1] else -1.0
             for _ in range(_ZOOMS):
                 cells = np.linspace(left, right, 17)
                 values = sign * self.points(cells)[0][branch]

@@ -119,7 +119,8 @@ def world_limits(
     ValueError
         For a law with own code, which has no transfer function.
     """
-    found, about = {}, {}
+    found = {}
+    about = {}
     for name, (world, any_hand) in (moving or Moving()).asked().items():
         one = world_k_max(derivative, plant, world, any_hand)
         found[name] = one.k_max_n_per_m

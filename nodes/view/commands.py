@@ -322,7 +322,8 @@ class Commander:
     def _record(self, on: bool) -> dict[str, Any]:
         before = self.recording()
         if on and not before["recording"]:
-            self._recordings, self._failure = self._recordings + 1, ""
+            self._recordings = self._recordings + 1
+            self._failure = ""
             name = f"{self._run.run}-{time.strftime('%H%M%S')}-{self._recordings}"
             self._path = f"recordings/{name}.mcap"
             options = ("--run", self._run.chosen, "--out", self._path, "--json")

@@ -78,7 +78,8 @@ class Comparison:
     def __init__(
         self, run: RunInfo, driver: str, put: Callable[[str, dict[str, Any]], None]
     ) -> None:
-        self._setups, self._driver = run.nodes, driver
+        self._setups = run.nodes
+        self._driver = driver
         self._put = put
         setup = run.nodes.get(driver)
         self._period = setup.period if setup else 1.0
@@ -153,7 +154,8 @@ class Comparison:
         del topic
         if not self.law or not isinstance(message, DeviceState):
             return
-        before, self._before = self._before, message
+        before = self._before
+        self._before = message
         if before is None or message.seq <= before.seq:
             return
         ticks = message.seq - before.seq

@@ -61,7 +61,8 @@ def met_ticks(recording: Recording, topic: str = PROXY) -> Container[int] | None
 
 def _unturned(offsets: Sequence[Vector]) -> NDArray[np.float64]:
     """Return poses of shapes that are moved and not turned, shape (n, 12)."""
-    poses = np.tile(np.hstack([np.zeros(3), np.eye(3).ravel()]), (len(offsets), 1))
+    upright = np.hstack([np.zeros(3), np.eye(3).ravel()])
+    poses = np.tile(upright, (len(offsets), 1))
     poses[:, :3] = np.reshape(offsets, (-1, 3))
     return poses
 
@@ -132,7 +133,8 @@ class SceneChange(NamedTuple):
 
 def scene_changes(recording: Recording, name: str) -> list[SceneChange]:
     """Return the recorded resets and controls of the scene of node `name`, by tick."""
-    topic, found = event(name), []
+    topic = event(name)
+    found = []
     for one in recording.messages(topic) if topic in recording.topics else ():
         numbers = one.data
         if one.kind == "reset" and "tick" in numbers:

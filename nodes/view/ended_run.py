@@ -29,7 +29,8 @@ class EndedPage:
 
     def news(self) -> list[str | bytes]:
         """Return why the run has ended, once."""
-        news, self._news = self._news, []
+        news = self._news
+        self._news = []
         return news
 
     def hand(self, target: list[float] | None) -> str:

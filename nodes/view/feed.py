@@ -81,7 +81,8 @@ class Feed:
         elif isinstance(message, Proxy):
             self.proxy = message
         elif isinstance(message, Force):
-            self.force_before, self.force = self.force, message
+            self.force_before = self.force
+            self.force = message
         else:
             return
         if number > self._newest[topic]:

@@ -137,7 +137,9 @@ class _Bodies(RecordedBodies):
         """Return an entity with all geoms of simple kinds."""
         import mujoco
 
-        model, data, kinds = self.world.model, self.world.data, mujoco.mjtGeom
+        model = self.world.model
+        data = self.world.data
+        kinds = mujoco.mjtGeom
         found: dict[str, list[dict[str, Any]]] = {
             "cubes": [],
             "spheres": [],
@@ -146,7 +148,8 @@ class _Bodies(RecordedBodies):
         turn = np.empty(4)
         for i in range(model.ngeom):
             mujoco.mju_mat2Quat(turn, data.geom_xmat[i])
-            size, kind = model.geom_size[i].tolist(), kinds(int(model.geom_type[i]))
+            size = model.geom_size[i].tolist()
+            kind = kinds(int(model.geom_type[i]))
             drawn = {
                 "pose": _pose(data.geom_xpos[i], (*turn[1:], turn[0])),
                 "color": _SURFACE,
@@ -208,7 +211,8 @@ class DrawnScene:
                     self._radius[chain] = tool_radius_of(parameters)
                 elif "scene" in parameters:
                     topic = f"/{chain}{PROXY}" if chain else PROXY
-                    met, changes = None, []
+                    met = None
+                    changes = []
                     if recording is not None:
                         met = met_ticks(recording, topic)
                         changes = scene_changes(recording, node)

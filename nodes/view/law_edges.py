@@ -70,12 +70,14 @@ def _scaled(law: CompiledLaw, by: float) -> CompiledLaw:
 
 def stable_interval(law: Law, devices: Sequence[Plant]) -> tuple[float, float] | None:
     """Return the first interval of K that is stable with all devices; None if there is none."""
-    low, high = -math.inf, math.inf
+    low = -math.inf
+    high = math.inf
     for device in devices:
         edge = k_max(without_spring(law, device.period), device)
         if not edge.stable:
             return None
-        low, high = max(low, edge.stable[0][0]), min(high, edge.stable[0][1])
+        low = max(low, edge.stable[0][0])
+        high = min(high, edge.stable[0][1])
     return (low, high) if low < high else None
 
 

@@ -141,7 +141,8 @@ class LiveRun:
     ) -> None:
         self._period = facts.period
         self._run_dir = facts.run_dir
-        self._driver, self._driver_status = facts.driver, f"/{facts.driver}/status"
+        self._driver = facts.driver
+        self._driver_status = f"/{facts.driver}/status"
         self.feed = Feed(
             facts.axes, facts.period, kept, min(bins_per_second, BINS_PER_SECOND)
         )
@@ -317,7 +318,8 @@ class LiveRun:
             self._device,
         )
         if self.ended:
-            level, text = "rest", f"The run has ended: {self.ended.rstrip('.')}."
+            level = "rest"
+            text = f"The run has ended: {self.ended.rstrip('.')}."
             for name, found in nodes.items():
                 # The named node caused the end; the others were stopped because of it.
                 found |= {
@@ -360,8 +362,10 @@ class LiveRun:
 
 def _receipt_facts(receipt: Receipt) -> dict[str, Any]:
     """Return the facts of a receipt: what changed, and from which to which law."""
-    before, after = _law(receipt.before), _law(receipt.after)
-    law, switched = after.get("law", ""), before.get("law") != after.get("law")
+    before = _law(receipt.before)
+    after = _law(receipt.after)
+    law = after.get("law", "")
+    switched = before.get("law") != after.get("law")
     changed = [
         f"{name} {_short(before.get(name))} → {_short(value)}"
         for name, value in after.items()

@@ -84,7 +84,8 @@ class MapDrawer:
 
     def step(self, laws: Mapping[str, Any], delay: float, is_seen: bool) -> None:
         """Start what is due; after the first map only while a page `is_seen`."""
-        wanted, now = _inputs(laws, delay), time.monotonic()
+        wanted = _inputs(laws, delay)
+        now = time.monotonic()
         if wanted is None or (self._job is not None and not self._job.done()):
             return
         if self._drawn is not None and not is_seen:
@@ -101,7 +102,9 @@ class MapDrawer:
         self._job = asyncio.get_running_loop().create_task(job)
 
     async def _draw(self, wanted: _Inputs) -> None:
-        self._drawn, self._is_whole, self._map = wanted, False, {}
+        self._drawn = wanted
+        self._is_whole = False
+        self._map = {}
         self._seen = await self._inertia()
         edges = await self._on_thread(
             self._edges_of, wanted, self._driver_with(wanted.own)
@@ -153,8 +156,10 @@ class MapDrawer:
             plant = None
         if plant is None:
             return {"edges": {}, "rest": rest}
-        before, self._edges = self._edges, {}
-        devices, edges = plant.over_workspace(self._period, wanted.delay), {}
+        before = self._edges
+        self._edges = {}
+        devices = plant.over_workspace(self._period, wanted.delay)
+        edges = {}
         for name, described in wanted.laws.items():
             # The nominal stiffness is what the edge is sought in.
             free = {key: one for key, one in described.items() if key != "stiffness"}
@@ -173,7 +178,8 @@ class MapDrawer:
 
 def _inputs(laws: Mapping[str, Any], delay: float) -> _Inputs | None:
     """Return what the map of these laws depends on; None before the laws are known."""
-    active, described = laws.get("active", ""), laws.get("laws", {})
+    active = laws.get("active", "")
+    described = laws.get("laws", {})
     if active not in described:
         return None
     return _Inputs(

@@ -87,17 +87,16 @@ class Timeline:
 
 
 def _facts(recording: Recording) -> Facts:
-    manifest, period, axes = (
-        recording.manifest,
-        period_of(recording),
-        axes_of(recording),
-    )
+    manifest = recording.manifest
+    period = period_of(recording)
+    axes = axes_of(recording)
     published = publishers_of(recording)
     # Older recordings do not list publishers; assume the usual name.
     driver = next(
         (name for name, topics in published.items() if DEVICE_STATE in topics), "driver"
     )
-    summary, run = manifest.get("summary", ""), manifest.get("run", recording.path.stem)
+    summary = manifest.get("summary", "")
+    run = manifest.get("run", recording.path.stem)
     return Facts(
         run,
         manifest.get("scenario", ""),
@@ -189,7 +188,8 @@ class ReplayPages:
     ) -> list[str]:
         """Play the recording once; return notices for the page."""
         notices = self._read_parameters(recording)
-        live, period = self.live, self._facts.period
+        live = self.live
+        period = self._facts.period
         known = [
             topic
             for topic in recording.topics
@@ -218,7 +218,8 @@ class ReplayPages:
             if self._bodies is not None:
                 self._bodies.follow(message)
             at = message.seq * period
-            delays, states = delays + message.delay, states + 1.0
+            delays = delays + message.delay
+            states = states + 1.0
             if at >= next_scene:
                 next_scene = at + self._scene_period - 0.5 * period
                 pending = True
@@ -238,7 +239,8 @@ class ReplayPages:
 
     def _store_moment(self, now: float) -> bool:
         """Store scene and status of the newest state; return False: none is pending any more."""
-        live, poses = self.live, None
+        live = self.live
+        poses = None
         if self._bodies is not None:
             poses = self._bodies.poses().astype(np.float32)
         scene = live.feed.now()
@@ -262,7 +264,8 @@ class ReplayPages:
         """
         recording = Recording(path)
         recording.require_ticks()
-        facts, axes = _facts(recording), self._facts.axes
+        facts = _facts(recording)
+        axes = self._facts.axes
         if missing := sorted(set(axes) - set(facts.axes)):
             raise RecordError(
                 f"{path}: has no axis {missing[0]}, so it cannot be drawn over"
@@ -513,14 +516,17 @@ class ReplayPage:
 
     def news(self) -> list[str | bytes]:
         """Return everything not sent yet."""
-        pages, at = self._pages, self._time()
-        found, self._outbox = self._outbox, []
+        pages = self._pages
+        at = self._time()
+        found = self._outbox
+        self._outbox = []
         while self._late:
             found.append(self._late.popleft())
         logged = pages.log.until(at)
         found += pages.log.items[self._logged : logged]
         self._logged = logged
-        status, law = pages.statuses.until(at), pages.laws.until(at)
+        status = pages.statuses.until(at)
+        law = pages.laws.until(at)
         if status != self._status and status:
             found.append(pages.statuses.items[status - 1])
         if law != self._law and law:
@@ -528,7 +534,8 @@ class ReplayPage:
             found.append(msgspec.json.encode({"type": "laws", **laws}).decode())
             pages.map_of(laws, lambda text: self._outbox.append(text))
         self._status, self._law = status, law
-        end, scene = pages.live.feed.until(at + AHEAD), pages.scenes.until(at)
+        end = pages.live.feed.until(at + AHEAD)
+        scene = pages.scenes.until(at)
         if (at != self._shown or end > self._cursor or self._void) and scene:
             shown, poses = pages.scenes.items[scene - 1]
             now = (at, *shown[1:])
@@ -541,7 +548,9 @@ class ReplayPage:
             found.append(pages.live.feed.frame(self._cursor, end, self._void, now))
             # The capacity of the page's ring buffer.
             self._first = max(self._first, pages.live.feed.until(at - HISTORY))
-            self._cursor, self._void, self._shown = end, False, at
+            self._cursor = end
+            self._void = False
+            self._shown = at
         return found
 
     def hand(self, target: list[float] | None) -> str:

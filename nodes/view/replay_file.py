@@ -92,9 +92,11 @@ def page_of(pages: ReplayPages) -> str:
 def recorded(pages: ReplayPages) -> bytes:
     """Return the data of a page: a JSON header, then arrays aligned to 8 bytes."""
     feed = pages.live.feed
-    first, end = feed.oldest(), feed.head
+    first = feed.oldest()
+    end = feed.head
     frame = feed.frame(first, end)
-    bins, series = end - first, len(feed.names)
+    bins = end - first
+    series = len(feed.names)
     times = np.frombuffer(frame, dtype="<f8", count=bins, offset=HEAD.size)
     values = np.frombuffer(frame, dtype="<f4", offset=HEAD.size + 8 * bins)
     low, high = values[: series * bins], values[series * bins :]
@@ -136,7 +138,8 @@ def _laws(pages: ReplayPages) -> list[dict[str, Any]]:
     maps: dict[str, dict[str, Any]] = {}
     found = []
     for laws in pages.laws.items:
-        described, later = laws["laws"].get(laws["active"]), laws.get("device_delay")
+        described = laws["laws"].get(laws["active"])
+        later = laws.get("device_delay")
         if described is None:
             found.append({"document": laws, "map": None})
             continue

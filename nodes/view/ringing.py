@@ -170,7 +170,8 @@ def ring_of(
     delay : float
         Delay from a tick to its force taking effect [ticks].
     """
-    watched, energy = Ringing(), 0.0
+    watched = Ringing()
+    energy = 0.0
     whole = int(delay)
     part = delay - whole
     for k in range(len(position)):

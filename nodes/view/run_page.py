@@ -66,7 +66,9 @@ class RunPage:
             return found
         if not self._may_wait(state, time.monotonic()):
             found.append(self._feed.frame(self._cursor, self._feed.head, self._void))
-            self._cursor, self._seq, self._void = self._feed.head, state.seq, False
+            self._cursor = self._feed.head
+            self._seq = state.seq
+            self._void = False
         return found
 
     def _may_wait(self, state: DeviceState, now: float) -> bool:
@@ -86,7 +88,8 @@ class RunPage:
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; report repeated refusals once, until the page lets go."""
         refused = self._hand.move(id(self), target)
-        document, self._refused = self._refused, bool(refused)
+        document = self._refused
+        self._refused = bool(refused)
         return "" if document else refused
 
     async def ask(self, request: dict[str, Any]) -> Any:

@@ -249,7 +249,9 @@ class RunPages:
             self.hand.close()
 
     def _move_hand(self) -> None:
-        state, proxy, axis = self.live.feed.state, self.live.feed.proxy, self._axis
+        state = self.live.feed.state
+        proxy = self.live.feed.proxy
+        axis = self._axis
         if state is None or self.live.ended:
             return
         self.hand.step(state.target)

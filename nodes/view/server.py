@@ -259,7 +259,9 @@ class Shown:
         if op == "open":
             self.upload.begin(request)
             return {}
-        before, name, over = self.page, self.upload.name, self.upload.over
+        before = self.page
+        name = self.upload.name
+        over = self.upload.over
         opened = self._opened
         page = await asyncio.to_thread(
             self.upload.open, lambda path: opened(path, name, before, over)

@@ -34,7 +34,8 @@ def _patches(surface: Surface) -> list[Patch]:
     position = getattr(surface, "position", None)
     if axis is None or position is None:
         return []
-    point, normal = np.zeros(3), np.zeros(3)
+    point = np.zeros(3)
+    normal = np.zeros(3)
     point[AXIS_INDEX[axis]] = float(position)
     normal[AXIS_INDEX[axis]] = float(getattr(surface, "normal", 1.0))
     return [plane_patch(point, normal)]

@@ -73,7 +73,8 @@ class SharedHand:
         if self._owner != owner:
             if not self._writer.take():
                 return "hand: another page holds it"
-            self._owner, self.taken = owner, True
+            self._owner = owner
+            self.taken = True
             self._home = self._at = self._present
             # Back after a silence: the finger may have been on the mouse all the time.
             self._slow = self._lapsed == owner
@@ -86,7 +87,8 @@ class SharedHand:
 
     def step(self, present: Vector) -> None:
         """Renew the target, starting at the `present` one; called once per screen refresh."""
-        now, before = time.monotonic(), self._stepped
+        now = time.monotonic()
+        before = self._stepped
         self._stepped = now
         if present != self._present or math.isinf(self._still):
             self._present, self._still = present, now
@@ -108,7 +110,8 @@ class SharedHand:
 
     def tap(self, axis: int, surface: float | None, side: float) -> None:
         """Tap the surface now and then while no page has taken the hand."""
-        now, writer = time.monotonic(), self._writer
+        now = time.monotonic()
+        writer = self._writer
         if writer is None or self.taken or surface is None:
             return
         if not writer.take():
@@ -124,7 +127,8 @@ class SharedHand:
         if now - self._taps > EVERY:
             if now - self._still < REST:
                 return
-            self._taps, self._home = now, self._present
+            self._taps = now
+            self._home = self._present
         done = (now - self._taps) / PRESS
         if done >= 1.0:
             if self._at != self._home:

@@ -58,10 +58,8 @@ def plant_of(declared: Any, driver: Mapping[str, Any]) -> PlantParameters | None
     least, most = (
         end + float(hand.get("mass", 0.0)) for end in (min(masses), max(masses))
     )
-    stiffness, delay = (
-        float(hand.get("stiffness", 0.0)),
-        float(device.get("delay", 0.0)),
-    )
+    stiffness = float(hand.get("stiffness", 0.0))
+    delay = float(device.get("delay", 0.0))
     return PlantParameters(
         mass=least,
         heaviest=most if most > least else None,
@@ -141,7 +139,8 @@ def _end(law: Law, devices: Sequence[Plant], near: float) -> float:
 
 def delay_margin(law: Law, devices: Sequence[Plant]) -> float | None:
     """Return the extra delay at which the loop becomes unstable with a device [ticks]."""
-    compiled, begin = law.compile(devices[0].period), devices[0].delay
+    compiled = law.compile(devices[0].period)
+    begin = devices[0].delay
 
     def stable(delay: float) -> bool:
         return all(
@@ -184,10 +183,12 @@ def with_inertia(
     """
     if seen is None:
         return declared
-    least, greatest = float(seen["least_kg"]), float(seen["greatest_kg"])
+    least = float(seen["least_kg"])
+    greatest = float(seen["greatest_kg"])
     if declared is None:
         return PlantParameters(mass=least, heaviest=greatest)
-    least, greatest = least * declared.scale**2, greatest * declared.scale**2
+    least = least * declared.scale**2
+    greatest = greatest * declared.scale**2
     return msgspec.structs.replace(
         declared,
         mass=min(declared.mass, least),
@@ -242,11 +243,9 @@ def with_moving_worlds(
     world = _moving(plant)
     if world is None or "edge" not in found:
         return found
-    devices, near, over = (
-        plant.over_workspace(period, delay),
-        found["near"],
-        found["over_delay"],
-    )
+    devices = plant.over_workspace(period, delay)
+    near = found["near"]
+    over = found["over_delay"]
     worst = plant.masses.index(found["mass_kg"])
     # The device alone: the tool coupled to it is part of the world.
     some = [

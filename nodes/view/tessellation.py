@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -49,7 +50,10 @@ def _grid(points: Points) -> Patch:
     """Return the triangles of a grid of points, shape (m, n, 3), without those of no area."""
     rows, columns = points.shape[:2]
     number = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    a = number[:-1, :-1]
+    b = number[1:, :-1]
+    c = number[1:, 1:]
+    d = number[:-1, 1:]
     faces = np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3)
     rounded = np.round(points.reshape(-1, 3), _SAME) + 0.0
     _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
@@ -116,16 +120,19 @@ def _cylinder(half: float, radius: float) -> list[Points]:
 
 
 def _box(centre: Points, axes: Points, half: Points) -> Patch:
-    corners = (
-        np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
-        * half
-        @ axes
-        + centre
-    )
-    sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4))
-    quads = np.array([*sides, (1, 5, 7, 3)])
-    points = corners[quads].reshape(-1, 3)
-    faces = 4 * np.arange(6)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
+    signs = np.array(list(itertools.product((-1, 1), repeat=3)))
+    corners = signs * half @ axes + centre
+    quads = [
+        (0, 1, 3, 2),
+        (4, 6, 7, 5),
+        (0, 4, 5, 1),
+        (2, 3, 7, 6),
+        (0, 2, 6, 4),
+        (1, 5, 7, 3),
+    ]
+    points = corners[np.array(quads)].reshape(-1, 3)
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    faces = 4 * np.arange(6)[:, None, None] + halves
     return Patch(points, faces.reshape(-1, 3), closed=True)
 
 
@@ -157,7 +164,8 @@ def patch_of(solid: Solid) -> Patch:
 
 def geom_patch(model: Any, i: int, kinds: Any) -> Patch | None:
     """Return the triangles of a MuJoCo geom in its own frame; None for other kinds."""
-    kind, (a, b, c) = kinds(int(model.geom_type[i])), model.geom_size[i].tolist()
+    kind = kinds(int(model.geom_type[i]))
+    (a, b, c) = model.geom_size[i].tolist()
     centre = np.zeros(3)
     if kind == kinds.mjGEOM_PLANE:
         # the engine's plane is infinite; its size is how much of it is drawn
@@ -175,8 +183,10 @@ def geom_patch(model: Any, i: int, kinds: Any) -> Patch | None:
         return _box(centre, np.eye(3), np.array([a, b, c]))
     if kind == kinds.mjGEOM_MESH:
         mesh = int(model.geom_dataid[i])
-        first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        start, points = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        first = int(model.mesh_faceadr[mesh])
+        count = int(model.mesh_facenum[mesh])
+        start = int(model.mesh_vertadr[mesh])
+        points = int(model.mesh_vertnum[mesh])
         return Patch(
             np.asarray(model.mesh_vert[start : start + points], dtype=np.float64),
             np.asarray(model.mesh_face[first : first + count], dtype=np.int64),
@@ -189,7 +199,8 @@ def geom_patch(model: Any, i: int, kinds: Any) -> Patch | None:
 
 def _heights(model: Any, i: int) -> Patch:
     """Return the upper surface of a height field."""
-    rows, columns = int(model.hfield_nrow[i]), int(model.hfield_ncol[i])
+    rows = int(model.hfield_nrow[i])
+    columns = int(model.hfield_ncol[i])
     width, depth, height, _ = model.hfield_size[i].tolist()
     first = int(model.hfield_adr[i])
     data = np.asarray(model.hfield_data[first : first + rows * columns], dtype=float)

@@ -29,7 +29,8 @@ class Upload:
 
     def begin(self, request: dict[str, Any]) -> None:
         """Begin a file; CommandError if its name or size cannot be accepted."""
-        name, size = request.get("name"), request.get("size")
+        name = request.get("name")
+        size = request.get("size")
         if not isinstance(name, str) or not 0 < len(name) < 256:
             raise CommandError("view: open: name is the file's name")
         name = name.replace("\\", "/").rpartition("/")[2]
@@ -45,7 +46,8 @@ class Upload:
         self._folder = tempfile.TemporaryDirectory(prefix="haptic-view-")
         self._file = self._path.open("wb")
         self.name, self.over = name, request.get("over") is True
-        self._size, self._received = size, 0
+        self._size = size
+        self._received = 0
 
     @property
     def _path(self) -> Path:

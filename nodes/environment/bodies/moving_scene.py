@@ -221,7 +221,8 @@ class MovingScene:
                 " adds one",
                 path=f"{where}.tool",
             )
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        first = int(model.body_jntadr[body])
+        count = int(model.body_jntnum[body])
         kind = mujoco.mjtJoint.mjJNT_SLIDE
         slides = [
             i

@@ -47,10 +47,8 @@ def advance(scene: MovingTable, memory: Memory) -> int:
             scene[on], scene[on + 1], scene[on + 2] = gx, gy, gz
             dx = dy = dz = 0.0
         else:
-            length, most = (
-                sqrt(dx * dx + dy * dy + dz * dz),
-                scene[row + t.SPEED] * span,
-            )
+            length = sqrt(dx * dx + dy * dy + dz * dz)
+            most = scene[row + t.SPEED] * span
             if length > most:
                 dx, dy, dz = (
                     dx * (most / length),
@@ -76,12 +74,14 @@ def advance(scene: MovingTable, memory: Memory) -> int:
 
 def _aim(scene: Table, row: int, time: float) -> Vector:
     """Return the offset of a shape's path at a time [s], or the offset that a topic asked for."""
-    count, first = int(scene[row + t.WAY_POINTS]), int(scene[row + t.WAY])
+    count = int(scene[row + t.WAY_POINTS])
+    first = int(scene[row + t.WAY])
     if count == 0:
         return scene[row + t.AIM], scene[row + t.AIM + 1], scene[row + t.AIM + 2]
     if scene[row + t.REPEAT] > 0.0:
         time = time % scene[row + t.REPEAT]
-    low, high = 0, count - 1
+    low = 0
+    high = count - 1
     if time <= scene[first]:
         high = 0
     elif time >= scene[first + t.WAY_POINT * high]:
@@ -92,7 +92,8 @@ def _aim(scene: Table, row: int, time: float) -> Vector:
             low = middle
         else:
             high = middle
-    a, b = first + t.WAY_POINT * low, first + t.WAY_POINT * high
+    a = first + t.WAY_POINT * low
+    b = first + t.WAY_POINT * high
     if low == high or scene[b] <= scene[a]:
         return scene[b + 1], scene[b + 2], scene[b + 3]
     part = (time - scene[a]) / (scene[b] - scene[a])

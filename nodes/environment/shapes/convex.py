@@ -64,7 +64,8 @@ def _from_cylinder(scene: Table, at: int, px: float, py: float, pz: float) -> Ve
     end = along - scene[at + 6]
     if side > 0.0 and end > 0.0:
         away = sqrt(side * side + end * end)
-        s, e = side / away, end / away
+        s = side / away
+        e = end / away
         return away, s * rx + e * ux, s * ry + e * uy, s * rz + e * uz
     if side > end and across > _TINY:
         return side, rx, ry, rz

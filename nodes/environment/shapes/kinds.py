@@ -424,7 +424,8 @@ class Union(Touchable, frozen=True, forbid_unknown_fields=True, kw_only=True):
         regions: list[FeltRegion] = []
         acting: list[Effect] = []
         for at, part in self._parts(where):
-            effects, own = part.effects(at), part.regions(at)
+            effects = part.effects(at)
+            own = part.regions(at)
             found += effects
             if own:
                 regions += own

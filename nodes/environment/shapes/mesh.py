@@ -51,7 +51,8 @@ def prepare_mesh(
     found = repaired_triangles(corners, where)
     if not both_sides:
         refuse_open(found, where, notes)
-    ids, neighbours = found.ids, found.partner.reshape(-1, 3) // 3
+    ids = found.ids
+    neighbours = found.partner.reshape(-1, 3) // 3
     if both_sides:
         # Separate corners for the back, so that no triangle is its own neighbour.
         ids = np.concatenate([ids, ids[:, ::-1]])
@@ -159,7 +160,8 @@ def _order(corners: Corners) -> tuple[NDArray[np.int64], int]:
         high = np.maximum.reduceat(centres[order], bounds[:-1])
         axis = np.argmax(high - low, axis=1)
         # Each part is a row, and sorted by itself; parts differ by one triangle at most.
-        begins, sizes = bounds[:-1, None], np.diff(bounds)[:, None]
+        begins = bounds[:-1, None]
+        sizes = np.diff(bounds)[:, None]
         columns = np.arange(sizes.max())
         own = columns < sizes
         places = centres[order[np.minimum(begins + columns, count - 1)], axis[:, None]]
@@ -176,10 +178,8 @@ def _boxes(corners: Corners, leaves: int) -> NDArray[np.float64]:
     boxes[leaves:, 3:] = np.maximum.reduceat(corners.max(axis=1), bounds[:-1])
     first = leaves // 2
     while first:
-        left, right = (
-            boxes[2 * first : 4 * first : 2],
-            boxes[2 * first + 1 : 4 * first : 2],
-        )
+        left = boxes[2 * first : 4 * first : 2]
+        right = boxes[2 * first + 1 : 4 * first : 2]
         boxes[first : 2 * first, :3] = np.minimum(left[:, :3], right[:, :3])
         boxes[first : 2 * first, 3:] = np.maximum(left[:, 3:], right[:, 3:])
         first //= 2

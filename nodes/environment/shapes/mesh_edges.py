@@ -30,7 +30,8 @@ def first_of_equal(rows: NDArray[np.generic]) -> tuple[Ids, Ids]:
 
 def half_edges(ids: Ids) -> tuple[Ids, Ids, Ids]:
     """Return the start and end of each half-edge, and a number of its undirected edge."""
-    start, end = ids.ravel(), np.roll(ids, -1, axis=1).ravel()
+    start = ids.ravel()
+    end = np.roll(ids, -1, axis=1).ravel()
     count = int(ids.max()) + 1 if len(ids) else 1
     return start, end, np.minimum(start, end) * count + np.maximum(start, end)
 
@@ -73,7 +74,8 @@ def orient(ids: Ids) -> tuple[Ids, int, int]:
     start, _, edge = half_edges(ids)
     order = np.argsort(edge, kind="stable")
     first, times = _runs(edge[order])
-    one, two = order[first[times == 2]], order[first[times == 2] + 1]
+    one = order[first[times == 2]]
+    two = order[first[times == 2] + 1]
     alike = (start[one] == start[two]).astype(np.int64)
     if not alike.any():
         return ids, 0, 0
@@ -107,7 +109,8 @@ def pair(points: Coordinates, ids: Ids) -> tuple[Ids, int]:
     order = np.argsort(edge, kind="stable")
     first, times = _runs(edge[order])
     partner = np.full(len(start), -1, dtype=np.int64)
-    one, two = order[first[times == 2]], order[first[times == 2] + 1]
+    one = order[first[times == 2]]
+    two = order[first[times == 2] + 1]
     opposite = start[one] != start[two]
     one, two = one[opposite], two[opposite]
     partner[one], partner[two] = two, one
@@ -122,7 +125,8 @@ def pair(points: Coordinates, ids: Ids) -> tuple[Ids, int]:
 def _pair_by_angle(
     points: Coordinates, ids: Ids, start: Ids, end: Ids, mine: Ids, partner: Ids
 ) -> None:
-    low, high = min(start[mine[0]], end[mine[0]]), max(start[mine[0]], end[mine[0]])
+    low = min(start[mine[0]], end[mine[0]])
+    high = max(start[mine[0]], end[mine[0]])
     axis = points[high] - points[low]
     axis = axis / np.linalg.norm(axis)
     spokes = points[ids[mine // 3, (mine % 3 + 2) % 3]] - points[low]
@@ -171,7 +175,8 @@ def rims(partner: Ids) -> list[list[int]]:
         while True:
             half = int(following(rim[-1]))
             while partner[half] >= 0 and budget:
-                half, budget = int(following(int(partner[half]))), budget - 1
+                half = int(following(int(partner[half])))
+                budget = budget - 1
             if half not in left:
                 break
             left.discard(half)

@@ -84,7 +84,8 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
         if not data:
             raise ValueError("is empty (0 bytes); export the mesh again")
         if kind in readers:
-            (points, groups, notes), unit = readers[kind](data), ""
+            (points, groups, notes) = readers[kind](data)
+            unit = ""
         else:
             (points, groups, notes), unit = read_by_library(
                 data, kind, f"{where}: {path}", LARGEST

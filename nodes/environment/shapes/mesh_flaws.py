@@ -45,9 +45,8 @@ def drop_copies(ids: Ids, counts: Counts, no_pairs: bool = False) -> Ids:
 
     One of each pair stays if fewer edges are open then, unless `no_pairs`.
     """
-    good = (
-        (ids[:, 0] != ids[:, 1]) & (ids[:, 1] != ids[:, 2]) & (ids[:, 2] != ids[:, 0])
-    )
+    a, b, c = ids.T
+    good = (a != b) & (b != c) & (c != a)
     if not good.all():
         counts["degenerate"] += int((~good).sum())
         ids = ids[good]
@@ -71,7 +70,8 @@ def drop_copies(ids: Ids, counts: Counts, no_pairs: bool = False) -> Ids:
         # Back to back, they enclose nothing, unless both are one face of a sheet drawn twice.
         fewer_open = len(open_edges(ids[keep])) > len(open_edges(ids[first]))
         if fewer_open or not keep.any():
-            keep, folded = first, np.zeros(len(ids), dtype=bool)
+            keep = first
+            folded = np.zeros(len(ids), dtype=bool)
     counts["folded"] += int(folded.sum())
     counts["repeated"] += int((~keep & ~folded).sum())
     return np.asarray(ids[keep], dtype=np.int64)
@@ -114,7 +114,8 @@ def split_t_joints(
         a, b = start[half], end[half]
         rim = np.unique(np.concatenate([a, b]))
         length = np.linalg.norm(points[b] - points[a], axis=1)
-        tree, middle = cKDTree(points[rim]), 0.5 * (points[a] + points[b])
+        tree = cKDTree(points[rim])
+        middle = 0.5 * (points[a] + points[b])
         gone: set[int] = set()
         new: list[tuple[int, int, int]] = []
         for i in range(len(half)):
@@ -122,7 +123,8 @@ def split_t_joints(
             if triangle in gone or length[i] <= 4.0 * distance:
                 continue
             found = tree.query_ball_point(middle[i], 0.5 * length[i] + distance)
-            x, y = int(a[i]), int(b[i])
+            x = int(a[i])
+            y = int(b[i])
             z = int(ids[triangle].sum()) - x - y
             others = np.array(
                 [n for n in rim[found].tolist() if n not in (x, y, z)], dtype=np.int64

@@ -53,7 +53,8 @@ def read_ply(data: bytes) -> Faces:
         )
     form, elements = _ply_header(data[: end.start()].decode("latin-1"))
     rows = _ascii_rows if form == "ascii" else _binary_rows
-    points, faces = np.zeros((0, 3)), []
+    points = np.zeros((0, 3))
+    faces = []
     at = end.end()
     for element in elements:
         values, at = rows(data, at, element, ">" if "big" in form else "<")
@@ -83,7 +84,8 @@ def _checked(points: Any, faces: list[list[int]]) -> Faces:
 
 
 def _ply_header(text: str) -> tuple[str, list[_Element]]:
-    form, elements = "", []
+    form = ""
+    elements = []
     for line, row in enumerate(text.splitlines(), 1):
         words = row.split()
         try:

@@ -32,7 +32,8 @@ def lids(
     points: Coordinates, ids: Ids, found: list[list[int]], most: int, width: float
 ) -> list[Ids]:
     """Return triangles over each rim of at most `most` edges and that width."""
-    flat, added = ids.ravel(), []
+    flat = ids.ravel()
+    added = []
     for rim in found:
         corners = flat[rim][::-1]
         place = points[corners]
@@ -48,7 +49,8 @@ def lids(
 def lid(rim: Coordinates) -> Ids:
     """Return triangles of least total area over a closed rim (Barequet and Sharir 1995)."""
     count = len(rim)
-    cost, middle = np.zeros((count, count)), np.zeros((count, count), dtype=np.int64)
+    cost = np.zeros((count, count))
+    middle = np.zeros((count, count), dtype=np.int64)
     for far in range(2, count):
         for i in range(count - far):
             k = i + far
@@ -59,7 +61,8 @@ def lid(rim: Coordinates) -> Ids:
             total = cost[i, between] + cost[between, k] + area
             best = int(total.argmin())
             cost[i, k], middle[i, k] = total[best], between[best]
-    triangles, waiting = [], [(0, count - 1)]
+    triangles = []
+    waiting = [(0, count - 1)]
     while waiting:
         i, k = waiting.pop()
         if k - i >= 2:

@@ -123,7 +123,8 @@ def _repaired(
     counts: Counts = Counter()
     places = corners.reshape(-1, 3) + 0.0  # −0.0 is 0.0
     first, which = first_of_equal(places)
-    points, ids = places[first], which.reshape(-1, 3)
+    points = places[first]
+    ids = which.reshape(-1, 3)
     width = float(np.ptp(points, axis=0).max())
     raw, dropped, moved, joined = ids, Counter(counts), 0.0, 0
     ids = base = drop_copies(raw, dropped, no_pairs)
@@ -199,7 +200,8 @@ def _with_shells(
     if turns.turn.any():
         counts["turned_shells"] += int(turns.turn.sum())
         flip = turns.turn[shell]
-        ids, partner = ids.copy(), partner.copy()
+        ids = ids.copy()
+        partner = partner.copy()
         ids[flip] = ids[flip][:, ::-1]
         # A turned triangle's edges 0 and 1 change places.
         moved_half = np.arange(len(partner)).reshape(-1, 3)

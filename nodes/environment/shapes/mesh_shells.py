@@ -53,7 +53,8 @@ def shell_turns(corners: Coordinates, shell: Ids, closed: Flags) -> ShellTurns:
     """
     count = len(closed)
     volume = signed_volumes(corners, shell, count)
-    turn, cavity = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    turn = np.zeros(count, dtype=bool)
+    cavity = np.zeros(count, dtype=bool)
     if not (closed & (volume < 0.0)).any():
         return ShellTurns(turn, cavity)
     if count > MOST_SHELLS:
@@ -62,7 +63,8 @@ def shell_turns(corners: Coordinates, shell: Ids, closed: Flags) -> ShellTurns:
             " compared: split the mesh into files of fewer"
         )
     work = 0
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    low = np.full((count, 3), np.inf)
+    high = np.full((count, 3), -np.inf)
     np.minimum.at(low, shell, corners.min(axis=1))
     np.maximum.at(high, shell, corners.max(axis=1))
     order = np.argsort(shell, kind="stable")

@@ -68,12 +68,14 @@ def scale_of(
         )
     if "unit" in given:
         unit = given["unit"]
-        per_unit, how = UNITS["µm" if unit == "um" else unit], f"unit {unit}"
+        per_unit = UNITS["µm" if unit == "um" else unit]
+        how = f"unit {unit}"
     elif "width" in given:
         per_unit = given["width"] / width if width > 0.0 else 1.0
         how = f"width {given['width']:g} m"
     elif "scale" in given:
-        per_unit, how = given["scale"], f"scale {given['scale']:g}"
+        per_unit = given["scale"]
+        how = f"scale {given['scale']:g}"
     else:
         per_unit, how = 1.0, "taken in metres, because no unit, scale or width is given"
     extent = width * per_unit

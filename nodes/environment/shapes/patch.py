@@ -31,7 +31,8 @@ def nearer_in_patch(
     scene: Table, row: int, memory: Memory, face: int, x: float, y: float, z: float
 ) -> tuple[bool, float, float, float]:
     """Search across shallow edges for a nearer triangle; return whether one is, and its proxy."""
-    triangles, neighbours = int(scene[row + TRIANGLES]), int(scene[row + NEIGHBOURS])
+    triangles = int(scene[row + TRIANGLES])
+    neighbours = int(scene[row + NEIGHBOURS])
     ox, oy, oz = scene[row + SHIFT], scene[row + SHIFT + 1], scene[row + SHIFT + 2]
     x, y, z = x - ox, y - oy, z - oz
     px, py, pz, _ = nearest_on_triangle(scene, triangles + TRIANGLE * face, x, y, z)

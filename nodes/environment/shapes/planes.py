@@ -58,7 +58,8 @@ def _all_push(memory: Memory, i: int, j: int, k: int) -> bool:
 
 
 def _dot(memory: Memory, i: int, j: int) -> float:
-    a, b = CONTACTS + CONTACT * i, CONTACTS + CONTACT * j
+    a = CONTACTS + CONTACT * i
+    b = CONTACTS + CONTACT * j
     return (
         memory[a] * memory[b]
         + memory[a + 1] * memory[b + 1]

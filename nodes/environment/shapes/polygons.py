@@ -105,8 +105,12 @@ def cut_ears(corners: Coordinates, normal: Coordinates) -> tuple[Ids, bool]:
 
 
 def _twice_area(flat: Coordinates, left: list[int], i: int) -> float:
-    a, b, c = flat[left[i - 1]], flat[left[i]], flat[left[(i + 1) % len(left)]]
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    a = flat[left[i - 1]]
+    b = flat[left[i]]
+    c = flat[left[(i + 1) % len(left)]]
+    to_b = b - a
+    to_c = c - a
+    return float(to_b[0] * to_c[1] - to_b[1] * to_c[0])
 
 
 def _mark(flat: Coordinates, left: list[int], i: int, limit: float) -> float:
@@ -119,12 +123,14 @@ def _mark(flat: Coordinates, left: list[int], i: int, limit: float) -> float:
     others = flat[[k for k in left if k not in mine]]
     inside = np.ones(len(others), dtype=bool)
     for p, q in ((a, b), (b, c), (c, a)):
-        side = (q[0] - p[0]) * (others[:, 1] - p[1]) - (q[1] - p[1]) * (
-            others[:, 0] - p[0]
-        )
+        edge = q - p
+        away = others - p
+        side = edge[0] * away[:, 1] - edge[1] * away[:, 0]
         inside &= side >= -limit
         # A bridge to a hole passes one place twice: its other corner does not stand in the way.
         inside &= ~(others == p).all(axis=1)
     if inside.any():
         return -1.0
-    return area / max(float(((p - q) ** 2).sum()) for p, q in ((a, b), (b, c), (c, a)))
+    sides = (b - a, c - b, a - c)
+    longest = max(float((side**2).sum()) for side in sides)
+    return area / longest

@@ -132,7 +132,8 @@ def unit(vector: Sequence[float]) -> Vector:
 
 def rotation(turn: Vector) -> tuple[Vector, Vector, Vector]:
     """Return the rotation matrix of roll, pitch and yaw [rad]: fixed x, y, z axes, as in URDF."""
-    (a, b, c), (d, e, f) = (tuple(map(cos, turn)), tuple(map(sin, turn)))
+    (a, b, c) = tuple(map(cos, turn))
+    (d, e, f) = tuple(map(sin, turn))
     return (
         (c * b, c * e * d - f * a, c * e * a + f * d),
         (f * b, f * e * d + c * a, f * e * a - c * d),
@@ -303,7 +304,8 @@ def carry_over(
     to_memory[t.BEFORE] = memory[t.BEFORE]
     to_memory[t.FELT_AS : t.GOAL] = array("d", memory[t.FELT_AS : t.GOAL])
     to_memory[t.ENERGY : t.LAST] = array("d", memory[t.ENERGY : t.LAST])
-    shapes, to_shapes = len(before.shapes), len(after.shapes)
+    shapes = len(before.shapes)
+    to_shapes = len(after.shapes)
     modes = {n: memory[t.LAST + shapes + n] for n in range(shapes)}
     for i in range(int(memory[t.TOUCHED])):
         at = t.CONTACTS + t.CONTACT * i
@@ -318,7 +320,8 @@ def keep_offsets(
 ) -> None:
     """Copy the offsets of moving shapes, and the aims of those without a path."""
     for n, m in matched(before, after).items() if after.moving else ():
-        at, to = t.ROWS + t.ROW * m, t.ROWS + t.ROW * n
+        at = t.ROWS + t.ROW * m
+        to = t.ROWS + t.ROW * n
         if n in after.moving:
             to_table[to + t.SHIFT : to + t.SHIFT + 3] = table[
                 at + t.SHIFT : at + t.SHIFT + 3

@@ -23,7 +23,8 @@ def carried(
         at = t.CONTACTS + t.CONTACT * i
         share = memory[at + t.SHARE]
         if share > 0.0:
-            carrying, carrier = carrying + 1, i
+            carrying = carrying + 1
+            carrier = i
             row = t.ROWS + t.ROW * int(memory[at + t.SHAPE])
             cone += share * scene[row + (t.DYNAMIC if sliding else t.STATIC)]
             coat += share * scene[row + t.VISCOUS]

@@ -37,7 +37,8 @@ def mesh_hit(
         int(scene[row + t.COUNT]),
         int(scene[row + t.LEAVES]),
     )
-    triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    triangles = int(scene[row + t.TRIANGLES])
+    tree = int(scene[row + t.TREE])
     x, y, z = (
         x - scene[row + t.SHIFT],
         y - scene[row + t.SHIFT + 1],
@@ -90,8 +91,10 @@ def mesh_gap(
 
     `last` is the place in memory of the triangle that was nearest before.
     """
-    count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
-    triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    count = int(scene[row + t.COUNT])
+    leaves = int(scene[row + t.LEAVES])
+    triangles = int(scene[row + t.TRIANGLES])
+    tree = int(scene[row + t.TREE])
     ox, oy, oz = (
         scene[row + t.SHIFT],
         scene[row + t.SHIFT + 1],
@@ -197,8 +200,10 @@ def mesh_winding(scene: Table, row: int, x: float, y: float, z: float) -> int:
         y - scene[row + t.SHIFT + 1],
         z - scene[row + t.SHIFT + 2],
     )
-    count, leaves = int(scene[row + t.COUNT]), int(scene[row + t.LEAVES])
-    triangles, tree = int(scene[row + t.TRIANGLES]), int(scene[row + t.TREE])
+    count = int(scene[row + t.COUNT])
+    leaves = int(scene[row + t.LEAVES])
+    triangles = int(scene[row + t.TRIANGLES])
+    tree = int(scene[row + t.TREE])
     found, k = 0, 1
     while True:
         at = tree + t.NODE * k

@@ -31,11 +31,13 @@ def nearest_on_triangle(
     bx, by, bz = scene[at + 3] - ax, scene[at + 4] - ay, scene[at + 5] - az
     cx, cy, cz = scene[at + 6] - ax, scene[at + 7] - ay, scene[at + 8] - az
     px, py, pz = x - ax, y - ay, z - az
-    d1, d2 = bx * px + by * py + bz * pz, cx * px + cy * py + cz * pz
+    d1 = bx * px + by * py + bz * pz
+    d2 = cx * px + cy * py + cz * pz
     if d1 <= 0.0 and d2 <= 0.0:
         return ax, ay, az, False
     qx, qy, qz = px - bx, py - by, pz - bz
-    d3, d4 = bx * qx + by * qy + bz * qz, cx * qx + cy * qy + cz * qz
+    d3 = bx * qx + by * qy + bz * qz
+    d4 = cx * qx + cy * qy + cz * qz
     if d3 >= 0.0 and d4 <= d3:
         return ax + bx, ay + by, az + bz, False
     vc = d1 * d4 - d3 * d2
@@ -43,7 +45,8 @@ def nearest_on_triangle(
         v = d1 / (d1 - d3)
         return ax + v * bx, ay + v * by, az + v * bz, False
     qx, qy, qz = px - cx, py - cy, pz - cz
-    d5, d6 = bx * qx + by * qy + bz * qz, cx * qx + cy * qy + cz * qz
+    d5 = bx * qx + by * qy + bz * qz
+    d6 = cx * qx + cy * qy + cz * qz
     if d6 >= 0.0 and d5 <= d6:
         return ax + cx, ay + cy, az + cz, False
     vb = d5 * d2 - d1 * d6
@@ -189,7 +192,8 @@ def _rim_hit(
         )
         length = sqrt(ex * ex + ey * ey + ez * ez)
         ex, ey, ez = ex / length, ey / length, ez / length
-        along, going = px * ex + py * ey + pz * ez, sx * ex + sy * ey + sz * ez
+        along = px * ex + py * ey + pz * ez
+        going = sx * ex + sy * ey + sz * ez
         part, nx, ny, nz = _ball_hit(
             radius,
             px - along * ex,
@@ -208,7 +212,8 @@ def _ball_hit(
     radius: float, px: float, py: float, pz: float, sx: float, sy: float, sz: float
 ) -> Vector4:
     """Return when a point moving from p by s comes within a radius of the origin."""
-    speed, coming = sx * sx + sy * sy + sz * sz, px * sx + py * sy + pz * sz
+    speed = sx * sx + sy * sy + sz * sz
+    coming = px * sx + py * sy + pz * sz
     if coming >= 0.0:
         return 2.0, 0.0, 0.0, 1.0
     closest = min(-coming / speed, 1.0)

@@ -24,7 +24,8 @@ _BINS = 8
 def bins(taps: int) -> list[tuple[int, int]]:
     """Return the edges of the bins over the memory."""
     edges = [(m, m + 1) for m in range(min(_EXACT, taps))]
-    start, width = _EXACT, _EXACT // _BINS
+    start = _EXACT
+    width = _EXACT // _BINS
     while start < taps:
         for _ in range(_BINS):
             if start < taps:

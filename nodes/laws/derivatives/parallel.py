@@ -66,7 +66,8 @@ def parallel(
     single: list[tuple[float, float]] = []
     for pole, residue in zip(poles, residues, strict=True):
         if abs(pole) < _SMALL and times > 0:
-            value, m = residue, 1
+            value = residue
+            m = 1
             while abs(value) > _EPSILON * abs(residue) and m < 12:
                 _add(head, m, value)
                 value = value * pole
@@ -97,8 +98,10 @@ def _paired(terms: list[tuple[float, float]], taps: list[float]) -> list[Section
         (0.0, gain, -pole, 0.0) for pole, gain in terms if abs(pole) < _PAIRED
     ]
     while len(large) > 1:
-        (p, a), (q, b) = large.pop(0), large.pop()
-        a, b = a / p, b / q
+        (p, a) = large.pop(0)
+        (q, b) = large.pop()
+        a = a / p
+        b = b / q
         _add(taps, 0, -(a + b))
         sections.append((a + b, -(a * q + b * p), -(p + q), p * q))
     sections += [(0.0, gain, -pole, 0.0) for pole, gain in large]

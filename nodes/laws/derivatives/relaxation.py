@@ -60,7 +60,8 @@ def step_answer(order: float, share: float, count: int) -> list[float]:
     for m, g in enumerate(series):
         felt = math.fsum(series[j] * arm[m - j] for j in range(1, m + 1))
         arm.append(share * (g - felt) / (1.0 + share))
-    total, answer = 0.0, []
+    total = 0.0
+    answer = []
     for one in arm:
         total += one
         answer.append(total)
