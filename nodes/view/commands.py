@@ -29,7 +29,7 @@ from nodes.client.moved_device import set_device
 from nodes.launcher.child import PYTHON
 from nodes.launcher.runs import RunInfo
 from nodes.parameters.store import convert
-from nodes.view.law_edges import with_hardness
+from nodes.view.law_edges import in_hardness, with_hardness
 
 TIMEOUT = 10.0  # time limit of a change: judging a law with thousands of taps takes seconds [s]
 # Time limit of a read: a restarted node never answers requests to its predecessor [s].
@@ -209,7 +209,10 @@ class Commander:
             scaled = with_hardness(described, wanted, period)
         except (HapticError, msgspec.ValidationError) as error:
             raise CommandError(f"{name}: {error}") from error
-        return self._change(self.coupling, {f"laws.{name}": scaled}, **force)
+        try:
+            return self._change(self.coupling, {f"laws.{name}": scaled}, **force)
+        except CommandError as error:
+            raise CommandError(in_hardness(str(error), scaled, wanted)) from error
 
     def _forced(self, beyond: bool) -> dict[str, Any]:
         """Return the option for a change past the stability limit; refuse it if not allowed."""

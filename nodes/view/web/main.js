@@ -93,7 +93,7 @@ const link = new Link({
     log.clear();
     plots.marks.length = 0;
     hello = found;
-    offer(true);
+    offer(laws.state !== null);
     status.begun();
     // The old ring gets no more data; the state is sent again.
     if (!slow.run?.begun) { stoppedAt = null; slow.end(); }
@@ -159,6 +159,8 @@ const link = new Link({
     if (found.ended && !hello?.replay) { offer(false); scene.draggable = space.ready = false; scene.letGo(); space.letGo(); $("hint").textContent = ""; $("record").hidden = $("stop").hidden = $("again").hidden = true; }
   },
   laws(found) {
+    // What changes the loop can act from the first laws on.
+    if (laws.state === null) offer(true);
     laws.show(found);
     beside.laws(Object.keys(found.laws).filter((name) => found.laws[name].kind !== "excitation"));
     chart();
@@ -304,6 +306,7 @@ async function open() {
 }
 
 $("share").addEventListener("click", async () => {
+  if (!hello) return;
   const link = linkOf({ law: hello.replay ? null : laws.state?.active, stiffness: hello.replay ? null : dial.stiffness, delay: delay.ticks, beside: beside.law, lab: $("lab").open, scenario: page.scenario, time: hello.replay ? scene.now?.t ?? null : null });
   history.replaceState(null, "", link);
   await navigator.clipboard?.writeText(link).catch(() => {});
@@ -372,10 +375,11 @@ $("again").addEventListener("click", async () => {
 
 // Hide controls that change the loop if there is no loop.
 function offer(there) {
-  map.movable = there && !hello.replay;
-  for (const id of ["dial", "sing", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = !there;
+  map.movable = there && !hello?.replay;
+  for (const id of ["tour-begin", "dial", "sing", "beyond-switch", "delay-row", "laws", "sliders", "ramp", "undo"]) $(id).inert = !there;
   $("other").parentElement.inert = !there;
 }
+offer(false);
 
 // -- buttons and keys -----------------------------------------------------------------------------
 

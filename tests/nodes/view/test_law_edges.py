@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from typing import Any
 
@@ -9,12 +10,20 @@ import msgspec
 import numpy as np
 import pytest
 
+from nodes.coupling.judgement import Judgement
+from nodes.coupling.law_book import LawBook
+from nodes.coupling.parameters import CouplingParameters
 from nodes.laws.parse import parse_law
-from nodes.parameters.store import ParameterError
+from nodes.parameters.store import ParameterError, convert
 from nodes.stability.bracketed_roots import roots_between
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.plant import Plant
-from nodes.view.law_edges import edges_of_laws, rests_of_laws, with_hardness
+from nodes.view.law_edges import (
+    edges_of_laws,
+    in_hardness,
+    rests_of_laws,
+    with_hardness,
+)
 from nodes.view.steady_delay import PERIOD, SPAN, SteadyDelay
 
 T = 0.002
@@ -62,6 +71,35 @@ def test_a_law_is_scaled_as_a_whole_and_only_where_it_has_no_stiffness() -> None
         with pytest.raises(ParameterError, match="expected a stiffness above 0"):
             with_hardness(LAWS["fir"], wrong, T)
     assert edges_of_laws(LAWS, DEVICES)["push"] is None
+
+
+@pytest.mark.parametrize("name", ["one", "fir"])
+def test_a_refusal_of_an_h1_tells_the_largest_one_that_is_accepted(name: str) -> None:
+    """The coupling tells taps; the law there is accepted, and the dial asks for 40 000 N/m."""
+    taps = {"one": [100.0], "fir": [2000.0, -1000.0]}[name]
+    device = {"mass": 0.1, "damping": 1.0, "stiffness": 150.0, "delay": 0.4}
+    law = {"kind": "fir", "taps": taps}
+
+    def parameters(described: dict[str, Any]) -> CouplingParameters:
+        given = {"laws": {name: described}, "law": name, "plant": device}
+        return convert(given, CouplingParameters, "coupling")
+
+    scaled = with_hardness(law, 4e4, T)
+    now, wanted = parameters(law), parameters(scaled)
+    judgement = Judgement("coupling", T, LawBook("coupling", T))
+    with pytest.raises(ParameterError) as refusal:
+        judgement.of_change(
+            now, wanted, name, parse_law(scaled).compile(T), 0.4, force=False
+        )
+    told = in_hardness(str(refusal.value), scaled, 4e4)
+    assert "taps" not in told
+    found = re.search(r"The largest hardness that is accepted is (\d+);", told)
+    assert found is not None
+    edge = edges_of_laws({name: law}, [Plant(T, 0.1, 1.0, 0.4, 150.0)])[name]
+    assert edge is not None
+    # Rounded down from four digits, to three.
+    assert 0.989 * edge < float(found[1]) < edge
+    assert in_hardness("no answer within 2 s", scaled, 4e4) == "no answer within 2 s"
 
 
 def _product(roots: Any, x: Any) -> Any:

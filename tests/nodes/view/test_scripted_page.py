@@ -206,6 +206,24 @@ def test_an_ended_page_goes_on_when_its_view_comes_again(
 
 @pytest.mark.process
 @pytest.mark.smoke
+def test_nothing_that_changes_the_loop_acts_before_its_laws_are_known(
+    browser: Browser, script: Script
+) -> None:
+    """Make it sing, pressed too early, said what JavaScript calls a null."""
+    hello, laws, chart = script.base
+    script.base[:] = [{**hello, "sings": True}]
+    early = ["tour-begin", "dial", "sing", "delay-row", "undo"]
+    live = "ids => ids.filter((id) => !document.getElementById(id).closest('[inert]'))"
+    with served(script) as server, OpenPage(browser, server.url) as page:
+        assert page.locator("#sing").is_visible()
+        assert page.evaluate(live, early) == []
+        script.pages[-1].outbox += [json.dumps(laws), json.dumps(chart)]
+        wait_for(lambda: page.evaluate("haptic.dial.edge") == 4000.0, "the edge")
+        assert page.evaluate(live, early) == early
+
+
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_recording_that_fails_is_told_on_its_button(
     page: Page, script: Script
 ) -> None:
