@@ -46,7 +46,9 @@ def launch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture(scope="module")
 def page(browser: Browser, launch: Running) -> Iterator[Page]:
+    """Draw without WebGL 2, whether the browser has it or not; with it: test_lit."""
     with OpenPage(browser, url_of(launch)) as found:
+        found.evaluate("haptic.space.newStill(false)")
         wait_for(lambda: found.evaluate("haptic.space.pixels > 0"), "the picture")
         yield found
 
