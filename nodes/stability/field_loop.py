@@ -26,6 +26,7 @@ LONGEST = (
     400  # taps above which a law is not judged in a field: its matrix takes seconds
 )
 _ANGLES = 12  # normals in a plane
+_ROUNDING = 1e-12  # part of a field that rounding makes
 
 Square = NDArray[Any]  # real or complex
 
@@ -183,10 +184,31 @@ def _normals(n: int, resistance: NDArray[np.float64]) -> list[NDArray[np.float64
     """Return the directions of a surface that are judged; one where all are equal."""
     if n == 2:
         (a, b), (c, d) = resistance
-        angles = np.arange(_ANGLES if (a, b) != (d, -c) else 1) * np.pi / _ANGLES
-        return [np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
+        if (a, b) == (d, -c):
+            return [np.array([1.0, 0.0])]
+        angles = np.arange(_ANGLES) * np.pi / _ANGLES
+        turned = [np.array([np.cos(angle), np.sin(angle)]) for angle in angles]
+        return turned + _steepest(resistance)
     if (resistance == resistance[0, 0] * np.eye(n)).all():
         return [np.eye(n)[0]]
     signs = product((-1, 0, 1), repeat=n)
     whole = [np.array(one, float) for one in signs if any(one)]
-    return [one / np.linalg.norm(one) for one in whole[len(whole) // 2 :]]
+    turned = [one / np.linalg.norm(one) for one in whole[len(whole) // 2 :]]
+    return turned + _steepest(resistance)
+
+
+def _steepest(resistance: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return normals of surfaces along which a field drives or brakes most.
+
+    Along u, an eigenvector of (R + Rᵀ)/2, the field is extreme. On the surface whose normal is the
+    part of R u, or Rᵀ u, across u, that u is a motion of its own.
+    """
+    found = []
+    for u in np.linalg.eigh(0.5 * (resistance + resistance.T))[1].T:
+        for pull in (resistance @ u, resistance.T @ u):
+            across = pull - (u @ pull) * u
+            size = np.linalg.norm(across)
+            # Below rounding, u is an eigenvector: judged in free motion.
+            if size > _ROUNDING * np.linalg.norm(resistance):
+                found.append(across / size)
+    return found

@@ -248,7 +248,7 @@ def trials(
     blocks : int
         Number of blocks.
     repeats : int
-        TrialTable of each condition in a block.
+        Trials of each condition in a block.
     seed : int
         Seed of the order: the same seed gives the same order on every machine.
     out : str or Path, optional

@@ -194,6 +194,20 @@ def test_the_pole_radius_is_the_growth_of_a_simulation(seed: int) -> None:
         assert grows(law, plant, resistance, weight) == pytest.approx(radius, rel=3e-3)
 
 
+@pytest.mark.parametrize("axes", [2, 3])
+def test_a_shear_is_judged_on_the_surface_where_it_drives_most(axes: int) -> None:
+    """F = a (e₂·v) e₁ drives along the diagonal with a/2: neutral at a = 2b, however turned."""
+    draw = np.random.default_rng(5)
+    plant = Plant(T, 0.3, 2.0)
+    for _ in range(4):
+        turned = np.linalg.qr(draw.normal(size=(axes, axes)))[0]
+        neutral = 2.0 * plant.damping * np.outer(turned[0], turned[1])
+        for share, stable in ((0.999, True), (1.001, False)):
+            found = judge_in_field(PD, plant, -share * neutral)
+            assert found is not None
+            assert found.stable is stable
+
+
 def test_on_one_axis_and_alone_it_is_the_loop_with_a_damper_of_the_field() -> None:
     from nodes.coupling.felt_law import added
     from nodes.stability.judge import judge
