@@ -77,6 +77,12 @@ def _moving(plant: PlantParameters) -> WorldKind | None:
     return SteppedTool(plant.tool_damping) if stepped else AnyWorld()
 
 
+def same_tick_worlds(plant: PlantParameters | None) -> str:
+    """Return the words for worlds that answer in the same tick; "" if others meet the law."""
+    world = None if plant is None else _moving(plant)
+    return world.about if isinstance(world, AnyWorld) else ""
+
+
 def _heavy(plant: PlantParameters, device: Plant) -> EulerTool | None:
     """Return the tool of known mass, or None if its steps are not known."""
     steps = plant.tool_steps(device.period)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import MISSING
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,8 @@ def declare(function: Any, parser: argparse.ArgumentParser) -> None:
         default = options.default_of(name)
         words = {"help": one.words.get("help"), **one.words}
         if one.positional:
-            known = {} if "nargs" not in words else {"default": default}
+            needed = "nargs" not in words or default is MISSING
+            known = {} if needed else {"default": default}
             parser.add_argument(name, **words, **known)
             continue
         if words.get("action") == "on_off":

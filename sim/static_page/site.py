@@ -33,7 +33,7 @@ from nodes.view.bundle import bundle
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.live import HISTORY
 from nodes.view.shape import shape_of
-from nodes.view.stability_map import plant_of
+from nodes.view.stability_map import plant_of, same_tick_worlds
 from sim.device.driver import SimDriverParameters, along
 from sim.javascript.values import Plain
 from sim.play.hops import Hops, hops_of
@@ -42,7 +42,7 @@ from sim.static_page.image import image_of
 from sim.static_page.law_parts import parts_of
 
 _FIRST: Final = ("touch_wall",)  # scenarios if none are named
-_SCRIPTS: Final = ("laws", "edges", "words", "delay", "session")
+_SCRIPTS: Final = ("laws", "edges", "moving_worlds", "words", "delay", "session")
 _TICKS: Final = (
     300_000  # ticks for which laws that push pseudo-randomly have their push
 )
@@ -243,6 +243,7 @@ def data_of(launch: Launch) -> dict[str, Any]:
             "stiffness": model.grip,
         },
         "plant": Plain({} if plant is None else msgspec.to_builtins(plant)),
+        "world": same_tick_worlds(coupling.plant or plant),
         "no_map": (
             "No map: the device's mass depends on its position."
             if model.mass_by_position

@@ -98,8 +98,9 @@ const ofDevice = ({ num, den, whole }, c, s) => {
   return [nr, ni, dr, di];
 };
 
-// K at an angle of the circle: −(den z^(whole+1) + num D)/num, real and imaginary part.
+// K at an angle of the circle: −(den z^(whole+1) + num D)/num, real and imaginary part; the angle.
 const boundary = (held, law, theta, out) => {
+  out[2] = theta;
   const c = Math.cos(theta), s = Math.sin(theta), [nr, ni, dr, di] = ofDevice(held, c, s);
   const [r, i] = response(law, c, s), q = nr * nr + ni * ni;
   out[0] = -((dr * nr + di * ni) / q + r);
@@ -146,22 +147,29 @@ const crossing = (held, law, a, b, fa, fb, out) => {
   boundary(held, law, Math.abs(fa) < Math.abs(fb) ? a : b, out);
 };
 
-// Smallest and largest stable K of the lowest stable interval, or null. `law` is without spring.
-const stableStiffness = (device, law) => {
-  const held = heldDevice(device), out = [0, 0], cuts = [];
+// Where the imaginary part is zero within the half circle: {k, theta}.
+const wallSwings = (law, held) => {
+  const out = [0, 0, 0], swings = [];
   const grid = angles(16 * (law.taps.length + 2 * (law.sections.length / 4) + held.whole + 8));
-  const rest = restStiffness(law), floor = Math.max(0, -rest);
   let before = 0;
   for (let n = 0; n < grid.length; n++) {
     boundary(held, law, grid[n], out);
     const [at, part] = out;
-    if (part === 0) cuts.push(at);
+    if (part === 0) swings.push({ k: at, theta: grid[n] });
     else if (n && before * part < 0) {
       crossing(held, law, grid[n - 1], grid[n], before, part, out);
-      cuts.push(out[0]);
+      swings.push({ k: out[0], theta: out[2] });
     }
     before = part;
   }
+  return swings;
+};
+
+// Smallest and largest stable K of the lowest stable interval, or null. `law` is without spring.
+const stableStiffness = (device, law) => {
+  const held = heldDevice(device), out = [0, 0, 0];
+  const cuts = wallSwings(law, held).map(({ k }) => k);
+  const rest = restStiffness(law), floor = Math.max(0, -rest);
   cuts.push(-device.stiffness - rest);
   const [n0, n1, n2] = held.num, top = n0 - n1 + n2;
   if (Math.abs(top) > 1e-12 * (Math.abs(n0) + Math.abs(n1) + Math.abs(n2))) {

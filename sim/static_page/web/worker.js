@@ -105,11 +105,28 @@ const tellEdges = () => say("edges", {
   rest: Object.fromEntries(Object.keys(session.laws).map((name) => [name, session.laws[name].stiffness === undefined ? restStiffness(session.numbersOf(name)) : null])),
 });
 
+const MOVING_PAUSE = 20; // between two steps of the limits for moving worlds [ms]
+
 const map = () => {
   const { law, delay } = session, parts = DATA.parts[law];
   const found = DATA.no_map ? { why: DATA.no_map } : stabilityMap(session.device(), parts, session.laws[law]);
   if (session.laws[law].stiffness === undefined && !found.why) found.k_max_n_per_m = session.edge(law);
-  say("map", { law, device_delay: delay, plant: DATA.plant, ...found });
+  const tell = (chart) => say("map", { law, device_delay: delay, plant: DATA.plant, ...chart });
+  tell(found);
+  addMoving(movingSteps(found, session.device(), parts, { ...session.laws[law] }, DATA.world), tell);
+};
+
+// The limits for moving worlds follow, a step between two turns of the loop; a newer map ends them.
+let moving = null;
+const addMoving = (steps, tell) => {
+  moving = steps;
+  const next = () => {
+    if (moving !== steps) return;
+    const { value, done } = steps.next();
+    if (value) tell(value);
+    if (!done) setTimeout(next, MOVING_PAUSE);
+  };
+  setTimeout(next, MOVING_PAUSE);
 };
 
 const receipt = (action, before) => {

@@ -23,8 +23,10 @@ from nodes.laws.parse import parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
+from nodes.stability.worlds import AnyWorld, world_k_max
 from nodes.view.bundle import bundle
 from nodes.view.ringing import Ringing
+from nodes.view.stability_map import plant_of, stability_map, with_moving_worlds
 from sim.play.player import play
 from sim.static_page.emitted_rules import constant
 from sim.static_page.law_parts import parts_of
@@ -47,6 +49,8 @@ LAWS: dict[str, dict[str, Any]] = {
     "multi_term": {"kind": "paper_optimum"},
     "filtered": {"kind": "pd_filtered", "cutoff": 80.0},
 }
+
+DEVICE = ("mass", "damping", "stiffness", "delay")
 
 pytestmark = [pytest.mark.process, pytest.mark.smoke]
 
@@ -153,6 +157,74 @@ def test_the_largest_stable_stiffness_is_that_of_the_poles(tmp_path: Path) -> No
         for by, verdict in zip((0.9, 1.1), stable, strict=True):
             law = law_of(name, by * edge[1], gain).compile(T)
             assert verdict == (pole_radius(law, plant) < 1.0), (name, gain, plant, by)
+
+
+def test_the_limit_for_moving_worlds_is_that_of_the_certificate(tmp_path: Path) -> None:
+    """Each law, hand and delay against `world_k_max`, which searches another grid."""
+    rng = np.random.default_rng(11)
+    cases = []
+    for n in range(24):
+        mass, damping = np.exp(
+            rng.uniform(np.log([0.02, 0.05]), np.log([1.0, 8.0]))
+        ).tolist()
+        delay = (0.0, 0.4, 1.0, 3.25)[n % 4]
+        hand = float(rng.choice([0.0, 150.0, 800.0]))
+        gain = float(np.exp(rng.uniform(np.log(0.02), np.log(2.0))))
+        cases.append(
+            (list(LAWS)[n % len(LAWS)], gain, Plant(T, mass, damping, delay, hand))
+        )
+    cases.append(("pd", 1.0, Plant(T, 0.1, 0.0)))  # undamped: nothing is certified
+    parts = {name: parts_of(law_of(name, 1.0, 1.0), T, 100, 1, name) for name in LAWS}
+    given = [
+        [name, gain, {key: getattr(p, key) for key in ("period", *DEVICE)}]
+        for name, gain, p in cases
+    ]
+    found = run(
+        tmp_path,
+        f"const parts = {constant('P', parts).partition('=')[2]}"
+        f"result = {json.dumps(given)}.map(([name, damping, device]) => movingLimit(device,"
+        " withoutSpring(parts[name], { stiffness: 1, damping }, device.period)));",
+    )
+    wanted = [
+        world_k_max(without_spring(law_of(n, 1.0, gain), T), p, AnyWorld())
+        for n, gain, p in cases
+    ]
+    assert sum(one.k_max_n_per_m is not None for one in wanted) > len(cases) // 2
+    for case, one, got in zip(cases, wanted, found, strict=True):
+        # Both zoom into a dip to 1e-12 of the terms: the square root of that in the angle.
+        want = one.k_max_n_per_m
+        assert got == (want and pytest.approx(want, rel=1e-6)), case
+
+
+def test_a_page_draws_the_limits_for_moving_worlds_of_the_live_page(
+    tmp_path: Path,
+) -> None:
+    found = run(
+        tmp_path,
+        "const session = new Session(DATA), parts = DATA.parts[session.law];"
+        " const law = session.laws[session.law], device = session.device();"
+        " result = [...movingSteps(stabilityMap(device, parts, law), device, parts, law,"
+        " DATA.world)].at(-1);",
+        "touch_wall",
+    )
+    launch = launch_file.read("touch_wall", {})
+    data = data_of(launch)
+    law = parse_law(data["laws"].data[data["active"]], "law")
+    plant = plant_of(None, launch.nodes["driver"].parameters)
+    assert plant is not None
+    begun = stability_map(law, T, plant, found["delay_ticks"])
+    live = with_moving_worlds(begun, law, T, plant, found["delay_ticks"])
+    assert found["world"] == live["world"]
+    names = ("any_world", "any_world_over_delay")
+    assert found["k_max_any_world_n_per_m"] == pytest.approx(
+        live["k_max_any_world_n_per_m"], rel=1e-6
+    )
+    for name in names:
+        for got, want in zip(found[name], live[name], strict=True):
+            assert got == [
+                pytest.approx(want[0], abs=1e-9),
+                want[1] and pytest.approx(want[1], rel=1e-6),
+            ], name
 
 
 def state_of(**more: Any) -> DeviceState:
