@@ -82,7 +82,8 @@ def test_a_refusal_of_an_h1_tells_the_largest_one_that_is_accepted(name: str) ->
 
     def parameters(described: dict[str, Any]) -> CouplingParameters:
         given = {"laws": {name: described}, "law": name, "plant": device}
-        return convert(given, CouplingParameters, "coupling")
+        found: CouplingParameters = convert(given, CouplingParameters, "coupling")
+        return found
 
     scaled = with_hardness(law, 4e4, T)
     now, wanted = parameters(law), parameters(scaled)
