@@ -10,6 +10,7 @@ import json
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ import pytest
 from tests.support.launching import DEADLINE, HAPTIC, Running, wait_for
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, Playwright
 
 _BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
@@ -49,6 +50,25 @@ SOFTWARE_GL = [
 """Arguments for WebGL 2 without a graphics card."""
 
 
+_drivers: list[Playwright] = []
+
+
+@contextlib.contextmanager
+def _driver() -> Iterator[Playwright]:
+    """Yield the process's one Playwright, which allows no second in a thread."""
+    if _drivers:
+        yield _drivers[0]
+        return
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as started:
+        _drivers.append(started)
+        try:
+            yield started
+        finally:
+            _drivers.clear()
+
+
 @contextlib.contextmanager
 def chromium(arguments: Sequence[str] = ARGUMENTS) -> Iterator[Browser]:
     """Start a browser for a with block.
@@ -63,9 +83,9 @@ def chromium(arguments: Sequence[str] = ARGUMENTS) -> Iterator[Browser]:
     Browser
         Playwright's.
     """
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
+    with _driver() as playwright:
+        # Playwright's process starts it: what tests start is heard of here.
+        sys.audit("subprocess.Popen", CHROMIUM, [CHROMIUM], None, None)
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=list(arguments)
         )
