@@ -18,6 +18,7 @@ from nodes.view.tessellation import Patch
 from sim.lab.proxy_shapes import icosphere
 from tests.support.ball_picture import CENTRE, COLOURS, RADIUS, Camera, shade
 from tests.support.browser import SOFTWARE_GL, chromium, needs_browser
+from tests.support.launching import wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -244,8 +245,11 @@ def test_the_theme_and_a_parts_own_colour_are_seen(lit: Browser) -> None:
     page.evaluate("document.documentElement.dataset.theme = 'dark'")
     page.emulate_media(color_scheme="dark")
     page.wait_for_function("getComputedStyle(document.body).colorScheme === 'dark'")
-    (night,) = seen(page, {}, [ground])
-    assert sum(night[:3]) < 0.4 * sum(day[:3])
+    # The page hears of it by an event.
+    wait_for(
+        lambda: sum(seen(page, {}, [ground])[0][:3]) < 0.4 * sum(day[:3]),
+        "the picture is as dark as the page",
+    )
     page.close()
 
 
