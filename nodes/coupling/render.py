@@ -120,14 +120,8 @@ def deflections(
     contact: bool,
 ) -> list[float]:
     """Return the deflections that a tick would push into the histories [m], in their axes."""
-    world = [
-        deflection(position[i], proxy[i], distance, normal[i], contact, s.raw != 0)
-        for i in range(3)
-    ]
-    if s.turning == 0:
-        return [world[s.axis[n]] for n in range(s.axes)]
     return [
-        sum((s.turned[3 * n + i] * world[i] for i in range(3)), 0.0)
+        deflection_along(s, n, position, proxy, distance, normal, contact)
         for n in range(s.axes)
     ]
 
