@@ -36,11 +36,84 @@
 | `FaultSkippedError` | of those: a fault that cannot be injected |
 """
 
-__all__ = ["HapticError", "RefusedError", "UsageError"]
+from typing import Annotated, Final, Self
+
+import msgspec
+
+from messages.types import Name, Real, Text
+
+__all__ = [
+    "AT_LEAST",
+    "AT_MOST",
+    "FORCE",
+    "OTHER",
+    "TOGETHER",
+    "HapticError",
+    "RefusedError",
+    "Remedy",
+    "UsageError",
+]
+
+# Kinds of remedies.
+AT_MOST: Final = "at_most"  # the largest value of a parameter that would be accepted
+AT_LEAST: Final = "at_least"  # the smallest one
+TOGETHER: Final = "together"  # values of several parameters that would be accepted
+FORCE: Final = "force"  # repeat the request with ``force: true``
+OTHER: Final = "other"  # what only its text says
+
+
+class Remedy(msgspec.Struct, frozen=True):
+    """One way out of a refusal, which each interface words for itself.
+
+    Attributes
+    ----------
+    kind : str
+        `AT_MOST`, `AT_LEAST`, `TOGETHER`, `FORCE` or `OTHER`; readers skip others.
+    text : str
+        In the words of the command line.
+    values : dict of str to float
+        What would be accepted, by the path of the parameter [SI units]; empty if no value would.
+    """
+
+    kind: Name
+    text: Text
+    values: Annotated[dict[Name, Real], msgspec.Meta(max_length=64)] = {}
 
 
 class HapticError(Exception):
-    """Base of every exception that this project raises on purpose; its text has the remedy."""
+    """Base of every exception that this project raises on purpose; its text has the remedies.
+
+    Attributes
+    ----------
+    remedies : tuple of Remedy
+        Ways out as data, if there are any; the error's text ends with them.
+    """
+
+    remedies: tuple[Remedy, ...] = ()
+
+    @property
+    def fault(self) -> str:
+        """The error's text without `remedies`."""
+        return super().__str__()
+
+    def __str__(self) -> str:
+        return "; ".join((self.fault, *(one.text for one in self.remedies)))
+
+    def with_remedies(self, *remedies: Remedy) -> Self:
+        """Add ways out to the error and return it.
+
+        Parameters
+        ----------
+        *remedies : Remedy
+            They follow those that the error has.
+
+        Returns
+        -------
+        HapticError
+            The same error.
+        """
+        self.remedies += remedies
+        return self
 
 
 class UsageError(HapticError):

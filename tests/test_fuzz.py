@@ -33,6 +33,7 @@ from hypothesis import strategies as st
 
 from messages import topics
 from messages.codec import Decoder, MessageRefusedError, encode
+from messages.errors import AT_MOST, Remedy
 from messages.transport import keys
 from messages.transport.endpoints import EndpointRefusedError, split
 from messages.transport.keys import KeyRefusedError, parse_key
@@ -312,7 +313,13 @@ def targets() -> list[Target]:
         Request("status"),
         Request("law.switch", {"law": "pd"}),
     ]
-    replies = [Reply(True, {"a": [1, 2.5, None, {"b": "c"}]}), Reply(False, error="no")]
+    way = Remedy(
+        AT_MOST, "the largest stiffness that is accepted is 9", {"stiffness": 9.0}
+    )
+    replies = [
+        Reply(True, {"a": [1, 2.5, None, {"b": "c"}]}),
+        Reply(False, error="no", remedies=(way,)),
+    ]
     scenes = [path.read_bytes() for path in scenario_files.scenarios().values()]
     laws = [
         b"{kind: pd, stiffness: 1000.0, damping: 3.0}",

@@ -1,7 +1,7 @@
 """Requests to a running node (parameters, laws, status, stop): one request, one reply.
 
-A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error}``, on a socket of its
-own. The node serves them on a second thread, never between sample and force.
+A request is a MessagePack map ``{op, args}``, a reply ``{ok, result, error, remedies}``, on a
+socket of its own. The node serves them on a second thread, never between sample and force.
 """
 
 import time
@@ -12,7 +12,7 @@ import msgspec
 import zmq
 
 from messages.codec import MAX_PAYLOAD, MessageRefusedError
-from messages.errors import RefusedError
+from messages.errors import RefusedError, Remedy
 from messages.transport.endpoints import Context, Socket, closed_if_refused, connect
 from messages.transport.keys import trusted
 from messages.types import Name, Text
@@ -58,12 +58,15 @@ class Reply(msgspec.Struct, frozen=True):
     result : object
         The result, if so.
     error : str
-        The reason, if not: path, value, limit and remedy.
+        The reason, if not: path, value and limit.
+    remedies : tuple of Remedy
+        Ways out of the refusal, if the node knows any.
     """
 
     ok: bool
     result: Any = None
     error: Text = ""
+    remedies: Annotated[tuple[Remedy, ...], msgspec.Meta(max_length=16)] = ()
 
 
 class ControlError(RefusedError):
@@ -240,7 +243,7 @@ class Connection:
         except MessageRefusedError as error:
             raise ControlError(f"{self._endpoint}: {error}") from error
         if not reply.ok:
-            raise ControlError(reply.error)
+            raise ControlError(reply.error).with_remedies(*reply.remedies)
         return reply.result
 
     def _received(self, socket: Socket, until: float) -> list[bytes]:

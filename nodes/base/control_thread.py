@@ -239,7 +239,7 @@ class ControlServer(threading.Thread):
         try:
             return Reply(True, self._perform(request.op, request.args))
         except ParameterError as error:
-            return Reply(False, error=str(error)[:4000])
+            return Reply(False, error=error.fault[:4000], remedies=error.remedies)
         # e.g. an exception of another package's law while it is compiled
         except Exception as error:  # noqa: BLE001
             return Reply(

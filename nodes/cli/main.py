@@ -19,6 +19,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
+import msgspec
+
 from messages.errors import HapticError, UsageError
 from nodes.base.kept_line import is_smart
 from nodes.base.printable import COLOURS, printable
@@ -322,7 +324,8 @@ def _run(argv: list[str]) -> int:
         raise
     except HapticError as error:
         if getattr(arguments, "json", False):
-            print(json.dumps({"error": str(error)}), flush=True)
+            ways = msgspec.to_builtins(error.remedies)
+            print(json.dumps({"error": str(error), "remedies": ways}), flush=True)
         complain(error)
         return 1
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from messages.errors import AT_LEAST, AT_MOST, FORCE, OTHER, TOGETHER, Remedy
 from messages.schema import attributes, unit_of
 from nodes.base.setup import AXIS_INDEX, Effect
 from nodes.coupling.contradictions import contradictions
@@ -321,11 +322,13 @@ class Judgement:
             if verdict is not None and not verdict.stable:
                 complaint = self._complaint(f"laws.{name}", verdict)
                 remedy = self._remedy(None, parameters, name, verdict)
-                warnings.append(complaint.continued(f"; {remedy}"))
+                warnings.append(complaint.with_remedies(remedy))
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
         if warnings and refuses_start(policy, reason):
-            raise warnings[0].continued(f", or set {self._node}.stability to warn")
+            raise warnings[0].with_remedies(
+                Remedy(OTHER, f"to start anyway, set {self._node}.stability to warn")
+            )
         why = (
             reason.value
             if policy in ("changes", "refuse")
@@ -344,7 +347,11 @@ class Judgement:
         if verdict is None or verdict.stable:
             return []
         complaint = self._complaint("fallback", verdict)
-        return [complaint.continued(f"; lower {self._node}.fallback.damping")]
+        return [
+            complaint.with_remedies(
+                Remedy(OTHER, f"lower {self._node}.fallback.damping")
+            )
+        ]
 
     def of_change(
         self,
@@ -363,9 +370,12 @@ class Judgement:
         if force or wanted.stability == "warn":
             return verdict, str(complaint)
         remedy = self._remedy(now, wanted, name, verdict)
-        raise complaint.continued(
-            f"; nothing was changed. {remedy[0].upper()}{remedy[1:]}; to study it "
-            f"anyway, use --force, or set {self._node}.stability to warn"
+        raise complaint.continued("; nothing was changed").with_remedies(
+            remedy,
+            Remedy(
+                FORCE,
+                f"to study it anyway, use --force, or set {self._node}.stability to warn",
+            ),
         )
 
     def refuse_fallback(
@@ -402,18 +412,20 @@ class Judgement:
         wanted: CouplingParameters,
         name: str,
         verdict: Verdict,
-    ) -> str:
+    ) -> Remedy:
         from nodes.stability.judge import between, furthest_stable, judge
 
         if verdict.felt.startswith(self._field):
             felt = self._felt(self._book.compile(wanted, name))
             stable = largest_share(felt, [verdict.plant], wanted.field, self._axes)
             part = f"{rounded_towards(stable, 0.0):g} times" if stable else "no part of"
-            return f"the law itself is stable: {part} this field would be accepted"
+            text = f"the law itself is stable: {part} this field would be accepted"
+            return Remedy(OTHER, text)
         if verdict.felt:
-            return (
+            return Remedy(
+                OTHER,
                 f"the law itself is stable: raise the factors of {verdict.felt} (its damping), or"
-                " change its time, or take a softer law"
+                " change its time, or take a softer law",
             )
         asked = self._book.description(wanted, name)
         where = f"{self._node}.laws.{name}" if name in wanted.laws else name
@@ -426,7 +438,7 @@ class Judgement:
                 if share
                 else f"no part of {where}"
             )
-            return f"{part} would be accepted"
+            return Remedy(OTHER, f"{part} would be accepted")
 
         def at(share: float) -> Any:
             return with_numbers(
@@ -438,15 +450,19 @@ class Judgement:
 
         share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
         if share is None:
-            return (
+            return Remedy(
+                OTHER,
                 f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
-                "the rest as requested"
+                "the rest as requested",
             )
         reached = numbers_of(at(share))
         ends = numbers_of(asked)
         if len(start) > 1:
-            return f"together, {where} is accepted up to " + ", ".join(
-                f"{path} {reached[path]:.4g}" for path in start
+            told = ", ".join(f"{path} {reached[path]:.4g}" for path in start)
+            return Remedy(
+                TOGETHER,
+                f"together, {where} is accepted up to {told}",
+                {f"{where}.{path}": reached[path] for path in start},
             )
         ((path, begin),) = start.items()
         value = rounded_towards(reached[path], begin)
@@ -454,14 +470,15 @@ class Judgement:
             with_numbers(asked, lambda at, end: value if at == path else end)
         )
         found = judge(rounded, verdict.plant)
-        shown = (
-            f"{value:g}"
-            if found is not None and found.stable
-            else f"{reached[path]:.9g}"
+        if found is None or not found.stable:
+            value = reached[path]
+        kind, side = (
+            (AT_MOST, "largest") if ends[path] > begin else (AT_LEAST, "smallest")
         )
-        return (
-            f"the {'largest' if ends[path] > begin else 'smallest'} {where}.{path} that is "
-            f"accepted is {shown}"
+        return Remedy(
+            kind,
+            f"the {side} {where}.{path} that is accepted is {value:.9g}",
+            {f"{where}.{path}": value},
         )
 
     def _start(

@@ -64,6 +64,7 @@ class Note(NamedTuple):
     ]  # names of its numbers, in the order in which the rules note them
     text: str  # sentence, filled by name
     short: str = ""  # short form for the page, if different
+    remedy: str = ""  # what to do about it on the command line; empty if nothing
 
 
 NOTES: Final[Mapping[int, Note]] = {
@@ -101,9 +102,10 @@ NOTES: Final[Mapping[int, Note]] = {
         ("limit_n", "strokes", "span_s", "energy_j"),
         "the loop generates energy: its force reached the limit of {limit_n:g} N, or stayed there,"
         " {strokes:.0f} times within {span_s:.2g} s and generated {energy_j:.3g} J; no force until"
-        " rearmed: choose a softer law, then run haptic node rearm, or launch again",
+        " rearmed",
         "{strokes:.0f} strokes to the limit of {limit_n:g} N within {span_s:.2g} s, {energy_j:.3g}"
         " J generated",
+        "choose a softer law, then run haptic node rearm, or launch again",
     ),
     notes.CONTINUOUS: Note(
         "limit",
@@ -177,6 +179,8 @@ def take_notes(s: DriverState) -> list[Noted]:
             **dict(zip(note.fields, numbers, strict=False)),
         }
         reason = _filled(note.text, data)
+        if note.remedy:
+            reason = f"{reason}: {note.remedy}"
         if change >= 0.0:
             before, after = divmod(int(change), 8)
             data |= {"before": float(before), "after": float(after)}

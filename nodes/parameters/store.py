@@ -45,7 +45,7 @@ class ParameterError(HapticError, ValueError):
 
     @property
     def text(self) -> str:
-        """The error's text without the path."""
+        """The error's text without the path and `remedies`."""
         return str(self.args[0])
 
     @property
@@ -53,7 +53,9 @@ class ParameterError(HapticError, ValueError):
         """The parameter; empty if the error names none."""
         return str(self.args[1])
 
-    def __str__(self) -> str:
+    @property
+    def fault(self) -> str:
+        """The error's text without `remedies`, with the path."""
         return f"{self.path}: {self.text}" if self.path else self.text
 
     def continued(self, more: str) -> Self:
@@ -64,7 +66,7 @@ class ParameterError(HapticError, ValueError):
         ParameterError
             Of the same class.
         """
-        return type(self)(self.text + more, self.path)
+        return type(self)(self.text + more, self.path).with_remedies(*self.remedies)
 
 
 def convert(data: Any, target: Any, where: str) -> Any:

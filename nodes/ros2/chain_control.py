@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from messages.errors import HapticError
+from messages.errors import FORCE, HapticError
 from nodes.base.node_kinds import load
 from nodes.client.launches import ask
 from nodes.launcher.runs import RunInfo
@@ -22,6 +22,7 @@ from nodes.ros2.graph import Graph, Trigger
 
 # a service's name: ROS takes letters, digits and single underscores
 _SERVICE = re.compile(r"(?!.*__)[A-Za-z][A-Za-z0-9_]*")
+_BY_FORCE = "to study it anyway, use haptic param set --force"
 _INT64 = 1 << 63
 
 
@@ -144,7 +145,8 @@ class ChainControl:
 
 def _in_words_of_ros(error: HapticError) -> str:
     """Return a refusal; a change by force is not for the graph."""
-    return str(error).replace("use --force", "use haptic param set --force")
+    ways = (_BY_FORCE if one.kind == FORCE else one.text for one in error.remedies)
+    return "; ".join((error.fault, *ways))
 
 
 def _struct_of(kind: str) -> type[Any] | None:

@@ -48,7 +48,7 @@ JUDGES = (
 
 
 class CommandError(HapticError):
-    """A refused request; the text is for the page."""
+    """A refused request of a page."""
 
 
 class Commander:
@@ -108,15 +108,10 @@ class Commander:
             self._lines[node] = Connection(self._context, endpoint)
         try:
             return self._lines[node].call(op, timeout, **args)
-        except (
-            HapticError,
-            ValueError,
-            OverflowError,
-            TypeError,
-            zmq.ZMQError,
-        ) as error:
-            # Refusals; also unusable endpoints or keys, values that cannot be encoded, and the
-            # end of the context.
+        except HapticError as error:
+            raise CommandError(error.fault).with_remedies(*error.remedies) from error
+        except (ValueError, OverflowError, TypeError, zmq.ZMQError) as error:
+            # Values that cannot be encoded, and the end of the context.
             raise CommandError(str(error)) from error
 
     def do(self, request: Mapping[str, Any]) -> Any:
@@ -134,7 +129,7 @@ class Commander:
         op = request.get("op")
         if not isinstance(op, str) or op not in known:
             raise CommandError(
-                f"view: unknown request {str(op)[:100]!r}; a page can ask: {', '.join(known)}"
+                f"unknown request {str(op)[:100]!r}; a page can ask: {', '.join(known)}"
             )
         arguments = {
             key: value for key, value in request.items() if key not in ("op", "id")
@@ -145,7 +140,7 @@ class Commander:
             for name, value in arguments.items():
                 msgspec.convert(value, types[name])
         except (TypeError, msgspec.ValidationError) as error:
-            raise CommandError(f"view: {op}: {error}") from error
+            raise CommandError(f"{op}: {error}") from error
         return known[op](**arguments)
 
     def _set(self, node: str, values: dict[str, Any]) -> dict[str, Any]:
@@ -159,7 +154,7 @@ class Commander:
             if name.partition(".")[0] in JUDGES:
                 raise CommandError(
                     f"{node}.{name}: a page cannot change it, because it limits the page's own"
-                    f" changes; use: haptic param set {node} {name}"
+                    " changes"
                 )
             try:
                 before[name] = self.ask(node, "param.get", name=name)
@@ -212,13 +207,14 @@ class Commander:
         try:
             return self._change(self.coupling, {f"laws.{name}": scaled}, **force)
         except CommandError as error:
-            raise CommandError(in_hardness(str(error), scaled, wanted)) from error
+            error.remedies = in_hardness(error.remedies, scaled, wanted)
+            raise
 
     def _forced(self, beyond: bool) -> dict[str, Any]:
         """Return the option for a change past the stability limit; refuse it if not allowed."""
         if beyond and not self.beyond:
             raise CommandError(
-                f"view: beyond: {self.driver} may not pass the stability limit; only a virtual"
+                f"{self.driver} may not pass the stability limit; only a virtual"
                 " device may, if its launch file has pointer: {beyond: true}"
             )
         return {"force": True} if beyond else {}
@@ -246,7 +242,7 @@ class Commander:
         before = self.device_delay()
         if before is None:
             raise CommandError(
-                f"view: delay: {self.driver} is not a virtual device in real time, so its delay"
+                f"{self.driver} is not a virtual device in real time, so its delay"
                 " cannot be changed"
             )
         receipt = self._put_delay(ticks, force=bool(self._forced(beyond)))
@@ -303,7 +299,7 @@ class Commander:
 
     def _undo_last(self) -> dict[str, Any]:
         if not self._undo:
-            raise CommandError("view: nothing to undo")
+            raise CommandError("nothing to undo")
         node, before, values, _ = self._undo[-1]
         if set(before) == {"law"}:
             receipt = self.ask(node, "law.switch", law=before["law"])

@@ -6,14 +6,13 @@ A law without a nominal stiffness is scaled as a whole; its stiffness at rest H(
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from messages.errors import HapticError
+from messages.errors import AT_MOST, HapticError, Remedy
 from nodes.coupling.law_numbers import rounded_towards
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.fir import FIR, RecursiveSection
@@ -59,38 +58,37 @@ def with_hardness(
     return law_to_dict(msgspec.structs.replace(law, taps=taps, recursive=recursive))
 
 
-_UP_TO = re.compile(
-    r"(?:together, \S+ is accepted up to (?P<all>\S+ [^\s,;]+(?:, \S+ [^\s,;]+)*)"
-    r"|the largest \S+?\.(?P<path>taps\S+) that is accepted is (?P<value>[^\s;]+))",
-    re.IGNORECASE,
-)
-
-
-def in_hardness(text: str, scaled: Mapping[str, Any], hardness: float) -> str:
-    """Return a refusal of a law scaled to an H(1), with the largest H(1) for its taps.
+def in_hardness(
+    remedies: Iterable[Remedy], scaled: Mapping[str, Any], hardness: float
+) -> tuple[Remedy, ...]:
+    """Return ways out of a refusal of a law scaled to an H(1): the largest H(1), not its taps.
 
     Parameters
     ----------
-    text : str
-        The refusal, which names the taps that would be accepted.
+    remedies : iterable of Remedy
+        They have the taps that would be accepted.
     scaled : mapping
         The law that was refused.
     hardness : float
         Its H(1) [N/m].
     """
-    found = _UP_TO.search(text)
-    if found is None:
-        return text
-    told = found["all"] or f"{found['path']} {found['value']}"
-    accepted = {
-        path: float(value.rstrip("."))
-        for path, value in (each.split() for each in told.split(", "))
-    }
     asked = {f"taps[{k}]": tap for k, tap in enumerate(scaled["taps"])}
-    path = max(accepted.keys() & asked.keys(), key=lambda one: abs(asked[one]))
-    # Told with four digits: rounded down to three, it is accepted.
-    most = rounded_towards(hardness * accepted[path] / asked[path], 0.0)
-    return _UP_TO.sub(f"The largest hardness that is accepted is {most:g}", text, 1)
+    return tuple(_in_hardness(one, asked, hardness) for one in remedies)
+
+
+def _in_hardness(one: Remedy, asked: Mapping[str, float], hardness: float) -> Remedy:
+    # All taps are in one proportion; the largest one is the most exact.
+    shares = {
+        abs(tap): value / tap
+        for path, value in one.values.items()
+        for name, tap in asked.items()
+        if path.endswith(f".{name}")
+    }
+    if not shares:
+        return one
+    most = rounded_towards(hardness * shares[max(shares)], 0.0)
+    text = f"the largest hardness that is accepted is {most:g}"
+    return Remedy(AT_MOST, text, {"hardness": most})
 
 
 def rest_stiffness(law: Law, period: float) -> float | None:

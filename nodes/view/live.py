@@ -19,7 +19,7 @@ from nodes.parameters.refusals import cut
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile
 from nodes.view.feed import BINS_PER_SECOND, Feed
-from nodes.view.page_words import in_page_words
+from nodes.view.page_words import event_text
 from nodes.view.ringing import Ring, Ringing
 from nodes.view.steady_delay import SteadyDelay
 
@@ -245,7 +245,7 @@ class LiveRun:
             told = {
                 "node": message.node,
                 "event": message.kind,
-                "text": in_page_words(message.reason),
+                "text": event_text(message),
                 "data": message.data,
             }
             self.board.log({"kind": "event", "t": message.seq * self._period, **told})

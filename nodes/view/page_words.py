@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterable
 from typing import Final
 
-_ANYWAY: Final = re.compile(r"; to study it anyway, use --force, or set \S+ to warn")
-_REPLACED: Final = (
-    (
-        re.compile(
-            r"choose a softer law, then (?:run )?haptic node rearm(?:, or launch again)?"
-        ),
-        "press Again, which softens the wall",
-    ),
-    (re.compile(r"^view: "), ""),
-    (re.compile(r"; use: haptic param set \S+ \S+"), ""),
-)
+from messages.errors import FORCE, Remedy
+from messages.types import Event
+from nodes.driver.force_words import cause_of
+
+_SWITCH: Final = Remedy(FORCE, "to try it anyway, tick “past the edge”")
 
 
-def in_page_words(text: str, beyond: bool = False) -> str:
-    """Return a node's text as a page says it.
+def in_page_words(remedies: Iterable[Remedy], beyond: bool) -> tuple[Remedy, ...]:
+    """Return ways out of a refusal as a page offers them.
 
     `beyond` tells whether the page has a switch for going past the edge.
     """
-    switch = "; to try it anyway, tick “past the edge”" if beyond else ""
-    text = _ANYWAY.sub(switch, text)
-    for pattern, words in _REPLACED:
-        text = pattern.sub(words, text)
-    return text[:1].upper() + text[1:] if text[:4] == "the " else text
+    found = tuple(one for one in remedies if one.kind != FORCE)
+    return (*found, _SWITCH) if beyond and found != tuple(remedies) else found
+
+
+def event_text(event: Event) -> str:
+    """Return what a page logs about an event."""
+    if event.kind == "stopped":
+        return f"{cause_of(event)}; press Again, which softens the wall"
+    return event.reason

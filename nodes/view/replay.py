@@ -581,7 +581,7 @@ class ReplayPage:
             self._speed = float(request["factor"])
         else:
             raise CommandError(
-                f"view: {op!r} is refused: a recording can only play, pause, seek and change speed"
+                f"{op!r} is refused: a recording can only play, pause, seek and change speed"
             )
         return {"t": self._at, "playing": self._playing}
 
@@ -613,7 +613,7 @@ def opened(path: Path, name: str, page: Page, over: bool) -> Page:
         if not over:
             return OpenedPage(ReplayPages(path, notice=f"{name}; reload to go back."))
         if not isinstance(page, ReplayPage):
-            raise CommandError("view: open: only a recording is drawn over another one")
+            raise CommandError("open: only a recording is drawn over another one")
         page.draw_over(path, Path(name).stem)
     except RecordError as error:
         raise CommandError(str(error).replace(str(path), name)) from error

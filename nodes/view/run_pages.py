@@ -159,12 +159,12 @@ class RunPages:
         try:
             return await self._command(request)
         except CommandError as error:
-            text = in_page_words(str(error), self._commander.beyond)
-            raise CommandError(text) from error
+            error.remedies = in_page_words(error.remedies, self._commander.beyond)
+            raise
 
     async def _command(self, request: dict[str, Any]) -> Any:
         if self.live.ended:
-            raise CommandError(f"view: the run has ended: {self.live.ended}")
+            raise CommandError(f"the run has ended: {self.live.ended}")
         if request.get("op") == "compare":
             return self._compare(
                 request.get("law"), request.get("stiffness"), request.get("hardness")

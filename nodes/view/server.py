@@ -24,6 +24,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from messages.errors import Remedy
 from nodes.view.address import ADDRESS, LOCAL
 from nodes.view.bundle import bundle
 from nodes.view.commands import CommandError
@@ -215,7 +216,7 @@ class PageServer:
                     await _answer(
                         connection,
                         request,
-                        error=f"view: {MAX_WAITING} requests are already waiting; try again",
+                        error=f"{MAX_WAITING} requests are already waiting; try again",
                     )
                 else:
                     task = asyncio.create_task(_do(connection, shown, request))
@@ -301,7 +302,8 @@ async def _do(
     try:
         result = await page.ask(request)
     except CommandError as error:
-        await _answer(connection, request, error=str(error))
+        remedies = error.remedies
+        await _answer(connection, request, error=str(error), remedies=remedies)
     else:
         await _answer(connection, request, result=result)
 
@@ -311,6 +313,7 @@ async def _answer(
     request: dict[str, Any],
     result: Any = None,
     error: str = "",
+    remedies: tuple[Remedy, ...] = (),
 ) -> None:
     known = {"id": request.get("id"), "op": request.get("op")}
     answer = {
@@ -319,6 +322,7 @@ async def _answer(
         "ok": not error,
         "result": result,
         "error": error,
+        "remedies": remedies,
     }
     with contextlib.suppress(ConnectionClosed):
         await connection.send(msgspec.json.encode(answer).decode())

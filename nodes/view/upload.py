@@ -32,7 +32,7 @@ class Upload:
         name = request.get("name")
         size = request.get("size")
         if not isinstance(name, str) or not 0 < len(name) < 256:
-            raise CommandError("view: open: name is the file's name")
+            raise CommandError("open: name is the file's name")
         name = name.replace("\\", "/").rpartition("/")[2]
         if Path(name).suffix != ".mcap":
             raise CommandError(
@@ -66,7 +66,7 @@ class Upload:
         """Return what `opener` makes of the complete file, which is then deleted."""
         if self._file is None or self._received < self._size:
             raise CommandError(
-                f"view: open: {self._received} of {self._size} bytes came; send it again"
+                f"open: {self._received} of {self._size} bytes came; send it again"
             )
         self._file.close()
         try:

@@ -10,6 +10,8 @@ import contextlib
 import re
 from collections.abc import Iterator
 
+import msgspec
+
 from messages.errors import HapticError
 
 # Words of the command line, and what a program writes in place of them; in this order.
@@ -55,5 +57,9 @@ def speaking_python() -> Iterator[None]:
     except HapticError as error:
         error.args = tuple(
             in_python(part) if isinstance(part, str) else part for part in error.args
+        )
+        error.remedies = tuple(
+            msgspec.structs.replace(one, text=in_python(one.text))
+            for one in error.remedies
         )
         raise

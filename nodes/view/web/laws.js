@@ -4,6 +4,14 @@ import { figure, unbroken } from "./format.js";
 const WAIT = 60;
 const READ = 12000;
 
+const ENDS = { at_most: "largest", at_least: "smallest" };
+
+// Say which value would be accepted in place of a refused one.
+function accepted({ kind, values }) {
+  const [[path, value]] = Object.entries(values);
+  return `The ${ENDS[kind]} ${path.split(".").at(-1)} that is accepted is ${figure(value)}`;
+}
+
 export class Laws {
   constructor(places, ask) {
     Object.assign(this, places);
@@ -33,18 +41,18 @@ export class Laws {
   async send(request) {
     const answer = await this.ask(request);
     if (answer.ok) this.settle();
-    else this.refuse(answer.error);
+    else this.refuse(answer.error, answer.remedies);
     return answer;
   }
 
   // Reset controls to the active values; the reason stays marked until it is read or another change
   // succeeds.
-  refuse(error) {
-    const most = /the (largest|smallest) \S+?\.?(\w+) that is accepted is ([\d.e+-]+)/i.exec(error);
+  refuse(error, remedies) {
+    const end = remedies.find(({ kind }) => Object.hasOwn(ENDS, kind));
     const short = document.createElement("summary"), whole = document.createElement("details");
-    short.textContent = most ? `Refused: the loop would be unstable. The ${most[1].toLowerCase()} ${most[2]} that is accepted is ${figure(Number(most[3].replace(/\.$/, "")))}.` : unbroken(error);
+    short.textContent = end ? `Refused: the loop would be unstable. ${accepted(end)}.` : unbroken(error);
     whole.append(short);
-    if (most) whole.append(unbroken(error));
+    if (end) whole.append(unbroken(error));
     this.refusal.replaceChildren(whole);
     this.refusal.hidden = false;
     clearTimeout(this.reading);

@@ -194,7 +194,7 @@ const link = new Link({
     $("record").setAttribute("aria-pressed", found.recording);
     $("record").textContent = found.recording ? "Recording" : found.error ? "Not recorded" : "Record";
     $("record").title = found.error;
-    if (found.error && knew) { laws.refuse(found.error); refused(found.error); }
+    if (found.error && knew) { laws.refuse(found.error, []); refused(found.error); }
     else if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
   },
   answer(found) {

@@ -1,6 +1,14 @@
 // A visitor's session: the player A, B beside it, changes, and what `haptic.play` needs to repeat it.
 const LONGEST_SESSION = 60000; // ticks that a copied session may have
 
+// A refused change, with what would be accepted, as nodes word it for a page.
+class Refusal extends Error {
+  constructor(text, remedies) {
+    super(text);
+    this.remedies = remedies;
+  }
+}
+
 class Session {
   constructor(data) {
     Object.assign(this, { data, law: data.active, laws: structuredClone(data.laws), ramp: data.ramp, delay: data.delay });
@@ -105,7 +113,7 @@ class Session {
       throw new Error(`${name}.${field}: ${value} is no ${field} of this law.`);
     }
     const law = { ...old, [field]: value };
-    if (!beyond && !this.stable(name, law)) throw new Error(this.refusal(name, law));
+    if (!beyond && !this.stable(name, law)) throw this.refusal(name, law);
     this.remember(`${name}.${field}`, () => this.use(name, old, 0));
     return this.use(name, law, 0);
   }
@@ -114,16 +122,19 @@ class Session {
   scale(value, beyond) {
     const name = this.law, old = this.laws[name];
     const law = { ...old, scale: value / this.data.parts[name].rest };
-    if (!beyond && !this.stable(name, law)) throw new Error(this.refusal(name, law));
+    if (!beyond && !this.stable(name, law)) throw this.refusal(name, law);
     this.remember(`${name}.scale`, () => this.use(name, old, 0));
     return this.use(name, law, 0);
   }
 
   refusal(name, law) {
+    const fault = `${name}: the loop would be unstable; nothing was changed`;
     const edge = this.edge(name, law);
-    return `${name}: the loop would be unstable; nothing was changed. ${edge === null
-      ? "No stiffness is stable with this damping and delay."
-      : `The largest ${name}.stiffness that is accepted is ${Number((edge * 0.999).toPrecision(4))}.`}`;
+    if (edge === null) return new Refusal(`${fault}; no stiffness is stable with this damping and delay`, []);
+    const field = `${name}.${law.stiffness === undefined ? "hardness" : "stiffness"}`;
+    const most = Number((edge * 0.999).toPrecision(4));
+    const text = `the largest ${field} that is accepted is ${most}`;
+    return new Refusal(`${fault}; ${text}`, [{ kind: "at_most", text, values: { [field]: most } }]);
   }
 
   // Largest stable stiffness of a law [N/m], or null.
@@ -138,7 +149,7 @@ class Session {
 
   switchTo(name, ramp, beyond) {
     if (!Object.hasOwn(this.laws, name)) throw new Error(`no law is named ${name} on this page`);
-    if (!beyond && !this.stable(name)) throw new Error(this.refusal(name, this.laws[name]));
+    if (!beyond && !this.stable(name)) throw this.refusal(name, this.laws[name]);
     const from = this.law;
     this.remember("switch", () => this.use(from, this.laws[from], 0));
     return this.use(name, this.laws[name], ramp);

@@ -215,14 +215,14 @@ onmessage = ({ data }) => {
   try {
     if (!Object.hasOwn(OPERATIONS, op)) throw new Error(`${op}: this page has no nodes to ask; a launch has.`);
     const result = OPERATIONS[op](request) ?? {};
-    say("answer", { id, op, ok: true, result, error: "" });
+    say("answer", { id, op, ok: true, result, error: "", remedies: [] });
     if (op !== "python" && op !== "compare") {
       laws();
       tellEdges();
       map();
     }
   } catch (error) {
-    say("answer", { id, op, ok: false, result: null, error: error.message });
+    say("answer", { id, op, ok: false, result: null, error: error.message, remedies: error.remedies ?? [] });
   }
 };
 

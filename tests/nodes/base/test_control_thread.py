@@ -16,14 +16,16 @@ import msgspec
 import pytest
 import zmq
 
+from messages.errors import AT_MOST, FORCE, Remedy
 from messages.transport import keys
 from messages.transport.context import new_context
 from messages.transport.endpoints import connect, split
 from messages.transport.links import Links
-from messages.transport.requests import Connection, Request, call
+from messages.transport.requests import Connection, ControlError, Request, call
 from nodes.base import control_thread
 from nodes.base.control_thread import ControlServer
 from nodes.base.node import Node
+from nodes.parameters.store import ParameterError
 from sim.measure.free_ports import free_ports
 from tests.support.launching import (
     DEADLINE,
@@ -48,6 +50,30 @@ def server(context: Context, folder: Path, **operations: Any) -> ControlServer:
     )
     made._operations |= operations
     return made
+
+
+def test_the_ways_out_of_a_refusal_arrive_as_data(context: Context) -> None:
+    ways = (
+        Remedy(AT_MOST, "the largest n.gain that is accepted is 3", {"n.gain": 3.0}),
+        Remedy(FORCE, "to study it anyway, use --force"),
+    )
+
+    def refuse() -> None:
+        raise ParameterError("9, limit 3", path="n.gain").with_remedies(*ways)
+
+    with private_runtime_dir() as folder:
+        control = server(context, folder, refuse=refuse)
+        control.start()
+        try:
+            with pytest.raises(ControlError) as refusal:
+                call(context, f"ipc://{folder}/n.ctl", "refuse")
+        finally:
+            control.stop()
+    assert refusal.value.remedies == ways
+    assert refusal.value.fault == "n.gain: 9, limit 3"
+    assert str(refusal.value) == "; ".join(
+        ["n.gain: 9, limit 3", *(one.text for one in ways)]
+    )
 
 
 @pytest.mark.parametrize("first", ["thread", "stop", "never started"])

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from messages.errors import AT_LEAST, AT_MOST, FORCE
 from nodes.coupling.judgement import Judgement, StartAnyway
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
@@ -123,13 +124,14 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
             now, wanted, "pd", book.compile(wanted, "pd"), 1.0, force=False
         )
     text = str(raised.value)
-    told = re.search(
-        rf"the {side} coupling\.laws\.pd\.{path} that is accepted is ([-+.e\d]+)",
-        text,
-        re.IGNORECASE,
+    nearest, by_force = raised.value.remedies
+    assert (nearest.kind, by_force.kind) == (
+        AT_MOST if side == "largest" else AT_LEAST,
+        FORCE,
     )
-    assert told is not None, text
-    value = float(told[1])
+    ((named, value),) = nearest.values.items()
+    assert named == f"coupling.laws.pd.{path}"
+    assert f"the {side} {named} that is accepted is {value:g}" in text
     described = {**usual, **asked}
     assert stable({**described, path: value})
     # Told in three digits, rounded to the safe side: by at most 1 %.
@@ -155,7 +157,10 @@ def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its
     book = LawBook("coupling", T)
     judgement = Judgement("coupling", T, book)
     for name, pattern in (
-        ("hard", r"largest coupling\.laws\.hard\.stiffness that is accepted is (\S+);"),
+        (
+            "hard",
+            r"largest coupling\.laws\.hard\.stiffness that is accepted is ([^\s;]+)",
+        ),
         ("designed_d0", r"all taps of designed_d0 times (\S+) would be accepted"),
         ("taps", r"all taps of coupling\.laws\.taps times (\S+) would be accepted"),
     ):

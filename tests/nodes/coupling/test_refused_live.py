@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from messages.errors import AT_MOST
 from messages.topics import DEVICE_STATE
 from nodes.driver.limits import SafetyParameters
 from nodes.driver.state import SAFETY
@@ -35,8 +36,16 @@ def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 @pytest.mark.process
 def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None:
     before = press.call("coupling", "param.dump")
-    told = typed(press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", code=1)
+    told = typed(
+        press, "param", "set", "coupling", "laws.pd.stiffness", "1e9", "--json", code=1
+    )
     assert "pole radius" in told.stderr
+    (most,) = [
+        one["values"]["coupling.laws.pd.stiffness"]
+        for one in json.loads(told.stdout)["remedies"]
+        if one["kind"] == AT_MOST
+    ]
+    assert f"{most:g}" in told.stderr
     assert "nothing was changed" in told.stderr
     assert press.call("coupling", "param.dump") == before
 

@@ -294,7 +294,7 @@ def test_a_launch_past_the_edge_is_refused_on_a_real_device_only(
     assert not wired(real, 1000.0)
     with pytest.raises(
         ParameterError,
-        match=r"laws\.pd: pole radius .* that is accepted is 5800, or set .* to warn",
+        match=r"laws\.pd: pole radius .* that is accepted is 5800; to start anyway, set .* to warn",
     ):
         wired(real, 900_000.0)
     assert wired("touch_wall", 900_000.0)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import nodes.ros2.chain_control as chain_control
-from messages.errors import RefusedError
+from messages.errors import FORCE, RefusedError, Remedy
 from nodes.launcher import launch_file
 from nodes.launcher.runs import RunInfo
 from nodes.ros2.chain_control import ChainControl, ros_values
@@ -109,7 +109,8 @@ def test_the_graph_changes_one_node_at_once_in_the_names_of_the_project(
     def ask(run: RunInfo, node: str, op: str, **args: Any) -> Any:
         asked.append((node, op, args))
         if args.get("law") == "quark":
-            raise RefusedError("coupling.law: unstable; to study it, use --force")
+            refusal = RefusedError("coupling.law: unstable")
+            raise refusal.with_remedies(Remedy(FORCE, "to study it, use --force"))
         return {"seq": 7, "force_step_n": 0.25}
 
     monkeypatch.setattr(chain_control, "ask", ask)
@@ -133,7 +134,7 @@ def test_the_graph_changes_one_node_at_once_in_the_names_of_the_project(
     done, why = graph.requests["law/quark"]()
     assert (done, why) == (
         False,
-        "coupling.law: unstable; to study it, use haptic param set --force",
+        "coupling.law: unstable; to study it anyway, use haptic param set --force",
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from typing import Any
 
@@ -10,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from messages.errors import AT_MOST, OTHER, Remedy
 from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
@@ -92,15 +92,15 @@ def test_a_refusal_of_an_h1_tells_the_largest_one_that_is_accepted(name: str) ->
         judgement.of_change(
             now, wanted, name, parse_law(scaled).compile(T), 0.4, force=False
         )
-    told = in_hardness(str(refusal.value), scaled, 4e4)
-    assert "taps" not in told
-    found = re.search(r"The largest hardness that is accepted is (\d+);", told)
-    assert found is not None
+    told = in_hardness(refusal.value.remedies, scaled, 4e4)
+    assert not any("taps" in one.text for one in told)
+    (most,) = [one.values["hardness"] for one in told if one.kind == AT_MOST]
     edge = edges_of_laws({name: law}, [Plant(T, 0.1, 1.0, 0.4, 150.0)])[name]
     assert edge is not None
-    # Rounded down from four digits, to three.
-    assert 0.989 * edge < float(found[1]) < edge
-    assert in_hardness("no answer within 2 s", scaled, 4e4) == "no answer within 2 s"
+    # Rounded down to a few digits.
+    assert 0.989 * edge < most < edge
+    other = (Remedy(OTHER, "no value is accepted"),)
+    assert in_hardness(other, scaled, 4e4) == other
 
 
 def _product(roots: Any, x: Any) -> Any:

@@ -83,8 +83,7 @@ def test_what_is_sent_replaces_what_was_shown(url: str, sent: bytes) -> None:
         page.send(sent[:half])
         early = ask(page, "opened")
         assert (
-            early["error"]
-            == f"view: open: {half} of {len(sent)} bytes came; send it again"
+            early["error"] == f"open: {half} of {len(sent)} bytes came; send it again"
         )
         page.send(sent[half:])
         page.send(json.dumps({"id": 2, "op": "opened"}))

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 import nodes.view
+from messages.errors import AT_MOST
 from messages.types import DeviceState, Force, Proxy
 from nodes.driver.force_words import explain
 from nodes.driver.state import SAFETY
@@ -435,13 +436,16 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
     found = run(
         tmp_path,
         """
-        const session = new Session(DATA), said = [];
+        const session = new Session(DATA), said = [], ways = [];
         for (const change of [
           () => session.setLaw("stiffness", 1e5, false),
           () => session.setDelay(6, false),
           () => session.setLaw("order", 1, false),
           () => session.setLaw("stiffness", NaN, true),
-        ]) try { change(); said.push(""); } catch (error) { said.push(error.message); }
+        ]) try { change(); said.push(""); } catch (error) {
+          said.push(error.message);
+          ways.push(error.remedies);
+        }
         session.setLaw("stiffness", 15000, true);
         session.hand([0.04, 0, 0]);
         for (let n = 0; n < 2000; n++) session.tick();
@@ -453,12 +457,16 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
         try { session.python(); } catch (error) { said.push(error.message); }
         session.begin();
         session.tick();
-        result = { said, stopped, again, seq: session.seq, python: session.python() };
+        result = { said, ways, stopped, again, seq: session.seq, python: session.python() };
         """,
         "touch_wall",
     )
     largest, delay, fixed, number, spoiled = found["said"]
-    assert "The largest pd.stiffness that is accepted is 5797" in largest
+    assert "the largest pd.stiffness that is accepted is 5797" in largest
+    assert found["ways"][0][0]["kind"] == AT_MOST
+    ((field, most),) = found["ways"][0][0]["values"].items()
+    assert field == "pd.stiffness"
+    assert f"{field} that is accepted is {most}" in largest
     assert "unstable at a delay of 6 ticks" in delay
     assert "pd.order is fixed on this page" in fixed
     assert "NaN is no stiffness" in number
