@@ -14,7 +14,7 @@ import msgspec
 from messages.errors import UsageError
 from messages.transport.requests import ControlError
 from nodes.base import realtime
-from nodes.base.printable import printable
+from nodes.base.printable import WARNING, printable
 from nodes.base.stderr_queue import drain_stderr, instead_of_stderr
 from nodes.cli.debugging import Debugging
 from nodes.cli.dispatch import refuse_unwritable
@@ -247,6 +247,9 @@ def _run_once(
         status.clear()
         sys.stderr.write(f"{coloured('[launch]', 'dim', sys.stderr)} {text}\n")
 
+    def warn(text: str) -> None:
+        say(f"{WARNING}{text}")
+
     debug = Debugging(launch, say) if arguments.debug else None
 
     def progress(supervisor: Supervisor) -> None:
@@ -255,7 +258,7 @@ def _run_once(
         page(supervisor)
         status(supervisor)
 
-    supervisor = Supervisor(launch, say, page.files())
+    supervisor = Supervisor(launch, say, warn, page.files())
 
     def on_signal(number: int) -> None:
         supervisor.interrupt(
@@ -268,7 +271,7 @@ def _run_once(
         except (LaunchFailedError, ControlError, OSError) as error:
             supervisor.failed = True
             supervisor.exit_reason = str(error)
-            say(str(error))
+            warn(str(error))
     status.clear()
     return supervisor, _end(launch, supervisor, arguments, page, say)
 

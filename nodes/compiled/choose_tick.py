@@ -28,19 +28,21 @@ def choose(
     modules: Collection[str],
     say: Callable[[str], None],
     scarce: bool = True,
+    warn: Callable[[str], None] | None = None,
 ) -> Literal["compiled", "plain"]:
     """Return which tick the nodes of a launch use.
 
     ``auto`` uses the compiled one if it is built, and makes no launch wait for the compiler. It
     always reports a tick that cannot be compiled, and at high rates (`scarce`) a missing one, which
-    is compiled after the launch (`compile_later`).
+    is compiled after the launch (`compile_later`). `warn` reports them; by default `say` does.
     """
+    warn = warn or say
     if wanted == "plain" or not modules:
         return "plain"
     try:
         found = {module: find(module) for module in modules}
     except CacheRefusedError as error:
-        say(f"using the plain tick; compiled code is not taken from there: {error}")
+        warn(f"using the plain tick; compiled code is not taken from there: {error}")
         return "plain"
     failed = next(filter(None, map(reason, found.values())), "")
     missing = [
@@ -50,9 +52,9 @@ def choose(
     ]
     if wanted == "auto":
         if failed:
-            say(f"using the plain tick; the compiled one is not available: {failed}")
+            warn(f"using the plain tick; the compiled one is not available: {failed}")
         elif scarce and missing:
-            say(
+            warn(
                 "using the plain tick; the compiled one is not built yet (--tick compiled builds it"
                 " once)"
             )
@@ -71,7 +73,7 @@ def choose(
         try:
             build(missing)
         except NotCompilableError as error:
-            say(f"using the plain tick; the compiled one is not available: {error}")
+            warn(f"using the plain tick; the compiled one is not available: {error}")
             return "plain"
     return "compiled"
 

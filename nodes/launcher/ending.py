@@ -21,7 +21,7 @@ _INSISTENCE: Final = tuple(TIMEOUTS)
 
 
 def end(
-    group: Sequence[Child], say: Callable[[str], None], is_hurried: Callable[[], bool]
+    group: Sequence[Child], warn: Callable[[str], None], is_hurried: Callable[[], bool]
 ) -> list[str]:
     """End nodes together.
 
@@ -34,7 +34,7 @@ def end(
         left = [child for child in group if child.running]
         for child in left:
             if number != signal.SIGINT:
-                say(f"{child.setup.name}: does not end; {number.name}")
+                warn(f"{child.setup.name}: does not end; {number.name}")
             # While its interpreter is being set up, a process answers SIGINT with a traceback,
             # SIGTERM with silence.
             asked = (
@@ -46,7 +46,7 @@ def end(
         if number == signal.SIGKILL:
             _await_death(left)
         else:
-            _Wait(left, TIMEOUTS[number], say, is_hurried).run()
+            _Wait(left, TIMEOUTS[number], warn, is_hurried).run()
     # The kernel holds on to what is left: a frozen control group, a file system that is gone.
     return [
         f"{child.setup.name}: process still there {TIMEOUTS[signal.SIGKILL]:g} s after SIGKILL;"
@@ -76,11 +76,11 @@ class _Wait:
         self,
         left: Sequence[Child],
         patience: float,
-        say: Callable[[str], None],
+        warn: Callable[[str], None],
         is_hurried: Callable[[], bool],
     ) -> None:
         self._left, self._patience = left, patience
-        self._say, self._is_hurried = say, is_hurried
+        self._warn, self._is_hurried = warn, is_hurried
         self._begun = time.monotonic()
         self._watched = {child.setup.name: HangWatchdog() for child in left}
         self._announced = False
@@ -129,7 +129,7 @@ class _Wait:
             if name in stood and stood[name] < half:
                 waits = child.waited() > half
                 why = f"does not get its turn{burden()}" if waits else "still writing"
-                self._say(f"{name}: {why}; waited for (Ctrl-C again: not)")
+                self._warn(f"{name}: {why}; waited for (Ctrl-C again: not)")
                 self._announced = True
 
 

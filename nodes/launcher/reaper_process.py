@@ -19,8 +19,8 @@ WAIT: Final = 2.0  # time that the reaper has to end before it is killed [s]
 class ReaperProcess:
     """A reaper (nodes/launcher/reaper.py) that knows each process; replaced if it is gone."""
 
-    def __init__(self, run_dir: Path, say: Callable[[str], None]) -> None:
-        self._run_dir, self._say = run_dir, say
+    def __init__(self, run_dir: Path, warn: Callable[[str], None]) -> None:
+        self._run_dir, self._warn = run_dir, warn
         self._process = self._started()
 
     def _started(self) -> subprocess.Popen[bytes]:
@@ -55,7 +55,7 @@ class ReaperProcess:
         """Start another reaper if this one is gone."""
         if self._process.poll() is None:
             return
-        self._say(
+        self._warn(
             f"the reaper ended with exit code {self._process.returncode}; starting another"
         )
         self._pipe.close()

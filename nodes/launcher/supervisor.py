@@ -59,13 +59,14 @@ class Supervisor:
         self,
         launch: Launch,
         say: Callable[[str], None],
+        warn: Callable[[str], None],
         files: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
         self._launch = launch
         self._files = (
             files  # what the run's directory contains from the beginning, by name
         )
-        self._say = say
+        self._say, self._warn = say, warn
         self.run = runs.name_of(launch.scenario)
         self.reports: dict[str, dict[str, Any]] = {}
         self.exit_reason = ""
@@ -107,7 +108,7 @@ class Supervisor:
             if self._launch.run.stays_awake and (
                 refused := held.enter_context(realtime.awake())
             ):
-                self._say(refused)
+                self._warn(refused)
             self._supervise(progress, held)
 
     def _supervise(
@@ -126,7 +127,9 @@ class Supervisor:
                 # Report mistakes before half a minute of compiling.
                 whole = with_forwarder(self._launch)
                 wire(whole, self.run, run_dir, manifest_of(whole, self.run, offset))
-            self._launch = with_forwarder(settle_tick(self._launch, self._say))
+            self._launch = with_forwarder(
+                settle_tick(self._launch, self._say, self._warn)
+            )
             self.tick = self._launch.run.tick
             manifest = manifest_of(self._launch, self.run, offset)
             setups = wire(self._launch, self.run, run_dir, manifest)
@@ -137,7 +140,7 @@ class Supervisor:
                 if (why := load(setup.factory).unjudged(setup))
             }
             for why in self.unjudged.values():
-                self._say(f"stability not judged: {why}")
+                self._warn(f"stability not judged: {why}")
             info = runs.RunInfo(
                 run=self.run,
                 scenario=self._launch.scenario,
@@ -152,7 +155,7 @@ class Supervisor:
                     if chain
                 },
             )
-            self._reaper = ReaperProcess(run_dir, self._say)
+            self._reaper = ReaperProcess(run_dir, self._warn)
             for name, setup in setups.items():
                 spec = self._launch.nodes[name]
                 respawns = spec.respawn_max if spec.respawn else 0
@@ -201,7 +204,7 @@ class Supervisor:
         if text := warning(
             self._launch, chains_of(self._launch), self.tick, processors
         ):
-            self._say(text)
+            self._warn(text)
 
     def _note_load(self) -> None:
         """Determine the processors' load, and store the cost of a tick for the next launch."""
@@ -322,7 +325,7 @@ class Supervisor:
         if child.again_at is not None:
             if time.monotonic() >= child.again_at:
                 child.restarts += 1
-                self._say(f"{name}: started again ({child.restarts})")
+                self._warn(f"{name}: started again ({child.restarts})")
                 self._start_child(child)
                 child.to_start = child.drives
             return
@@ -338,7 +341,7 @@ class Supervisor:
             return
         child.unreported = child.drives and child.code == 0
         if child.respawns < 0 or child.restarts < child.respawns:
-            self._say(
+            self._warn(
                 f"{name}: ended with {child.end}; starting it again in {child.delay:g} s"
             )
             child.again_at = time.monotonic() + child.delay
@@ -352,7 +355,7 @@ class Supervisor:
                 self.stop(reason)
             if child.required or child.ended_badly:
                 self.failures.append(reason)
-            self._say(f"{reason}{'; ending the launch' if child.required else ''}")
+            self._warn(f"{reason}{'; ending the launch' if child.required else ''}")
 
     def _own_reason(self, name: str, child: Child) -> str:
         """Return the reason that a failed node gave at an orderly end; else empty."""
@@ -387,7 +390,7 @@ class Supervisor:
         except OSError as error:
             # On a full disk the nodes still end in order.
             self.failures.append(f"{self.run_dir}: {error.strerror}")
-            self._say(self.failures[-1])
+            self._warn(self.failures[-1])
         groups = (
             [child for child in self.children.values() if child.drives],
             [
@@ -398,9 +401,9 @@ class Supervisor:
             [child for child in self.children.values() if child.listens],
         )
         for group in groups:
-            for failure in end(group, self._say, lambda: self._hurry):
+            for failure in end(group, self._warn, lambda: self._hurry):
                 self.failures.append(failure)
-                self._say(failure)
+                self._warn(failure)
         for name, child in self.children.items():
             self._read_report(name)
             if child.ended_badly and not child.over:

@@ -125,10 +125,12 @@ def kernel_modules(launch: Launch) -> list[str]:
     )
 
 
-def settle_tick(launch: Launch, say: Callable[[str], None]) -> Launch:
+def settle_tick(
+    launch: Launch, say: Callable[[str], None], warn: Callable[[str], None]
+) -> Launch:
     """Decide which tick the nodes use, and compile it if requested."""
     scarce = launch.run.pace == "realtime" and launch.run.rate >= SCARCE
-    tick = choose(launch.run.tick, kernel_modules(launch), say, scarce)
+    tick = choose(launch.run.tick, kernel_modules(launch), say, scarce, warn)
     return msgspec.structs.replace(
         launch, run=msgspec.structs.replace(launch.run, tick=tick)
     )

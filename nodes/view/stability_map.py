@@ -264,6 +264,7 @@ def with_moving_worlds(
     about = world.about if heavy is None else f"{world.about}, or {heavy.about}"
     return found | {
         "world": about,
+        "stepped": isinstance(world, SteppedTool),
         "k_max_any_world_n_per_m": _certified(law, some, world, plant),
         "any_world": [
             [gain, _certified(_at(law, gain), some, world, plant)] for gain in gains

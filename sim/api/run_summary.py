@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nodes.base.printable import WARNING
 from sim.api.python_words import in_python
 from sim.api.recordings import read
 from sim.studies.notebook_results import Result, bars
@@ -24,11 +25,7 @@ _SERIOUS = (
     "|stale|stopped|unanswered"
 )
 _EVENT = re.compile(rf"^\[(?P<node>[\w/]+)\] (?:{_SERIOUS}): ")
-_LAUNCHER = re.compile(r"^\[launch\] (?P<text>.*)")
-# What a launcher reports of every healthy run.
-_ROUTINE = re.compile(
-    r"the (plain|compiled) tick|waiting for |\S+: connected|no plot: |compil"
-)
+_LAUNCHER = re.compile(rf"^\[launch\] {WARNING}")
 
 
 class LaunchWarning(UserWarning):
@@ -37,12 +34,11 @@ class LaunchWarning(UserWarning):
 
 def warnings_in(errors: str) -> list[str]:
     """Return the lines of a launch's standard error that warn, in the words of Python."""
-    found = []
-    for line in errors.splitlines():
-        launcher = _LAUNCHER.match(line)
-        if _EVENT.match(line) or (launcher and not _ROUTINE.match(launcher["text"])):
-            found.append(in_python(line))
-    return found
+    return [
+        in_python(line)
+        for line in errors.splitlines()
+        if _EVENT.match(line) or _LAUNCHER.match(line)
+    ]
 
 
 @dataclass(frozen=True, repr=False)

@@ -103,7 +103,7 @@ export class StabilityMap {
   moving(map) {
     if (!map.any_world) return "";
     const k = map.k_max_any_world_n_per_m;
-    const worlds = map.world.startsWith("a stepped tool") ? "Whatever the tool touches" : "With any world that answers in the same tick";
+    const worlds = map.stepped ? "Whatever the tool touches" : "With any world that answers in the same tick";
     return k === null ? `${worlds}: no K is certified.` : `${worlds}: K up to ${rough(k)} N/m (dashed).`;
   }
 

@@ -147,7 +147,7 @@ def test_times_of_a_device_that_are_none_are_told_with_their_node(
     context: Context,
 ) -> None:
     with odd_node(context, device={"opening_s": "soon"}) as setup:
-        supervisor = Supervisor(launch_file.read("floor_drop", {}), lambda _: None)
+        supervisor = Supervisor(launch_file.read("floor_drop", {}), print, print)
         supervisor.context.term()
         supervisor.context = context
         with pytest.raises(

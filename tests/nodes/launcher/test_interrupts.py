@@ -16,7 +16,7 @@ def test_a_node_that_fails_is_no_user_who_asks(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The first Ctrl-C after a failed node counted as the second: loggers had only 0.3 s."""
-    supervisor = Supervisor(launch_file.read("floor_drop", {}), print)
+    supervisor = Supervisor(launch_file.read("floor_drop", {}), print, print)
     supervisor.stop("driver: ended with exit code 1")
     supervisor.stop("coupling: ended with exit code 1")
     assert (supervisor.ending, supervisor._hurry) == (True, False)

@@ -43,7 +43,10 @@ def test_respawn_keeps_delay_and_maximum(
             assert figures["exit_reason"] == "crasher: ended with exit code 7"
         else:
             wait_for(
-                lambda: "[launch] crasher: ended with exit code 7\n" in launch.errors,
+                lambda: (
+                    "[launch] warning: crasher: ended with exit code 7\n"
+                    in launch.errors
+                ),
                 "the last crash",
             )
             launch.wait_ticks(10)  # the others go on, but the run did not end as asked

@@ -300,7 +300,7 @@ def test_a_law_that_does_not_render_is_judged_when_it_is_set() -> None:
     node = coupling()
     with pytest.raises(
         ParameterError,
-        match=r"coupling\.laws\.aside: pole radius .* The largest coupling\.laws\.aside\.stiffness",
+        match=r"coupling\.laws\.aside: pole radius .* the largest coupling\.laws\.aside\.stiffness",
     ):
         node.prepare(node.store.changed({"laws.aside.stiffness": 80_000.0}))
     receipt = node.prepare(node.store.changed({"laws.aside.stiffness": 700.0}))(0)

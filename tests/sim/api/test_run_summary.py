@@ -114,14 +114,14 @@ def test_warnings_are_what_a_program_must_not_overlook() -> None:
 [coupling] stability: coupling.laws.pd: pole radius 1.02; to study it anyway, use --force
 [driver] safety: waiting → active at tick 0: the first force
 [left/driver] stopped: active → stopped at tick 432: then run haptic node rearm
-[launch] stability not judged: coupling.plant, the device, is not declared
+[launch] warning: stability not judged: coupling.plant, the device, is not declared
 [logger] recording: floor_drop.mcap
 """
     assert warnings_in(errors) == [
         "[coupling] stability: coupling.laws.pd: pole radius 1.02; to study it anyway, pass"
         " force=True",
         "[left/driver] stopped: active → stopped at tick 432: then call run.rearm()",
-        "[launch] stability not judged: coupling.plant, the device, is not declared",
+        "[launch] warning: stability not judged: coupling.plant, the device, is not declared",
     ]
 
 
