@@ -100,7 +100,8 @@ CONTRASTS = """() => {
 EVERY_STATE = """() => {
   document.querySelector("#tour-begin").click();
   document.querySelector("#lab").open = true;
-  haptic.laws.refuse("pd: the largest laws.pd.stiffness that is accepted is 5797.", "No.");
+  const remedies = [{ kind: "at_most", values: { "laws.pd.stiffness": 5797 } }];
+  haptic.laws.refuse({ error: "pd: the loop would be unstable", remedies }, { error: "No." });
   for (const id of ["notice", "over", "again", "once-more", "record", "stop", "sung", "live"]) {
     const each = document.getElementById(id);
     each.hidden = false;
