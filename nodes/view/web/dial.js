@@ -27,14 +27,15 @@ export class Dial {
   }
 
   // Show stiffness, its limit and whether that was computed; null if the law has no stiffness or
-  // limit.
-  show(stiffness, edge, looked) {
+  // limit. `loop` names the law, its other parameters and the device's delay.
+  show(stiffness, edge, looked, loop) {
     this.looked = looked;
     const safe = this.edge;
     this.stiffness = stiffness;
-    // Ignore small changes of the limit, so that a varying delay does not move the dial under a
+    // Ignore small changes of a loop's limit, so that a varying delay does not move the dial under a
     // hand.
-    if (!edge || !safe || Math.abs(edge - safe) > 0.02 * safe) this.edge = edge;
+    if (!edge || !safe || loop !== this.loop || Math.abs(edge - safe) > 0.02 * safe) this.edge = edge;
+    this.loop = loop;
     // Do not move it while it is dragged; a focused but resting dial may move.
     if (performance.now() - this.turning > RESTS) this.fill();
   }

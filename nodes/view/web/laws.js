@@ -8,8 +8,14 @@ const ENDS = { at_most: "largest", at_least: "smallest" };
 
 // Say which value would be accepted in place of a refused one.
 function accepted({ kind, values }) {
-  const [[path, value]] = Object.entries(values);
-  return `The ${ENDS[kind]} ${path.split(".").at(-1)} that is accepted is ${figure(value)}`;
+  const [[path, value]] = Object.entries(values), name = path.split(".").at(-1);
+  return `The ${ENDS[kind]} ${name === "hardness" ? "H(1)" : name} that is accepted is ${figure(value)}`;
+}
+
+// A refusal in a sentence, by what would be accepted where that is known.
+export function shortened({ error, remedies = [] }) {
+  const end = remedies.find(({ kind }) => Object.hasOwn(ENDS, kind));
+  return end ? `Refused: the loop would be unstable. ${accepted(end)}.` : unbroken(error);
 }
 
 export class Laws {
@@ -41,18 +47,17 @@ export class Laws {
   async send(request) {
     const answer = await this.ask(request);
     if (answer.ok) this.settle();
-    else this.refuse(answer.error, answer.remedies);
+    else this.refuse(answer);
     return answer;
   }
 
-  // Reset controls to the active values; the reason stays marked until it is read or another change
-  // succeeds.
-  refuse(error, remedies) {
-    const end = remedies.find(({ kind }) => Object.hasOwn(ENDS, kind));
-    const short = document.createElement("summary"), whole = document.createElement("details");
-    short.textContent = end ? `Refused: the loop would be unstable. ${accepted(end)}.` : unbroken(error);
+  // Reset controls to the active values; the reasons stay marked until they are read or another
+  // change succeeds. Each refusal has `error` and, as an answer, `remedies`.
+  refuse(...refusals) {
+    const short = document.createElement("summary"), whole = document.createElement("details"), shorter = refusals.map(shortened);
+    short.textContent = shorter.join(" ");
     whole.append(short);
-    if (end) whole.append(unbroken(error));
+    if (shorter.some((told, n) => told !== unbroken(refusals[n].error))) whole.append(unbroken(refusals.map(({ error }) => error).join(" ")));
     this.refusal.replaceChildren(whole);
     this.refusal.hidden = false;
     clearTimeout(this.reading);

@@ -3,6 +3,7 @@ import { Beside } from "./beside.js";
 import { Delay } from "./delay.js";
 import { Dial } from "./dial.js";
 import { Drop } from "./drop.js";
+import { follow } from "./follow.js";
 import { Lag } from "./lag.js";
 import { Laws } from "./laws.js";
 import { Link } from "./link.js";
@@ -126,10 +127,7 @@ const link = new Link({
     $("tour-begin").hidden = document.querySelector(".question").hidden = $("ramp").closest(".row").hidden = found.replay;
     $("replay").hidden = !found.replay;
     replay.start(found);
-    if (found.replay && Number.isFinite(wanted.time ?? NaN)) {
-      replay.stay(wanted.time);
-      wanted.time = null;
-    }
+    if (found.replay && wanted) goToLink();
     if (found.notice) status.tell(found.notice);
     document.body.dataset.ready = found.run;
   },
@@ -194,7 +192,7 @@ const link = new Link({
     $("record").setAttribute("aria-pressed", found.recording);
     $("record").textContent = found.recording ? "Recording" : found.error ? "Not recorded" : "Record";
     $("record").title = found.error;
-    if (found.error && knew) { laws.refuse(found.error, []); refused(found.error); }
+    if (found.error && knew) { laws.refuse(found); refused(found.error); }
     else if (found.path) log.add({ kind: "event", t: store?.end ?? 0, node: "view", event: "recording", text: `${found.recording ? "recording to" : "recorded"} ${found.path}` });
   },
   answer(found) {
@@ -278,7 +276,8 @@ function chart() {
 
 function turn() {
   const law = laws.state?.laws[laws.state.active];
-  dial.show(law?.stiffness ?? edges?.rest[laws.state?.active] ?? null, laws.edge, edges !== null || map.map !== null);
+  dial.show(law?.stiffness ?? edges?.rest[laws.state?.active] ?? null, laws.edge, edges !== null || map.map !== null,
+    JSON.stringify([laws.state?.active, { ...law, stiffness: 0 }, laws.state?.device_delay]));
   if (delay.offered && laws.state) delay.show(laws.state.device_delay, map.delayEdge());
 }
 
@@ -292,17 +291,37 @@ addEventListener("hashchange", () => {
   const scenario = new URLSearchParams(location.hash.slice(1)).get("scenario");
   if (scenario && page.scenario && scenario !== page.scenario) location.reload();
   wanted = readState();
-  if (laws.state && !hello.replay) open();
+  if (hello?.replay) goToLink();
+  else if (laws.state) open();
 });
 
-// Apply the link's state in order, once the laws are known.
-async function open() {
-  const { law, stiffness, delay: later, beside: other } = wanted;
-  wanted = {};
-  if (law && law !== laws.state.active) await laws.choose(law);
-  if (stiffness) laws.change(stiffnessField(law ?? laws.state.active), stiffness, false, law ?? laws.state.active);
-  if (later && hello.delays) laws.change("delay", later);
-  if (other && hello.compares) await beside.choose(other);
+// The moment of a recording that the link names.
+function goToLink() {
+  if (wanted.time !== null) replay.stay(wanted.time);
+  if (wanted.wrong.length) refused(wanted.wrong.join(" "));
+  wanted = null;
+}
+
+// Follow the link, once the laws are known; one link after the other.
+let following = Promise.resolve();
+function open() {
+  const asked = wanted;
+  wanted = null;
+  if (!asked) return;
+  following = following.then(async () => {
+    const { forced, missed } = await follow(asked, {
+      hello, scenarios: page.names, state: () => laws.state, ask: (request) => link.ask(request), field: stiffnessField, compare: (law) => beside.choose(law),
+      // A page without a server begins anew: its session is the link's from tick 0.
+      begin: page.names.length ? () => ask({ op: "restart" }) : null,
+    });
+    if (forced) {
+      $("beyond").checked = true;
+      $("beyond").dispatchEvent(new Event("change"));
+    }
+    if (!missed.length) return;
+    laws.refuse(...missed);
+    refused(missed.map(({ error }) => error).join(" "));
+  });
 }
 
 $("share").addEventListener("click", async () => {

@@ -3,22 +3,27 @@
 import { figure, fixed, rough, unbroken } from "./format.js";
 
 const OVER = 1.15; // stiffness of A, of its edge
-const TIMES = [3, 2, 1], SAFE = 0.7; // stiffness of B: so many times A's, if below so much of its edge
+const TIMES = [3, 2, 1], SAFE = [0.7, 0.95]; // stiffness of B: so many times A's, below so much of its edge
 const HALF_LATE = 0.5; // delay of the device at least [ticks]
 // The page's own hand presses until a visitor takes it: [s], depth and begin [m], time to get there [s].
 const PRESS = 9, DEPTH = 0.008, OUTSIDE = 0.004, EASE = 1, EVERY = 40;
 const WAITS = 8e3, B_WAITS = 40e3; // longest wait for the change to be seen, and for B [ms]
 const SETTLED = 1.5; // time after which B is said to rest, or to ring [s]
+const JUDGED = 4; // time after which a B that rings is replaced: it does not settle [s]
 
-// Return both laws with stiffness and edge [N/m].
-export function plan({ laws, named = Object.keys(laws), active }, edges) {
+// Return both laws with stiffness and edge [N/m]. `rang` has those that rang as B: below its edge a
+// law can still bounce off the wall for good.
+export function plan({ laws, named = Object.keys(laws), active }, edges, rang = []) {
   const a = named.find((name) => laws[name]?.kind === "pd") ?? active, edge = edges[a];
   const others = Object.keys(laws).filter((name) => name !== a && edges[name]);
   if (!edge || laws[a].stiffness === undefined || !others.length) throw new Error("No law here has an edge to go past.");
-  const b = others.reduce((best, name) => (edges[name] > edges[best] ? name : best));
-  const stiffness = Number((OVER * edge).toPrecision(3)), times = TIMES.find((by) => by * stiffness <= SAFE * edges[b]);
-  if (!times) throw new Error(`At this delay no other law is safe at the stiffness at which ${a} sings.`);
-  return { law: a, stiffness, edge, beside: b, hardness: times * stiffness, besideEdge: edges[b], times, scaled: laws[b].stiffness === undefined };
+  const stiffness = Number((OVER * edge).toPrecision(3)), most = others.sort((x, y) => edges[y] - edges[x]);
+  const every = SAFE.flatMap((part) => TIMES.flatMap((times) => most.map((beside) => ({ beside, times, part }))));
+  const b = every.find(({ beside, times, part }) => times * stiffness <= part * edges[beside]
+    && !rang.some((one) => one.beside === beside && one.times <= times));
+  if (!b) throw new Error(`At this delay no other law ${rang.length ? "rests" : "is safe"} at the stiffness at which ${a} sings.`);
+  const { beside, times } = b;
+  return { law: a, stiffness, edge, beside, hardness: times * stiffness, besideEdge: edges[beside], times, scaled: laws[beside].stiffness === undefined };
 }
 
 // Target of a hand that presses into a surface [m], a time after its begin [s]; null when it is done.
@@ -45,24 +50,45 @@ export class Sing {
     this.show(null);
   }
 
+  async ask(request) {
+    const answer = await this.page.ask(request);
+    if (!answer.ok) throw new Error(answer.error);
+  }
+
+  compare({ beside, hardness, scaled }) {
+    return this.ask({ op: "compare", law: beside, [scaled ? "hardness" : "stiffness"]: hardness });
+  }
+
+  // Put the next law beside A, because this one rings below its edge.
+  async next() {
+    const { facts } = this, { beside, times } = facts, rang = [...facts.rang, { beside, times }];
+    this.leave();
+    try {
+      const found = plan(this.page.state(), facts.edges, rang);
+      this.facts = { ...facts, ...found, rang, asked: performance.now(), begun: Infinity, seen: false };
+      this.show(null);
+      await this.compare(found);
+    } catch (error) {
+      this.facts = null;
+      this.say(error.message);
+    }
+  }
+
   async begin() {
-    const { page } = this, ask = async (request) => {
-      const answer = await page.ask(request);
-      if (!answer.ok) throw new Error(answer.error);
-    };
+    const { page } = this, ask = (request) => this.ask(request);
     this.leave();
     const { device_delay: delay, active } = page.state();
     if (page.stopped()) await ask({ op: "again", ...page.soft() });
     const later = this.delays && delay < HALF_LATE ? HALF_LATE : delay;
     if (later !== delay) await ask({ op: "delay", ticks: later, beyond: true });
-    const facts = plan(page.state(), await page.edgesAt(later)), { law, stiffness, beside, hardness, scaled } = facts;
+    const edges = await page.edgesAt(later), facts = plan(page.state(), edges), { law, stiffness } = facts;
     if (active !== law) await ask({ op: "switch", law, ramp: 0, beyond: true });
     // A is past its edge now, so the dials show what lies there.
     this.beyond.checked = true;
     await ask({ op: "law", field: "stiffness", value: stiffness, beyond: true, law });
-    await ask({ op: "compare", law: beside, [scaled ? "hardness" : "stiffness"]: hardness });
+    await this.compare(facts);
     this.beyond.dispatchEvent(new Event("change"));
-    this.facts = { ...facts, delay: later, asked: performance.now(), begun: Infinity, sang: "", seen: false };
+    this.facts = { ...facts, edges, rang: [], delay: later, asked: performance.now(), begun: Infinity, sang: "", seen: false };
     this.show(null);
   }
 
@@ -101,7 +127,9 @@ export class Sing {
     if (facts.begun === Infinity && (this.page.compared() || performance.now() - facts.asked > B_WAITS)) this.press();
     facts.sang = sings?.a || facts.sang;
     facts.stopped = safety === "stopped";
-    this.show(sings);
+    // Under the page's own hand only: what a visitor does may shake B.
+    if (sings?.b && facts.seen && this.pressing !== null && performance.now() - facts.begun > 1e3 * JUDGED) this.next();
+    else this.show(sings);
   }
 
   say(text) {

@@ -91,7 +91,7 @@ def test_a_link_carries_law_stiffness_and_comparison(
         " Promise.resolve(); }"
     )
     page.locator("#share").click()
-    assert page.evaluate("location.hash") == "#law=pd&k=1500&b=multi_term"
+    assert page.evaluate("location.hash") == ("#law=pd&k=1500&delay=0&b=multi_term")
     # What follows the # goes to no server, the token included stays on this machine.
     assert page.evaluate("copied.startsWith(location.origin)")
 

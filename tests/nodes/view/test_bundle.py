@@ -51,6 +51,18 @@ def test_what_would_not_mean_the_same_is_refused() -> None:
             bundle({"main.js": line, "a.js": ""}, "main")
 
 
+def test_a_name_that_no_export_gives_is_refused() -> None:
+    """The second name of a declaration was undefined in the bundle, and in the bundle only."""
+    sources = {
+        "main.js": 'import { A, B } from "./a.js";',
+        "a.js": "export const A = 1, B = 2;\n",
+    }
+    with pytest.raises(ValueError, match=r"main\.js imports B, which a\.js does not"):
+        bundle(sources, "main")
+    sources["a.js"] = "export const A = 1;\nexport async function B() {}\n"
+    assert "return { A, B };" in bundle(sources, "main")
+
+
 def test_the_page_is_served_as_one_module() -> None:
     served = _files()["main.js"][1].decode()
     for name in ("scene", "plots", "theme", "main"):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,8 +13,8 @@ from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
 from nodes.view.replay_file import export_html
 from sim.static_page.site import write_site
-from tests.support.browser import OpenPage, needs_browser
-from tests.support.launching import wait_for
+from tests.support.browser import OpenPage, needs_browser, url_of
+from tests.support.launching import running, wait_for
 from tests.support.recorded import PERIOD, PUBLISHES, drop
 
 if TYPE_CHECKING:
@@ -59,29 +61,80 @@ WRONG = """() => {
 """Controls of a page that lie beside the screen, are cut, or are too small for a finger."""
 
 CONTRASTS = """() => {
-  const rgb = (text) => text.match(/[\\d.]+/g).map(Number);
   const linear = (c) => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
-  const light = ([r, g, b]) =>
-    0.2126 * linear(r / 255) + 0.7152 * linear(g / 255) + 0.0722 * linear(b / 255);
-  const ground = (each) => {
-    for (let at = each; at; at = at.parentElement) {
-      const found = rgb(getComputedStyle(at).backgroundColor);
-      if ((found[3] ?? 1) > 0.99) return found;
-    }
-    return [255, 255, 255];
+  const light = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  const brush = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+  const rgba = (colour) => {
+    brush.clearRect(0, 0, 1, 1);
+    brush.fillStyle = colour;
+    brush.fillRect(0, 0, 1, 1);
+    return Array.from(brush.getImageData(0, 0, 1, 1).data, (part) => part / 255);
   };
-  const texts = "p, h1, h2, button, label, output, summary, #edge, #reading, dt, dd, li";
-  return [...document.querySelectorAll(texts)]
-    .filter((each) => each.checkVisibility() && each.textContent.trim())
+  const over = ([r, g, b, a], under) => [r, g, b].map((x, i) => a * x + (1 - a) * under[i]);
+  const contrast = (each) => {
+    const above = [];
+    for (let at = each; at; at = at.parentElement) above.unshift(getComputedStyle(at));
+    let ground = [1, 1, 1], opacity = 1;
+    for (const style of above) {
+      opacity *= Number(style.opacity);
+      ground = over(rgba(style.backgroundColor), ground);
+    }
+    const [r, g, b, a] = rgba(above.at(-1).color);
+    const pair = [light(over([r, g, b, a * opacity], ground)), light(ground)];
+    const [bright, dark] = pair.sort((x, y) => y - x);
+    return (bright + 0.05) / (dark + 0.05);
+  };
+  const texts = new Set(document.querySelectorAll("select, [type=number], [type=text]"));
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    if (walker.currentNode.textContent.trim()) texts.add(walker.currentNode.parentElement);
+  }
+  return [...texts]
+    .filter((each) => each.checkVisibility() && !each.closest("script, option, .unseen"))
     .filter((each) => !each.closest("[inert], :disabled"))
-    .map((each) => {
-      const both = [light(rgb(getComputedStyle(each).color)), light(ground(each))];
-      const [a, b] = both.sort((x, y) => y - x);
-      return [each.id || each.textContent.trim().slice(0, 30), (a + 0.05) / (b + 0.05)];
-    })
-    .filter(([, contrast]) => contrast < 4.5);
+    .map((each) => [each.id || each.textContent.trim().slice(0, 30), contrast(each)])
+    .filter(([, found]) => found < 4.5);
 }"""
-"""Texts whose contrast is below 4.5, the least for their size (WCAG 2.1, 1.4.3)."""
+"""All texts whose contrast is below 4.5, the least for their size (WCAG 2.1, 1.4.3)."""
+
+EVERY_STATE = """() => {
+  document.querySelector("#tour-begin").click();
+  document.querySelector("#lab").open = true;
+  const remedies = [{ kind: "at_most", values: { "laws.pd.stiffness": 5797 } }];
+  haptic.laws.refuse({ error: "pd: the loop would be unstable", remedies }, { error: "No." });
+  for (const id of ["notice", "over", "again", "once-more", "record", "stop", "sung", "live"]) {
+    const each = document.getElementById(id);
+    each.hidden = false;
+    if (!each.textContent.trim()) each.textContent = "Said here";
+  }
+  document.querySelector("#over-told").textContent = "It has ended. Recorded: /a/b/c.mcap.";
+  document.querySelector("#stop").classList.add("sure");
+  document.querySelector("#record").setAttribute("aria-pressed", "true");
+  document.querySelector("#hardness").classList.add("bad");
+  document.querySelector("#figures dd").classList.add("bad");
+  const row = (kind) =>
+    `<li class="${kind}"><time>1.0 s</time><span>${kind} <small>why</small></span>`;
+  const kinds = ["refused", "fallback", "event", "receipt"];
+  document.querySelector("#log").innerHTML += kinds.map(row).join("");
+  document.querySelector("#nodes").innerHTML +=
+    '<li class="silent">one</li><li class="ended">two</li>';
+}"""
+"""Shows what a page says only now and then."""
+
+LIVE_SCREENS: dict[str, dict[str, Any]] = {
+    "360": {
+        "viewport": {"width": 360, "height": 740},
+        "has_touch": True,
+        "is_mobile": True,
+    },
+    "768": {"viewport": {"width": 768, "height": 1024}, "has_touch": True},
+    "1280": {"viewport": {"width": 1280, "height": 800}},
+    "1280 at 200 %": {
+        "viewport": {"width": 640, "height": 400},
+        "device_scale_factor": 2,
+    },
+    "1920": {"viewport": {"width": 1920, "height": 1080}},
+}
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +181,22 @@ def test_all_of_it_can_be_reached_on_every_screen(
             _open_lab(page)
             assert page.evaluate(WRONG) == []
             assert page.evaluate(CONTRASTS) == []
+
+
+def test_every_text_and_control_of_a_live_page_suits_eyes_and_fingers(
+    browser: Browser, tmp_path: Path
+) -> None:
+    """Also what it says now and then: a refusal, an end, a pressed button, a silent node."""
+    with running(tmp_path, "touch_wall", "--view", "--without", "logger") as launch:
+        for screen, scheme in product(LIVE_SCREENS, ("light", "dark")):
+            context = {**LIVE_SCREENS[screen], "color_scheme": scheme}
+            with OpenPage(browser, url_of(launch), **context) as page:
+                wait_for(lambda p=page: p.evaluate("haptic.dial.edge"), "the edge")
+                for state in ("", EVERY_STATE):
+                    if state:
+                        page.evaluate(state)
+                    found = page.evaluate(WRONG) + page.evaluate(CONTRASTS)
+                    assert found == [], (screen, scheme, bool(state))
 
 
 def test_the_keyboard_reaches_all_and_shows_where_it_is(

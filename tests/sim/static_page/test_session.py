@@ -520,6 +520,55 @@ def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> No
     assert np.ptp(end) < 0.1
 
 
+def test_a_law_that_bounces_below_its_edge_is_replaced_by_one_that_rests(
+    tmp_path: Path,
+) -> None:
+    """At one tick of delay the law with the largest edge bounces off the wall for good."""
+    found = run(
+        tmp_path,
+        page_script("sing")
+        + """
+        const edgesOf = (session) => Object.fromEntries(
+          Object.keys(session.laws).map((name) => [name, session.edge(name)]));
+        const play = (delay, rang) => {
+          const session = new Session(DATA), { parts, named } = session.data;
+          session.setDelay(delay, true);
+          for (let k = 0; k < 20; k++) session.tick();
+          const state = { laws: session.laws, active: session.law, named };
+          const edges = edgesOf(session), facts = $sing.plan(state, edges, rang);
+          session.setLaw("stiffness", facts.stiffness, true);
+          const law = session.laws[facts.beside], by = facts.hardness;
+          session.compare(facts.beside, facts.scaled
+            ? { ...law, scale: by / parts[facts.beside].rest } : { ...law, stiffness: by });
+          const b = new Ringing();
+          let rings = 0;
+          for (let k = 0; k < 3500; k++) {
+            if (k % 8 === 0)
+              session.hand([$sing.pressed(k * 0.002, { at: 0.02, side: -1 }), 0, 0]);
+            session.tick();
+            b.take(k * 0.002, session.beside.player.driver);
+            if (k * 0.002 > 4 && b.ring()) rings++;
+          }
+          const force = session.beside.force.slice(-500);
+          return { beside: facts.beside, times: facts.times, rings,
+            swing: Math.max(...force) - Math.min(...force) };
+        };
+        result = [1, 3].map((delay) => {
+          const tried = [];
+          do tried.push(play(delay, tried)); while (tried.at(-1).rings && tried.length < 9);
+          return tried;
+        });
+        """,
+        "touch_wall",
+    )
+    assert [len(tried) for tried in found] == [2, 1]
+    first, second = found[0]
+    assert (first["swing"] > 1.0, first["times"]) == (True, 3)
+    assert (second["beside"] != first["beside"], second["times"]) == (True, 3)
+    # Below what counts as a stroke of a ring.
+    assert all(tried[-1]["swing"] < 0.1 for tried in found)
+
+
 def test_a_law_rests_up_to_its_edge_and_one_with_own_code_is_not_judged(
     tmp_path: Path,
 ) -> None:

@@ -309,6 +309,16 @@ def test_a_link_sets_h1_and_make_it_sing_shows_what_lies_past_the_edge(
         page.wait_for_function(
             f"haptic.laws.state.active === 'pd' && {stiffness} === 1500"
         )
+        # Past the edge, with its delay; its copy is of the session from its begin.
+        page.evaluate("location.hash = '#law=pd&k=3000&delay=2'")
+        page.wait_for_function(
+            f"haptic.laws.state.device_delay === 2 && {stiffness} === 3000"
+        )
+        page.wait_for_function("document.querySelector('#beyond').checked")
+        page.locator("#python").click()
+        page.wait_for_function(
+            "document.querySelector('#python').textContent === 'Copied'"
+        )
         page.locator("#sing").click()
         page.wait_for_function("haptic.dial.isPast(haptic.dial.stiffness)")
         page.wait_for_function(
