@@ -1,15 +1,13 @@
-"""Read a table of another program (CSV, NPZ, MAT, Parquet) as columns of numbers by name.
+"""Read a table of another program (CSV, NPZ, NPY, MAT, Parquet) as columns by name.
 
-An array of three columns becomes three columns, ``NAME_x``, ``NAME_y`` and ``NAME_z``, so that
-every format is chosen from in the same way. Nothing is converted here.
+An array of three columns becomes three columns, ``NAME_x``, ``NAME_y`` and ``NAME_z``, one of
+several ``NAME_1`` and so on, so that every format is chosen from in the same way. Nothing is
+converted here.
 """
 
 from __future__ import annotations
 
-import csv
 import functools
-import io
-import re
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.nearest import did_you_mean
+from nodes.recording.foreign_text import names_of, read_text
 from nodes.recording.mat_file import read_mat
 from nodes.recording.mcap_walk import TABLES, TEXT_TABLES
 from nodes.recording.writer import RecordError
@@ -28,8 +27,8 @@ if TYPE_CHECKING:
 
 LARGEST = 1 << 30  # largest file, unpacked, that is read [bytes]
 _TICKS = "ticks"  # table of our own exports with one row per tick
-_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
-_HEADER_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")
+_SHOWN = 20  # columns that an error names
+_WIDEST = 64  # columns of an array that become columns of their own
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,8 @@ class ForeignTable:
         Columns by their names without units; numbers, or texts where a file has texts.
     units : dict of str to str
         Units that the file itself names.
-    line : int
-        Line of the first row in a text file; 0 in other formats, whose rows count from 0.
+    lines : sequence of int
+        Line of each row in a text file; empty in other formats, whose rows count from 0.
     rate : float or None
         Rate of its ticks, if the file names it [Hz].
     """
@@ -53,12 +52,19 @@ class ForeignTable:
     path: Path
     columns: dict[str, Column]
     units: dict[str, str] = field(default_factory=dict)
-    line: int = 0
+    lines: Sequence[int] = ()
     rate: float | None = None
 
     def place(self, row: int) -> str:
         """Return where a row is in the file, for a person."""
-        return f"line {row + self.line}" if self.line else f"row {row}"
+        return f"line {self.lines[row]}" if self.lines else f"row {row}"
+
+    @property
+    def names(self) -> str:
+        """The names of its columns, of many the first, for a person."""
+        more = len(self.columns) - _SHOWN
+        first = ", ".join(list(self.columns)[:_SHOWN])
+        return f"{first} and {more} more" if more > 0 else first
 
     def numbers(self, name: str) -> Column:
         """Return a column as numbers; an empty field is NaN.
@@ -83,7 +89,7 @@ class ForeignTable:
         if name not in self.columns:
             hint = did_you_mean(name, self.columns)
             raise RecordError(
-                f"{self.path}: no column {name!r}{hint}; there are {', '.join(self.columns)}"
+                f"{self.path}: no column {name!r}{hint}; there are {self.names}"
             )
         column = self.columns[name]
         if column.dtype.kind in "iuf":
@@ -173,158 +179,12 @@ def is_export(folder: Path) -> bool:
     return (folder / f"{_TICKS}.csv").is_file()
 
 
-def _decoded(path: Path) -> str:
-    data = path.read_bytes()
-    codes = (
-        ("utf-16",)
-        if data[:2] in (b"\xff\xfe", b"\xfe\xff")
-        else ("utf-8-sig", "cp1252")
-    )
-    for code in codes:
-        try:
-            text = data.decode(code)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text
-    raise RecordError(
-        f"{path}: is no text; name it by its format (.npz, .mat, .parquet)"
-    )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _delimiter(lines: list[str]) -> str | None:
-    """Return the delimiter of most fields in the first line; None for white space."""
-    first = lines[0]
-    for delimiter in ("\t", ";", ","):
-        if delimiter in first:
-            return delimiter
-    return None
-
-
 def _read_text(path: Path, decimal_comma: bool) -> ForeignTable:
-    import numpy as np
-
-    lines = _decoded(path).splitlines()
-    skipped = 0
-    while skipped < len(lines) and (
-        not lines[skipped].strip() or lines[skipped].startswith(("#", "%"))
-    ):
-        skipped += 1
-    lines = lines[skipped:]
-    while lines and not lines[-1].strip():
-        lines.pop()
-    if not lines:
-        raise RecordError(f"{path}: is empty")
-    delimiter = _delimiter(lines)
-    try:
-        if delimiter is None:
-            fields = [line.split() for line in lines]
-        else:
-            stream = io.StringIO("\n".join(lines))
-            fields = list(
-                csv.reader(stream, delimiter=delimiter, skipinitialspace=True)
-            )
-    except csv.Error as error:
-        raise RecordError(f"{path}: is no CSV: {error}") from error
-    header = [name.strip() for name in fields[0]]
-    first = skipped + 2
-    if all(map(_is_number, header)) or (
-        decimal_comma and all(map(_COMMA.fullmatch, header))
-    ):
-        header = [str(number + 1) for number in range(len(header))]
-        first = skipped + 1
-    else:
-        fields = fields[1:]
-    if (
-        header
-        and not header[-1]
-        and all(len(row) < len(header) or not row[-1] for row in fields)
-    ):
-        header = header[:-1]  # a delimiter at the end of each line
-        fields = [row[: len(header)] for row in fields]
-    _refuse_ragged(path, header, fields, first, delimiter)
-    if delimiter != ",":
-        fields = _with_points(path, fields, first, decimal_comma)
-    names, units = _names_of(header)
-    rows = np.array(fields, dtype=object).reshape(-1, len(names))
-    return ForeignTable(
-        path, {name: rows[:, place] for place, name in enumerate(names)}, units, first
-    )
-
-
-def _refuse_ragged(
-    path: Path,
-    header: list[str],
-    fields: list[list[str]],
-    first: int,
-    delimiter: str | None,
-) -> None:
-    for number, row in enumerate(fields):
-        if len(row) == len(header):
-            continue
-        hint = ""
-        if delimiter == "," and len(row) > len(header):
-            hint = (
-                "; if its numbers have decimal commas, write it with semicolons between the"
-                " fields, and import it with --decimal-comma"
-            )
-        raise RecordError(
-            f"{path}: line {first + number} has {len(row)} fields, the first line"
-            f" {len(header)}{hint}"
-        )
-
-
-def _with_points(
-    path: Path, fields: list[list[str]], first: int, decimal_comma: bool
-) -> list[list[str]]:
-    """Return the fields with decimal points; refuse decimal commas that were not asked for."""
-    if decimal_comma:
-        return [
-            [
-                text.replace(",", ".") if _COMMA.fullmatch(text.strip()) else text
-                for text in row
-            ]
-            for row in fields
-        ]
-    for number, row in enumerate(fields):
-        for text in row:
-            if _COMMA.fullmatch(text.strip()):
-                raise RecordError(
-                    f"{path}: line {first + number}: {text.strip()!r} has a decimal comma; read"
-                    " it as a number with --decimal-comma"
-                )
-    return fields
-
-
-def _names_of(header: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Return the names of columns without units, made unique, and the units."""
-    split = [_HEADER_UNIT.match(text) for text in header]
-    plain = [
-        (found["name"] if found else text) or str(place + 1)
-        for place, (text, found) in enumerate(zip(header, split, strict=True))
-    ]
-    names = [
-        name if plain.count(name) == 1 else f"{name} (column {place + 1})"
-        for place, name in enumerate(plain)
-    ]
-    units = {
-        name: found["unit"].strip()
-        for name, found in zip(names, split, strict=True)
-        if found and found["unit"].strip()
-    }
-    return names, units
+    return ForeignTable(path, *read_text(path, decimal_comma))
 
 
 def _from_arrays(path: Path, arrays: Mapping[str, Any]) -> ForeignTable:
-    """Return the columns of named arrays; arrays of three columns become three columns."""
+    """Return the columns of named arrays; an array of several columns becomes several."""
     import numpy as np
 
     own = {
@@ -333,18 +193,67 @@ def _from_arrays(path: Path, arrays: Mapping[str, Any]) -> ForeignTable:
     columns: dict[str, Column] = {}
     units: dict[str, str] = {}
     for full, value in (own or arrays).items():
-        (name,), unit = _names_of([full.removeprefix(f"{_TICKS}.") if own else full])
-        array = np.squeeze(np.asarray(value))
+        (name,), unit = names_of([full.removeprefix(f"{_TICKS}.") if own else full])
+        array = np.squeeze(_of_numbers(np.asarray(value)))
         units |= unit
-        if array.ndim == 2 and 3 in array.shape:
-            for part, column in zip(
-                "xyz", array.T if array.shape[1] == 3 else array, strict=True
-            ):
+        if array.dtype.kind in "mM":
+            array, units[name] = _nanoseconds(array), "ns"
+        if array.dtype.names:
+            columns |= {part: array[part] for part in array.dtype.names}
+        elif array.ndim == 2 and min(array.shape) <= _WIDEST:
+            for part, column in _parts(array):
                 columns[f"{name}_{part}"] = column
                 units |= {f"{name}_{part}": unit[name]} if unit else {}
         elif array.ndim == 1 and array.dtype.kind in "biufUO":
             columns[name] = array
     return ForeignTable(path, columns, units)
+
+
+def _parts(array: Column) -> Iterable[tuple[str, Column]]:
+    """Yield the columns of an array by axis, or by number if there are not three."""
+    rows, wide = array.shape
+    by_column = wide == 3 or (rows != 3 and wide <= rows)
+    parts = array.T if by_column else array
+    names = "xyz" if len(parts) == 3 else range(1, len(parts) + 1)
+    for part, column in zip(names, parts, strict=True):
+        yield str(part), column
+
+
+def _of_numbers(array: Column) -> Column:
+    """Return an array of lists, as Parquet has vectors, as an array of numbers."""
+    import numpy as np
+
+    if array.dtype.kind != "O" or not array.size:
+        return array
+    lists = all(isinstance(one, list | tuple | np.ndarray) for one in array.ravel())
+    if not lists or len({len(one) for one in array.ravel()}) > 1:
+        return array
+    return np.array([list(one) for one in array.ravel()], dtype=np.float64)
+
+
+def _nanoseconds(times: Column) -> Column:
+    """Return times and durations in nanoseconds; missing ones are NaN."""
+    import numpy as np
+
+    missing = np.isnat(times)
+    found = times.astype(f"{times.dtype.kind}8[ns]").astype(np.int64)
+    return np.where(missing, np.nan, found) if missing.any() else found
+
+
+def _read_npy(path: Path) -> ForeignTable:
+    import numpy as np
+
+    try:
+        # As a map, whose size is checked before it is read.
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.ndarray):
+            raise ValueError("it is an archive; name it .npz")
+        if array.dtype.names or array.ndim != 2:
+            return _from_arrays(path, {"1": array})
+        columns = array if array.shape[0] < array.shape[1] else array.T
+        return _from_arrays(path, {str(n): one for n, one in enumerate(columns, 1)})
+    except (ValueError, EOFError) as error:
+        raise RecordError(f"{path}: is no NPY of a plain array: {error}") from error
 
 
 def _read_npz(path: Path) -> ForeignTable:
@@ -399,6 +308,7 @@ def _read_parquet(path: Path) -> ForeignTable:
 
 _READERS: dict[str, Callable[[Path], ForeignTable]] = {
     ".npz": _read_npz,
+    ".npy": _read_npy,
     ".mat": _read_mat,
     ".parquet": _read_parquet,
 }

@@ -7,7 +7,6 @@ make no sense in SI units are refused, with the unit that was probably meant.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from nodes.parameters.nearest import did_you_mean
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable
+from nodes.recording.foreign_units import UNITS, factor_of, plain_name, suffix_unit
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -23,27 +23,21 @@ if TYPE_CHECKING:
     Array = np.ndarray[Any, np.dtype[np.float64]]
 
 ROLES = ("position", "force", "time")
-UNITS: dict[str, dict[str, float]] = {
-    "position": {
-        "m": 1.0,
-        "cm": 1e-2,
-        "mm": 1e-3,
-        "um": 1e-6,
-        "nm": 1e-9,
-        "in": 0.0254,
-    },
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-}
-"""SI value of each unit that is known by name, by role."""
-
 LARGEST_SPAN = 2.0  # span of positions beyond which another unit was probably meant [m]
+FARTHEST = 1e6  # position that no unit makes one of a device [m]
+STRONGEST = 1e9  # force that no unit makes one of a device [N]
 LARGEST_FORCE = 1000.0  # force beyond which another unit was probably meant [N]
 UNEVEN = 0.25  # tolerated distance of a stamp from its tick [ticks]
+ROUNDED = (
+    0.45  # the same of rounded stamps; a missing row makes 0.5 − 0.75/rows [ticks]
+)
 RATE_TOLERANCE = (
     0.01  # tolerated difference between a given rate and that of the stamps
 )
 
+LONGEST_GAP = 86400.0  # gap between two rows beyond which a time is damaged [s]
+_ROWS_OF_GAP = 1000.0  # rows that are missing in such a gap
+_TOLD_BY_ALL = 32  # rows from which times are judged as a whole
 SLOWEST_USUAL = 20.0  # rate below which another unit of time was probably meant [Hz]
 ROUNDING = 1e-9  # a period this near to one of six digits is that one [share]
 
@@ -143,7 +137,7 @@ def samples_of(
     if not where:
         raise RecordError(
             f"{table.path}: which column is the position? There are"
-            f" {', '.join(table.columns)}; choose with --columns position=NAME, or"
+            f" {table.names}; choose with --columns position=NAME, or"
             " position=X:Y:Z for three axes"
         )
     if len(where) == 1:
@@ -172,7 +166,7 @@ def samples_of(
             )
         if rate is None:
             raise RecordError(
-                f"{table.path}: no column of times among {', '.join(table.columns)}; say the rate"
+                f"{table.path}: no column of times among {table.names}; say the rate"
                 " with --rate HZ, or the column with --columns time=NAME"
             )
         _refuse_rate(table, rate)
@@ -233,7 +227,7 @@ def motion_of(
     if not where:
         raise RecordError(
             f"{table.path}: which column is the position? There are"
-            f" {', '.join(table.columns)}; choose with --columns position=NAME"
+            f" {table.names}; choose with --columns position=NAME"
         )
     where = {axis or "x": name for axis, name in where.items()}
     sources: dict[str, str] = {}
@@ -245,7 +239,7 @@ def motion_of(
     if name is None:
         if rate is None:
             raise RecordError(
-                f"{table.path}: no column of times among {', '.join(table.columns)}; say the rate"
+                f"{table.path}: no column of times among {table.names}; say the rate"
                 " with --rate HZ, or the column with --columns time=NAME"
             )
         _refuse_rate(table, rate)
@@ -314,31 +308,6 @@ def _checked_units(
     return found
 
 
-def factor_of(role: str, text: str) -> float | None:
-    """Return the SI value of a unit, given by name or as a number; None if it is neither."""
-    plain = text.strip().replace("µ", "u").replace("μ", "u")
-    if plain in UNITS[role]:
-        return UNITS[role][plain]
-    try:
-        value = float(plain)
-    except ValueError:
-        return None
-    return value if 0.0 < value < math.inf else None
-
-
-def _plain(name: str) -> str:
-    """Return a column's name without its unit, in lower case."""
-    stem, _, unit = name.rpartition("_")
-    if stem and any(unit.replace("µ", "u") in known for known in UNITS.values()):
-        name = stem
-    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-
-
-def _suffix_unit(role: str, name: str) -> str:
-    stem, _, unit = name.rpartition("_")
-    return unit if stem and unit.replace("µ", "u") in UNITS[role] else ""
-
-
 def _one(table: ForeignTable, role: str, names: list[str]) -> str | None:
     if len(names) > 1:
         raise RecordError(
@@ -350,7 +319,7 @@ def _one(table: ForeignTable, role: str, names: list[str]) -> str | None:
 
 def _vector(table: ForeignTable, role: str, axis: str) -> dict[str, str]:
     """Return the columns of a vector by axis, found by their names."""
-    plain = {name: _plain(name) for name in table.columns}
+    plain = {name: plain_name(name) for name in table.columns}
     whole = [name for name in plain if plain[name] in _WHOLE[role]]
     found: dict[str, str] = {}
     for part in "xyz":
@@ -366,7 +335,7 @@ def _vector(table: ForeignTable, role: str, axis: str) -> dict[str, str]:
 
 
 def _time_column(table: ForeignTable) -> str | None:
-    plain = {name: _plain(name) for name in table.columns}
+    plain = {name: plain_name(name) for name in table.columns}
     for wanted in _WHOLE["time"]:
         one = _one(table, "time", [name for name in plain if plain[name] == wanted])
         if one is not None:
@@ -378,7 +347,7 @@ def _factor(
     table: ForeignTable, role: str, name: str, given: Mapping[str, tuple[str, float]]
 ) -> tuple[float, str]:
     """Return the SI value of a column's unit, and where the unit comes from."""
-    own = table.units.get(name, "") or _suffix_unit(role, name)
+    own = table.units.get(name, "") or suffix_unit(role, name)
     named = factor_of(role, own) if own else None
     if role in given:
         text, factor = given[role]
@@ -455,22 +424,56 @@ def refuse_unlikely(
 
     if len(position) < 2:
         raise RecordError(f"{table.path}: {len(position)} rows; at least 2 are needed")
+    _refuse_absurd(table, "position", position, FARTHEST, "m")
     span = float(np.ptp(position, axis=0).max())
     if span > LARGEST_SPAN and "position" not in given:
-        meant = "mm" if span < 1e3 * LARGEST_SPAN else "um"
         raise RecordError(
-            f"{table.path}: the positions span {span:.4g} m; are they in {meant}"
-            f" ({span * UNITS['position'][meant]:.3g} m)? Say so with --units position={meant}, or"
-            " position=m if they are metres"
+            f"{table.path}: the positions span {span:.4g} m;"
+            f"{_meant('position', span, LARGEST_SPAN, 'metres')}"
         )
-    if force is not None and "force" not in given:
-        largest = float(np.nanmax(np.abs(force)))
-        if largest > LARGEST_FORCE:
-            raise RecordError(
-                f"{table.path}: the largest force is {largest:.4g} N; is it in mN"
-                f" ({largest * 1e-3:.3g} N)? Say so with --units force=mN, or force=N if it is"
-                " newtons"
-            )
+    if force is None:
+        return
+    _refuse_absurd(table, "force", force, STRONGEST, "N")
+    largest = float(np.nanmax(np.abs(force), initial=0.0))
+    if largest > LARGEST_FORCE and "force" not in given:
+        raise RecordError(
+            f"{table.path}: the largest force is {largest:.4g} N;"
+            f"{_meant('force', largest, LARGEST_FORCE, 'newtons')}"
+        )
+
+
+def _meant(role: str, size: float, limit: float, name: str) -> str:
+    """Return the unit in which a size is a usual one, as a question, and how it is given."""
+    own, *others = UNITS[role]
+    likely = [
+        unit
+        for unit in others
+        if UNITS[role][unit] in (1e-3, 1e-6) and size * UNITS[role][unit] <= limit
+    ]
+    if not likely:
+        return f" if these are {name}, say so with --units {role}={own}"
+    size *= UNITS[role][likely[0]]
+    verb = "are they" if role == "position" else "is it"
+    return (
+        f" {verb} in {likely[0]} ({size:.3g} {own})? Say so with --units {role}={likely[0]}, or"
+        f" {role}={own} if {'they are' if role == 'position' else 'it is'} {name}"
+    )
+
+
+def _refuse_absurd(
+    table: ForeignTable, role: str, values: Array, limit: float, unit: str
+) -> None:
+    """Refuse a number that is none of a device, in whatever unit it was given."""
+    import numpy as np
+
+    beyond = np.abs(values) > limit
+    if beyond.any():
+        row, axis = np.argwhere(beyond.reshape(len(values), -1))[0].tolist()
+        found = values.reshape(len(values), -1)[row, axis]
+        raise RecordError(
+            f"{table.path}: {table.place(row)}: the {role} is {found:.4g} {unit}, of a device at"
+            f" most {limit:g} {unit}; correct or remove that row"
+        )
 
 
 def _refuse_rate(table: ForeignTable, rate: float) -> None:
@@ -493,11 +496,11 @@ def _ticks(
     if is_own(table):
         return _own_ticks(table, _times(table, name), sources)
     since, factor, source = _growing(table, name, given)
-    steps = np.diff(since)
-    step = float(np.median(steps))
+    step = float(np.median(np.diff(since)))
     if "time" not in given and factor == 1.0:
         _refuse_unlikely_time(table, name, step, rate)
-    period = _regular_period(table, name, since, step) * factor
+    own_period, ticks = _regular(table, name, since, step)
+    period = own_period * factor
     _refuse_rate(table, 1.0 / period)
     if rate is not None and abs(rate * period - 1.0) > RATE_TOLERANCE:
         raise RecordError(
@@ -507,8 +510,7 @@ def _ticks(
         )
     if rate is not None:
         period = 1.0 / rate
-    ticks = np.cumsum(np.rint(steps / step))
-    seq = np.concatenate(([0], ticks)).astype(np.int64)
+    seq = np.concatenate(([0.0], ticks)).astype(np.int64)
     begin = float(table.numbers(name)[0]) * factor
     sources["time"] = source + (f", from {begin:.9g} s on" if begin else "")
     return period, seq, since * factor
@@ -538,11 +540,21 @@ def _growing(
     factor, source = _factor(table, "time", name, given)
     # Integers are subtracted as such: nanoseconds since 1970 have more digits than a float.
     since = (raw - raw[0]).astype(np.float64)
-    if (back := np.flatnonzero(np.diff(since) <= 0.0)).size:
+    steps = np.diff(since)
+    if (back := np.flatnonzero(steps <= 0.0)).size:
+        same = not steps[back].any()
         raise RecordError(
             f"{table.path}: {table.place(int(back[0]) + 1)}, column {name!r}: the time does not"
-            f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows); sort the rows,"
-            " or read each row as a tick with --rate HZ --ignore-times"
+            f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows);"
+            f" {'remove the repeated rows' if same else 'sort the rows'}, or read each row as a"
+            " tick with --rate HZ --ignore-times"
+        )
+    longest = max(LONGEST_GAP / factor, _ROWS_OF_GAP * float(np.median(steps)))
+    if (far := np.flatnonzero(steps > longest)).size:
+        raise RecordError(
+            f"{table.path}: {table.place(int(far[0]) + 1)}, column {name!r}: {raw[far[0]]} to"
+            f" {raw[far[0] + 1]} is a gap of more than a day; import the parts beside it on their"
+            " own, or name the unit with --units time=UNIT"
         )
     return since, factor, source
 
@@ -605,14 +617,23 @@ def _refuse_unlikely_time(
     )
 
 
-def _regular_period(table: ForeignTable, name: str, since: Array, step: float) -> float:
-    """Return the period that fits all times, which may have gaps but must be even."""
+def _regular(
+    table: ForeignTable, name: str, since: Array, step: float
+) -> tuple[float, Array]:
+    """Return the period that fits all times, and the tick of each row after the first.
+
+    Times may have gaps but must be even.
+    """
     import numpy as np
 
     steps = np.diff(since)
     counts = np.rint(steps / step)
     stray = np.abs(steps / step - counts)
-    if (bad := np.flatnonzero((stray > UNEVEN) | (counts < 1))).size:
+    bad = np.flatnonzero((stray > UNEVEN) | (counts < 1))
+    missing = counts.sum() != len(steps)
+    if (bad.size or missing) and (even := _even_period(since)):
+        return even, np.arange(1.0, len(since))
+    if bad.size:
         raise RecordError(
             f"{table.path}: {table.place(int(bad[0]) + 1)}, column {name!r}: the times are uneven"
             f" ({bad.size} of {len(steps)} steps lie beside a multiple of {step:g}); resample the"
@@ -621,4 +642,25 @@ def _regular_period(table: ForeignTable, name: str, since: Array, step: float) -
     period = float(since[-1] / counts.sum())
     rounded = float(f"{period:.6g}")
     # Stamps are rounded, and so is their mean step.
-    return rounded if abs(rounded / period - 1.0) < ROUNDING else period
+    near = abs(rounded / period - 1.0) < ROUNDING
+    return rounded if near else period, np.cumsum(counts)
+
+
+def _even_period(since: Array) -> float:
+    """Return the mean step of times of which none is far from its tick, or 0.
+
+    Such are times in whole milliseconds at 300 Hz, whose steps are 3 and 4. A missing row would
+    move all rows behind it by a whole tick, half of it to either side.
+    """
+    import numpy as np
+
+    if len(since) < _TOLD_BY_ALL:
+        return 0.0
+    steps = np.diff(since)
+    # Rounded times have two steps, beside which nothing is missing.
+    two = np.isclose(steps, steps.min()) | np.isclose(steps, steps.max())
+    ticks = np.arange(len(since))
+    period = float(np.polyfit(ticks, since, 1)[0])
+    beside = since / period - ticks
+    stray = np.abs(beside - np.median(beside)).max()
+    return period if stray < (ROUNDED if two.all() else UNEVEN) else 0.0

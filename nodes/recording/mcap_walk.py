@@ -22,7 +22,7 @@ from nodes.recording.writer import RecordError
 MAGIC = b"\x89MCAP0\r\n"
 # Suffixes of the tables that ``haptic bag import`` reads.
 TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")
-TABLES = (*TEXT_TABLES, ".npz", ".mat", ".parquet")
+TABLES = (*TEXT_TABLES, ".npz", ".npy", ".mat", ".parquet")
 FOOTER = 0x02
 SCHEMA = 0x03
 CHANNEL = 0x04
