@@ -178,7 +178,7 @@ class Options:
         places = [name for name, one in declared.items() if one.positional]
         rest = (
             places[-1:]
-            if places and declared[places[-1]].words.get("nargs") == "*"
+            if places and declared[places[-1]].words.get("nargs") in ("*", "+")
             else []
         )
         if len(values) > len(places) and not rest:
@@ -187,7 +187,9 @@ class Options:
             )
         found: dict[str, Any] = dict(zip(places, values, strict=False))
         if rest and len(values) >= len(places):
-            found[rest[0]] = list(values[len(places) - 1 :])
+            given_last = values[len(places) - 1 :]
+            alone = len(given_last) == 1 and isinstance(given_last[0], list | tuple)
+            found[rest[0]] = list(given_last[0] if alone else given_last)
         # Callbacks are taken as they are.
         others = {one.name for one in dataclasses.fields(cls)} - declared.keys()
         for name, value in (found | given).items():

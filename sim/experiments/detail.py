@@ -21,19 +21,21 @@ from nodes.environment.bodies.node import MujocoParameters
 from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
 from nodes.environment.shapes.scene import (
     SLIPPERY,
+    WHOLE,
+    Factors,
     FeltRegion,
     Solid,
     capsule,
-    mesh,
     plane,
     sphere,
 )
 from nodes.environment.shapes.tables import BOX, MESH, PLANE
 from nodes.launcher.launch_spec import Launch
+from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
 from sim.play.launched import parameters_of
-from sim.play.touch import call_times, touch
+from sim.play.touch import Touched, call_times, touch
 from sim.play.trace import ChainTrace
 
 # grid cells along the longest side, for merging mesh vertices
@@ -117,27 +119,31 @@ def detail(
     fraction: float,
     step: Callable[[str], None] = lambda _: None,
     regions: Sequence[FeltRegion] = (),
+    law: CompiledLaw | None = None,
 ) -> Detail:
     """Play a path, shape (ticks, 3) [m], through all levels of detail.
 
     A force difference below `fraction` of the largest force counts as none. The regions are
-    the same in all levels of the shapes, and left out of one.
+    the same in all levels of the shapes, and left out of one. Factors of a shape scale the
+    stiffness, and those of damping the rest of `law`, which is none without it.
     """
     finest = touch(solids, path, tool_radius, period, regions=regions)
     if not finest.contact.any():
         raise ValueError(
             "the path touches nothing: let it run longer, or lead the hand further"
         )
-    largest = float(
-        stiffness * np.linalg.norm(finest.proxy - path, axis=1)[finest.contact].max()
-    )
+    felt = _at_rest(finest, stiffness)
+    moving = _moving(finest, law)
+    largest = float(np.linalg.norm(felt, axis=1).max())
     limit = max(stiffness * resolution, fraction * largest)
     # Points on the surface, not the tool's centre. A region has no normal.
     on_shape = finest.contact & (np.abs(finest.normal).max(axis=1) > 0.0)
     touched = (finest.proxy - tool_radius * finest.normal)[on_shape]
     levels = []
     left_out = []
-    for name, made in _levels(solids, touched, finest.normal[on_shape], bool(regions)):
+    mean = finest.factors[on_shape].mean(axis=0) if on_shape.any() else WHOLE
+    shape = touched, finest.normal[on_shape], Factors(*map(float, mean))
+    for name, made in _levels(solids, *shape, bool(regions)):
         step(name)
         if isinstance(made, str):
             left_out.append(f"{name}: {made}")
@@ -150,7 +156,9 @@ def detail(
             - np.where(finest.contact[:, None], finest.proxy, path),
             axis=1,
         )
-        difference = stiffness * away
+        damping = finest.factors[:, 1:] - found.factors[:, 1:]
+        apart = felt - _at_rest(found, stiffness) + damping * moving
+        difference = np.linalg.norm(apart, axis=1)
         times = 1e6 * call_times(made, path, tool_radius, period, _TIMED, acting)
         triangles = sum(
             len(solid.mesh.corners) for solid in made if solid.mesh is not None
@@ -172,6 +180,29 @@ def detail(
     )
 
 
+def _deflection(found: Touched) -> Array:
+    """Return the way from device to proxy, zero in the air [m], shape (ticks, 3)."""
+    return np.where(found.contact[:, None], found.proxy - found.path, 0.0)
+
+
+def _at_rest(found: Touched, stiffness: float) -> Array:
+    """Return the force of a law's stiffness, with the factors of what is touched [N]."""
+    return np.asarray(stiffness * found.factors[:, :1] * _deflection(found))
+
+
+def _moving(found: Touched, law: CompiledLaw | None) -> Array:
+    """Return the part of a law's force that is none at rest, without factors [N]."""
+    from scipy.signal import lfilter
+
+    way = _deflection(found)
+    if law is None:
+        return np.zeros_like(way)
+    force = lfilter(law.taps, [1.0], way, axis=0)
+    for b0, b1, a1, a2 in law.sections:
+        force += lfilter([b0, b1], [1.0, a1, a2], way, axis=0)
+    return np.asarray(force - law.h1 * way)
+
+
 def places(over: NDArray[np.bool_]) -> int:
     """Count the separate stretches of a path where `over` is true."""
     at = np.flatnonzero(over)
@@ -179,7 +210,11 @@ def places(over: NDArray[np.bool_]) -> int:
 
 
 def _levels(
-    solids: Sequence[Solid], touched: Array, normals: Array, regions: bool
+    solids: Sequence[Solid],
+    touched: Array,
+    normals: Array,
+    felt_as: Factors,
+    regions: bool,
 ) -> Iterator[tuple[str, list[Solid] | str]]:
     """Yield the levels from the finest: name, and shapes or the reason why there are none."""
     rough = any(solid.friction != SLIPPERY for solid in solids)
@@ -194,6 +229,8 @@ def _levels(
             "without friction",
             [solid._replace(friction=SLIPPERY) for solid in solids],
         )
+    if any(solid.factors != WHOLE for solid in solids):
+        yield "without factors", [solid._replace(factors=WHOLE) for solid in solids]
     meshes = [solid for solid in solids if solid.kind == MESH]
     if len(solids) == 1 and meshes:
         found = meshes[0].mesh
@@ -214,14 +251,22 @@ def _levels(
         or [touched]
     )
     friction = solids[0].friction
+    several = {solid.factors for solid in solids}
+    factors = felt_as if len(several) > 1 else solids[0].factors
     # Unique vertices: the number of triangles at a vertex does not change the shape.
     points = np.unique(points, axis=0)
     if len(points) >= _FEWEST:
         if meshes:
-            yield "box", [_box(points)._replace(friction=friction)]
-            yield "capsule", [_capsule(points)._replace(friction=friction)]
+            yield "box", [_box(points)._replace(friction=friction, factors=factors)]
+            yield (
+                "capsule",
+                [_capsule(points)._replace(friction=friction, factors=factors)],
+            )
         if not (len(solids) == 1 and solids[0].kind == PLANE):
-            yield "sphere", [_sphere(points)._replace(friction=friction)]
+            yield (
+                "sphere",
+                [_sphere(points)._replace(friction=friction, factors=factors)],
+            )
     if len(solids) > 1 or solids[0].kind != PLANE:
         normal = normals.mean(axis=0)
         yield (
@@ -231,7 +276,7 @@ def _levels(
                     tuple(touched.mean(axis=0).tolist()),
                     tuple(normal.tolist()),
                     friction,
-                )
+                )._replace(factors=factors)
             ],
         )
 
@@ -273,9 +318,8 @@ def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str
         yield (
             name,
             [
-                mesh(
-                    prepare_mesh(means[faces], not found.closed, "detail"),
-                    whole.friction,
+                whole._replace(
+                    mesh=prepare_mesh(means[faces], not found.closed, "detail")
                 )
             ],
         )
@@ -312,11 +356,10 @@ def _pieces(found: PreparedMesh, count: int, whole: Solid) -> list[Solid] | str:
     for part in parts:
         try:
             made.append(
-                mesh(
-                    prepare_mesh(
+                whole._replace(
+                    mesh=prepare_mesh(
                         hull(np.unique(part.reshape(-1, 3), axis=0)), False, "detail"
-                    ),
-                    whole.friction,
+                    )
                 )
             )
         except (ParameterError, ValueError, RuntimeError) as error:

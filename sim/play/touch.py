@@ -13,6 +13,7 @@ from nodes.environment.shapes import proxy
 from nodes.environment.shapes.scene import FeltRegion, Solid, new_memory, scene_table
 from nodes.environment.shapes.tables import (
     DISTANCE,
+    FELT_AS,
     IN_CONTACT,
     NORMAL,
     NOW,
@@ -27,7 +28,7 @@ del _registered
 
 # `nodes.environment.shapes.proxy.meet`, compiled.
 meet: Callable[[Any, Any, float, float, float], None] = compiled()(proxy.meet)
-_ANSWER = 9
+_ANSWER = 11
 
 
 @compiled()
@@ -43,6 +44,7 @@ def _walk(scene: Array, memory: Array, path: Array, answers: Array) -> None:
             memory[IN_CONTACT],
             memory[ROUNDS],
         )
+        answers[i, 9], answers[i, 10] = memory[FELT_AS], memory[FELT_AS + 1]
 
 
 class Touched(NamedTuple):
@@ -55,6 +57,7 @@ class Touched(NamedTuple):
     contact: NDArray[np.bool_]  # whether a shape is touched, shape (ticks,)
     rounds: Array  # iterations of each call, shape (ticks,)
     memory: Array  # state of the proxy at the end
+    factors: Array  # of the law's stiffness and damping, shape (ticks, 2)
 
 
 def touch(
@@ -75,7 +78,8 @@ def touch(
         ):
             kept[NOW] = float(i)
             proxy.meet(table, kept, x, y, z)
-            answer[:] = [*kept[PROXY : PROXY + 8], kept[ROUNDS]]
+            of_law = kept[FELT_AS : FELT_AS + 2]
+            answer[:] = [*kept[PROXY : PROXY + 8], kept[ROUNDS], *of_law]
         memory = np.array(kept)
     else:
         memory = np.array(new_memory(len(solids)))
@@ -93,6 +97,7 @@ def touch(
         answers[:, 7] == 1.0,
         answers[:, 8],
         memory,
+        answers[:, 9:],
     )
 
 

@@ -15,6 +15,7 @@ from sim.studies.result import Findings, at_top
 
 if TYPE_CHECKING:
     from nodes.launcher.launch_spec import Launch
+    from nodes.laws import CompiledLaw
     from sim.experiments.detail import Detail
 
 
@@ -78,7 +79,8 @@ def detail(options: DetailOptions) -> DetailFound:
             )
         name, given = parts["coupling"]
         coupling = convert(given, CouplingParameters, name)
-        stiffness = LawBook(name, launch.run.period).compile(coupling, coupling.law).h1
+        law = LawBook(name, launch.run.period).compile(coupling, coupling.law)
+        stiffness = law.h1
         device = parts.get("sim_driver", ("", {}))[1].get("device", {})
         resolution = options.resolution or device.get("resolution") or RESOLUTION
         if "mujoco" in parts:
@@ -86,9 +88,7 @@ def detail(options: DetailOptions) -> DetailFound:
             step = options.progress(5)
             found = body_detail(launch, stiffness, resolution, options.fraction, step)
         else:
-            found = _shapes(
-                options, launch, *parts["environment"], stiffness, resolution
-            )
+            found = _shapes(options, launch, *parts["environment"], law, resolution)
     except ParameterError:
         raise
     except ValueError as error:
@@ -107,7 +107,7 @@ def _shapes(
     launch: Launch,
     name: str,
     given: dict[str, Any],
-    stiffness: float,
+    law: CompiledLaw,
     resolution: float,
 ) -> Detail:
     """Compare the levels of a shape along the proxy's path of a launch in lockstep."""
@@ -131,9 +131,9 @@ def _shapes(
         )
     # In one process, bit-identical to a lockstep launch, whatever `run.pace` is.
     path = play(launch).measured
-    loop = launch.run.period, stiffness, resolution, options.fraction
+    loop = launch.run.period, law.h1, resolution, options.fraction
     return detail(
-        solids, path, surface.tool_radius, *loop, options.progress(12), regions
+        solids, path, surface.tool_radius, *loop, options.progress(12), regions, law
     )
 
 

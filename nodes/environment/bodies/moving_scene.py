@@ -111,6 +111,8 @@ class MovingScene:
         try:
             with _heard(mujoco) as warnings:
                 self.model = _model(mujoco, file, wanted, held, keyframe, where)
+        except ParameterError:
+            raise  # of another parameter than the file
         except ValueError as error:
             raise ParameterError(
                 f"{file}: {' '.join(str(error).split())}", path=f"{where}.scene"

@@ -80,7 +80,7 @@ def fix_bodies(
         for joint in body.joints:
             spec.delete(joint)
     _delete_drives(mujoco, spec)
-    for key in list(spec.keys) if model is not None else ():
+    for key in list(spec.keys):  # of joints that are gone
         spec.delete(key)
 
 

@@ -150,7 +150,7 @@ def test_a_tool_is_added_to_a_scene_that_has_none(tmp_path: Path) -> None:
         MovingScene(path, "tool", T, "environment")
     with pytest.raises(
         ParameterError,
-        match=r"environment.tool.mass: the scene has a body 'tool' already",
+        match=r"^environment.tool.mass: the scene has a body 'tool' already",
     ):
         MovingScene(
             scene(tmp_path, f'<body name="tool">{SLIDES}<geom size="0.01"/></body>'),
@@ -522,6 +522,9 @@ def test_a_scene_begins_at_its_keyframe_and_is_reset_to_it(tmp_path: Path) -> No
     assert still.data.body("ball").xpos == pytest.approx([0.0, 0.5, 0.3], abs=1e-15)
     tip = [0.1 * np.cos(0.3), 0.2, -0.1 * np.sin(0.3)]
     assert still.data.body("arm").xipos == pytest.approx(tip, abs=1e-12)
+    # Without one where the file has them; its keyframes are of more joints than are left.
+    still = arm(tmp_path, None, held=True)
+    assert still.data.body("ball").xpos.tolist() == [0.0, 0.0, 1.0]
     with pytest.raises(
         ParameterError, match=r"environment.keyframe: no keyframe 'hime'; .*home"
     ):

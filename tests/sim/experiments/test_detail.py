@@ -13,6 +13,7 @@ from nodes.cli.main import main
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import (
     SLIPPERY,
+    Factors,
     FeltRegion,
     Friction,
     box,
@@ -20,6 +21,7 @@ from nodes.environment.shapes.scene import (
     plane,
 )
 from nodes.environment.shapes.tables import VISCOSITY
+from nodes.laws.parse import compile_law, parse_law
 from sim.experiments.detail import Detail, detail
 from sim.lab.proxy_shapes import icosphere, ring
 from tests.support import ROOT
@@ -102,6 +104,50 @@ def test_friction_that_is_felt_is_needed() -> None:
     # Drawn along 1 mm deep, it trails by 0.3 of that.
     assert smooth.force_n >= 0.3 * STIFFNESS * 1e-3 * 0.99
     assert found.coarsest.name == "box"
+
+
+@pytest.mark.parametrize(
+    ("factors", "largest", "differs"),
+    [
+        # K e with e = 1 mm at the end; the factor takes half of it.
+        (Factors(0.5, 1.0), 0.5, 0.5),
+        # B v = 2 N s/m times 20 mm/s on the way in; at rest nothing is left of it.
+        (Factors(1.0, 0.25), 1.0, 0.75 * 2.0 * 0.02),
+        (Factors(0.995, 1.0), 0.995, 0.005),
+    ],
+)
+def test_factors_that_are_felt_are_needed(
+    factors: Factors, largest: float, differs: float
+) -> None:
+    speed, depth = 0.02, 1e-3
+    way = np.minimum(np.arange(100) * speed * PERIOD, depth)[:, None]
+    pressed = 0.01 - way * np.array([0.0, 0.0, 1.0])
+    pressed[:, :2] = 0.0
+    wall = plane((0.0, 0.0, 0.01), (0.0, 0.0, 1.0))._replace(factors=factors)
+    law = parse_law({"kind": "pd", "stiffness": STIFFNESS, "damping": 2.0}, "law")
+    compiled = compile_law(law, PERIOD, "law")
+    limits = PERIOD, STIFFNESS, RESOLUTION, 0.0
+    found = detail([wall], pressed, 0.0, *limits, law=compiled)
+    levels = {level.name: level for level in found.levels}
+    # The proxy stays 0.1 nm above the surface: relative 1e-7 of a millimetre.
+    assert found.largest_n == pytest.approx(largest, rel=1e-6)
+    whole = levels["without factors"]
+    # On arrival a tick's force at rest is short of the whole depth by v T: 2 % of it.
+    assert whole.force_n == pytest.approx(differs, rel=1e-3 if differs > 0.2 else 0.03)
+    assert whole.enough == (differs <= found.limit_n)
+    assert (found.coarsest.name == "as it is") == (differs > found.limit_n)
+
+
+def test_coarser_shapes_have_the_factors_of_what_they_replace() -> None:
+    """A box of triangles is the same box, however soft its law is."""
+    soft = mesh(prepare_mesh(box_triangles((0.04, 0.06, 0.02)), False, "file"))
+    soft = soft._replace(factors=Factors(0.3, 0.6))
+    loop = PERIOD, STIFFNESS, RESOLUTION, 0.0
+    found = detail([soft], over_an_edge(), 0.0, *loop)
+    assert found.largest_n == pytest.approx(0.3, rel=1e-3)
+    levels = {level.name: level for level in found.levels}
+    assert found.coarsest.name == "box"
+    assert not levels["without factors"].enough
 
 
 def test_a_path_in_the_air_is_refused() -> None:

@@ -22,9 +22,11 @@ import sim.api
 from messages.errors import UsageError
 from nodes.parameters.options import options_of
 from sim.api.recordings import TickTable
+from sim.lab.studies.meshes import MeshesOptions
 from sim.stability.every_delay import Certificate
 from sim.studies.design import design
 from sim.studies.design_options import DesignOptions
+from sim.studies.detail import DetailOptions
 from sim.studies.kmax_found import KMaxBoundary, KMaxFound
 from sim.studies.notebook_results import Result
 from sim.studies.result import Findings, StudyResult, at_top
@@ -173,6 +175,17 @@ def test_options_are_read_as_the_command_line_reads_them() -> None:
         options.of(land=1)
     with pytest.raises(UsageError, match="world = 'moon': expected one of wall"):
         options.of(world="moon")
+
+
+def test_the_last_argument_of_several_takes_them_apart_or_as_a_list() -> None:
+    for kind, first in ((MeshesOptions, ()), (DetailOptions, ("shapes",))):
+        name = "sources" if kind is MeshesOptions else "assignments"
+        for given in (("a", "b"), (["a", "b"],), (("a", "b"),)):
+            assert getattr(kind.of(*first, *given), name) == ["a", "b"]
+        assert getattr(kind.of(*first, "a"), name) == ["a"]
+    with pytest.raises(UsageError, match="sources: must be given"):
+        MeshesOptions.of()
+    assert DetailOptions.of("shapes").assignments == []
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
