@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
 from tests.support import ROOT
+from tests.support.mutations.__main__ import try_all
 from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of, suite_of
 from tests.support.mutations.mutation import (
+    Mutation,
     copy_sources,
     mutated,
     near,
+    noticed_by,
     stages,
-    survives,
 )
 from tests.support.mutations.rooms import NAMED_RULES
 from tests.support.mutations.safety import SAFETY_RULES
-from tests.support.mutations.score import Tried, as_lines, as_record, counts, wilson
+from tests.support.mutations.score import (
+    Tried,
+    as_lines,
+    as_record,
+    counts,
+    known,
+    source_of,
+    wilson,
+)
 from tests.support.mutations.unnoticed import EQUIVALENT, Equivalent
 
 NAMED = (*SAFETY_RULES, *NAMED_RULES)
@@ -153,8 +164,11 @@ def test_wilson_bounds_are_the_shares_that_lie_a_quantile_away(
 
 def test_the_score_counts_rooms_and_all_that_were_drawn() -> None:
     some = draw(12, "one")
-    tried = [Tried(room_of(one), one, survives=i < 3) for i, one in enumerate(some)]
-    tried.append(Tried("named", NAMED_RULES[0], survives=False))
+    tried = [
+        Tried(room_of(one), one, None if i < 3 else "test_a.py::test_b")
+        for i, one in enumerate(some)
+    ]
+    tried.append(Tried("named", NAMED_RULES[0], "test_a.py::test_c"))
     found = counts(tried)
     assert found["all drawn"] == (9, 12)
     assert found["named"] == (1, 1)
@@ -168,13 +182,47 @@ def test_the_score_counts_rooms_and_all_that_were_drawn() -> None:
     assert lines[-3:] == [f"survives: {one.name}" for one in some[:3]]
 
 
+def test_a_run_goes_on_from_its_file(tmp_path: Path) -> None:
+    """What the file has is not tried again, unless it survived and that is asked for."""
+    some = draw(4, "one")
+    tried = [Tried("named", one, None) for one in some]
+    tried[0] = tried[0]._replace(noticed_by="pytest ends with -24")
+    record = tmp_path / "score.json"
+    assert known(record, again=False) == {}
+    text = json.dumps(as_record(tried))
+    record.write_text(text, encoding="utf-8")
+    assert len(known(record, again=False)) == 4
+    assert list(known(record, again=True).values()) == ["pytest ends with -24"]
+    # The folder has no sources, so whatever was tried would fail.
+    groups = [("named", one) for one in some]
+    assert try_all(groups, tmp_path, record) == tried
+    with pytest.raises(FileNotFoundError):
+        try_all(groups, tmp_path, record, again=True)
+    # A result belongs to the text of its file.
+    record.write_text(text.replace(source_of(some[0]), "0"), encoding="utf-8")
+    with pytest.raises(FileNotFoundError):
+        try_all(groups, tmp_path, record)
+
+
 @pytest.mark.slow
-def test_who_tries_one_tells_whether_a_test_noticed(tmp_path: Path) -> None:
+def test_who_tries_one_tells_which_test_noticed(tmp_path: Path) -> None:
     """A change of nothing survives, a named one does not, and the sources are as they were."""
     copy_sources(tmp_path)
     (marginal,) = (one for one in NAMED_RULES if "grow by e" in one.name)
     before = (tmp_path / marginal.file).read_bytes()
     nothing = marginal._replace(name="nothing", new=f"{marginal.old}  # as it is")
-    assert survives(nothing, tmp_path)
-    assert not survives(marginal, tmp_path)
+    assert noticed_by(nothing, tmp_path) is None
+    noticing = noticed_by(marginal, tmp_path)
+    assert str(noticing).startswith(f"{marginal.tests[0]}::test_")
     assert (tmp_path / marginal.file).read_bytes() == before
+    # A test that fails without any mutation notices nothing.
+    always = tmp_path / "tests" / "test_always.py"
+    always.write_text("def test_fails(): assert 0\n", encoding="utf-8")
+    tests = (f"tests/{always.name}", *marginal.tests)
+    both: list[tuple[str, Mutation]] = [
+        ("named", one._replace(tests=tests)) for one in (nothing, marginal)
+    ]
+    record = tmp_path / "score.json"
+    tried = try_all(both, tmp_path, record)
+    assert [one.noticed_by for one in tried] == [None, noticing]
+    assert json.loads(record.read_text(encoding="utf-8"))["survive"] == ["nothing"]

@@ -185,8 +185,6 @@ def _search(loop: _Loop, taps: int) -> LandingProof:
     table = np.array(padded)
     even = np.linspace(0.0, np.pi, 257)[1:]
     theta = np.union1d(even, np.geomspace(1e-4, np.pi, 257))
-    limits = np.append(np.zeros(2 * taps + 1), 1.0)
-    limits[-2] = -1.0
     finer = np.linspace(0.0, np.pi, 40 * size + 1)[1:]
     fine = np.union1d(finer, np.geomspace(1e-6, np.pi, 4001))
     fine_table = values_of(table, fine)

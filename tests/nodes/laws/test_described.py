@@ -15,7 +15,7 @@ import pytest
 
 from nodes.coupling.law_book import free_name
 from nodes.laws import Law, law_kinds
-from nodes.laws.described_laws import calls, describe_law, public_kinds
+from nodes.laws.described_laws import calls, describe_law, limits_text, public_kinds
 from nodes.laws.fields import GAINS
 from nodes.laws.parse import LawRefusedError, law_to_dict, parse_law
 from nodes.laws.presets import PRESETS, preset_names
@@ -75,6 +75,38 @@ def test_a_limit_is_the_one_that_is_enforced(kind: str) -> None:
                     parse_law(edge)
             else:
                 parse_law(edge)
+
+
+@every_kind
+def test_presets_stand_beside_the_kind_of_their_law(kind: str) -> None:
+    law, found = described(kind)
+    assert found["presets"] == [
+        name for name in PRESETS if type(parse_law(name)) is law
+    ]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "excluded", "text"),
+    [
+        (None, None, False, ""),
+        (0.0, None, True, "> 0"),
+        (0.0, 1.5, False, "≥ 0, ≤ 1.5"),
+        (None, 4.0, True, "< 4"),
+    ],
+)
+def test_limits_are_told_with_their_ends(
+    low: float | None, high: float | None, excluded: bool, text: str
+) -> None:
+    ends = {"minimum_excluded": excluded, "maximum_excluded": excluded}
+    parameter = {"minimum": low, "maximum": high, **ends}
+    assert limits_text(parameter) == text
+    four, begin = ["a", "b", "c", "d"], f"{text}, " if text else ""
+    assert limits_text({**parameter, "choices": four}) == f"{begin}a, b, c, d"
+    # More do not fit into a table.
+    assert (
+        limits_text({**parameter, "choices": [*four, "e"]})
+        == f"{begin}one of those below"
+    )
 
 
 @every_kind

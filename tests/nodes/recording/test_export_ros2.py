@@ -18,6 +18,12 @@ from messages.types import DeviceState, Proxy
 from nodes.cli.main import main
 from nodes.recording.export_ros2 import export_ros2
 from nodes.recording.reader import Recording
+from nodes.recording.ros2_messages import (
+    LATCHED,
+    MOST_SHAPES,
+    RosMessages,
+    standing_messages,
+)
 from nodes.recording.table import read
 from nodes.recording.writer import RecordWriter
 from tests.support.one_process import recorded
@@ -124,3 +130,18 @@ def test_two_devices_have_topics_of_their_own(tmp_path: Path) -> None:
         ] == [x] * 20
         assert len(found[f"/{chain}/haptic/proxy/pose"]) == 20
     assert "/haptic/device/pose" not in found
+
+
+@pytest.mark.parametrize("number", [99, 100, 101])
+def test_a_hundred_shapes_are_drawn_and_kept_for_who_comes_later(number: int) -> None:
+    """A late subscriber gets as many markers as its queue keeps: all that are drawn."""
+    ball = {"kind": "sphere", "position": [0.0, 0.0, 0.0], "radius": 0.01}
+    surface = {"kind": "union", "shapes": [ball] * number}
+    make = RosMessages(lambda name: pytest.fail(f"{name} is built before it is sent"))
+    topics = [
+        topic
+        for topic, _, _ in standing_messages(make, {"wall": {"surface": surface}}, {})
+    ]
+    assert topics.count("/haptic/wall") == min(number, 100)
+    assert topics.count("/haptic/parameters") == 1
+    assert LATCHED["wall"] == MOST_SHAPES == 100

@@ -20,6 +20,7 @@ from sim.device.friction import slide
 from sim.device.hand import Hand
 from sim.device.model import DeviceModel, coefficients
 from sim.device.state import VirtualDevice, device_part
+from sim.identify.conclude import _delays
 from sim.identify.experiment import Experiment, encoder, lockstep, read
 from sim.identify.identified import Estimate
 from sim.identify.identified_motion import window
@@ -194,6 +195,31 @@ def test_encoder_step_is_read_off_the_grid(step: float) -> None:
     value, low, high = found.known()
     assert value == pytest.approx(step, rel=1e-12)
     assert 0.0 < 0.5 * (high - low) < 1e-9 * step
+
+
+def test_the_interval_of_a_step_is_twice_the_rounding_over_the_range() -> None:
+    """Positions that stray by 1 % of the step, evenly: ± 2 · stray / counts."""
+    counts = np.arange(201)
+    step = 2.0**-16
+    stray = 0.01 * step
+    found = encoder(np.asarray(counts * step + stray * (-1.0) ** counts))
+    value, low, high = found.known()
+    assert value == pytest.approx(step, rel=1e-6)
+    # The fitted line takes up the little of an alternation that is like a slope: below 1 %.
+    assert 0.5 * (high - low) == pytest.approx(2.0 * stray / 200.0, rel=0.01)
+
+
+def test_the_delay_of_a_run_has_an_interval_from_a_hundred_answers_on() -> None:
+    """Delays of 1 and 2 ticks in turn: the middle between them, and a jitter of one tick."""
+    run = lockstep(T, np.zeros(1000), np.zeros(1000))
+    delay = np.tile([1.0, 2.0], 50)
+    median, shortest, longest, jitter = _delays(replace(run, delay=delay))
+    assert (median, shortest, longest, jitter.value) == (1.5, 1.0, 2.0, 1.0)
+    assert (jitter.low, jitter.high) == (1.0, 1.0)
+    *times, jitter = _delays(replace(run, delay=delay[1:]))
+    assert times == [0.0, 0.0, 0.0]
+    assert jitter.value is None
+    assert jitter.why == "99 ticks were answered, at least 100 are needed"
 
 
 def test_no_grid_no_step() -> None:

@@ -19,6 +19,7 @@ from sim.device.hand import Hand
 from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene, free_scene
 from sim.identify.swing import (
+    _SHORTEST,
     CannotTellError,
     _law,
     longest,
@@ -132,6 +133,29 @@ def test_a_swing_is_fitted_exactly(theta: float, decay: float) -> None:
     # The signal obeys the model: what is left is the tolerance of the search.
     assert (fit.theta, fit.decay) == pytest.approx((theta, decay), rel=1e-6)
     assert fit.residual < 1e-6
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-4])
+def test_the_residual_is_a_share_of_the_swing_whatever_its_size(size: float) -> None:
+    """What is left of a swing with noise is the noise."""
+    k = np.arange(400)
+    noise = 0.02 * np.random.default_rng(1).normal(size=400)
+    swing = np.cos(0.4 * k) + noise
+    # The fit takes up six of 400 values: 1 %.
+    assert ringing(size * swing + 0.05).residual == pytest.approx(
+        np.sqrt(np.mean(noise**2)) / np.ptp(swing), rel=0.02
+    )
+
+
+def test_a_swing_has_at_least_forty_ticks_and_a_nanometre() -> None:
+    k = np.arange(_SHORTEST)
+    swing = np.cos(0.7 * k)
+    swing /= np.ptp(swing)
+    assert ringing(1.001e-9 * swing).theta == pytest.approx(0.7, rel=1e-6)
+    with pytest.raises(CannotTellError, match="nothing swings"):
+        ringing(0.999e-9 * swing)
+    with pytest.raises(CannotTellError, match="at least 40 are needed"):
+        ringing(swing[1:])
 
 
 def test_what_does_not_swing_is_refused() -> None:

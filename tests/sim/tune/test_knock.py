@@ -8,8 +8,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nodes.laws import CompiledLaw
-from nodes.laws.knock import Knock
 from nodes.laws.parse import parse_law
 from nodes.laws.pd import PD
 from nodes.stability.k_max import k_max, without_spring
@@ -245,59 +243,3 @@ def test_the_linear_edge_is_where_a_pole_reaches_the_circle() -> None:
     assert k_max(without_spring(grown, T), plant).k_max_n_per_m == pytest.approx(
         300.0 * edge, rel=1e-6
     )
-
-
-# -- the law on trial
-# --------------------------------------------------------------------------------------------------
-
-
-def rendered(law: Knock, deflections: list[float], length: int = 16) -> list[float]:
-    """Return forces as the coupling renders them, over a double ring buffer."""
-    compiled: CompiledLaw = law.compile(T)
-    own = compiled.own_code()
-    assert own is not None
-    ring, head, forces = [0.0] * (2 * length), 0, []
-    for k, x in enumerate(deflections):
-        head = head - 1 if head > 0 else length - 1
-        ring[head] = ring[head + length] = x
-        if k > 0:
-            forces.append(
-                sum(tap * ring[head + m] for m, tap in enumerate(compiled.taps))
-                + own(ring, head)
-            )
-    return forces
-
-
-TAPS = (5000.0, -3000.0, 500.0)
-
-
-def test_a_trial_is_the_law_felt_from_nothing_and_then_the_soft_spring() -> None:
-    law = Knock(taps=TAPS, step=1e-4, ticks=40, stiffness=20.0, damping=0.5)
-    held = 2e-3
-    forces = rendered(law, [held] * 60)
-    # A step of the deflection over nothing: the sum of the first taps; beside it the force that was
-    # there before.
-    steps = [sum(TAPS[: k + 1]) * 1e-4 for k in range(40)]
-    assert forces[:40] == pytest.approx([20.0 * held + s for s in steps], abs=1e-12)
-    assert forces[40:] == pytest.approx([20.0 * held] * 19, abs=1e-12)
-
-
-def test_a_trial_that_goes_far_is_over_for_good() -> None:
-    law = Knock(taps=TAPS, step=1e-4, ticks=40, far=3.0)
-    for end, over in ((1.9e-4, False), (2.1e-4, True)):
-        # Its deflection is the step, and what the device adds.
-        forces = rendered(law, [0.0, 0.0, end, 0.0, 0.0, 0.0])
-        soft = rendered(
-            Knock(taps=(0.0,), step=1e-12, ticks=1), [0.0, 0.0, end, 0.0, 0.0, 0.0]
-        )
-        assert (forces[1:] == pytest.approx(soft[1:], abs=1e-12)) is over
-
-
-def test_a_load_is_carried_before_during_and_after_on_the_first_axis() -> None:
-    law = Knock(taps=TAPS, step=1e-4, ticks=5, load=0.98)
-    forces = rendered(law, [0.0] * 10)
-    assert forces[0] == pytest.approx(0.98 + TAPS[0] * 1e-4, rel=1e-12)
-    assert forces[-1] == 0.98
-    second = law.compile(T).own_code(1)
-    assert second is not None
-    assert second([0.0] * 32, 0) == 0.0

@@ -9,10 +9,12 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from tests.support import ROOT
+from tests.support.mutations import first_failure
 
 LONGEST: Final = 900
 """Processor time after which a mutation's tests have failed: a loop without end [s].
@@ -55,15 +57,64 @@ def mutated(text: str, mutation: Mutation) -> str:
     return text[:place] + mutation.new + text[place + len(old) :]
 
 
-def survives(mutation: Mutation, folder: Path) -> bool:
-    """Apply a mutation in a copy of the sources; return whether all its tests pass."""
+def noticed_by(
+    mutation: Mutation, folder: Path, without: frozenset[str] = frozenset()
+) -> str | None:
+    """Apply a mutation in a copy of the sources; return the first test that fails, or None.
+
+    Parameters
+    ----------
+    mutation : Mutation
+        What to change, and the tests to run.
+    folder : Path
+        A copy of the sources, as they were again at the end.
+    without : frozenset of str
+        Test functions that fail without any mutation, which are not run.
+    """
     path = folder / mutation.file
     text = path.read_text(encoding="utf-8")
     _write(path, mutated(text, mutation))
     try:
-        return _passes(folder, mutation.tests)
+        for stage in stages(mutation.tests):
+            left_out = tuple(f"--deselect={test}" for test in sorted(without))
+            if failed := _first_failure(folder, (*stage, *left_out)):
+                return failed
+        return None
     finally:
         _write(path, text)
+
+
+def failing_anyway(tests: Iterable[str], folder: Path) -> frozenset[str]:
+    """Return which tests fail without any mutation: they notice nothing.
+
+    Parameters
+    ----------
+    tests : iterable of str
+        Ids of test functions, and files that cannot be collected.
+    folder : Path
+        A copy of the sources without a mutation.
+    """
+    left, failing = set(tests), set[str]()
+    while left:
+        files = sorted(test for test in left if "::" not in test)
+        functions = sorted(left.difference(files))
+        failed = None
+        if files:
+            failed = _first_failure(folder, ("--collect-only", *files))
+        if functions and not failed:
+            failed = _first_failure(folder, tuple(functions))
+        if not failed:
+            break
+        if function_of(failed) not in left:
+            raise RuntimeError(f"without any mutation: {failed}")
+        failing.add(function_of(failed))
+        left.remove(function_of(failed))
+    return frozenset(failing)
+
+
+def function_of(test: str) -> str:
+    """Return the id of a test without its parameters."""
+    return test.partition("[")[0]
 
 
 def _write(path: Path, text: str) -> None:
@@ -87,30 +138,21 @@ def near(tests: tuple[str, ...]) -> tuple[str, ...]:
     return files if len(files) > 2 else tests
 
 
-def _passes(folder: Path, tests: tuple[str, ...]) -> bool:
-    return all(_stage_passes(folder, stage) for stage in stages(tests))
-
-
-def _stage_passes(folder: Path, words: tuple[str, ...]) -> bool:
+def _first_failure(folder: Path, words: tuple[str, ...]) -> str | None:
+    """Run tests up to the first that fails; return its id, or how pytest ended without one."""
     command = [
-        *(
-            sys.executable,
-            "-m",
-            "pytest",
-            "-n",
-            "0",
-            "-q",
-            "-x",
-            "-p",
-            "no:cacheprovider",
-        ),
+        *(sys.executable, "-m", "pytest", "-n", "0", "-q", "-x"),
+        *("-p", "no:cacheprovider", "-p", first_failure.__name__),
         *("-m", "not slow and not process", *words),
     ]
+    written = folder / "first_failure"
+    written.unlink(missing_ok=True)
     # Compiled code belongs to the path of its sources: it is of no use when the copy is gone.
     environment = {
         **os.environ,
         "PYTHONPATH": str(folder),
         "NUMBA_CACHE_DIR": f"{folder}/cache",
+        first_failure.FILE: str(written),
     }
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     with subprocess.Popen(
@@ -122,7 +164,11 @@ def _stage_passes(folder: Path, words: tuple[str, ...]) -> bool:
     ) as process:
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (LONGEST, LONGEST))
         code = process.wait()
-    return code in (0, NOTHING_COLLECTED)
+    if code in (0, NOTHING_COLLECTED):
+        return None
+    if written.exists():
+        return written.read_text(encoding="utf-8")
+    return f"pytest ends with {code}"
 
 
 def copy_sources(folder: Path) -> None:

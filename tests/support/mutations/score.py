@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Final, NamedTuple
 
+from tests.support import ROOT
 from tests.support.mutations.mutation import Mutation
 
 NORMAL_95: Final = 1.959963984540054
@@ -13,11 +17,16 @@ NORMAL_95: Final = 1.959963984540054
 
 
 class Tried(NamedTuple):
-    """A mutation that was tried, and whether every test passed with it."""
+    """A mutation that was tried, and the test that notices it."""
 
     group: str  # room it was drawn from, or "named"
     mutation: Mutation
-    survives: bool
+    noticed_by: str | None  # id of the first test that fails; None if all pass
+
+    @property
+    def survives(self) -> bool:
+        """Whether every test passes with it."""
+        return self.noticed_by is None
 
 
 def wilson(noticed: int, tried: int) -> tuple[float, float]:
@@ -46,8 +55,41 @@ def as_record(tried: list[Tried]) -> dict[str, object]:
     for group, (noticed, number) in counts(tried).items():
         low, high = wilson(noticed, number)
         groups[group] = {"tried": number, "noticed": noticed, "low": low, "high": high}
+    rows = [
+        {
+            "name": one.mutation.name,
+            "source": source_of(one.mutation),
+            "noticed_by": one.noticed_by,
+        }
+        for one in tried
+    ]
     survive = [one.mutation.name for one in tried if one.survives]
-    return {"groups": groups, "survive": survive}
+    return {"groups": groups, "survive": survive, "tried": rows}
+
+
+def source_of(mutation: Mutation) -> str:
+    """Return a digest of the file that a mutation changes, as it is now."""
+    return hashlib.sha256((ROOT / mutation.file).read_bytes()).hexdigest()[:16]
+
+
+def known(record: Path, *, again: bool) -> dict[tuple[str, str], str | None]:
+    """Return what a file of `as_record` knows: the noticing test of each name and source.
+
+    Parameters
+    ----------
+    record : Path
+        The file; nothing is known where there is none.
+    again : bool
+        Leave out what survived, because the tests have grown since.
+    """
+    if not record.exists():
+        return {}
+    rows = json.loads(record.read_text(encoding="utf-8"))["tried"]
+    return {
+        (row["name"], row["source"]): row["noticed_by"]
+        for row in rows
+        if row["noticed_by"] is not None or not again
+    }
 
 
 def as_lines(tried: list[Tried]) -> list[str]:
