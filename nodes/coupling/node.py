@@ -22,6 +22,7 @@ from nodes.base.node import Node
 from nodes.base.setup import AXIS_INDEX, Axis, Setup, least_delay
 from nodes.compiled.layout import state_of
 from nodes.compiled.published import payload_of
+from nodes.coupling.contradictions import refuse_contradiction
 from nodes.coupling.force_fields import ForceField, check_axes, needed_axes
 from nodes.coupling.judgement import Judgement, StartAnyway, refuses_start
 from nodes.coupling.law_book import LawBook
@@ -74,10 +75,8 @@ class Coupling(Node):
         book.check(parameters)
         _check_frame(parameters, setup)
         check_axes(parameters.field, setup.axes, f"{setup.name}.field")
-        judgement = Judgement(
-            setup.name, setup.period, book, setup.plant, setup.effects, setup.axes
-        )
-        judgement.refuse_contradiction(parameters)
+        judgement = Judgement(setup.name, setup.period, book, setup.effects, setup.axes)
+        refuse_contradiction(setup.name, setup.plant, parameters)
         reason = StartAnyway.VIRTUAL if setup.virtual else StartAnyway.NO_REASON
         if refuses_start(parameters.stability, reason):
             judgement.at_start(parameters, least_delay(setup.apply), reason)
@@ -115,7 +114,6 @@ class Coupling(Node):
             self.setup.name,
             self.setup.period,
             self._book,
-            self.setup.plant,
             self.setup.effects,
             self.setup.axes,
         )
@@ -259,7 +257,7 @@ class Coupling(Node):
         _check_frame(parameters, self.setup)
         check_axes(parameters.field, self.setup.axes, f"{self.setup.name}.field")
         if not force:
-            self._judgement.refuse_contradiction(parameters, now)
+            refuse_contradiction(self.setup.name, self.setup.plant, parameters, now)
         set_aside = self._live.of_set_aside(
             now, parameters, self._schedule.names, force
         )
