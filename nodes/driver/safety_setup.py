@@ -6,8 +6,9 @@ import math
 
 from nodes.driver.limits import Limits, SafetyParameters, recovery_ramp, start_ramp
 from nodes.driver.motor_heat import set_heat
-from nodes.driver.safety import PRESSES, REACH, STOP_WINDOW
+from nodes.driver.safety import REACH
 from nodes.driver.state import IDLE, DriverState
+from nodes.driver.swings import PRESSES, STOP_WINDOW
 
 
 def set_safety(
