@@ -8,7 +8,6 @@ import platform
 import resource
 import sys
 import sysconfig
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -16,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 from nodes.base import realtime
 from nodes.base.node_kinds import NODES, load, node_kinds
 from nodes.base.setup import Scheduling
+from nodes.base.wake_ups import wake_ups
 from nodes.cli.main import VERBS, add_json, answer
 from nodes.compiled.build import expected_seconds, find, reason
 from nodes.compiled.cache import CacheRefusedError, folder
@@ -26,8 +26,6 @@ from nodes.parameters.registry import NotInstalledError, Registry
 
 DISTRIBUTION = ("/usr",)  # where the interpreters of distributions are installed
 
-WAKE_UPS = 250  # wake-ups measured
-WAKE_UP_PERIOD = 0.002  # their period [s]
 LATE = 200e-6  # limit of a wake-up's lateness: a tenth of a tick at 500 Hz [s]
 # Descriptors that a node needs at most, encrypted connections to many subscribers included.
 OPEN_FILES = 256
@@ -230,16 +228,6 @@ def interpreter() -> Diagnosis:
         " nodes answer faster"
     )
     return Diagnosis("limited", f"{text}, built without PGO", remedy)
-
-
-def wake_ups(period: float = WAKE_UP_PERIOD, count: int = WAKE_UPS) -> dict[str, float]:
-    """Measure how late this thread wakes from sleeps to absolute times [µs]."""
-    start = time.monotonic()
-    deadlines = [start + k * period for k in range(1, count + 1)]
-    late = sorted(realtime.sleep_until(deadline) - deadline for deadline in deadlines)
-    p99 = min(int(0.99 * count), count - 1)
-    places = {"p50": count // 2, "p99": p99, "max": -1}
-    return {name: round(late[place] * 1e6, 1) for name, place in places.items()}
 
 
 def _slack() -> Diagnosis:

@@ -26,7 +26,8 @@ from nodes.compiled.choose_tick import compile_later
 from nodes.launcher import launch_file, scenario_files
 from nodes.launcher.chain_load import OVERLOADED
 from nodes.launcher.launch_spec import Launch
-from nodes.launcher.runs import STOPPED, ended_why, place_of
+from nodes.launcher.run_end import STOPPED, ended_why
+from nodes.launcher.runs import place_of
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
 from nodes.parameters.store import ParameterError

@@ -9,7 +9,8 @@ import time
 from messages.errors import RefusedError, UsageError
 from nodes.cli.ask import chosen_run
 from nodes.cli.main import add_json, answer
-from nodes.launcher.runs import STOPPED, alive, place_of, runs, write_end
+from nodes.launcher.run_end import STOPPED, write_end
+from nodes.launcher.runs import alive, place_of, runs
 
 # Time limit of a launch's end: the driver's ramp to zero, and the recorder's queue [s].
 TIMEOUT = 60.0

@@ -25,6 +25,7 @@ from nodes.compiled import cache
 from nodes.compiled.machine_code import ENTRY as ENTRY
 from nodes.compiled.machine_code import linked, object_file
 from nodes.compiled.message_fields import NotCompilableError
+from nodes.compiled.source_files import sources_of
 
 TIMEOUT: Final = 300.0  # longest time to compile one kernel [s]
 USUAL: Final = (
@@ -157,10 +158,7 @@ def _cause(error: Exception) -> str:
 
 def _compile(module: str, keep_failure: bool) -> None:
     # before compiling: later changes were not compiled
-    sources = {
-        **cache.sources_of(module),
-        **cache.sources_of("nodes.compiled.machine_code"),
-    }
+    sources = {**sources_of(module), **sources_of("nodes.compiled.machine_code")}
     begin = time.process_time()
     try:
         kind, content = linked(object_file(module))

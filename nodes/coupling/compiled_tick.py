@@ -8,6 +8,7 @@ from messages import topics
 from nodes.compiled.answering import CompiledTicks
 from nodes.compiled.library import Kernel
 from nodes.coupling.renderer import Renderer
+from nodes.coupling.swap_schedule import SwapSchedule
 
 # ticks after which the kernel stops for standby laws, which must catch up before the history
 # forgets
@@ -17,9 +18,11 @@ STANDBY_TICKS = 64
 class CouplingTicks(CompiledTicks):
     """Compiled ticks of a coupling; a law with own code uses the plain tick."""
 
-    def __init__(self, node: Any, kernel: Kernel, renderer: Renderer) -> None:
+    def __init__(
+        self, node: Any, kernel: Kernel, renderer: Renderer, schedule: SwapSchedule
+    ) -> None:
         super().__init__(node, kernel, topics.PROXY, topics.FORCE)
-        self._coupling, self._renderer = node, renderer
+        self._renderer, self._schedule = renderer, schedule
         self._name: str | None = None
         self._longest = self._most
 
@@ -30,7 +33,7 @@ class CouplingTicks(CompiledTicks):
             return False
         if renderer.name != self._name:
             self._name, self._fits = renderer.name, self.set_text(renderer.name)
-        self.state.until = self._coupling.next_swap()
+        self.state.until = self._schedule.next_tick()
         self._most = (
             min(self._longest, STANDBY_TICKS) if renderer.standby else self._longest
         )

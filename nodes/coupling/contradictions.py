@@ -1,13 +1,28 @@
-"""Fields of a declared device with which a loop looks more stable than it is."""
+"""Contradictions between a declared device and what the nodes of the chain know of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from nodes.coupling.parameters import PlantParameters
+from messages.schema import attributes, unit_of
+from nodes.coupling.parameters import CouplingParameters, PlantParameters
+from nodes.parameters.store import ParameterError
 
 # relative difference up to which a written value equals the known one, because of rounding
 _CLOSE = 0.01
+_MOVABLE = ("device_delay", "scale")  # fields that a driver may change while it runs
+_WHOSE = {
+    "tool_mass": "the tool of the scene weighs",
+    "tool_damping": "the tool of the scene is damped to ground by",
+    "tool_stiffness": "the body that is felt is on a spring of",
+    "tool_lag": "what is felt answers later by",
+    "tool_step": "the scene is stepped by",
+    **dict.fromkeys(
+        ("partner_mass", "partner_damping", "partner_stiffness"),
+        "the second device has",
+    ),
+    "scale": "the driver maps at a scale of",
+}
 
 
 def contradictions(
@@ -54,3 +69,51 @@ def contradictions(
         if not kept:
             found[field] = f"{limit:g}"
     return found
+
+
+def refuse_contradiction(
+    node: str,
+    known: Mapping[str, float],
+    parameters: CouplingParameters,
+    now: CouplingParameters | None = None,
+) -> None:
+    """Check that a plant does not make laws look more stable than the known device does.
+
+    Parameters
+    ----------
+    node : str
+        Name of the coupling.
+    known : mapping of str to float
+        What other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
+    parameters : CouplingParameters
+        The plant, and what is done with an unstable law.
+    now : CouplingParameters or None
+        The parameters before a change; values accepted earlier may stay. A change does not compare
+        a device's delay, because it may have changed since the start.
+
+    Raises
+    ------
+    ParameterError
+        With the field, its value and the known one.
+    """
+    plant = parameters.plant
+    before = None if now is None else now.plant
+    if plant is None or parameters.stability in ("warn", "off") or plant == before:
+        return
+    for field, limit in contradictions(plant, known).items():
+        written = getattr(plant, field)
+        live = now is not None and field in _MOVABLE
+        if live or (before is not None and written == getattr(before, field)):
+            continue
+        where = f"{node}.plant.{field}"
+        unit = unit_of(attributes(PlantParameters.__doc__ or "")[field])
+        raise ParameterError(
+            f"{_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')}"
+            f" {limit} {unit}: laws would be judged on another device. Leave {where} out, which"
+            f" fills it in, or set {node}.stability to warn",
+            path=where,
+        )
+
+
+def _shown(value: float | None, unit: str) -> str:
+    return "none" if value is None else f"{value:g} {unit}".strip()

@@ -6,38 +6,27 @@ All of this runs on the control thread, or before the launch.
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from messages.errors import AT_LEAST, AT_MOST, FORCE, OTHER, TOGETHER, Remedy
-from messages.schema import attributes, unit_of
+from messages.errors import FORCE, OTHER, Remedy
 from nodes.base.setup import AXIS_INDEX, Effect
-from nodes.coupling.contradictions import contradictions
 from nodes.coupling.felt_law import effective, felt_laws
 from nodes.coupling.field_judgement import (
     FeltLaw,
     field_text,
-    largest_share,
     unjudged_field,
     worst_in_field,
 )
 from nodes.coupling.law_book import LawBook
-from nodes.coupling.law_numbers import (
-    numbers_of,
-    rounded_towards,
-    scaled_law,
-    with_numbers,
-)
-from nodes.coupling.parameters import CouplingParameters, PlantParameters
+from nodes.coupling.parameters import CouplingParameters
+from nodes.coupling.remedies import Remedies
 from nodes.laws import CompiledLaw
-from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
-
-_SOFTEST = 1e-12  # part of the requested stiffness from which a stable one is searched
 
 
 class StartAnyway(enum.Enum):
@@ -72,8 +61,6 @@ class Judgement:
         Sampling period T [s].
     book : LawBook
         Its laws.
-    known : mapping of str to float
-        What other nodes of the chain know of the plant (`nodes.base.node.Node.plant`).
     effects : sequence of Effect
         What shapes and regions of the environment make of a law; it is judged as each of them.
     axes : sequence of str
@@ -85,42 +72,15 @@ class Judgement:
         node: str,
         period: float,
         book: LawBook,
-        known: Mapping[str, float] | None = None,
         effects: Sequence[Effect] = (),
         axes: Sequence[str] = tuple(AXIS_INDEX),
     ) -> None:
         self._node = node
         self._period = period
         self._book = book
-        self._known = known or {}
         self._effects = effects
         self._axes = axes
-
-    def refuse_contradiction(
-        self, parameters: CouplingParameters, now: CouplingParameters | None = None
-    ) -> None:
-        """Check that a plant does not make laws look more stable than the known device does.
-
-        `now` has the parameters before a change; values accepted earlier may stay. A change does
-        not compare a device's delay, because it may have changed since the start.
-        """
-        plant = parameters.plant
-        before = None if now is None else now.plant
-        if plant is None or parameters.stability in ("warn", "off") or plant == before:
-            return
-        for field, limit in contradictions(plant, self._known).items():
-            written = getattr(plant, field)
-            live = now is not None and field in _MOVABLE
-            if live or (before is not None and written == getattr(before, field)):
-                continue
-            where = f"{self._node}.plant.{field}"
-            unit = unit_of(attributes(PlantParameters.__doc__ or "")[field])
-            raise ParameterError(
-                f"{_shown(written, unit)}, but {_WHOSE.get(field, 'the device has')}"
-                f" {limit} {unit}: laws would be judged on another device. Leave {where} out, which"
-                f" fills it in, or set {self._node}.stability to warn",
-                path=where,
-            )
+        self._remedies = Remedies(node, period, book)
 
     def verdict(
         self, parameters: CouplingParameters, law: CompiledLaw, measured_delay: float
@@ -413,117 +373,14 @@ class Judgement:
         name: str,
         verdict: Verdict,
     ) -> Remedy:
-        from nodes.stability.judge import between, furthest_stable, judge
-
+        """Return what would be accepted instead of an unstable law."""
+        remedies = self._remedies
         if verdict.felt.startswith(self._field):
             felt = self._felt(self._book.compile(wanted, name))
-            stable = largest_share(felt, [verdict.plant], wanted.field, self._axes)
-            part = f"{rounded_towards(stable, 0.0):g} times" if stable else "no part of"
-            text = f"the law itself is stable: {part} this field would be accepted"
-            return Remedy(OTHER, text)
+            return remedies.in_field(felt, verdict.plant, wanted.field, self._axes)
         if verdict.felt:
-            return Remedy(
-                OTHER,
-                f"the law itself is stable: raise the factors of {verdict.felt} (its damping), or"
-                " change its time, or take a softer law",
-            )
-        asked = self._book.description(wanted, name)
-        where = f"{self._node}.laws.{name}" if name in wanted.laws else name
-        start = self._start(now, name, asked)
-        if not start:
-            whole = self._compiled(asked)
-            share = furthest_stable(lambda part: scaled_law(whole, part), verdict.plant)
-            part = (
-                f"all taps of {where} times {rounded_towards(share, 0.0):g}"
-                if share
-                else f"no part of {where}"
-            )
-            return Remedy(OTHER, f"{part} would be accepted")
-
-        def at(share: float) -> Any:
-            return with_numbers(
-                asked,
-                lambda path, end: (
-                    between(start[path], end, share) if path in start else end
-                ),
-            )
-
-        share = furthest_stable(lambda part: self._compiled(at(part)), verdict.plant)
-        if share is None:
-            return Remedy(
-                OTHER,
-                f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
-                "the rest as requested",
-            )
-        reached = numbers_of(at(share))
-        ends = numbers_of(asked)
-        if len(start) > 1:
-            told = ", ".join(f"{path} {reached[path]:.4g}" for path in start)
-            return Remedy(
-                TOGETHER,
-                f"together, {where} is accepted up to {told}",
-                {f"{where}.{path}": reached[path] for path in start},
-            )
-        ((path, begin),) = start.items()
-        value = rounded_towards(reached[path], begin)
-        rounded = self._compiled(
-            with_numbers(asked, lambda at, end: value if at == path else end)
-        )
-        found = judge(rounded, verdict.plant)
-        if found is None or not found.stable:
-            value = reached[path]
-        kind, side = (
-            (AT_MOST, "largest") if ends[path] > begin else (AT_LEAST, "smallest")
-        )
-        return Remedy(
-            kind,
-            f"the {side} {where}.{path} that is accepted is {value:.9g}",
-            {f"{where}.{path}": value},
-        )
-
-    def _start(
-        self, now: CouplingParameters | None, name: str, asked: dict[str, Any]
-    ) -> dict[str, float]:
-        """Return the start of the path to a refused law: the values before, or no stiffness.
-
-        Empty if the law has no such value.
-        """
-        ends = numbers_of(asked)
-        if now is not None and name in self._book.names(now):
-            before = self._book.description(now, name)
-            begins = numbers_of(before)
-            changed = {
-                path: begins[path]
-                for path in ends
-                if path in begins and begins[path] != ends[path]
-            }
-            if (
-                changed
-                and with_numbers(before, lambda path, value: ends.get(path, value))
-                == asked
-            ):
-                return changed
-        return (
-            {"stiffness": _SOFTEST * ends["stiffness"]} if "stiffness" in ends else {}
-        )
-
-    def _compiled(self, description: dict[str, Any]) -> CompiledLaw:
-        return compile_law(parse_law(description), self._period)
-
-
-_MOVABLE = ("device_delay", "scale")  # fields that a driver may change while it runs
-_WHOSE = {
-    "tool_mass": "the tool of the scene weighs",
-    "tool_damping": "the tool of the scene is damped to ground by",
-    "tool_stiffness": "the body that is felt is on a spring of",
-    "tool_lag": "what is felt answers later by",
-    "tool_step": "the scene is stepped by",
-    **dict.fromkeys(
-        ("partner_mass", "partner_damping", "partner_stiffness"),
-        "the second device has",
-    ),
-    "scale": "the driver maps at a scale of",
-}
+            return remedies.felt_at(verdict.felt)
+        return remedies.of_law(now, wanted, name, verdict.plant)
 
 
 def _rendering(parameters: CouplingParameters) -> list[str]:
@@ -531,7 +388,3 @@ def _rendering(parameters: CouplingParameters) -> list[str]:
     return list(
         dict.fromkeys([parameters.law, *(swap.law for swap in parameters.schedule)])
     )
-
-
-def _shown(value: float | None, unit: str) -> str:
-    return "none" if value is None else f"{value:g} {unit}".strip()

@@ -24,21 +24,22 @@ from nodes.base.node import IDLE_MS, Node
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.status_report import Counted
 from nodes.compiled.layout import NEVER, state_of
-from nodes.driver.calls import numbers_of
 from nodes.driver.condition import Condition
 from nodes.driver.device import Device, DeviceLimits
+from nodes.driver.epoch import begin_at_epoch
 from nodes.driver.external import give
 from nodes.driver.force_words import why_no_force
-from nodes.driver.limits import STOP_TIME, SafetyParameters, lower, undeclared
+from nodes.driver.limits import SafetyParameters, lower, undeclared
 from nodes.driver.motion import set_motion
+from nodes.driver.operations import DriverOperations
 from nodes.driver.parameters import DriverParameters, check
 from nodes.driver.passivity import set_guard
 from nodes.driver.plain_tick import PlainTicks
 from nodes.driver.run_report import DriverReport
-from nodes.driver.safety import rearm
-from nodes.driver.safety_setup import set_safety, soft_stop
-from nodes.driver.state import BETWEEN, DriverState
-from nodes.driver.tick import BROKEN, SILENT, UNREAD, take_sample
+from nodes.driver.safety_setup import set_safety
+from nodes.driver.soft_stop import SOFT_STOP, stop_softly
+from nodes.driver.state import DriverState
+from nodes.driver.tick_loop import TickLoop
 from nodes.driver.watch import Watch
 from nodes.parameters.store import ParameterError, convert
 
@@ -46,14 +47,7 @@ if TYPE_CHECKING:
     from nodes.compiled.library import Kernel
     from nodes.driver.compiled_tick import DriverTicks
 
-__all__ = ["ASK_AGAIN", "SOFT_STOP", "Driver"]
-
-# time after which an unanswered tick is published again in lockstep [s]: a node lost its answer
-ASK_AGAIN = 0.5
-LONGEST_PAUSE = 60.0  # longest pause of a loop in lockstep per request [s]
-PAUSE_POLL = 0.01  # interval of checking requests during a pause [s]
-# longest soft stop [s], after which the device counts as hanging
-SOFT_STOP = STOP_TIME + 1.0
+__all__ = ["Driver"]
 
 
 def state_property(name: str) -> Any:
@@ -114,7 +108,7 @@ class Driver(Node):
         self._virtual = self.is_virtual(setup.parameters, setup.name)
         self._report = DriverReport(self.driving)
         self._condition = Condition(self, self.condition)
-        self._paused_until = 0.0
+        self._operations = DriverOperations(self, self.driving, self._virtual)
         self.events.interrupt = self._interrupt
 
     def make_counters(self) -> Any:
@@ -216,9 +210,8 @@ class Driver(Node):
         assert self.inbox is not None  # noqa: S101  # every subscribing kind has one
         if self.stopping:
             return
-        self._open = (
-            True  # set first, so that a device that failed half-way is closed too
-        )
+        # set first, so that a device that failed half-way is closed too
+        self._open = True
         self._watch.begin("open()", self._device.limits.opening)
         self._device.open()
         self._watch.begin("")
@@ -226,97 +219,36 @@ class Driver(Node):
         self.state = "running"
         self._plain = PlainTicks(self, self._device)
         self.make_compiled()
-        ticks = self._plain.run if self.compiled is None else self.compiled.run
+        loop = TickLoop(
+            self, self._device, self._plain, self.compiled, self._operations
+        )
         s = self.driving
         s.until = self.setup.ticks or NEVER
         s.most = NEVER
         if not self.stopping:
             if s.realtime:
-                self._begin_at_epoch()  # a virtual device waits for a debugger; a real one does not
+                begin_at_epoch(s, Path(self.setup.run_dir) / f"{self.setup.name}.epoch")
+                self._report.first_seq = s.seq
+                # A rate counts deadlines: the time before the first of them does not belong to the
+                # run.
+                self._report.first = s.epoch + s.seq * s.period
+                # a virtual device waits for a debugger; a real one does not
                 self._watch.begin("a tick", self.store.current.safety.hang or math.inf)
             else:
                 self.inbox.set_timeout(IDLE_MS)
                 self._report.first = time.monotonic()
-            self._tick(ticks)
+            loop.run(s)
             self._report.last = end = (
                 realtime.sleep_until(s.epoch + s.seq * s.period)
                 if s.realtime
                 else time.monotonic()
             )
-            self._last_sample(
-                end + self.clock.offset if s.realtime else s.seq * s.period
+            loop.publish_last_sample(
+                s, end + self.clock.offset if s.realtime else s.seq * s.period
             )
             self._report.complete = s.seq >= s.until
             if self._report.complete:
                 self.stop("done")
-
-    def _tick(self, ticks: Callable[[Any], int]) -> None:
-        """Run ticks; handle whatever makes them return."""
-        s = self.driving
-        asked = 0.0
-        while s.seq < s.until and not self.stopping:
-            if s.phase == BETWEEN and time.monotonic() < self._paused_until:
-                self.between_ticks(s.seq)
-                time.sleep(PAUSE_POLL)
-                continue
-            s.clock_offset = self.clock.offset
-            why = ticks(s)
-            if why == SILENT:
-                asked = max(asked, s.sampled)
-                if time.monotonic() - asked > ASK_AGAIN:
-                    asked = time.monotonic()
-                    self.events.emit(
-                        "unanswered",
-                        f"tick {s.seq} has no answer; publishing it again",
-                        {"tick": s.seq},
-                    )
-                    payload = (
-                        self._plain.payload
-                        if self.compiled is None
-                        else self.compiled.last_sent()
-                    )
-                    self.publisher.send_hop(
-                        self.setup.topic(topics.DEVICE_STATE).encode(), payload
-                    )
-            # in the middle of a tick, work between ticks must wait
-            if why == BROKEN:
-                self._raise_device_error()
-            elif why == UNREAD:
-                s.pending_result = 1 + self._plain.take_up(s)
-            elif self.events.waiting or s.notes_count:
-                self.between_ticks(s.seq)
-
-    def _raise_device_error(self) -> None:
-        """Repeat the failed device call in Python, so that its exception is raised."""
-        s = self.driving
-        if self.compiled is not None:
-            self.compiled.raise_error()
-        if s.failed:
-            s.failed = 0
-            held = (
-                not s.realtime
-                or time.monotonic()
-                < s.epoch + (s.written + s.device_hold_ticks) * s.period
-            )
-            self._device.write_force(tuple(s.handed) if held else ZERO, s.seq, 0.0)
-        else:
-            s.place[:] = numbers_of(
-                self._device.read_position(s.seq),
-                f"{self.setup.name}: {type(self._device).__name__}",
-            )
-            s.jumped |= self._plain.jumps.again()
-            s.position_ready = 1
-
-    def _last_sample(self, stamp: float) -> None:
-        """Publish the final position of the device."""
-        s = self.driving
-        s.place[:] = numbers_of(self._device.read_position(s.seq), self.setup.name)
-        s.jumped |= self._plain.jumps.again()
-        s.target[:] = self.target
-        take_sample(s, s.seq, stamp)
-        self._plain.publish(s, s.seq, stamp)
-        self._plain.aside(s)
-        s.phase = BETWEEN
 
     @classmethod
     def largest_force(
@@ -390,8 +322,8 @@ class Driver(Node):
                 "opening_s": limits.opening,
                 "closing_s": limits.closing,
             },
-            "rearm": self._rearm,
-            "stand": self._pause_for,
+            "rearm": self._operations.rearm,
+            "stand": self._operations.pause,
             "force": lambda: {
                 "why": why_no_force(self.driving, self._condition.told())
             },
@@ -399,43 +331,6 @@ class Driver(Node):
                 self.driving, self.store.current.external, self.setup.name, force
             ),
         }
-
-    def _rearm(self, beside: bool = False) -> dict[str, Any]:
-        """Rearm after a stop; a real device only if somebody is `beside` it."""
-        name = self.setup.name
-        if not (self._virtual or beside):
-            raise ParameterError(
-                "the driver of a real device has stopped an unstable loop; choose a "
-                "softer law, stand beside the device, then: haptic node rearm",
-                path=name,
-            )
-
-        def apply(seq: int) -> dict[str, Any]:
-            if not rearm(self.driving, seq):
-                raise ParameterError(
-                    "has not stopped the loop; nothing was changed", path=name
-                )
-            return {"seq": seq}
-
-        receipt: dict[str, Any] = self.changes.hand_over(apply)
-        return receipt
-
-    def _pause_for(self, seconds: float) -> dict[str, Any]:
-        """Pause the lockstep loop for `seconds` (0 resumes), to free the CPU meanwhile."""
-        name = self.setup.name
-        if self.driving.realtime:
-            raise ParameterError(
-                "only a lockstep loop can pause; a device in real time cannot wait",
-                path=name,
-            )
-        if not (isinstance(seconds, int | float) and 0.0 <= seconds <= LONGEST_PAUSE):
-            raise ParameterError(
-                f"a pause of {seconds!r} s: expected 0 to {LONGEST_PAUSE:g} s",
-                path=name,
-            )
-        self._paused_until = time.monotonic() + seconds
-        self.events.notify()
-        return {}
 
     def condition(self) -> str:
         """Return why the device does not apply the forces that it gets, or "".
@@ -455,51 +350,14 @@ class Driver(Node):
         """Request the return of compiled ticks."""
         self.driving.attention = 1
 
-    def _begin_at_epoch(self) -> None:
-        """Set the time of tick 0; a respawned driver continues its predecessor's count."""
-        s = self.driving
-        path = Path(self.setup.run_dir) / f"{self.setup.name}.epoch"
-        if path.exists():
-            # It was killed with a force on the device: the first force is a recovery.
-            s.ramp_ticks = s.recovery_ticks
-            s.always_ramp = 1
-            s.epoch = float(path.read_text(encoding="ascii"))
-        else:
-            s.epoch = time.monotonic() + 0.002
-            path.write_text(repr(s.epoch), encoding="ascii")
-        s.seq = self._report.first_seq = max(
-            0, math.ceil((time.monotonic() - s.epoch) / s.period)
-        )
-        # A rate counts deadlines: the time before the first of them does not belong to the run.
-        self._report.first = s.epoch + s.seq * s.period
-
     def finish(self) -> None:
         """Ramp the force down to zero and close the device, on every way out."""
         if not self._open:
             return
         self._open = False
-        s = self.driving
-        period = self.setup.period
-        x, y, z = s.handed
         try:
             self._watch.begin("the soft stop", SOFT_STOP)
-            written = s.epoch + s.written * period
-            for n, force in enumerate(soft_stop((x, y, z), s.slew, period), 1):
-                self._report.soft_stop_ticks = n
-                if (
-                    s.realtime
-                    and time.monotonic() >= written + s.device_hold_ticks * period
-                ):
-                    # The driver was held up until the device let go by itself: the force must not
-                    # return.
-                    force = ZERO
-                self._device.write_force(force, s.seq + n - 1, 0.0)
-                s.handed[:] = force
-                if force == ZERO:
-                    break
-                if s.realtime:
-                    written = time.monotonic()
-                    realtime.sleep_until(written + period)
+            stop_softly(self.driving, self._device, self._report.count_soft_stop)
         finally:
             self._watch.begin("close()", self._device.limits.closing)
             self._device.close()

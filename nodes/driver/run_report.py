@@ -37,6 +37,10 @@ class DriverReport:
         self._overruled = limits.overruled
         self.own_guard = own_guard
 
+    def count_soft_stop(self, ticks: int) -> None:
+        """Record that the soft stop has taken so many ticks."""
+        self.soft_stop_ticks = ticks
+
     def notes(self) -> list[Noted]:
         """Return the notes of the rules since the last call; changes of state enter the summary."""
         notes = take_notes(self._state)

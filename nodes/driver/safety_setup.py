@@ -1,20 +1,14 @@
-"""The limits of a run put into a driver's state, and the forces of its soft stop."""
+"""The limits of a run put into a driver's state."""
 
 from __future__ import annotations
 
 import math
 
-from messages.types import ZERO, Vector
-from nodes.driver.limits import (
-    STOP_TIME,
-    Limits,
-    SafetyParameters,
-    recovery_ramp,
-    start_ramp,
-)
+from nodes.driver.limits import Limits, SafetyParameters, recovery_ramp, start_ramp
 from nodes.driver.motor_heat import set_heat
-from nodes.driver.safety import PRESSES, REACH, STOP_WINDOW
+from nodes.driver.safety import REACH
 from nodes.driver.state import IDLE, DriverState
+from nodes.driver.swings import PRESSES, STOP_WINDOW
 
 
 def set_safety(
@@ -61,16 +55,3 @@ def set_workspace(s: DriverState, limits: Limits) -> None:
     """Set where there may be a force."""
     s.workspace[:] = [bound for bounds in limits.workspace for bound in bounds]
     s.bounded = any(map(math.isfinite, s.workspace))
-
-
-def soft_stop(start: Vector, slew: float, period: float) -> list[Vector]:
-    """Return the forces of a soft stop, ending at zero."""
-    if start == ZERO:
-        return [ZERO]
-    steps = max(1, min(10, int(STOP_TIME / period)))
-    if math.isfinite(slew):
-        steps = max(steps, math.ceil(max(map(abs, start)) / slew))
-    return [
-        (start[0] * left / steps, start[1] * left / steps, start[2] * left / steps)
-        for left in range(steps - 1, -1, -1)
-    ]

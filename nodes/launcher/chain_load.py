@@ -266,6 +266,47 @@ class Meter:
         return sum(self._waits.values())
 
 
+def measured_load(
+    launch: Launch,
+    tick: str,
+    meter: Meter,
+    reports: Mapping[str, Mapping[str, Any]],
+    drivers: Iterable[str],
+    processors: int,
+) -> Load | None:
+    """Return the load of a run that ended, and store the cost of a tick for the next launch.
+
+    Parameters
+    ----------
+    launch : Launch
+        The launch.
+    tick : str
+        Whether its ticks were compiled: ``plain`` or ``compiled``.
+    meter : Meter
+        What its nodes used since the first tick.
+    reports : mapping of str to mapping
+        Final report of each node.
+    drivers : iterable of str
+        The driver of each chain.
+    processors : int
+        Processors that the chains share.
+    """
+    had = meter.had(reports)
+    by_chain = {name.rpartition("/")[0]: reports.get(name, {}) for name in drivers}
+    load = load_of(launch, sum(had.values()), meter.waiting(), by_chain, processors)
+    if load is not None and load.lost < LATE:
+        costs = {}
+        for chain, report in by_chain.items():
+            spent = sum(
+                time for name, time in had.items() if name.rpartition("/")[0] == chain
+            )
+            costs[kind_of_chain(launch, chain, tick)] = spent / max(
+                1, report.get("ticks", 0)
+            )
+        keep_costs(costs)
+    return load
+
+
 def load_of(
     launch: Launch,
     had: float,

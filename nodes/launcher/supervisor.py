@@ -24,20 +24,13 @@ from messages.transport.requests import ControlError, call
 from nodes.base import realtime
 from nodes.base.node_kinds import load
 from nodes.launcher import runs
-from nodes.launcher.chain_load import (
-    LATE,
-    Load,
-    Meter,
-    keep_costs,
-    kind_of_chain,
-    load_of,
-    warning,
-)
+from nodes.launcher.chain_load import Load, Meter, measured_load, warning
 from nodes.launcher.child import Child
 from nodes.launcher.ending import burden, end
 from nodes.launcher.external_child import ByHand
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.reaper_process import ReaperProcess
+from nodes.launcher.run_end import write_end
 from nodes.launcher.wiring import (
     chain_manifest,
     chains_of,
@@ -207,36 +200,23 @@ class Supervisor:
             self._warn(text)
 
     def _note_load(self) -> None:
-        """Determine the processors' load, and store the cost of a tick for the next launch."""
+        """Record the processors' load, once the driver has started."""
         if self._meter is None:
             return
-        had = self._meter.had(self.reports)
-        reports = {
-            name.rpartition("/")[0]: self.reports.get(name, {})
-            for name, child in self.children.items()
-            if child.drives
-        }
         cores = {
             cpu
             for child in self._hops().values()
             for cpu in child.setup.scheduling.cpus
         }
-        processors = len(cores) or len(os.sched_getaffinity(0))
-        self.load = load_of(
-            self._launch, sum(had.values()), self._meter.waiting(), reports, processors
+        drivers = [name for name, child in self.children.items() if child.drives]
+        self.load = measured_load(
+            self._launch,
+            self.tick,
+            self._meter,
+            self.reports,
+            drivers,
+            len(cores) or len(os.sched_getaffinity(0)),
         )
-        if self.load is not None and self.load.lost < LATE:
-            costs = {}
-            for chain, report in reports.items():
-                spent = sum(
-                    time
-                    for name, time in had.items()
-                    if name.rpartition("/")[0] == chain
-                )
-                costs[kind_of_chain(self._launch, chain, self.tick)] = spent / max(
-                    1, report.get("ticks", 0)
-                )
-            keep_costs(costs)
 
     def _start_child(self, child: Child) -> None:
         child.start(self.run_dir)
@@ -384,7 +364,7 @@ class Supervisor:
 
     def _end_all(self) -> None:
         try:
-            runs.write_end(
+            write_end(
                 self.run_dir, self.exit_reason or self._stop_asked, self.failed_node
             )
         except OSError as error:

@@ -14,7 +14,8 @@ from messages.types import DeviceState, Event, Message, NodeStatus, Receipt
 from nodes.base.node_kinds import load
 from nodes.base.setup import AXIS_INDEX, Apply, least_delay
 from nodes.driver.force_words import cause_of, explain
-from nodes.launcher.runs import RunEnd, RunInfo, end_of
+from nodes.launcher.run_end import RunEnd, end_of
+from nodes.launcher.runs import RunInfo
 from nodes.parameters.refusals import cut
 from nodes.parameters.store import convert
 from nodes.recording.summary import quantile

@@ -7,7 +7,6 @@ all zeros of 1 + L lie inside the unit circle.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -20,8 +19,13 @@ from nodes.stability.closed_loop import pole_radius, state_matrix
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.pair import as_one
 from nodes.stability.plant import Plant, held_plant
-from sim.api.laws import LawLike, compiled, law_name
+from sim.api.laws import LawLike, law_name
 from sim.api.laws import law as made
+from sim.api.linear_systems import as_control, linear_law
+
+# The entry points of haptic.results name these two here.
+from sim.api.linear_systems import to_control as to_control
+from sim.api.linear_systems import to_scipy as to_scipy
 from sim.api.responses import USUAL
 from sim.arrays import Array
 from sim.studies.notebook_results import Result, figure_of, new_figure, two_axes
@@ -35,111 +39,6 @@ _FACTORS = np.geomspace(
     1e-3, 1e3, 241
 )  # factors on the law among which a margin is searched
 _LOCUS = 160  # stiffnesses of a root locus
-
-
-def to_scipy(law: LawLike, plant: Plant | None = None) -> Any:
-    """Return a law as a discrete-time system of scipy, from deflection [m] to force [N].
-
-    Parameters
-    ----------
-    law : str, mapping, sequence of float, Law or CompiledLaw
-        The law.
-    plant : Plant, optional
-        Source of the period [s]; by default 2 ms.
-
-    Returns
-    -------
-    scipy.signal.dlti
-        A transfer function in z; a law with recursive sections is a state space, in which they stay
-        parallel, because the product of their polynomials is ill-conditioned (scipy's own
-        ``dfreqresp`` makes it; ``to_control`` does not).
-
-    Raises
-    ------
-    ValueError
-        For a law with code of its own, which has no transfer function.
-
-    Examples
-    --------
-    >>> to_scipy({"kind": "pd", "stiffness": 1000, "damping": 3}).num
-    array([ 2500., -1500.])
-    """
-    from scipy import signal
-
-    period = (plant or USUAL).period
-    found = _linear(law, period)
-    if not found.sections:
-        taps = np.array(found.taps)
-        return signal.TransferFunction(taps, np.eye(1, len(taps))[0], dt=period)
-    return signal.StateSpace(*_state_space(found), dt=period)
-
-
-def to_control(law: LawLike, plant: Plant | None = None) -> Any:
-    """Return a law as a system of python-control, from deflection [m] to force [N].
-
-    Parameters
-    ----------
-    law : str, mapping, sequence of float, Law or CompiledLaw
-        The law.
-    plant : Plant, optional
-        Source of the period [s]; by default 2 ms.
-
-    Returns
-    -------
-    control.TransferFunction or control.StateSpace
-        As `to_scipy`.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If python-control is not installed.
-    ValueError
-        For a law with code of its own.
-
-    Examples
-    --------
-    >>> to_control({"kind": "pd", "stiffness": 1000, "damping": 3}).dcgain()  # doctest: +SKIP
-    1000.0
-    """
-    return _as_control(to_scipy(law, plant))
-
-
-def _linear(law: LawLike, period: float) -> CompiledLaw:
-    found = compiled(law, period)
-    if found.evaluate is not None:
-        raise ValueError(
-            "law: has code of its own and no transfer function; play it instead"
-        )
-    return found
-
-
-def _state_space(law: CompiledLaw) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C and D: the history of the taps, and each section in direct form II."""
-    history, count = len(law.taps) - 1, len(law.sections)
-    size = history + 2 * count
-    a, b, c = np.zeros((size, size)), np.zeros((size, 1)), np.zeros((1, size))
-    d = law.taps[0]
-    if history:
-        b[0, 0], c[0, :history] = 1.0, law.taps[1:]
-        a[range(1, history), range(history - 1)] = 1.0
-    for i, (b0, b1, a1, a2) in enumerate(law.sections):
-        at = history + 2 * i
-        a[at, at : at + 2], a[at + 1, at], b[at, 0] = (-a1, -a2), 1.0, 1.0
-        c[0, at : at + 2] = b1 - b0 * a1, -b0 * a2
-        d += b0
-    return a, b, c, np.array([[d]])
-
-
-def _as_control(system: Any) -> Any:
-    try:
-        control = importlib.import_module("control")
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "needs python-control: pip install control"
-        ) from error
-    if hasattr(system, "num"):
-        return control.TransferFunction(system.num, system.den, system.dt)
-    return control.StateSpace(system.A, system.B, system.C, system.D, system.dt)
 
 
 @dataclass(frozen=True, repr=False)
@@ -218,11 +117,11 @@ class OpenLoop(Result):
         ModuleNotFoundError
             If python-control is not installed.
         """
-        law = self._law.sections and _as_control(to_scipy(self._law, self.plant))
+        law = self._law.sections and as_control(to_scipy(self._law, self.plant))
         return (
-            law * _as_control(self.device_to_scipy())
+            law * as_control(self.device_to_scipy())
             if law
-            else _as_control(self.to_scipy())
+            else as_control(self.to_scipy())
         )
 
     def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
@@ -374,7 +273,7 @@ def loop(law: LawLike, plant: Plant | None = None) -> OpenLoop:
     11.704
     """
     device = plant or USUAL
-    found = _linear(law, device.period)
+    found = linear_law(law, device.period)
     numerator, denominator = _device(device)
     frequency = np.geomspace(1e-4 / device.period, 0.5 / device.period, POINTS)
     z = np.exp(2j * np.pi * frequency * device.period)

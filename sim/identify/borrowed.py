@@ -19,7 +19,7 @@ from nodes.base.node_kinds import load
 from nodes.base.setup import AXIS_INDEX
 from nodes.client.launches import ask, roles
 from nodes.client.listen import listen
-from nodes.driver.node import LONGEST_PAUSE
+from nodes.driver.operations import LONGEST_PAUSE
 from nodes.launcher.runs import RunInfo
 from sim.measure.interrupts import deferred, undisturbed
 

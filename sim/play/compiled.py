@@ -23,6 +23,7 @@ from numba.extending import overload
 from nodes.arithmetic import settle, warm_up
 from nodes.compiled import cache
 from nodes.compiled.kernels.sources import kernel, register_rules
+from nodes.compiled.source_files import Source, sources_of
 from nodes.laws.excitation import Push, faded, held_back, went_on
 from nodes.laws.pd_windowed import WindowedDamper, windowed_slope
 
@@ -125,7 +126,7 @@ class _Kept:
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
-        self._sources: dict[str, cache.Source] | None = None
+        self._sources: dict[str, Source] | None = None
         self._making = _Making()
 
     def _name(self, types: Any, codegen: Any) -> str:
@@ -152,7 +153,7 @@ class _Kept:
             return None
         if entry is None:
             # Before compiling, because later changes of the sources are not compiled in.
-            self._sources = cache.sources_of(self._function.__module__)
+            self._sources = sources_of(self._function.__module__)
             return None
         rebuild: Any = CompileResult._rebuild
         return rebuild(target, *pickle.loads(entry.content))  # noqa: S301  # of this user's own making

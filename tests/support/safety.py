@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from messages.types import ZERO, Force, Vector
-from nodes.driver import safety, safety_setup
+from nodes.driver import safety, safety_setup, swings
 from nodes.driver.device import DeviceLimits
 from nodes.driver.force_words import take_notes
 from nodes.driver.limits import SafetyParameters, lower
@@ -106,7 +106,7 @@ class Port:
         self.moves(velocity)
         self.s.energy = energy
         if self.s.stop_after:
-            safety.watch_swings(self.s, tick)
+            swings.watch_swings(self.s, tick)
 
     def changes(self) -> list[str]:
         """Return the changes of state reported."""

@@ -284,6 +284,10 @@ def played(script: Script, tick: str, folder: Path) -> tuple[Outcome, Any]:
         for module in (
             *(
                 "nodes.driver.node",
+                "nodes.driver.epoch",
+                "nodes.driver.operations",
+                "nodes.driver.soft_stop",
+                "nodes.driver.tick_loop",
                 "nodes.driver.plain_tick",
                 "nodes.base.realtime",
                 "nodes.base.events",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nodes.compiled import cache
+from nodes.compiled.source_files import ROOT, source_of
 
 
 def shared_library(
@@ -18,12 +19,10 @@ def shared_library(
 ) -> Any:
     """Return the shared library that a C compiler makes; OSError without one, or if it fails."""
     # an absolute path stands for itself
-    digests = {
-        str(
-            path.relative_to(cache.ROOT) if path.is_relative_to(cache.ROOT) else path
-        ): cache.source_of(path)
-        for path in sources
-    }
+    digests = {}
+    for path in sources:
+        known = path.relative_to(ROOT) if path.is_relative_to(ROOT) else path
+        digests[str(known)] = source_of(path)
     try:
         found = cache.read(name)
     except cache.CacheRefusedError:

@@ -15,7 +15,8 @@ import pytest
 import zmq
 
 from nodes.base import realtime
-from nodes.cli.doctor import OPEN_FILES, interpreter, wake_ups
+from nodes.base.wake_ups import wake_ups
+from nodes.cli.doctor import OPEN_FILES, interpreter
 from nodes.cli.main import main
 from tests.support.launching import haptic, private_runtime_dir, typed_in
 

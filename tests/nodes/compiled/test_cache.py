@@ -20,11 +20,10 @@ from nodes.compiled import build, cache
 from nodes.compiled.choose_tick import choose
 from nodes.compiled.library import obtain
 from nodes.compiled.message_fields import NotCompilableError
+from nodes.compiled.source_files import ROOT, Source, source_of, sources_of
 
 TINY = "tests.support.tiny_kernel"
-SOURCES = {
-    "nodes/arithmetic.py": cache.source_of(cache.ROOT / "nodes" / "arithmetic.py")
-}
+SOURCES = {"nodes/arithmetic.py": source_of(ROOT / "nodes" / "arithmetic.py")}
 ENTRY = cache.CacheEntry(kind="o", content=b"machine code")
 needs_root = pytest.mark.skipif(
     os.getuid() != 0, reason="only root can give a file to another user"
@@ -169,7 +168,7 @@ def test_what_runs_is_what_was_checked(kept: Path) -> None:
 def test_other_sources_make_other_code(place: Path, tmp_path: Path) -> None:
     cache.write("kernel.tick", ENTRY, SOURCES)
     assert cache.read("kernel.tick") == ENTRY
-    other = cache.Source("0" * 64, "0" * 64)
+    other = Source("0" * 64, "0" * 64)
     cache.write("kernel.tick", ENTRY, {"nodes/arithmetic.py": other})
     assert cache.read("kernel.tick") is None
     cache.write("kernel.tick", ENTRY, {"nodes/gone.py": other})
@@ -211,7 +210,7 @@ def test_only_other_code_is_compiled_again(
     monkeypatch.setattr(cache, "folder", lambda: place)
     source = tmp_path / "rules.py"
     source.write_text(RULE, encoding="utf-8")
-    cache.write("kernel.tick", ENTRY, {"rules.py": cache.source_of(source)})
+    cache.write("kernel.tick", ENTRY, {"rules.py": source_of(source)})
     source.write_text(RULE.replace(before, after, 1), encoding="utf-8")
     assert cache.read("kernel.tick") == (ENTRY if same else None)
 
@@ -227,7 +226,7 @@ def test_only_other_code_is_compiled_again(
     ],
 )
 def test_every_source_counts_near_and_far(module: str, needs: str) -> None:
-    assert needs in cache.sources_of(module)
+    assert needs in sources_of(module)
 
 
 @pytest.mark.process
@@ -240,10 +239,11 @@ def test_sources_are_those_that_are_loaded() -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    loaded = {str(Path(file).relative_to(cache.ROOT)) for file in done.stdout.split()}
+    loaded = {str(Path(file).relative_to(ROOT)) for file in done.stdout.split()}
     assert loaded <= {
-        *cache.sources_of("sim.lab.monte_carlo.virtual"),
+        *sources_of("sim.lab.monte_carlo.virtual"),
         "nodes/compiled/cache.py",
+        "nodes/compiled/source_files.py",
     }
 
 
@@ -420,7 +420,7 @@ def test_in_a_folder_that_cannot_be_written_to_one_line_says_so(tmp_path: Path) 
     )
     done = subprocess.run(
         [*without, sys.executable, "-c", program],
-        cwd=cache.ROOT,
+        cwd=ROOT,
         env={**os.environ, "NUMBA_CACHE_DIR": str(base / "kept")},
         capture_output=True,
         text=True,

@@ -14,6 +14,7 @@ from nodes.compiled.build import expected_seconds, find, reason
 from nodes.compiled.choose_tick import choose, compile_later
 from nodes.compiled.library import functions, library_of_pyzmq, obtain
 from nodes.compiled.message_fields import NotCompilableError
+from nodes.compiled.source_files import ROOT, sources_of
 from tests.support.background import background
 from tests.support.launching import running, wait_for
 
@@ -21,9 +22,9 @@ TINY = "tests.support.tiny_kernel"
 BROKEN = "tests.support.broken_kernel"
 KERNEL = "nodes.environment.kernel"
 KERNELS = sorted(
-    ".".join(path.relative_to(cache.ROOT).with_suffix("").parts)
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
     for package in ("nodes", "sim")
-    for path in (cache.ROOT / package).rglob("kernel.py")
+    for path in (ROOT / package).rglob("kernel.py")
 )
 
 
@@ -126,7 +127,7 @@ def test_the_message_says_what_compiling_took_here_last_time(empty_cache: Path) 
 
 
 def test_a_change_of_what_builds_and_keeps_kernels_compiles_none() -> None:
-    used = set(cache.sources_of("nodes.compiled.machine_code"))
+    used = set(sources_of("nodes.compiled.machine_code"))
     assert used == {
         "nodes/__init__.py",
         "nodes/compiled/__init__.py",
@@ -138,8 +139,9 @@ def test_a_change_of_what_builds_and_keeps_kernels_compiles_none() -> None:
             "nodes/compiled/build.py",
             "nodes/compiled/cache.py",
             "nodes/compiled/choose_tick.py",
+            "nodes/compiled/source_files.py",
         }
-        assert not elsewhere & set(cache.sources_of(module))
+        assert not elsewhere & set(sources_of(module))
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from messages.types import ZERO, Force, Vector
 from nodes.compiled.published import message_of
 from nodes.driver.limits import STOP_TIME
-from nodes.driver.safety_setup import soft_stop
+from nodes.driver.soft_stop import soft_stop
 from nodes.driver.state import PUBLISHED
 from tests.support.safety import Port, T, force
 

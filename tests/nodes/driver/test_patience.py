@@ -7,8 +7,8 @@ import math
 import pytest
 
 from nodes.compiled.layout import state_of
+from nodes.driver.lateness import BEHIND, patience
 from nodes.driver.state import ACTIVE, DAMPING, FAULT, IDLE, NOTHING, RAMP, DriverState
-from nodes.driver.tick import BEHIND, patience
 
 T = 0.002
 DEADLINE = 10.0

@@ -210,7 +210,7 @@ def judged(
         CouplingParameters,
         "coupling",
     )
-    return Judgement("coupling", T, LawBook("coupling", T), None, effects), parameters
+    return Judgement("coupling", T, LawBook("coupling", T), effects), parameters
 
 
 def test_a_law_is_judged_as_it_is_felt() -> None:

@@ -13,7 +13,8 @@ import pytest
 
 from messages.types import DeviceState, NodeStatus
 from nodes.launcher import launch_file
-from nodes.launcher.runs import RunInfo, write_end
+from nodes.launcher.run_end import write_end
+from nodes.launcher.runs import RunInfo
 from nodes.view.comparison import FREE, Changed, Comparison
 from nodes.view.live import Facts, LiveRun
 from sim.drill.drill import scene as drill_scene

@@ -23,7 +23,7 @@ from nodes.parameters.store import convert
 from sim.device.driver import SimDevice, SimDriverParameters
 from sim.drill import devices, drill, intruders, people
 from sim.drill.faults import faults
-from sim.drill.soak import UNEXPLAINED, largest
+from sim.drill.witness import UNEXPLAINED, largest
 from sim.measure.haptic_commands import MeasurementError, within
 from sim.measure.rig import Rig
 from tests.support import slowly

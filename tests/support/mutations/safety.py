@@ -41,7 +41,7 @@ SAFETY_RULES: Final = (
     # as well.
     Mutation(
         "nor is it at its tick",
-        f"{DRIVER}tick.py",
+        f"{DRIVER}lateness.py",
         "(answers + s.max_age + 1)",
         "(answers + s.max_age + 3)",
         (ORACLES, NO_PUSH),
@@ -62,28 +62,28 @@ SAFETY_RULES: Final = (
     ),
     Mutation(
         "a hold one tick long while held up",
-        f"{DRIVER}tick.py",
+        f"{DRIVER}lateness.py",
         "- (seq - s.written)",
         "- (seq - s.written) + 1",
         (ORACLES,),
     ),
     Mutation(
         "a hold one tick short while held up",
-        f"{DRIVER}tick.py",
+        f"{DRIVER}lateness.py",
         "- (seq - s.written)",
         "- (seq - s.written) - 1",
         (ORACLES,),
     ),
     Mutation(
         "the clock is not read before a write",
-        f"{DRIVER}tick.py",
+        f"{DRIVER}lateness.py",
         "return not is_late",
         "return True",
         (NO_PUSH,),
     ),
     Mutation(
         "a device that let go is not noticed before a write",
-        f"{DRIVER}tick.py",
+        f"{DRIVER}lateness.py",
         "is_late = held and now >=",
         "is_late = False and now >=",
         (NO_PUSH,),
@@ -111,14 +111,14 @@ SAFETY_RULES: Final = (
     ),
     Mutation(
         "a force that stays at its limit does not count",
-        f"{DRIVER}safety.py",
+        f"{DRIVER}swings.py",
         "        s.pressed_at = seq\n        s.peaked = 1",
         "        s.pressed_at = seq",
         (NO_PUSH,),
     ),
     Mutation(
         "a hand that is let out again stops the driver",
-        f"{DRIVER}safety.py",
+        f"{DRIVER}swings.py",
         "and s.energy > s.pressed_energy:",
         "and s.energy > -1e9:",
         (NO_PUSH,),
@@ -237,7 +237,7 @@ SAFETY_RULES: Final = (
     ),
     Mutation(
         "a stop needs no energy",
-        f"{DRIVER}safety.py",
+        f"{DRIVER}swings.py",
         "and gained > 0.0:",
         "and gained > -1e9:",
         (SWINGS,),
