@@ -7,6 +7,8 @@ that the tool is deep inside of is not felt until the tool is outside.
 
 from __future__ import annotations
 
+from math import inf
+
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.convex import gap
 from nodes.environment.shapes.tables import Memory, Table, Vector4
@@ -18,12 +20,15 @@ _STUCK = 0.95  # part of the depth left by the second half of the rounds above w
 
 
 def shape_gap(
-    scene: Table, memory: Memory, n: int, x: float, y: float, z: float
+    scene: Table, memory: Memory, n: int, near: float, x: float, y: float, z: float
 ) -> Vector4:
-    """Return the signed distance of the tool's centre from contact [m], and the normal."""
+    """Return the signed distance of the tool's centre from contact [m], and the normal.
+
+    Beyond `near` [m], that of a mesh is within `FAR_ERROR`.
+    """
     row = t.ROWS + t.ROW * n
     if scene[row + t.KIND] == t.MESH:
-        return mesh_gap(scene, row, memory, t.LAST + n, x, y, z)
+        return mesh_gap(scene, row, memory, t.LAST + n, near, x, y, z)
     return gap(scene, row, x, y, z)
 
 
@@ -45,7 +50,7 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
     inside = 0.0
     for n in range(shapes):
         mode = t.LAST + shapes + n
-        away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+        away, _, _, _ = shape_gap(scene, memory, n, inf, x, y, z)
         deep = away + scene[t.RADIUS]
         within = is_within(scene, n, x, y, z)
         if within:
@@ -68,7 +73,7 @@ def place(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         nz = 1.0
         for n in range(shapes):
             if memory[t.LAST + shapes + n] == t.FELT:
-                away, px, py, pz = shape_gap(scene, memory, n, x, y, z)
+                away, px, py, pz = shape_gap(scene, memory, n, inf, x, y, z)
                 if away < deepest:
                     deepest, which, nx, ny, nz = away, n, px, py, pz
         if deepest >= -t.TOUCH:
@@ -100,7 +105,7 @@ def _leave_out_meshes(scene: Table, memory: Memory) -> None:
     for n in range(shapes):
         mode = t.LAST + shapes + n
         if memory[mode] == t.FELT and scene[t.ROWS + t.ROW * n + t.KIND] == t.MESH:
-            away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+            away, _, _, _ = shape_gap(scene, memory, n, inf, x, y, z)
             if away < -t.TOUCH or is_within(scene, n, x, y, z):
                 memory[mode] = t.UNFELT
                 memory[t.INSIDE] += 1.0
@@ -117,9 +122,11 @@ def leave(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
                 px, py, pz = x, y, z
                 if which == 1:
                     px, py, pz = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
-                away, _, _, _ = shape_gap(scene, memory, n, px, py, pz)
-                left = left and away >= -t.TOUCH
-                left = left and not is_within(scene, n, px, py, pz)
+                if not left or is_within(scene, n, px, py, pz):
+                    left = False
+                    continue
+                away, _, _, _ = shape_gap(scene, memory, n, t.NEAR, px, py, pz)
+                left = away >= -t.TOUCH
             if left:
                 memory[t.LAST + shapes + n] = t.FELT
             else:

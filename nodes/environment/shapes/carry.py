@@ -8,7 +8,7 @@ shape from there. A proxy that is pinched between two shapes is placed anew, as 
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
 
 from messages.types import Vector
 from nodes.environment.shapes import tables as t
@@ -161,7 +161,8 @@ def begin_carry(scene: MovingTable, memory: Memory, n: int) -> bool:
     carries = False
     if far > 0.0 and memory[mode] == t.FELT:
         x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
-        away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+        near = max(far + t.TOUCH, t.NEAR)
+        away, _, _, _ = shape_gap(scene, memory, n, near, x, y, z)
         carries = away <= far + t.TOUCH
     for k in range(3):
         scene[row + t.SHIFT + k] += scene[step + k]
@@ -182,7 +183,7 @@ def end_carry(
     memory[t.LAST + int(scene[t.SHAPES]) + n] = t.FELT
     memory[t.TOUCHED] = 0.0
     x, y, z = memory[t.AT], memory[t.AT + 1], memory[t.AT + 2]
-    away, _, _, _ = shape_gap(scene, memory, n, x, y, z)
+    away, _, _, _ = shape_gap(scene, memory, n, inf, x, y, z)
     if away < -t.TOUCH:
         memory[t.PLACED] = t.CARRIED
     elif x != tx or y != ty or z != tz:

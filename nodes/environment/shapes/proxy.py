@@ -462,7 +462,7 @@ def _answer(scene: Table, memory: Memory, x: float, y: float, z: float) -> None:
         shapes = int(scene[t.SHAPES])
         for n in range(shapes):
             if memory[t.LAST + shapes + n] == t.FELT:
-                found, px, py, pz = shape_gap(scene, memory, n, x, y, z)
+                found, px, py, pz = shape_gap(scene, memory, n, t.NEAR, x, y, z)
                 if found < away:
                     away, nx, ny, nz = found, px, py, pz
         if nx == 0.0 and ny == 0.0 and nz == 0.0:

@@ -29,6 +29,9 @@ EDGE: Final = TOLERANCE
 
 Less than SKIN, or a hidden side would protrude from a flush top.
 """
+# in free air: distance up to which that of a mesh is exact [m], and error beyond [of it]
+NEAR: Final = 5e-3
+FAR_ERROR: Final = 0.1
 
 # -- scene table --
 

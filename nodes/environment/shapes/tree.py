@@ -19,6 +19,7 @@ from nodes.environment.shapes.triangle import (
 
 # far above the rounding of coordinates up to 1 km [m]
 _ROUNDING = 1e-12
+_FAR_PART = 1.0 / (1.0 + t.FAR_ERROR) ** 2
 
 
 def mesh_hit(
@@ -85,34 +86,45 @@ def mesh_hit(
 
 
 def mesh_gap(
-    scene: Table, row: int, memory: Memory, last: int, x: float, y: float, z: float
+    scene: Table,
+    row: int,
+    memory: Memory,
+    last: int,
+    near: float,
+    x: float,
+    y: float,
+    z: float,
 ) -> Vector4:
     """Return the signed distance of the tool's centre from contact [m], and the normal.
 
-    `last` is the place in memory of the triangle that was nearest before.
+    `last` is the place in memory of the triangle that was nearest before. Of a mesh farther than
+    `near` [m] any triangle may be returned that is farther than the nearest by `FAR_ERROR` at most:
+    where many are nearly as near, as on the axis of a torus, the nearest is found only by asking
+    all of them.
     """
     count = int(scene[row + t.COUNT])
     leaves = int(scene[row + t.LEAVES])
     triangles = int(scene[row + t.TRIANGLES])
     tree = int(scene[row + t.TREE])
-    ox, oy, oz = (
-        scene[row + t.SHIFT],
-        scene[row + t.SHIFT + 1],
-        scene[row + t.SHIFT + 2],
+    x, y, z = (
+        x - scene[row + t.SHIFT],
+        y - scene[row + t.SHIFT + 1],
+        z - scene[row + t.SHIFT + 2],
     )
-    x, y, z = x - ox, y - oy, z - oz
     face = int(memory[last])
     qx, qy, qz, _ = nearest_on_triangle(scene, triangles + t.TRIANGLE * face, x, y, z)
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
     side = height_above(scene, triangles + t.TRIANGLE * face, x, y, z)
     reach, ux, uy, uz = _towards(x - qx, y - qy, z - qz)
+    near = near + scene[t.RADIUS]
+    limit = _limit(best, near * near)
     k = 1
     while True:
         at = tree + t.NODE * k
         dx = max(scene[at] - x, x - scene[at + 3], 0.0)
         dy = max(scene[at + 1] - y, y - scene[at + 4], 0.0)
         dz = max(scene[at + 2] - z, z - scene[at + 5], 0.0)
-        if dx * dx + dy * dy + dz * dz <= best:
+        if dx * dx + dy * dy + dz * dz <= limit:
             if k < leaves:
                 k = 2 * k
                 continue
@@ -132,29 +144,65 @@ def mesh_gap(
                         qx, qy, qz = px, py, pz
                         reach, ux, uy, uz = _towards(x - px, y - py, z - pz)
                     best = away
+                    limit = _limit(best, near * near)
         while k & 1:
             k = k >> 1
         if k == 0:
             break
         k += 1
     memory[last] = float(face)
-    away = sqrt(best)
+    return _answer(scene, row, face, side, best, x, y, z, x - qx, y - qy, z - qz)
+
+
+def _answer(
+    scene: Table,
+    row: int,
+    face: int,
+    side: float,
+    squared: float,
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> Vector4:
+    """Return the signed distance from contact [m], and the normal, for a nearest triangle.
+
+    The point stands at that squared distance [m²] along `dx, dy, dz`, `side` above its plane.
+    """
+    away = sqrt(squared)
     behind = scene[row + t.CLOSED] == 1.0 and side < 0.0
     sign = -1.0 if behind else 1.0
-    at = triangles + t.TRIANGLE * face
     if away <= t.LIP:
+        at = int(scene[row + t.TRIANGLES]) + t.TRIANGLE * face
         return (
             sign * away - scene[t.RADIUS],
             scene[at + 9],
             scene[at + 10],
             scene[at + 11],
         )
-    if behind and mesh_winding(scene, row, x + ox, y + oy, z + oz) == 0:
+    on = row + t.SHIFT
+    if (
+        behind
+        and mesh_winding(
+            scene, row, x + scene[on], y + scene[on + 1], z + scene[on + 2]
+        )
+        == 0
+    ):
         sign = (
             1.0  # where a mesh crosses itself, a face may be seen from behind outside
         )
     away *= sign
-    return away - scene[t.RADIUS], (x - qx) / away, (y - qy) / away, (z - qz) / away
+    return away - scene[t.RADIUS], dx / away, dy / away, dz / away
+
+
+def _limit(best: float, exact: float) -> float:
+    """Return the squared distance within which a nearer triangle is searched [m²].
+
+    `exact` is the squared distance up to which the nearest one is needed.
+    """
+    return min(best, max(exact, best * _FAR_PART))
 
 
 def _towards(dx: float, dy: float, dz: float) -> Vector4:
