@@ -20,7 +20,6 @@ keep-alives. And a bound socket has no limit on its receive queue, so that its i
 import contextlib
 import ipaddress
 import os
-import time
 from collections.abc import Iterator
 from typing import TypeAlias
 
@@ -142,18 +141,6 @@ def closed_if_refused(*sockets: Socket) -> Iterator[None]:
         for socket in sockets:
             socket.close(linger=0)
         raise
-
-
-def await_given_back(endpoint: str, deadline: float) -> None:
-    """Wait, after a close, until ZeroMQ has removed an ipc endpoint's file.
-
-    Otherwise its thread might remove the file of the next socket.
-    """
-    while (
-        os.path.exists(endpoint.partition("#")[0].removeprefix("ipc://"))
-        and time.monotonic() < deadline
-    ):
-        time.sleep(0.001)
 
 
 def is_open_place(endpoint: str) -> bool:

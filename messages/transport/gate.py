@@ -67,6 +67,47 @@ def monitored(frames: list[bytes]) -> tuple[int, str]:
     return event, frames[1].decode("utf-8", "replace")
 
 
+def close_bound(socket: Socket, endpoint: str, deadline: float) -> bool:
+    """Close a socket and wait until ZeroMQ is done with the ipc endpoint it is bound to.
+
+    Until then its thread may still remove the endpoint's file, which would be that of the next
+    socket. Not all builds of libzmq remove it, so the file itself says nothing: ZeroMQ reports the
+    end of its listener.
+
+    Parameters
+    ----------
+    socket : Socket
+        Socket without a monitor, bound to `endpoint`.
+    endpoint : str
+        Where; an endpoint that is not ipc has no file, and nothing is waited for.
+    deadline : float
+        End of the wait by the monotonic clock [s].
+
+    Returns
+    -------
+    bool
+        Whether ZeroMQ is done with it.
+    """
+    done = not endpoint.startswith("ipc://")
+    if not done:
+        # without a free descriptor nothing can be waited for
+        with contextlib.suppress(zmq.ZMQError):
+            done = _unbind(socket, endpoint.partition("#")[0], deadline)
+    socket.close(linger=0)
+    return done
+
+
+def _unbind(socket: Socket, bare: str, deadline: float) -> bool:
+    """Unbind a socket; return whether ZeroMQ reports the listener's end before a deadline."""
+    ends = monitor(socket.context, socket, zmq.EVENT_CLOSED | zmq.EVENT_CLOSE_FAILED)
+    try:
+        socket.unbind(bare)
+        return bool(ends.poll(max(0, int(1e3 * (deadline - time.monotonic())))))
+    finally:
+        socket.disable_monitor()
+        ends.close(linger=0)
+
+
 class Reopening:
     """Closes all tcp connections to the encrypted `places` of a socket and opens them again."""
 

@@ -18,12 +18,12 @@ from messages.transport.endpoints import (
     Context,
     EndpointRefusedError,
     Socket,
-    await_given_back,
     bind,
     closed_if_refused,
     is_open_place,
     remove_ipc,
 )
+from messages.transport.gate import close_bound
 
 MAX_GROWTH = (
     128 << 20
@@ -92,10 +92,9 @@ class OpenPort:
         return self._wanted
 
     def _renew(self) -> None:
-        self._socket.close(linger=0)
         self._wanted = 0
         deadline = time.monotonic() + GIVEN_BACK
-        await_given_back(self._endpoint, deadline)
+        close_bound(self._socket, self._endpoint, deadline)
         while time.monotonic() < deadline:
             with contextlib.suppress(EndpointRefusedError):
                 self._socket = self._bound()

@@ -22,12 +22,11 @@ from messages.codec import MessageRefusedError
 from messages.transport.endpoints import (
     Context,
     EndpointRefusedError,
-    await_given_back,
     bind,
     closed_if_refused,
     remove_ipc,
 )
-from messages.transport.gate import Gate, Reopening
+from messages.transport.gate import Gate, Reopening, close_bound
 from messages.transport.links import Links
 from messages.transport.requests import Reply, ReplySocket, Request, decode_request
 from nodes.base import descriptors, realtime
@@ -50,6 +49,8 @@ MAX_LOADED = 4 << 30
 # requests served at once, and then per second: each takes the GIL from the loop
 BURST, RATE = 50, 100.0
 END_TIMEOUT = 10.0  # longest duration of a request at the node's end [s]
+# longest wait for ZeroMQ to be done with the closed endpoint: nobody is served meanwhile [s]
+GIVEN_BACK = 1.0
 
 WATCH_PERIOD = 0.1
 # limits of the change log: names listed, characters per value
@@ -181,8 +182,9 @@ class ControlServer(threading.Thread):
                 {"grown_bytes": grown},
             )
             self._usual_memory = now
-            self._socket.close(linger=0)
-            await_given_back(self._node.setup.control, time.monotonic() + END_TIMEOUT)
+            close_bound(
+                self._socket, self._node.setup.control, time.monotonic() + GIVEN_BACK
+            )
             while self._socket.closed:
                 try:
                     self._open()

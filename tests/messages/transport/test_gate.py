@@ -6,6 +6,7 @@ import contextlib
 import random
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,14 +16,14 @@ import zmq
 
 from messages.transport import keys
 from messages.transport.endpoints import bind, connect
-from messages.transport.gate import Gate, Reopening
+from messages.transport.gate import Gate, Reopening, close_bound
 from messages.transport.keys import Identity, KeyRefusedError
 from messages.transport.open_port import OpenPort
 from messages.transport.sockets import Publisher, Subscription
 from sim.drill.intruders import visit
 from sim.measure.free_ports import free_ports
 from tests.support import slowly
-from tests.support.launching import typed_in, wait_for
+from tests.support.launching import DEADLINE, typed_in, wait_for
 from tests.support.strangers import as_somebody_else
 
 if TYPE_CHECKING:
@@ -132,6 +133,33 @@ def test_no_listener_however_unruly_ends_the_process(
             assert process.wait(20.0) == 0
         finally:
             process.kill()
+
+
+def test_an_endpoint_closed_and_bound_again_is_the_new_one_s(
+    context: Context, place: str
+) -> None:
+    """Builds of libzmq that leave the file made the wait for its removal last 10 s."""
+    for round_ in range(50):
+        reply = context.socket(zmq.REP)
+        bind(reply, place)
+        with context.socket(zmq.REQ) as asking:
+            asking.linger = 0
+            connect(asking, place)
+            asking.send(b"%d" % round_)
+            assert reply.poll(int(1e3 * DEADLINE)), "nobody is heard there"
+            assert reply.recv() == b"%d" % round_
+            # Before the asking one leaves: it stays connected to a listener that has ended.
+            assert close_bound(reply, place, time.monotonic() + DEADLINE)
+        assert reply.closed
+
+
+def test_a_socket_whose_endpoint_cannot_be_unbound_is_closed_all_the_same(
+    context: Context, place: str
+) -> None:
+    reply = context.socket(zmq.REP)
+    bind(reply, place)
+    assert not close_bound(reply, f"{place}-another", time.monotonic() + DEADLINE)
+    assert reply.closed
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from messages.errors import AT_MOST, FORCE, Remedy
 from messages.transport import keys
 from messages.transport.context import new_context
 from messages.transport.endpoints import connect, split
+from messages.transport.gate import close_bound
 from messages.transport.links import Links
 from messages.transport.requests import Connection, ControlError, Request, call
 from nodes.base import control_thread
@@ -135,8 +136,6 @@ def test_what_a_node_loads_itself_is_not_taken_for_requests(
     """A mesh of 327 680 triangles cut the page off from its node; its size has a limit, too."""
     memory = [100 << 20]
     monkeypatch.setattr("nodes.base.realtime.memory_bytes", lambda: memory[0])
-    # Some builds of libzmq leave the endpoint's file, for whose end is waited.
-    monkeypatch.setattr(control_thread, "END_TIMEOUT", 0.1)
     with private_runtime_dir() as folder:
         control = server(context, folder)
         denied: list[str] = []
@@ -161,6 +160,32 @@ def test_what_a_node_loads_itself_is_not_taken_for_requests(
             assert grown(control_thread.MAX_LOADED) == 1
             assert grown(control_thread.MAX_LOADED + 1) == 2
         assert control.stop()
+
+
+def test_who_is_served_after_a_disconnection_waits_for_no_file(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread ends all requesting peers and is there again, its endpoint not given up."""
+    done: list[bool] = []
+
+    def close(socket: zmq.Socket[bytes], endpoint: str, deadline: float) -> bool:
+        done.append(close_bound(socket, endpoint, deadline))
+        return done[-1]
+
+    memory = [100 << 20]
+    monkeypatch.setattr("nodes.base.realtime.memory_bytes", lambda: memory[0])
+    monkeypatch.setattr(control_thread, "STATUS_PERIOD", 0.01)
+    monkeypatch.setattr(control_thread, "close_bound", close)
+    with private_runtime_dir() as folder:
+        control = server(context, folder)
+        control.start()
+        place = f"ipc://{folder}/n.ctl"
+        call(context, place, "clock", timeout=DEADLINE)
+        memory[0] += control_thread.MAX_GROWTH + 1
+        wait_for(lambda: done, "all requesting peers are disconnected")
+        call(context, place, "clock", timeout=DEADLINE)
+        assert control.stop()
+    assert done == [True]
 
 
 def test_a_flood_of_requests_is_served_at_a_bounded_rate(context: Context) -> None:
