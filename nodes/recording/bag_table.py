@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from nodes.parameters.nearest import did_you_mean
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import LARGEST, ForeignTable
+from nodes.recording.import_words import words
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -115,8 +116,8 @@ def _table(
     if topics["position"] is None:
         known = ", ".join(f"{name} ({one.msgtype})" for name, one in bag.topics.items())
         raise RecordError(
-            f"{path}: which topic is the position? There are {known}; choose with --columns"
-            " position=/TOPIC, or position=/TOPIC.FIELD.x"
+            f"{path}: which topic is the position? There are {known}; choose with"
+            f" {words.get().columns({'position': '/TOPIC'})}, or position /TOPIC.FIELD.x"
         )
     place, push = topics["position"], topics["force"]
     read = {topic: _series(bag, topic) for topic in {place, push} if topic is not None}
@@ -181,8 +182,8 @@ def _topic_of(
     ]
     if len(likely) > 1:
         raise RecordError(
-            f"{path}: several topics may be the {role}: {', '.join(likely)}; choose with --columns"
-            f" {role}={likely[0]}"
+            f"{path}: several topics may be the {role}: {', '.join(likely)}; choose with"
+            f" {words.get().columns({role: likely[0]})}"
         )
     return likely[0] if likely else None
 
@@ -253,7 +254,7 @@ def _fields(
             return names
     raise RecordError(
         f"{path}: {topic} has no {role} as a vector: {', '.join(known) or 'no number'}; choose with"
-        f" --columns {role}={topic}.FIELD"
+        f" {words.get().columns({role: f'{topic}.FIELD'})}"
     )
 
 

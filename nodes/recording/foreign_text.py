@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nodes.recording.foreign_units import is_unit, split_unit
+from nodes.recording.import_words import words
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -279,7 +280,7 @@ def _refuse_ragged(
         if delimiter == "," and len(row) > len(header):
             hint = (
                 "; if its numbers have decimal commas, write it with semicolons between the"
-                " fields, and import it with --decimal-comma"
+                f" fields, and import it with {words.get().decimal_comma}"
             )
         elif number == numbers[-1]:
             hint = "; if the file was cut there, remove that line"
@@ -306,7 +307,7 @@ def _with_points(
             if "," in text and _COMMA.fullmatch(text.strip()):
                 raise RecordError(
                     f"{path}: line {number}: {text.strip()!r} has a decimal comma; read"
-                    " it as a number with --decimal-comma"
+                    f" it as a number with {words.get().decimal_comma}"
                 )
     return fields
 

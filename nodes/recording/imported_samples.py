@@ -11,10 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from messages.errors import OTHER, Remedy
 from nodes.parameters.nearest import did_you_mean
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable
 from nodes.recording.foreign_units import UNITS, factor_of, plain_name, suffix_unit
+from nodes.recording.import_words import words
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -137,8 +139,8 @@ def samples_of(
     if not where:
         raise RecordError(
             f"{table.path}: which column is the position? There are"
-            f" {table.names}; choose with --columns position=NAME, or"
-            " position=X:Y:Z for three axes"
+            f" {table.names}; choose with {words.get().columns({'position': 'NAME'})}, or"
+            f" {words.get().columns({'position': 'X:Y:Z'})} for three axes"
         )
     if len(where) == 1:
         where = {axis or next(iter(where)) or "x": next(iter(where.values()))}
@@ -149,7 +151,7 @@ def samples_of(
         raise RecordError(
             f"{table.path}: the force is {', '.join(pushed.values())}, the position"
             f" {', '.join(where.values())}; name the same axes of both:"
-            " --columns position=X:Y:Z,force=FX:FY:FZ"
+            f" {words.get().columns({'position': 'X:Y:Z', 'force': 'FX:FY:FZ'})}"
         )
     sources: dict[str, str] = {}
     own = is_own(table)
@@ -162,12 +164,13 @@ def samples_of(
     if name is None or ignore_times:
         if rate is None and ignore_times:
             raise RecordError(
-                f"{table.path}: without its times the rate is needed: --rate HZ"
+                f"{table.path}: without its times the rate is needed: {words.get().rate('HZ')}"
             )
         if rate is None:
             raise RecordError(
                 f"{table.path}: no column of times among {table.names}; say the rate"
-                " with --rate HZ, or the column with --columns time=NAME"
+                f" with {words.get().rate('HZ')}, or the column with"
+                f" {words.get().columns({'time': 'NAME'})}"
             )
         _refuse_rate(table, rate)
         period = 1.0 / rate
@@ -227,7 +230,7 @@ def motion_of(
     if not where:
         raise RecordError(
             f"{table.path}: which column is the position? There are"
-            f" {table.names}; choose with --columns position=NAME"
+            f" {table.names}; choose with {words.get().columns({'position': 'NAME'})}"
         )
     where = {axis or "x": name for axis, name in where.items()}
     sources: dict[str, str] = {}
@@ -240,7 +243,8 @@ def motion_of(
         if rate is None:
             raise RecordError(
                 f"{table.path}: no column of times among {table.names}; say the rate"
-                " with --rate HZ, or the column with --columns time=NAME"
+                f" with {words.get().rate('HZ')}, or the column with"
+                f" {words.get().columns({'time': 'NAME'})}"
             )
         _refuse_rate(table, rate)
         return np.arange(len(position)) / rate, position, "".join(sorted(where))
@@ -312,7 +316,7 @@ def _one(table: ForeignTable, role: str, names: list[str]) -> str | None:
     if len(names) > 1:
         raise RecordError(
             f"{table.path}: several columns may be the {role}: {', '.join(names)}; choose with"
-            f" --columns {role}={names[0]}"
+            f" {words.get().columns({role: names[0]})}"
         )
     return names[0] if names else None
 
@@ -353,15 +357,16 @@ def _factor(
         text, factor = given[role]
         if named is not None and not math.isclose(named, factor):
             raise RecordError(
-                f"{table.path}: column {name!r} says [{own}], --units {role}={text}; which one is"
-                " it? Rename the column, or leave the option out"
+                f"{table.path}: column {name!r} says [{own}], {words.get().unit(role, text)}; which"
+                " one is it? Rename the column, or leave the option out"
             )
         return factor, f"{name} in {text}"
     if own and named is None:
         known = ", ".join(UNITS[role])
         raise RecordError(
             f"{table.path}: column {name!r} is in [{own}], which is unknown here for {role}; known"
-            f" are {known}; give its value in {next(iter(UNITS[role]))} with --units {role}=NUMBER"
+            f" are {known}; give its value in {next(iter(UNITS[role]))} with"
+            f" {words.get().unit(role, 'NUMBER')}"
         )
     if named is not None:
         return named, f"{name} in {own}"
@@ -427,37 +432,38 @@ def refuse_unlikely(
     _refuse_absurd(table, "position", position, FARTHEST, "m")
     span = float(np.ptp(position, axis=0).max())
     if span > LARGEST_SPAN and "position" not in given:
-        raise RecordError(
-            f"{table.path}: the positions span {span:.4g} m;"
-            f"{_meant('position', span, LARGEST_SPAN, 'metres')}"
-        )
+        raise _unlikely(table, "position", span, LARGEST_SPAN)
     if force is None:
         return
     _refuse_absurd(table, "force", force, STRONGEST, "N")
     largest = float(np.nanmax(np.abs(force), initial=0.0))
     if largest > LARGEST_FORCE and "force" not in given:
-        raise RecordError(
-            f"{table.path}: the largest force is {largest:.4g} N;"
-            f"{_meant('force', largest, LARGEST_FORCE, 'newtons')}"
-        )
+        raise _unlikely(table, "force", largest, LARGEST_FORCE)
 
 
-def _meant(role: str, size: float, limit: float, name: str) -> str:
-    """Return the unit in which a size is a usual one, as a question, and how it is given."""
+def _unlikely(table: ForeignTable, role: str, size: float, limit: float) -> RecordError:
+    """Return the refusal of values that are usual in another unit, which it asks about.
+
+    How the unit is given is its remedy, as arrays have no units.
+    """
     own, *others = UNITS[role]
-    likely = [
-        unit
-        for unit in others
-        if UNITS[role][unit] in (1e-3, 1e-6) and size * UNITS[role][unit] <= limit
-    ]
-    if not likely:
-        return f" if these are {name}, say so with --units {role}={own}"
-    size *= UNITS[role][likely[0]]
-    verb = "are they" if role == "position" else "is it"
-    return (
-        f" {verb} in {likely[0]} ({size:.3g} {own})? Say so with --units {role}={likely[0]}, or"
-        f" {role}={own} if {'they are' if role == 'position' else 'it is'} {name}"
-    )
+    found, asked, so, name = {
+        "position": ("the positions span", "are they", "they are", "metres"),
+        "force": ("the largest force is", "is it", "it is", "newtons"),
+    }[role]
+    fault = f"{table.path}: {found} {size:.4g} {own}"
+    as_is = words.get().unit(role, own)
+    for unit in others:
+        factor = UNITS[role][unit]
+        if factor in (1e-3, 1e-6) and size * factor <= limit:
+            fault += f"; {asked} in {unit} ({size * factor:.3g} {own})?"
+            way = (
+                f"say so with {words.get().unit(role, unit)}, or {as_is} if {so} {name}"
+            )
+            break
+    else:
+        way = f"if these are {name}, say so with {as_is}"
+    return RecordError(fault).with_remedies(Remedy(OTHER, way))
 
 
 def _refuse_absurd(
@@ -504,7 +510,7 @@ def _ticks(
     _refuse_rate(table, 1.0 / period)
     if rate is not None and abs(rate * period - 1.0) > RATE_TOLERANCE:
         raise RecordError(
-            f"{table.path}: --rate {rate:g}, while column {name!r} advances"
+            f"{table.path}: {words.get().rate(f'{rate:g}')}, while column {name!r} advances"
             f" {1.0 / period:.6g} times a second; which one is it?"
             f"{_unit_hint(step, rate)}"
         )
@@ -524,8 +530,8 @@ def _times(table: ForeignTable, name: str) -> Any:
     if (bad := np.flatnonzero(~np.isfinite(raw))).size:
         raise RecordError(
             f"{table.path}: {table.place(int(bad[0]))}, column {name!r}: no time ({bad.size} such"
-            f" rows of {len(raw)}); remove these rows, or read each row as a tick with --rate HZ"
-            " --ignore-times"
+            f" rows of {len(raw)}); remove these rows, or read each row as a tick with"
+            f" {words.get().ticks}"
         )
     return raw
 
@@ -547,14 +553,14 @@ def _growing(
             f"{table.path}: {table.place(int(back[0]) + 1)}, column {name!r}: the time does not"
             f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows);"
             f" {'remove the repeated rows' if same else 'sort the rows'}, or read each row as a"
-            " tick with --rate HZ --ignore-times"
+            f" tick with {words.get().ticks}"
         )
     longest = max(LONGEST_GAP / factor, _ROWS_OF_GAP * float(np.median(steps)))
     if (far := np.flatnonzero(steps > longest)).size:
         raise RecordError(
             f"{table.path}: {table.place(int(far[0]) + 1)}, column {name!r}: {raw[far[0]]} to"
             f" {raw[far[0] + 1]} is a gap of more than a day; import the parts beside it on their"
-            " own, or name the unit with --units time=UNIT"
+            f" own, or name the unit with {words.get().unit('time', 'UNIT')}"
         )
     return since, factor, source
 
@@ -599,7 +605,7 @@ def _unit_hint(step: float, rate: float | None = None) -> str:
             likely.append(f"{unit} ({found:.5g} Hz)")
     unit = likely[0].partition(" ")[0] if len(likely) == 1 else "UNIT"
     return (
-        f" Is it in {' or '.join(likely)}? Say so with --units time={unit}"
+        f" Is it in {' or '.join(likely)}? Say so with {words.get().unit('time', unit)}"
         if likely
         else ""
     )
@@ -610,10 +616,11 @@ def _refuse_unlikely_time(
 ) -> None:
     if SLOWEST_USUAL <= 1.0 / step <= FASTEST:
         return
+    named = f" Say its unit with {words.get().unit('time', 'UNIT')}"
     raise RecordError(
         f"{table.path}: column {name!r} grows by {step:g} a row, {1.0 / step:.4g} Hz if it is"
-        f" seconds.{_unit_hint(step, rate) or ' Say its unit with --units time=UNIT'}, or time=s if"
-        " it is; if it counts rows, add --rate HZ --ignore-times"
+        f" seconds.{_unit_hint(step, rate) or named}, or {words.get().unit('time', 's')} if it is;"
+        f" if it counts rows, add {words.get().ticks}"
     )
 
 
@@ -637,7 +644,7 @@ def _regular(
         raise RecordError(
             f"{table.path}: {table.place(int(bad[0]) + 1)}, column {name!r}: the times are uneven"
             f" ({bad.size} of {len(steps)} steps lie beside a multiple of {step:g}); resample the"
-            " data evenly, or, if each row is a tick, add --rate HZ --ignore-times"
+            f" data evenly, or, if each row is a tick, add {words.get().ticks}"
         )
     period = float(since[-1] / counts.sum())
     rounded = float(f"{period:.6g}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from nodes.recording.bag_table import is_bag
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable, is_export
 from nodes.recording.import_table import import_table
+from nodes.recording.import_words import PYTHON, words
 from nodes.recording.imported_samples import refuse_unlikely
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
@@ -83,6 +83,7 @@ def as_recording(
         return
     with tempfile.TemporaryDirectory(prefix="haptic-import-") as folder:
         out = Path(folder) / f"{path.stem}.mcap"
+        before = words.set(PYTHON)
         try:
             import_table(
                 path,
@@ -94,8 +95,8 @@ def as_recording(
                 ignore_times=ignore_times,
                 decimal_comma=decimal_comma,
             )
-        except RecordError as error:
-            raise RecordError(in_python(str(error))) from None
+        finally:
+            words.reset(before)
         yield out
 
 
@@ -115,13 +116,6 @@ def is_mcap(path: Path) -> bool:
         return False
     with path.open("rb") as stream:
         return stream.read(5) == b"\x89MCAP"
-
-
-def in_python(text: str) -> str:
-    """Return an error's text with the options of the command line as Python names them."""
-    return re.sub(
-        r"--([a-z]+)(?:-([a-z]+))?", lambda m: "_".join(filter(None, m.groups())), text
-    )
 
 
 def _columns(
@@ -200,7 +194,7 @@ def identify_arrays(
     try:
         refuse_unlikely(ForeignTable(ARRAYS, {}), where, pushed)
     except RecordError as error:
-        raise UsageError(_without_units(str(error))) from None
+        raise UsageError(f"{error.fault} Arrays are in metres and newtons") from None
     if where.ndim == 2:
         axis = axis or "xyz"[int(np.argmax(np.std(pushed, axis=0)))]
         where, pushed = where[:, "xyz".index(axis)], pushed[:, "xyz".index(axis)]
@@ -299,7 +293,7 @@ def hand_path(
     try:
         refuse_unlikely(ForeignTable(ARRAYS, {}), where, None)
     except RecordError as error:
-        raise UsageError(_without_units(str(error))) from None
+        raise UsageError(f"{error.fault} Arrays are in metres and newtons") from None
     paths = [
         [list(corner) for corner in corners(at, column)]
         for column in (where.T if where.ndim == 2 else [where])
@@ -316,11 +310,6 @@ def _as_hand(paths: Sequence[list[list[float]]]) -> dict[str, Any]:
         for axis, path in zip("yz", paths[1:], strict=True)
     }
     return {"path": paths[0], "axes": own}
-
-
-def _without_units(text: str) -> str:
-    """Return an error's text without the option of tables: arrays are in SI units."""
-    return text.partition(" Say so with")[0] + " Arrays are in metres and newtons"
 
 
 def _checked(name: str, values: ArrayLike) -> NDArray[np.float64]:

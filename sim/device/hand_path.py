@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.topics import DEVICE_STATE
 from nodes.recording.foreign_table import is_export, read_foreign
+from nodes.recording.import_words import LAUNCH_FILE, words
 from nodes.recording.imported_samples import motion_of
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
@@ -68,12 +68,15 @@ def read_path(
         (role, names if isinstance(names, str) else tuple(names))
         for role, names in columns.items()
     )
+    before = words.set(LAUNCH_FILE)
     try:
         return _read(
             path, stat.st_mtime_ns, stat.st_size, key, tuple(units.items()), rate
         )
     except RecordError as error:
-        raise ValueError(_in_a_launch_file(str(error))) from error
+        raise ValueError(str(error)) from error
+    finally:
+        words.reset(before)
 
 
 @functools.lru_cache(maxsize=8)
@@ -146,16 +149,3 @@ def corners(time: Array, position: Array) -> list[tuple[float, float]]:
     kept = np.ones(len(position), dtype=bool)
     kept[1:-1] = ~(same[:-1] & same[1:])
     return list(zip(time[kept].tolist(), position[kept].tolist(), strict=True))
-
-
-def _in_a_launch_file(text: str) -> str:
-    """Return an error's text with the options of ``bag import`` as fields of a hand."""
-    text = re.sub(r"--(columns|units) (\w+)=([^\s,;?]+)", r"\1: {\2: \3}", text)
-    text = re.sub(r" --ignore-times", "", text)
-    text = text.replace(
-        "read it as a number with --decimal-comma",
-        "make a recording of it, which file: reads too, with haptic bag import --decimal-comma",
-    )
-    return re.sub(r"--rate HZ", "rate: HZ", text).replace(
-        ", or time=s if it is", ", or s"
-    )

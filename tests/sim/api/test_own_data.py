@@ -134,10 +134,10 @@ def test_arrays_that_cannot_be_are_refused(rig: Rig) -> None:
 
 
 def test_refusals_name_the_arguments_of_python(csv: Path, tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=r"columns position=NAME") as refused:
+    with pytest.raises(RecordError, match=r"columns=\{'position': 'NAME'\}") as refused:
         haptic.read(csv)
     assert "--" not in str(refused.value)
-    with pytest.raises(RecordError, match="units position=mm") as refused:
+    with pytest.raises(RecordError, match=r"units=\{'position': 'mm'\}") as refused:
         haptic.read(csv, columns={"position": "stage"})
     assert "--" not in str(refused.value)
     run = import_table(

@@ -1,0 +1,61 @@
+"""Errors of tables name options as the reader's interface writes them."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+from pathlib import Path
+
+import pytest
+import yaml
+
+from nodes.cli import bag_import
+from nodes.recording.foreign_table import ForeignTable
+from nodes.recording.import_words import (
+    COMMAND_LINE,
+    LAUNCH_FILE,
+    PYTHON,
+    ImportWords,
+    words,
+)
+from nodes.recording.imported_samples import samples_of
+from nodes.recording.writer import RecordError
+
+CHOSEN = {"position": "x:y:z", "time": "t"}
+
+
+def test_each_interface_reads_its_words_back() -> None:
+    parser = argparse.ArgumentParser()
+    bag_import.add_import(parser)
+    typed = f"rig.csv {COMMAND_LINE.columns(CHOSEN)} {COMMAND_LINE.unit('time', 'ms')}"
+    found = parser.parse_args(
+        [*typed.split(), *COMMAND_LINE.ticks.replace("HZ", "500").split()]
+    )
+    assert found.columns == {"position": ["x", "y", "z"], "time": ["t"]}
+    assert (found.units, found.rate, found.ignore_times) == (
+        {"time": "ms"},
+        500.0,
+        True,
+    )
+    for text, name, given in (
+        (PYTHON.columns(CHOSEN), "columns", CHOSEN),
+        (PYTHON.unit("time", "ms"), "units", {"time": "ms"}),
+    ):
+        assert text.partition("=")[0] == name
+        assert ast.literal_eval(text.partition("=")[2]) == given
+    assert yaml.safe_load(LAUNCH_FILE.columns(CHOSEN)) == {
+        "columns": {"position": ["x", "y", "z"], "time": "t"}
+    }
+    assert yaml.safe_load(LAUNCH_FILE.unit("time", "ms")) == {"units": {"time": "ms"}}
+
+
+@pytest.mark.parametrize("chosen", [COMMAND_LINE, PYTHON, LAUNCH_FILE])
+def test_a_refusal_has_the_words_of_the_interface(chosen: ImportWords) -> None:
+    before = words.set(chosen)
+    try:
+        with pytest.raises(RecordError) as refused:
+            samples_of(ForeignTable(Path("rig.csv"), {}))
+    finally:
+        words.reset(before)
+    assert chosen.columns({"position": "NAME"}) in str(refused.value)
+    assert ("--" in str(refused.value)) == (chosen is COMMAND_LINE)
