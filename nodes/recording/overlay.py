@@ -18,7 +18,7 @@ from nodes.base.printable import printable
 from nodes.recording.difference import difference
 from nodes.recording.figure_style import COLOURS, LINES, PAGE_WIDTH
 from nodes.recording.plot import end_of, form_of, head, new_figure, render
-from nodes.recording.plot_panels import COLORS, style
+from nodes.recording.plot_panels import COLORS, STILL_MM, STILL_N, style, widen
 from nodes.recording.reader import Recording
 from nodes.recording.series import Line, Lines
 from nodes.recording.summary import summarise
@@ -110,10 +110,15 @@ def overlay(
         _draw_runs(list(grid[:, column]), lines, labels, axis)
     for number in compared:
         _draw_difference(grid[2], recordings, lines, number, drawn)
+    for axes in grid[2] if compared else ():
+        _end_difference(axes)
     for panels in grid.T:
         for axes in panels:
             style(axes)
-        panels[-1].set_xlabel("time from the first tick [s]")
+        # A label that is wider than its panel would be cut at the frame.
+        panels[-1].set_xlabel(
+            "time from the first tick [s]" if len(drawn) == 1 else "time [s]"
+        )
     figure.align_ylabels(list(grid[:, 0]))
     _legend(figure, grid[0], labels)
     levels = _levels(lines, drawn[0]) if len(drawn) == 1 else []
@@ -143,6 +148,8 @@ def _draw_runs(
         panels[0].axhline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
     panels[0].set_ylabel(f"position {'xyz'[axis]} [mm]")
     panels[1].set_ylabel(f"force {'xyz'[axis]} [N]")
+    widen(panels[0], up=STILL_MM)
+    widen(panels[1], up=STILL_N)
 
 
 def _draw_difference(
@@ -162,6 +169,18 @@ def _draw_difference(
                 values[:, axis] * 1e6,
                 **_look(number, len(lines)),
             )
+
+
+def _end_difference(axes: Axes) -> None:
+    """Write into a panel without a difference why it has none; show no rounding in others."""
+    if axes.lines:
+        widen(axes, up=1e3 * STILL_MM)
+        return
+    axes.set_yticks([])
+    place: Any = {"ha": "center", "va": "center", "color": "#444a52", "fontsize": 9}
+    axes.text(
+        0.5, 0.5, "none but one run\nhas this axis", transform=axes.transAxes, **place
+    )
 
 
 def _levels(lines: Sequence[Lines], axis: int) -> list[float]:
@@ -299,6 +318,9 @@ def force_over_position(
                 axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
             axes.set_xlabel(f"position {'xyz'[axis]} [mm]")
             axes.set_ylabel(f"force {'xyz'[axis]} [N]")
+            widen(axes, STILL_MM, STILL_N)
+            if len(drawn) > 1:
+                axes.locator_params(axis="x", nbins=6 - len(drawn))
         levels = _levels(lines, drawn[0]) if len(drawn) == 1 else []
         facts = [_facts(levels)] if levels else []
         if zoomed:

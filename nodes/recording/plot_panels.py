@@ -33,6 +33,8 @@ _SAFETY = {
     "stopped": "#7a1620",
 }
 _ROWS = 3
+STILL_MM = 1e-6  # a position that changes by less is drawn at rest [mm]
+STILL_N = 1e-6  # the same of a force [N]
 
 
 def _line(
@@ -80,7 +82,7 @@ def draw_position(axes: Axes, lines: Lines, axis: int) -> None:
             axes, lines.proxy, axis, lines.begin, 1e3, COLORS["asked"], "proxy", ls="--"
         )
     _line(axes, lines.position, axis, lines.begin, 1e3, COLORS["device"], "device")
-    margin = 0.06 * (high - low) or 1.0
+    margin = 0.06 * (high - low) if high - low > STILL_MM else 1.0
     axes.set_ylim(low - margin, high + margin)
     axes.set_ylabel(f"position {'xyz'[axis]} [mm]")
 
@@ -103,6 +105,7 @@ def draw_positions(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
         )
         _line(axes, lines.position, axis, lines.begin, 1e3, color, f"device {name}")
     axes.set_ylabel("position [mm]")
+    widen(axes, up=STILL_MM)
 
 
 def draw_force(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
@@ -118,6 +121,7 @@ def draw_force(axes: Axes, lines: Lines, drawn: Sequence[int]) -> None:
             label = "after limits"
         _line(axes, lines.force, axis, begin, 1.0, color, label, drawstyle="steps-post")
     axes.set_ylabel(f"force {'xyz'[drawn[0]]} [N]" if alone else "force [N]")
+    widen(axes, up=STILL_N)
     _draw_safety(axes, lines)
 
 
@@ -247,6 +251,19 @@ def draw_receipts(panels: list[Axes], lines: Lines) -> None:
             bbox=box,
             **place,
         )
+
+
+def widen(axes: Axes, across: float = 0.0, up: float = 0.0) -> None:
+    """Widen limits that span less than `across` and `up`: rounding is drawn as rest."""
+    for least, limits, change in (
+        (across, axes.get_xlim(), axes.set_xlim),
+        (up, axes.get_ylim(), axes.set_ylim),
+    ):
+        low, high = limits
+        if high - low < least:
+            middle = 0.5 * (low + high)
+            # so wide that its numbers need no power of ten
+            change(middle - 1e3 * least, middle + 1e3 * least)
 
 
 def style(axes: Axes) -> None:

@@ -97,7 +97,7 @@ class DelaysJudged:
 class Analysis(Findings):
     """What a law renders on a device, and how far the device may differ."""
 
-    lines: Sequence[str] = ()
+    lines: list[str] | tuple[str, ...] = ()
     loop: str  # law, device and loop
     law: Rendered = at_top()
     delay_ticks: float

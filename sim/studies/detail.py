@@ -137,7 +137,9 @@ def _shapes(
     )
 
 
-def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> str:
+def _text(
+    scenario: str, stiffness: float, resolution: float, found: Detail
+) -> list[str]:
     lines = [
         (
             f"{scenario}: H(1) {stiffness:.4g} N/m, encoder step {1e6 * resolution:.3g} µm: force"
@@ -166,7 +168,7 @@ def _text(scenario: str, stiffness: float, resolution: float, found: Detail) -> 
             f"; as it is, it adds at most {1e3 * enough.force_n:.3g} mN and costs "
             f"{finest.call_us - enough.call_us:+.3g} µs a tick"
         )
-    return "\n".join(lines)
+    return lines
 
 
 @style.styled

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -105,7 +105,8 @@ def at_top() -> Any:
 class Findings(StudyResult):
     """Result whose fields are its figures; those declared here are not, and files come last."""
 
-    lines: Sequence[str]  # for the terminal
+    # For the terminal. A text alone would be a sequence of its characters.
+    lines: list[str] | tuple[str, ...]
     held: bool = True  # whether the verdict is yes
     interrupted: int = 0  # signal that ended the study early; 0: none
     ledger: Path | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -214,6 +215,55 @@ def test_nothing_lies_beyond_the_frame(tmp_path: Path) -> None:
     for values in curves(panel).values():
         assert low < values.min()
         assert values.max() < high
+
+
+@pytest.mark.parametrize("kind", ["runs", "pairs", "one"])
+def test_labels_fit_and_rounding_is_drawn_as_rest(
+    along_x: Recording, tmp_path: Path, kind: str
+) -> None:
+    """Three narrow panels, one of them of an axis in which nothing moves."""
+
+    def sent() -> Iterator[tuple[str, Message]]:
+        for k in range(200):
+            swing = math.sin(k / 30.0)
+            place = (0.2 + 1e-4 * swing, 1e-19 * math.cos(k / 9.0), -0.1 * swing)
+            force = (swing, 1e-16 * math.sin(k / 7.0), 0.1)
+            common: dict[str, Any] = {"seq": k, "stamp": k * PERIOD, "position": place}
+            yield DEVICE_STATE, DeviceState(**common, force=force, force_seq=k - 1)
+
+    run = recorded(tmp_path / "run.mcap", sent(), "x,y,z")
+    draw = {
+        "runs": lambda: overlay([run, along_x]),
+        "pairs": lambda: force_over_position([run]),
+        "one": lambda: figure_of(run),
+    }
+    figure = draw[kind]()
+    figure.draw_without_rendering()
+    width = figure.bbox.width
+    across = [axes.xaxis.label.get_window_extent() for axes in figure.axes]
+    across += [
+        text.get_window_extent()
+        for axes in figure.axes
+        for text in axes.get_xticklabels()
+        if axes.get_xlim()[0] <= text.get_position()[0] <= axes.get_xlim()[1]
+    ]
+    across = [box for box in across if box.width > 0.0]
+    assert all(box.x0 >= 0.0 and box.x1 <= width for box in across)
+    # Nothing in a row is written over its neighbour.
+    for row in {round(box.y0) for box in across}:
+        beside = sorted((b.x0, b.x1) for b in across if round(b.y0) == row)
+        assert all(a[1] < b[0] for a, b in itertools.pairwise(beside))
+    if kind == "one":
+        return
+    still = [axes for axes in figure.axes if " y" in axes.get_ylabel()]
+    assert still
+    for axes in still:
+        low, high = axes.get_ylim()
+        assert high - low >= 1e-4
+    if kind == "runs":
+        alone = [axes for axes in figure.axes[-3:] if not axes.lines]
+        assert len(alone) == 2
+        assert all("one run" in axes.texts[0].get_text() for axes in alone)
 
 
 @pytest.mark.parametrize("late", [0, 1, 3])
