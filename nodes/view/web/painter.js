@@ -1,6 +1,6 @@
 // Solids on a 2-D canvas, for a browser without WebGL 2: from far to near, lit by the same light.
 import { axesOf, cross, dot, minus, size } from "./camera.js";
-import { AMBIENT, LIGHT } from "./lit.js";
+import { AMBIENT, LIGHT } from "./light.js";
 import { coarser, moved } from "./solids.js";
 
 const MOST = 6000; // triangles of a part; a finer one is drawn coarser, and closed
@@ -20,7 +20,7 @@ export class Painter {
     g.setTransform(1, 0, 0, 1, 0, 0);
     g.clearRect(0, 0, this.canvas.width, this.canvas.height);
     g.setTransform(ratio, 0, 0, ratio, (width * ratio) / 2, (height * ratio) / 2);
-    const camera = axesOf(turn), light = LIGHT.map((each) => each / size(LIGHT)), faces = [];
+    const camera = axesOf(turn), faces = [];
     for (const [part, pose] of this.solids.placed()) {
       const tint = tints[this.solids.parts.indexOf(part)], { points, faces: corners } = this.coarse.get(part);
       const placed = [];
@@ -31,7 +31,7 @@ export class Painter {
         const normal = cross(minus(b, a), minus(c, a)), long = size(normal);
         if (long < 1e-15) continue;
         const side = (dot(normal, camera.away) > 0 ? -1 : 1) / long;
-        const lit = AMBIENT * (0.8 + 0.2 * side * normal[2]) + (1 - AMBIENT) * Math.max(0, side * dot(normal, light)), at = three.map((n) => seen[n]);
+        const lit = AMBIENT * (0.8 + 0.2 * side * normal[2]) + (1 - AMBIENT) * Math.max(0, side * dot(normal, LIGHT)), at = three.map((n) => seen[n]);
         faces.push([at[0][2] + at[1][2] + at[2][2], at, tint.map((each) => Math.round(255 * each * lit))]);
       }
     }
@@ -45,6 +45,7 @@ export class Painter {
       g.fill();
       g.stroke();
     }
+    return false;
   }
 
   finish() { /* the overlay draws device and proxy */ }

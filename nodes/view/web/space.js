@@ -32,13 +32,12 @@ export class Space {
 
   // A picture by WebGL 2; by the processor where a browser has none, or loses it.
   newStill(wanted) {
-    this.still = document.createElement("canvas");
-    this.lit = wanted ? Lit.on(this.still) : null;
-    if (wanted && !this.lit) this.still = document.createElement("canvas");
-    this.picture = this.lit ?? new Painter(this.still);
+    this.lit = wanted ? Lit.made() : null;
+    this.picture = this.lit ?? new Painter(document.createElement("canvas"));
+    this.still = this.picture.canvas;
     this.loaded = null;
     this.drawn = "";
-    this.still.addEventListener("webglcontextlost", () => this.newStill(false));
+    this.lit?.gl.canvas.addEventListener("webglcontextlost", () => this.newStill(false));
   }
 
   // What a drag moves along: view, ground or surface.
@@ -197,8 +196,7 @@ export class Space {
     const time = performance.now(), turning = this.drawn !== view && this.drawn !== "";
     if (turning) this.turned = time;
     if (this.drawn !== view || (this.rough && time - this.turned > REST)) {
-      this.rough = turning && Boolean(this.picture.differs);
-      this.picture.draw({ turn: this.turn, pixels: this.pixels, width, height, ground: this.ground, tints: this.tints(), turning });
+      this.rough = this.picture.draw({ turn: this.turn, pixels: this.pixels, width, height, ground: this.ground, tints: this.tints(), turning });
       this.drawn = view;
     }
     const there = this.now !== null && this.now.position.every(Number.isFinite);

@@ -26,12 +26,18 @@ if TYPE_CHECKING:
 pytestmark = [needs_browser, pytest.mark.process]
 
 WIDTH, HEIGHT = 600, 400
-_MAIN = """import { Space } from "./space.js";
+_MAIN = """import { Lit } from "./lit.js";
+import { Space } from "./space.js";
 import { startTheme } from "./theme.js";
 startTheme(document.createElement("button"));
 globalThis.made = (shape) => {
   globalThis.space = new Space(document.getElementById("space"), () => {});
   space.start({ shape, hand: true, axes: ["x", "y", "z"] });
+};
+// As on a graphics card, by whatever draws here.
+globalThis.carded = () => {
+  space.lit = space.picture = new Lit(Lit.made().gl, "a graphics card");
+  Object.assign(space, { still: space.lit.canvas, loaded: null, drawn: "" });
 };
 globalThis.shown = ({ yaw, pitch, position = [0, 0, 1], contact = 0, ...now }) => {
   Object.assign(space.turn, { yaw, pitch, scale: 1 });
@@ -90,6 +96,18 @@ def page(lit: Browser) -> Iterator[Page]:
     found.close()
 
 
+@pytest.fixture(scope="module", params=["processor", "card"])
+def either(request: pytest.FixtureRequest, lit: Browser, page: Page) -> Iterator[Page]:
+    """Return a page that keeps the solids' picture, and one that presents it each time."""
+    if request.param == "processor":
+        yield page
+        return
+    found = opened(lit, ball())
+    found.evaluate("carded()")
+    yield found
+    found.close()
+
+
 YAW, PITCH = -0.4, 0.6
 
 
@@ -98,14 +116,16 @@ def seen(page: Page, now: dict[str, Any], points: Any) -> Any:
     return page.evaluate("points => colours(points)", points)
 
 
-def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(page: Page) -> None:
-    assert page.evaluate("space.lit !== null"), "no WebGL 2"
+def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(
+    either: Page,
+) -> None:
+    assert either.evaluate("space.lit !== null"), "no WebGL 2"
     camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
     at, reach = camera.seen(CENTRE), camera.pixels * RADIUS
     grid = np.arange(-9, 10) / 10.0
     points = [(at[0] + reach * x, at[1] + reach * y) for x in grid for y in grid]
     checked = 0
-    for (u, v), (*colour, alpha) in zip(points, seen(page, {}, points), strict=True):
+    for (u, v), (*colour, alpha) in zip(points, seen(either, {}, points), strict=True):
         if math.dist((u, v), at) < 0.97 * reach - 2.0:
             normal = camera.met(round(u), round(v))
             assert normal is not None
@@ -137,9 +157,9 @@ def test_a_device_behind_the_ball_shines_through_it(page: Page) -> None:
     assert found[1][:3] == pytest.approx(mixed, abs=off)
 
 
-def test_the_ball_and_the_device_cast_shadows_straight_down(page: Page) -> None:
+def test_the_ball_and_the_device_cast_shadows_straight_down(either: Page) -> None:
     camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
-    ground = page.evaluate("space.ground.at")
+    ground = either.evaluate("space.ground.at")
     low = CENTRE[2] - RADIUS
     assert ground == pytest.approx(low, abs=1e-3)
     # Within the ball's circle on the side that is seen, and well outside.
@@ -151,16 +171,16 @@ def test_the_ball_and_the_device_cast_shadows_straight_down(page: Page) -> None:
         )
     )
     points = [camera.seen([*each, ground]) for each in (under, aside)]
-    shaded, bare = seen(page, {}, points)
+    shaded, bare = seen(either, {}, points)
     # 0.72 of the light, of a ground that is at most 18 % darker on its lines.
     assert shaded[0] < 0.85 * bare[0]
     # The device, above that place: its shadow halves what is there, and a line leads to it.
-    (below,) = seen(page, {"position": [*aside, 0.03]}, points[1:])
+    (below,) = seen(either, {"position": [*aside, 0.03]}, points[1:])
     assert below[0] < 0.7 * bare[0]
     # On the ball it falls on the ball.
     top = [*CENTRE[:2], CENTRE[2] + RADIUS]
     lit, dark = (
-        seen(page, {"position": [*at, 0.06]}, [camera.seen(top)])[0]
+        seen(either, {"position": [*at, 0.06]}, [camera.seen(top)])[0]
         for at in (aside, CENTRE[:2])
     )
     assert dark[0] < 0.7 * lit[0]
@@ -204,6 +224,96 @@ def test_a_fine_mesh_is_closed_uploaded_once_and_drawn_in_one_call(
     # The mesh and the ground, once, though the device was drawn three times.
     assert calls == {"uploads": 0, "calls": [20 * 4**6, 2]}
     page.close()
+
+
+def test_a_standing_camera_draws_no_solids_again_and_turning_ones_are_whole_at_rest(
+    lit: Browser,
+) -> None:
+    """A processor drew and presented the whole picture for each move of the device."""
+    page = opened(lit, fine_ball(6))
+    places = [[0.01, 0.04, 0.05], [0.02, 0.03, 0.04], [CENTRE[0], CENTRE[1], 0.06]]
+    found = page.evaluate(
+        """places => {
+      const { gl } = space.lit, found = { calls: 0, times: [] };
+      const step = (position) => shown({ yaw: -0.4, pitch: 0.6, position });
+      const pixels = () => {
+        const copy = document.createElement("canvas"), g = copy.getContext("2d");
+        [copy.width, copy.height] = [space.still.width, space.still.height];
+        g.drawImage(space.still, 0, 0);
+        return g.getImageData(0, 0, copy.width, copy.height).data;
+      };
+      step(places[0]);
+      const drawn = ["drawElements", "drawArrays", "readPixels", "blitFramebuffer"];
+      for (const name of drawn) gl[name] = (...given) => {
+        found.calls++;
+        Object.getPrototypeOf(gl)[name].apply(gl, given);
+      };
+      for (const position of places) step(position);
+      found.standing = found.calls;
+      const kept = pixels();
+      space.drawn = "";
+      step(places.at(-1));
+      found.again = found.calls - found.standing;
+      found.different = pixels().filter((each, k) => each !== kept[k]).length;
+      return found; }""",
+        places,
+    )
+    assert found["standing"] == 0
+    assert found["again"] > 0
+    assert found["different"] == 0
+    # While it turns, less detail and fewer pixels; whole again once it rests.
+    page.evaluate("shown({ yaw: -0.3, pitch: 0.6 })")
+    assert page.evaluate("space.rough && space.lit.drawn !== space.lit.whole")
+    assert page.evaluate("space.lit.into.width < space.still.width")
+    page.evaluate("space.turned = -Infinity; space.draw()")
+    assert not page.evaluate("space.rough || space.lit.drawn !== space.lit.whole")
+    assert page.evaluate("space.lit.into.width === space.still.width")
+    page.close()
+
+
+def test_a_picture_that_stays_has_the_pixels_of_the_shader(page: Page) -> None:
+    """Device, proxy, line and shadow of compose.js, against COMPOSE drawn by WebGL 2."""
+    ball = [*CENTRE[:2], CENTRE[2] + RADIUS]
+    places = [
+        {"position": [*CENTRE[:2], 0.06]},
+        {"position": CENTRE, "contact": 1, "proxy": ball, "normal": [0.0, 0.0, 1.0]},
+        {"position": [CENTRE[0] - 0.05, CENTRE[1] - 0.05, 0.03]},
+        {"position": [c + 3.0 * RADIUS for c in CENTRE]},
+    ]
+    for now in places:
+        far, changed = page.evaluate(
+            """now => {
+          shown({ yaw: -0.4, pitch: 0.6, ...now });
+          const { lit, still } = space, { kept, gl } = lit, { width, height } = still;
+          const pixels = (from) => {
+            const copy = document.createElement("canvas"), g = copy.getContext("2d");
+            Object.assign(copy, { width, height });
+            g.drawImage(from, 0, 0);
+            // Colours times alpha: a faint one is known to fewer bits.
+            const { data } = g.getImageData(0, 0, width, height);
+            return Float32Array.from(data, (each, k) => (each * data[k | 3]) / 255);
+          };
+          const ours = pixels(still);
+          lit.finish({ ...space.balls(true), device: null });
+          const bare = pixels(still);
+          Object.assign(gl.canvas, { width, height });
+          Object.assign(lit, { kept: null, canvas: gl.canvas });
+          lit.finish(space.balls(true));
+          const theirs = pixels(gl.canvas), far = [];
+          Object.assign(lit, { kept, canvas: still });
+          space.draw();
+          let changed = 0;
+          theirs.forEach((each, k) => {
+            if (Math.abs(each - ours[k]) > 3) far.push([k, each, ours[k]]);
+            if (Math.abs(each - bare[k]) > 3) changed++;
+          });
+          return [far, changed]; }""",
+            now,
+        )
+        # An edge that a pixel's middle hits may round to either side: one pixel of four bytes in a
+        # hundred of those that changed.
+        assert len(far) <= 0.01 * changed, far[:8]
+        assert changed > 400
 
 
 def test_without_webgl_a_fine_mesh_is_drawn_coarser_and_closed(lit: Browser) -> None:
