@@ -310,7 +310,7 @@ addEventListener("hashchange", () => {
 // The moment of a recording that the link names.
 function goToLink() {
   if (wanted.time !== null) replay.stay(wanted.time);
-  if (wanted.wrong.length) refused(wanted.wrong.join(" "));
+  if (wanted.wrong.length) laws.refuse({ error: wanted.wrong.join(" ") });
   wanted = null;
 }
 
