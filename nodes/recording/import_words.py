@@ -10,8 +10,6 @@ from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from typing import Final, NamedTuple
 
-__all__ = ["COMMAND_LINE", "LAUNCH_FILE", "PYTHON", "ImportWords", "words"]
-
 
 class ImportWords(NamedTuple):
     """How one interface writes the options of an import."""

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 RUNS = 10  # limit of runs in one figure, set by distinguishable line styles
 _CELLS = 2000
+# Size of letters [pt] and columns of a legend, until one is no wider than the figure.
+_LEGENDS = ((9.0, 2), (9.0, 1), (8.0, 1), (7.0, 1), (6.0, 1))
+_SMALLEST = _LEGENDS[-1][0]
 
 
 def _labels(recordings: Sequence[Recording], lines: Sequence[Lines]) -> list[str]:
@@ -67,14 +70,23 @@ def _legend(figure: Figure, panels: Iterable[Axes], labels: Sequence[str]) -> No
         drawn, names = axes.get_legend_handles_labels()
         handles |= dict(zip(names, drawn, strict=True))
     shown = [label for label in labels if label in handles]
-    columns = 2 if len(shown) > 1 and max(map(len, shown)) <= 60 else 1
-    place: Any = {"loc": "outside lower left", "ncols": columns, "borderaxespad": 0.5}
-    legend = figure.legend(
-        [handles[label] for label in shown], shown, fontsize=9, frameon=False, **place
-    )
-    legend.set_in_layout(True)
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    for size, columns in _LEGENDS:
+        if columns > max(1, len(shown)):
+            continue
+        legend = figure.legend(
+            [handles[label] for label in shown],
+            shown,
+            fontsize=size,
+            ncols=columns,
+            loc="outside lower left",
+            borderaxespad=0.5,
+            frameon=False,
+        )
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+        if size == _SMALLEST or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def _checked(recordings: Sequence[Recording]) -> None:
@@ -108,10 +120,8 @@ def overlay(
     labels = _labels(recordings, lines)
     for column, axis in enumerate(drawn):
         _draw_runs(list(grid[:, column]), lines, labels, axis)
-    for number in compared:
-        _draw_difference(grid[2], recordings, lines, number, drawn)
-    for axes in grid[2] if compared else ():
-        _end_difference(axes)
+    if compared:
+        _draw_differences(grid[2], recordings, lines, compared, drawn)
     for panels in grid.T:
         for axes in panels:
             style(axes)
@@ -152,29 +162,37 @@ def _draw_runs(
     widen(panels[1], up=STILL_N)
 
 
-def _draw_difference(
+def _draw_differences(
     panels: Sequence[Axes],
     recordings: Sequence[Recording],
     lines: Sequence[Lines],
-    number: int,
+    compared: Sequence[int],
     drawn: Sequence[int],
 ) -> None:
-    """Draw how far a run is from the first, along the axes of both."""
-    time, values = difference(recordings[number], lines[number], recordings[0]).arrays()
+    """Draw how far runs are from the first, along the axes of both, in µm or mm."""
+    first = recordings[0]
+    found = {n: difference(recordings[n], lines[n], first).arrays() for n in compared}
+    far = max(
+        (np.nanmax(np.abs(x[:, drawn]), initial=0.0) for _, x in found.values()),
+        default=0.0,
+    )
+    unit, scale = ("mm", 1e3) if far >= 1e-3 else ("µm", 1e6)
     for axes, axis in zip(panels, drawn, strict=True):
-        axes.set_ylabel(f"{'xyz'[axis]} minus the first [µm]")
-        if axis in lines[0].axes and axis in lines[number].axes:
-            axes.plot(
-                time - lines[number].begin,
-                values[:, axis] * 1e6,
-                **_look(number, len(lines)),
-            )
+        axes.set_ylabel(f"{'xyz'[axis]} minus the first [{unit}]")
+        for number, (time, values) in found.items():
+            if axis in lines[0].axes and axis in lines[number].axes:
+                axes.plot(
+                    time - lines[number].begin,
+                    values[:, axis] * scale,
+                    **_look(number, len(lines)),
+                )
+        _end_difference(axes, scale)
 
 
-def _end_difference(axes: Axes) -> None:
+def _end_difference(axes: Axes, scale: float) -> None:
     """Write into a panel without a difference why it has none; show no rounding in others."""
     if axes.lines:
-        widen(axes, up=1e3 * STILL_MM)
+        widen(axes, up=STILL_MM * 1e-3 * scale)
         return
     axes.set_yticks([])
     place: Any = {"ha": "center", "va": "center", "color": "#444a52", "fontsize": 9}

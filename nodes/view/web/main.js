@@ -180,7 +180,7 @@ const link = new Link({
     overview.start(plots.whole, replay.begin, replay.end);
   },
   map(found) { charted = found; chart(); },
-  edges(found) { edges = found; sing.edges?.(found); chart(); },
+  edges(found) { edges = found; for (const hear of waiting) hear(found); chart(); },
   log(entry) {
     log.add(entry);
     if (entry.kind === "receipt") plots.mark(entry.t, entry.switched ? entry.law : "");
@@ -202,6 +202,26 @@ const link = new Link({
     refused(found.error);
   },
 });
+// Edges at a delay of the device: known, or with the next document that is of it.
+const waiting = new Set();
+const EDGES_WAIT = 20e3; // [ms]: a machine that computes them beside much else takes so long
+function edgesAt(delay) {
+  if (edges?.device_delay === delay) return Promise.resolve(edges.edges);
+  return new Promise((done, fail) => {
+    const hear = (found) => {
+      if (found.device_delay !== delay) return;
+      clearTimeout(late);
+      waiting.delete(hear);
+      done(found.edges);
+    };
+    const late = setTimeout(() => {
+      waiting.delete(hear);
+      fail(new Error(`The edges at this delay did not come within ${EDGES_WAIT / 1e3} s.`));
+    }, EDGES_WAIT);
+    waiting.add(hear);
+  });
+}
+
 const sing = new Sing({ button: $("sing"), told: $("sung"), beyond: $("beyond") }, {
   ask,
   state: () => laws.state,
@@ -210,15 +230,7 @@ const sing = new Sing({ button: $("sing"), told: $("sung"), beyond: $("beyond") 
   compared: () => beside.on,
   surface: () => scene.surface,
   hand: (target) => link.hand(target === null ? null : [0, 1, 2].map((k) => (k === scene.axis ? target : 0))),
-  // Edges at a delay of the device: known, or with the next document that is of it.
-  edgesAt: (delay) => (edges?.device_delay === delay ? Promise.resolve(edges.edges) : new Promise((done, fail) => {
-    const late = setTimeout(() => fail(new Error("The edges at this delay did not come within 5 s.")), 5000);
-    sing.edges = (found) => {
-      if (found.device_delay !== delay) return;
-      clearTimeout(late);
-      done(found.edges);
-    };
-  })),
+  edgesAt,
 });
 const page = new StaticPage({ banner: $("banner"), python: $("python"), restart: $("restart"), scenarios: $("scenarios"), title: $("scenario") }, ask);
 const drop = new Drop({ input: $("file"), button: $("open") }, link, (text) => status.tell(text));
@@ -298,7 +310,7 @@ addEventListener("hashchange", () => {
 // The moment of a recording that the link names.
 function goToLink() {
   if (wanted.time !== null) replay.stay(wanted.time);
-  if (wanted.wrong.length) refused(wanted.wrong.join(" "));
+  if (wanted.wrong.length) laws.refuse({ error: wanted.wrong.join(" ") });
   wanted = null;
 }
 
@@ -333,10 +345,10 @@ $("share").addEventListener("click", async () => {
   setTimeout(() => { $("share").textContent = "Link"; }, 1500);
 });
 
-// The law to put beside the active one: the one with the largest edge, where edges are known.
-function strongest() {
+// The law to put beside the active one: the one with the largest edge at this delay, where known.
+async function strongest() {
   const names = [...$("other").options].map(({ value }) => value).filter((name) => name && name !== laws.state.active);
-  const edge = (name) => edges?.edges[name] ?? 0;
+  const known = await edgesAt(laws.state.device_delay).catch(() => ({})), edge = (name) => known[name] ?? 0;
   return names.reduce((best, name) => (edge(name) > edge(best) ? name : best), names[0]);
 }
 
@@ -352,8 +364,9 @@ const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-a
     if (stoppedAt === null) dial.set(dial.edge * 0.25);
     else $("again").click();
   },
-  compare: () => beside.choose(strongest()),
-  beside: () => beside.law,
+  compare: async () => beside.choose(await strongest()),
+  // Edges of A and B, as far as known.
+  edges: () => [laws.state?.active, beside.law].map((name) => ({ name, edge: edges?.edges[name] ?? null })),
   compared: () => beside.law !== "" && beside.law !== laws.state.active,
 });
 

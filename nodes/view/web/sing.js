@@ -77,10 +77,12 @@ export class Sing {
   async begin() {
     const { page } = this, ask = (request) => this.ask(request);
     this.leave();
+    this.facts = null;
     const { device_delay: delay, active } = page.state();
     if (page.stopped()) await ask({ op: "again", ...page.soft() });
     const later = this.delays && delay < HALF_LATE ? HALF_LATE : delay;
     if (later !== delay) await ask({ op: "delay", ticks: later, beyond: true });
+    this.say("Looking for the edges at this delay …");
     const edges = await page.edgesAt(later), facts = plan(page.state(), edges), { law, stiffness } = facts;
     if (active !== law) await ask({ op: "switch", law, ramp: 0, beyond: true });
     // A is past its edge now, so the dials show what lies there.

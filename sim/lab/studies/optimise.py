@@ -268,16 +268,18 @@ def _draw(
                 np.arange(1, one.cost.size + 1),
                 one.cost,
                 **thin,
-                label=f"rate {rate:g}" if i == 0 else None,
+                label=f"{rate:g}" if i == 0 else None,
             )
+    low, high = left.get_ylim()
     left.set(
         xlabel="step  [1]",
         ylabel="J, eq. (13)  [1]",
         title="steepest descent from a grid of orders",
-        ylim=(1e-7, min(1e6, 3.0 * left.get_ylim()[1])),
+        # Below the first is rounding, above the second what diverged.
+        ylim=(max(1e-7, low), min(1e6, 3.0 * high)),
     )
     if descents:
-        left.legend(title="of descent", title_fontsize=8.0)
+        left.legend(title="rate of descent", title_fontsize=8.0)
     theta = np.linspace(0.0, np.pi, 401)
     shaped = [row for row in rows if row.gains is not None and row.orders is not None]
     looks = law_looks(

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -187,11 +188,11 @@ def test_the_same_run_has_no_difference_and_another_has_its_own(
     )
     panels = overlay([wall, wall, moved], 0.0, 1.0).axes
     assert len(panels) == 3
-    assert panels[2].get_ylabel() == "z minus the first [µm]"
+    assert panels[2].get_ylabel() == "z minus the first [mm]"
     same, other = (np.asarray(line.get_ydata()) for line in panels[2].lines)
     assert not same.any()
     apart = [
-        1e6 * (a.position[2] - b.position[2])
+        1e3 * (a.position[2] - b.position[2])
         for a, b in zip(
             moved.messages(DEVICE_STATE), wall.messages(DEVICE_STATE), strict=True
         )
@@ -298,3 +299,42 @@ def test_a_scene_pairs_position_and_proxy_of_one_tick(late: int) -> None:
             DeviceState(seq=k, stamp=k * PERIOD, position=(float(k), 0.0, 0.0)),
         )
     assert feed.now()[1] == 199.0
+
+
+@pytest.mark.parametrize("length", [3, 22, 60])
+def test_a_legend_is_no_wider_than_its_figure(tmp_path: Path, length: int) -> None:
+    """Two recordings of one scenario are named by their files, however long these are."""
+    runs = []
+    for letter in "ab":
+        (tmp_path / letter).mkdir()
+        path = tmp_path / letter / f"{letter * length}.mcap"
+        manifest = {"scenario": "touch_wall", "pace": "lockstep", "axes": "z"}
+        with RecordWriter(path, manifest) as writer:
+            for topic, message in drop(60):
+                writer.write(topic, message, message.stamp)
+        runs.append(Recording(path))
+    for figure in (overlay(runs), force_over_position(runs)):
+        (legend,) = figure.legends
+        assert len(legend.get_texts()) == 2
+        assert legend.get_window_extent().width <= figure.bbox.width
+
+
+@pytest.mark.parametrize(
+    ("apart", "unit", "scale"), [(9e-4, "µm", 1e6), (5e-3, "mm", 1e3)]
+)
+def test_a_difference_has_a_unit_of_its_size(
+    wall: Recording, tmp_path: Path, apart: float, unit: str, scale: float
+) -> None:
+    def moved() -> Iterator[tuple[str, Message]]:
+        for topic, message in drop(300):
+            if isinstance(message, DeviceState):
+                x, y, z = message.position
+                message = msgspec.structs.replace(message, position=(x, y, z + apart))
+            yield topic, message
+
+    other = recorded(tmp_path / "moved.mcap", moved(), "z")
+    panel = overlay([wall, other], 0.0, 1.0).axes[2]
+    assert panel.get_ylabel() == f"z minus the first [{unit}]"
+    drawn = np.asarray(panel.lines[-1].get_ydata())
+    # Rounding of positions below 1 m.
+    np.testing.assert_allclose(drawn, scale * apart, rtol=0, atol=scale * 1e-15)
