@@ -190,8 +190,12 @@ def children(node: ast.AST) -> list[ast.AST]:
             value = getattr(node, name, None)
             parts = value if isinstance(value, list) else [value]
             found += [part for part in parts if isinstance(part, ast.AST)]
-    # A default is a choice that a launch file overrides; no rule follows from it.
-    is_choice = isinstance(node, ast.ClassDef) and node.name.endswith("Parameters")
+    # A default, or a law's example, is a choice that a launch file overrides; no rule follows
+    # from it.
+    is_choice = isinstance(node, ast.ClassDef) and (
+        node.name.endswith("Parameters")
+        or any(isinstance(base, ast.Name) and base.id == "Law" for base in node.bases)
+    )
     return [
         part
         for part in found
