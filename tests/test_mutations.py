@@ -85,13 +85,14 @@ def test_what_changes_no_behaviour_is_left_out(tmp_path: Path) -> None:
         "LINES: tuple = ((0, (6, 1.5)),)\n"
         "STYLE = {'axes.labelsize': 9.0, 'alpha': 0.5, 'limit': 7}\n"
         "class WallParameters:\n    stiffness: float = 1000.0\n    pairs = 3\n"
+        "class PD(Law, frozen=True):\n    gain: float = 3.0\n    taps = 2\n"
         "class State:\n    ticks: int = 4\n"
         "    def __repr__(self): return 5 * 'a'\n"
         "def draw(axes): axes.plot(6, lw=2.0, alpha=0.3, marker=8)\n",
         encoding="utf-8",
     )
     found = [one.old for one in all_of(file, tmp_path)]
-    assert found == ["7", "3", "4", "6", "8"]
+    assert found == ["7", "3", "2", "4", "6", "8"]
 
 
 @pytest.mark.parametrize("row", EQUIVALENT, ids=lambda row: f"{row.file}: {row.line}")
@@ -136,6 +137,8 @@ def test_files_are_tried_before_the_rest_of_their_folders() -> None:
         ("nodes/driver/motion.py", "tests/nodes/driver/test_oracles.py"),
         ("sim/identify/conclude.py", "tests/sim/identify/test_identify.py"),
         ("nodes/driver/tick.py", "tests/nodes/driver/test_no_push.py"),
+        # By an import in another folder, where none of its room imports it.
+        ("nodes/recording/ros2_shapes.py", "tests/nodes/ros2/test_topics.py"),
     ],
 )
 def test_a_file_is_tried_by_the_tests_that_run_it(file: str, noticing: str) -> None:

@@ -68,7 +68,7 @@ def parallel(
         if abs(pole) < _SMALL and times > 0:
             value = residue
             m = 1
-            while abs(value) > _EPSILON * abs(residue) and m < 12:
+            while abs(value) > _EPSILON * abs(residue):
                 _add(head, m, value)
                 value = value * pole
                 m = m + 1

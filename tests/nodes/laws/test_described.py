@@ -78,11 +78,13 @@ def test_a_limit_is_the_one_that_is_enforced(kind: str) -> None:
 
 
 @every_kind
-def test_presets_stand_beside_the_kind_of_their_law(kind: str) -> None:
+def test_presets_and_gains_stand_beside_the_kinds_that_have_them(kind: str) -> None:
     law, found = described(kind)
     assert found["presets"] == [
         name for name in PRESETS if type(parse_law(name)) is law
     ]
+    # What a gain is in SI units is told where there is one to choose.
+    assert ("gains" in found) == ("gains" in law.__struct_fields__)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from messages.topics import within
 from messages.types import DeviceState, Proxy
 from nodes.cli.main import main
-from nodes.recording.export_ros2 import export_ros2
+from nodes.recording.export_ros2 import export_ros2, within_chain
 from nodes.recording.reader import Recording
 from nodes.recording.ros2_messages import (
     LATCHED,
@@ -145,3 +145,12 @@ def test_a_hundred_shapes_are_drawn_and_kept_for_who_comes_later(number: int) ->
     assert topics.count("/haptic/wall") == min(number, 100)
     assert topics.count("/haptic/parameters") == 1
     assert LATCHED["wall"] == MOST_SHAPES == 100
+
+
+def test_the_nodes_of_a_chain_are_named_as_inside_it() -> None:
+    """Neither another chain's, nor one inside it; a chain's own logger knows no other."""
+    nodes = {"left/driver": 1, "left/arm/driver": 2, "right/driver": 3, "driver": 4}
+    assert within_chain(nodes, "left") == {"driver": 1}
+    assert within_chain(nodes, "left/arm") == {"driver": 2}
+    assert within_chain(nodes, "") == {"driver": 4}
+    assert within_chain({"driver": 1, "wall": 2}, "left") == {"driver": 1, "wall": 2}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from messages.schema import schema, schema_json
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState, Force, Message
 from nodes.recording.reader import Recording
-from nodes.recording.writer import CHUNK_SIZE, RecordError, RecordWriter, save
+from nodes.recording.writer import CHUNK_SIZE, Output, RecordError, RecordWriter, save
 from tests.support.recorded import drop
 from tests.support.strategies import TYPES, messages
 
@@ -481,3 +482,43 @@ def test_a_file_that_somebody_writes_is_not_overwritten(tmp_path: Path) -> None:
     with RecordWriter(path, {}, overwrite=True) as second:
         second.write(*sent[0], 0.0)
     assert len(list(Recording(path).entries())) == 1
+
+
+def test_the_output_under_a_recording_knows_what_it_has_written(tmp_path: Path) -> None:
+    path = tmp_path / "r.mcap"
+    path.write_bytes(b"what was there before")
+    with pytest.raises(RecordError, match="already exists"):
+        Output(path, overwrite=False)
+    output = Output(path, overwrite=True)
+    assert output.tell() == path.stat().st_size == 0
+    for data in (b"four", b"", b"seven b"):
+        before = output.tell()
+        assert output.write(data) == len(data)
+        assert output.tell() == path.stat().st_size == before + len(data)
+    # Who writes it locks it.
+    with pytest.raises(RecordError, match="another process is writing it"):
+        Output(path, overwrite=True)
+    output.close()
+    output.close()
+    assert path.read_bytes() == b"fourseven b"
+
+
+def test_a_write_that_fails_leaves_what_was_there_and_tells_how_much(
+    tmp_path: Path,
+) -> None:
+    output = Output(tmp_path / "r.mcap", overwrite=False)
+    output.write(b"whole")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8, limits[1]))
+    try:
+        with pytest.raises(
+            RecordError, match=r"after 5 bytes \(2 of the next 5 not written"
+        ):
+            output.write(b"five!")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert output.path.read_bytes() == b"whole"
+    assert output.tell() == 5
+    output.close()

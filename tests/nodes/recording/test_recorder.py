@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from pathlib import Path
@@ -108,3 +109,56 @@ def test_who_ends_a_recorder_gets_what_had_come_by_then(
     assert record(run, str(path), [], ended) == 500
     publisher.close()
     assert Recording(path).topics[FORCE].messages == 500
+
+
+def test_the_time_of_a_recording_begins_with_its_first_message(
+    context: Context, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without an end it goes on until it is ended; with one of 0 s, one message ends it."""
+    monkeypatch.setattr("nodes.recording.logger.CONNECTING", math.inf)
+    publisher = Publisher(context, place)
+    run = RunInfo(
+        run="r",
+        scenario="s",
+        launcher=os.getpid(),
+        nodes={"coupling": setup_of(publish=place)},
+        manifest={"pace": "realtime"},
+    )
+    calls = 0
+
+    def ended(last: int, sent_from: int) -> bool:
+        nonlocal calls
+        calls += 1
+        if calls >= sent_from:
+            wait_for(publisher.listeners, "the subscription")
+            force = Force(seq=calls, stamp=time.monotonic(), force=ZERO)
+            publisher.send(FORCE.encode(), encode(force))
+        return calls >= last
+
+    endless, short = tmp_path / "endless.mcap", tmp_path / "short.mcap"
+    assert record(run, str(endless), [], lambda: ended(5, 1)) == calls == 5
+    calls = 0
+    assert record(run, str(short), [], lambda: ended(50, 3), duration=0.0) >= 1
+    assert 3 <= calls < 50
+    publisher.close()
+
+
+def test_what_follows_no_protocol_is_counted_one_by_one(
+    context: Context, place: str, tmp_path: Path
+) -> None:
+    """A topic that nobody knows, and a payload that is no message of its topic."""
+    publisher, inbox = Publisher(context, place), Subscription(context, [place], [""])
+    wait_for(publisher.listeners, "the subscription")
+    force = encode(Force(seq=0, stamp=0.0, force=ZERO))
+    with RecordWriter(tmp_path / "r.mcap", {}) as writer:
+        recorder = Recorder(inbox, writer)
+        for topic, payload in (
+            ("/nobody/knows", force),
+            (FORCE, b"no message"),
+            (FORCE, force),
+        ):
+            publisher.send(topic.encode(), payload)
+        wait_for(lambda: recorder.take(50) and recorder.recorded == 1, "the message")
+    assert recorder.refused == 2
+    inbox.close()
+    publisher.close()

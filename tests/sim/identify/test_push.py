@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,9 @@ import pytest
 
 from messages.errors import RefusedError
 from messages.transport.requests import ControlError
-from sim.identify.borrowed import PushedLaunch
+from messages.types import DeviceState
+from nodes.launcher.runs import RunInfo
+from sim.identify.borrowed import PushedLaunch, carried
 from tests.support.launching import Running, running, typed, typed_in, wait_for
 
 
@@ -121,3 +124,60 @@ class Still(PushedLaunch):
 def test_a_driver_that_makes_no_ticks_is_not_waited_for_without_end() -> None:
     with pytest.raises(RefusedError, match=r"driver: no tick within 0\.05 s"):
         Still().wait(1, silence=0.05)
+
+
+class Resting(PushedLaunch):
+    """A launch whose driver sends the states of a device that is left alone, and then ends."""
+
+    def __init__(self, force: list[float], *axes: int, moved: float = 0.0) -> None:
+        self.driver, self.period, self.axes = "driver", 0.002, axes or (2,)
+        self.peak = None
+        self.run = RunInfo(run="floor", scenario="s", launcher=0, nodes={}, manifest={})
+        self._force, self._moved = force, moved
+
+    def states(self, silence: float = 0.0) -> Iterator[DeviceState]:  # noqa: ARG002  # ends
+        """Yield one state a force, on the z axis; the position alternates by what it moves."""
+        for seq, force in enumerate(self._force):
+            yield state_at(seq, force, self._moved * (seq % 2))
+
+
+def state_at(seq: int, force: float, height: float) -> DeviceState:
+    return DeviceState(
+        seq=seq, stamp=0.0, position=(0.0, 0.0, height), force=(0.0, 0.0, force)
+    )
+
+
+def test_a_push_and_the_weight_may_reach_the_driver_s_limit_and_no_further() -> None:
+    loop = Resting([])
+    for loop.peak, strongest in ((None, 20.0), (4.0, 4.0)):
+        for sign in (1.0, -1.0):
+            weight = sign * (strongest - 0.5)
+            assert carried(loop, 0.5, weight) == weight
+            with pytest.raises(RefusedError, match=f"more than {strongest:g} N"):
+                carried(loop, 0.5, weight * (1.0 + 1e-9))
+
+
+def test_the_weight_is_the_mean_force_of_a_fifth_of_a_second_at_rest() -> None:
+    """100 ticks of 2 ms; with several axes nobody knows which of them is vertical."""
+    swaying = [0.25, 0.75] * 50
+    assert carried(Resting(swaying), 0.7, None) == 0.5
+    assert carried(Resting(swaying, 1, 2), 0.7, None) == 0.0
+    with pytest.raises(RefusedError, match="floor: the launch has ended"):
+        carried(Resting(swaying[1:]), 0.7, None)
+    # As large as the push it may be a weight; above, it may be a hand.
+    assert carried(Resting([-0.5] * 100), 0.5, None) == -0.5
+    with pytest.raises(
+        RefusedError, match=r"-0\.501 N acts on the device.*--load -0\.501"
+    ):
+        carried(Resting([-0.501] * 100), 0.5, None)
+
+
+@pytest.mark.parametrize(("moved", "ticks"), [(1e-4, 100), (1.01e-4, 1500)])
+def test_a_device_that_moves_gets_three_seconds_to_rest(
+    moved: float, ticks: int
+) -> None:
+    """Then the force on it is not taken for its weight."""
+    weight = carried(Resting([0.5] * ticks, moved=moved), 0.7, None)
+    assert weight == (0.5 if ticks == 100 else 0.0)
+    with pytest.raises(RefusedError, match="has ended"):
+        carried(Resting([0.5] * (ticks - 1), moved=moved), 0.7, None)

@@ -207,8 +207,16 @@ def _users(room: str, module: str) -> frozenset[str]:
 
 
 @cache
+def _all_tests() -> tuple[Path, ...]:
+    return tuple(sorted((ROOT / "tests").rglob("test_*.py")))
+
+
+@cache
 def suite_of(room: str, file: Path) -> tuple[str, ...]:
-    """Return a file's tests: of its name, importing it or what imports it, its room's."""
+    """Return a file's tests: of its name, importing it or what imports it, its room's.
+
+    Where none of its room imports it, those that do in other folders come first.
+    """
     module = _module(file)
     folders: tuple[str, ...] = ROOMS[room]
     if file.stem in COMPILED:
@@ -225,4 +233,7 @@ def suite_of(room: str, file: Path) -> tuple[str, ...]:
         return 2 if _imports(test) & _users(room, module) else 3
 
     near = sorted((test for test in tests if distance(test) < 3), key=distance)
+    if not any(distance(test) < 2 for test in near):
+        # Its own tests stand with another subject, which uses it.
+        near = [test for test in _all_tests() if module in _imports(test)] + near
     return (*(str(test.relative_to(ROOT)) for test in near), *folders)

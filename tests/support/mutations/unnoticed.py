@@ -85,6 +85,69 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         "2",
         "any negative number stands for a pair that was never read",
     ),
+    Equivalent(
+        "nodes/driver/motion.py",
+        'places = array("d", [0.0]) * (3 * s.places_count)',
+        "3",
+        "4",
+        "room for a quarter more samples than are ever kept",
+    ),
+    Equivalent(
+        "nodes/driver/forcedimension/driver.py",
+        "version = ctypes.create_string_buffer(64)",
+        "64",
+        "65",
+        "a byte more than the library is told that it may write",
+    ),
+    Equivalent(
+        "nodes/coupling/law_on_axis.py",
+        "if len(taps) <= UNROLLED_TAPS:",
+        "<=",
+        "<",
+        "both branches have the same bits; where one becomes faster is measured, not tested",
+    ),
+    Equivalent(
+        "nodes/recording/facts.py",
+        "if low[place] < high[place] or low[place + 3] < high[place + 3]",
+        "+",
+        "-",
+        "in a list of six, three places before one of the first three is three places after it",
+    ),
+    Equivalent(
+        "nodes/stability/roots.py",
+        "rounding = 2.0**-52 * np.log2(points) * float(np.sum(np.abs(c)))",
+        "52",
+        "53",
+        "a bound of rounding of which transforms of 5 to 1000 terms need a twelfth: half is enough",
+    ),
+    Equivalent(
+        "nodes/stability/spring_world.py",
+        "if k > floor * (1.0 + 1e-9) + 1e-9",
+        ">",
+        ">=",
+        "a margin for rounding: a K on it to the last bit is neither side's",
+    ),
+    Equivalent(
+        "nodes/stability/k_max.py",
+        '"damping", plant.damping * np.linspace(1.0, 0.0, 41)[1:]',
+        "41",
+        "42",
+        "steps between which a bisection finds the limit: the same one with another number of them",
+    ),
+    Equivalent(
+        "sim/identify/conclude.py",
+        "size = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-60))",
+        "1.0",
+        "2.0",
+        "a scale of the unknowns that is multiplied in again: a power of two changes no bit",
+    ),
+    Equivalent(
+        "sim/identify/forces.py",
+        "until, told, sure = float(covered), (-1, -1), False",
+        "1",
+        "2",
+        "any negative number stands for a force that answers no tick",
+    ),
     *(
         Equivalent(
             "nodes/driver/state.py",
@@ -127,8 +190,12 @@ def children(node: ast.AST) -> list[ast.AST]:
             value = getattr(node, name, None)
             parts = value if isinstance(value, list) else [value]
             found += [part for part in parts if isinstance(part, ast.AST)]
-    # A default is a choice that a launch file overrides; no rule follows from it.
-    is_choice = isinstance(node, ast.ClassDef) and node.name.endswith("Parameters")
+    # A default, or a law's example, is a choice that a launch file overrides; no rule follows
+    # from it.
+    is_choice = isinstance(node, ast.ClassDef) and (
+        node.name.endswith("Parameters")
+        or any(isinstance(base, ast.Name) and base.id == "Law" for base in node.bases)
+    )
     return [
         part
         for part in found
