@@ -44,12 +44,20 @@ def open_edges(ids: Ids) -> Ids:
     return np.asarray(order[first[times == 1]], dtype=np.int64)
 
 
-def unmatched_edges(ids: Ids) -> Ids:
-    """Return the half-edges of edges that an odd number of triangles have."""
-    edge = half_edges(ids)[2]
+def unmatched_edges(ids: Ids, most: int) -> Ids:
+    """Return the half-edges of edges that are not passed as often one way as the other.
+
+    Where faces disagree about outside there may be more than `most`: then only those of edges that
+    an odd number of triangles have.
+    """
+    start, end, edge = half_edges(ids)
     order = np.argsort(edge, kind="stable")
-    _, times = _runs(edge[order])
-    return np.asarray(np.sort(order[np.repeat(times % 2 == 1, times)]), dtype=np.int64)
+    first, times = _runs(edge[order])
+    up = np.add.reduceat((start < end)[order].astype(np.int64), first)
+    found = np.sort(order[np.repeat(2 * up != times, times)])
+    if len(found) > most:
+        found = np.sort(order[np.repeat(times % 2 == 1, times)])
+    return np.asarray(found, dtype=np.int64)
 
 
 def _runs(values: Ids) -> tuple[Ids, Ids]:

@@ -107,7 +107,7 @@ def split_t_joints(
 ) -> Ids:
     """Split triangles at corners that lie on the middle of their unmatched edges."""
     for _ in range(20):
-        half = unmatched_edges(ids)
+        half = unmatched_edges(ids, MOST_OPEN)
         if not 0 < len(half) <= MOST_OPEN:
             return ids
         start, end, _ = half_edges(ids)

@@ -108,7 +108,8 @@ def repair(
         Without triangles if none has an area.
     """
     found = _repaired(corners, height, widest, part, False)
-    if len(found.ids) and not found.is_solid and found.counts["repeated"]:
+    pairs = found.counts["repeated"] or found.counts["t_joints"]
+    if len(found.ids) and not found.is_solid and pairs:
         # One of two faces back to back may be of a seam, whose T-joint opened its edges.
         other = _repaired(corners, height, widest, part, True)
         if len(other.ids) and (other.partner < 0).sum() < (found.partner < 0).sum():
@@ -141,9 +142,11 @@ def _repaired(
     counts.update(dropped)
     if len(ids) and lowest_heights(points[ids])[0].min() <= height:
         ids = remove_flat(points, ids, height, counts)
-    if len(ids) and len(open_edges(ids)):
+    if len(ids):
+        whole = ids
         ids = split_t_joints(points, ids, JOINS[-1] * width, counts, no_pairs)
-        ids = remove_flat(points, ids, height, counts)
+        if ids is not whole:
+            ids = remove_flat(points, ids, height, counts)
     if not len(ids):
         none = np.zeros(0, dtype=np.int64)
         flags = np.zeros(0, dtype=bool)
