@@ -65,6 +65,12 @@ def held(plant: Plant) -> DeviceModel:
     )
 
 
+def _at_plane(device: DeviceModel, period: float, raw: bool, clamp: bool) -> Scene:
+    """Return a device and a plane at 0."""
+    plane = SceneSurface("plane")
+    return Scene(device=device, surface=plane, period=period, raw=raw, clamp=clamp)
+
+
 def drop_scene(
     device: DeviceModel,
     period: float,
@@ -80,13 +86,7 @@ def drop_scene(
     dropped = msgspec.structs.replace(
         device, position=height, velocity=0.0, gravity=gravity
     )
-    return Scene(
-        device=dropped,
-        surface=SceneSurface("plane"),
-        period=period,
-        raw=raw,
-        clamp=clamp,
-    )
+    return _at_plane(dropped, period, raw, clamp)
 
 
 def press_scene(
@@ -103,13 +103,7 @@ def press_scene(
     """
     hand = Hand(stiffness=100.0, path=[(0.0, -depth)]) if hand is None else hand
     pressed = msgspec.structs.replace(device, position=depth, velocity=0.0, hand=hand)
-    return Scene(
-        device=pressed,
-        surface=SceneSurface("plane"),
-        period=period,
-        raw=raw,
-        clamp=clamp,
-    )
+    return _at_plane(pressed, period, raw, clamp)
 
 
 def free_scene(device: DeviceModel, period: float, amplitude: float = 0.01) -> Scene:

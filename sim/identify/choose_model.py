@@ -12,9 +12,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim.arrays import Array, WholeArray
+from sim.arrays import Array
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import (
     AVERAGE,
@@ -46,6 +45,7 @@ from sim.identify.remainder import (
     remainder,
 )
 from sim.identify.suspects import describe
+from sim.identify.windows import Windows, late_windows, undisturbed
 
 # Terms the model can have, and their unknowns.
 TERMS = {
@@ -58,8 +58,6 @@ TERMS = {
 QUARTER = 1.0 / 3.0
 # largest share of the remainder that a term may leave to be kept, if the model still leaves one
 HALVES = 0.5
-HELD_OUT = 4  # one window out of this many is held out to judge the fit
-MIN_WINDOWS = 6  # minimum number of undisturbed windows to leave out the others
 PROMISES = 0.15  # share a term must explain in the scan to be fitted in full
 # standard errors, over held-out windows, by which a joint's three unknowns must beat a term with
 # one
@@ -86,21 +84,6 @@ class Choice:
     quadratic_bound: float
     dropped: int  # number of disturbed windows
     remainder: Remainder = NOTHING  # significant remaining term and its effect
-
-
-@dataclass(frozen=True)
-class Windows:
-    """First ticks of the windows for the search and of the held-out ones, and their length."""
-
-    seen: WholeArray
-    unseen: WholeArray
-    length: int
-
-    @classmethod
-    def of(cls, starts: WholeArray, length: int) -> Windows:
-        """Divide windows into searched and held-out ones."""
-        unseen = starts[HELD_OUT - 1 :: HELD_OUT]
-        return cls(np.setdiff1d(starts, unseen), unseen, length)
 
 
 def choose(
@@ -199,16 +182,16 @@ def _judged(
         scale,
         np.concatenate([found.states, test.states])[order],
     )
-    undisturbed = _undisturbed(experiment, model, scale, step)
-    if not undisturbed.all():
+    kept = undisturbed(experiment, model, scale, step)
+    if not kept.all():
         model = fit(
             experiment,
-            model.starts[undisturbed],
+            model.starts[kept],
             length,
             model.theta,
             free,
             scale,
-            model.states[undisturbed],
+            model.states[kept],
         )
         # Divided again, because all held-out windows may have been disturbed.
         windows = Windows.of(model.starts, length)
@@ -244,7 +227,7 @@ def _judged(
         (one.visible for one in evidence if one.suspect.term == "quadratic damping"),
         default=math.inf,
     )
-    white, dropped = whiteness(left(experiment, test, step)), int(np.sum(~undisturbed))
+    white, dropped = whiteness(left(experiment, test, step)), int(np.sum(~kept))
     bounds = _mode_bound(evidence), lag_bound * experiment.period, quadratic
     return (
         Choice(
@@ -274,56 +257,6 @@ def _mode_bound(evidence: list[Evidence]) -> float:
             break
         seen = one.suspect.size
     return seen
-
-
-def _undisturbed(
-    experiment: Experiment, found: Fit, scale: float, step: float | None
-) -> NDArray[np.bool_]:
-    """Return which windows are undisturbed.
-
-    A window is disturbed if its error exceeds four times the median or the rounding; if this
-    applies to a third of them, none is. A window with several late answers in a tick, of which only
-    the mean is known, is also disturbed if it does not fit a model of the others.
-    """
-
-    def fits(errors: Array, middle: float, grid: float) -> NDArray[np.bool_]:
-        return np.asarray(
-            errors <= (4.0 * max(middle, grid * math.sqrt(found.length / 12.0))) ** 2
-        )
-
-    kept = fits(found.errors, math.sqrt(float(np.median(found.errors))), scale)
-    if np.mean(kept) <= 2.0 / 3.0:
-        kept = np.ones_like(kept)
-    late = _late(experiment, found)
-    whole = kept & ~late
-    if not late.any() or np.count_nonzero(whole) < MIN_WINDOWS:
-        return kept
-    free, length = tuple(found.free.tolist()), found.length
-    theta = fit(
-        experiment,
-        found.starts[whole],
-        length,
-        found.theta,
-        free,
-        scale,
-        found.states[whole],
-    ).theta
-    errors = fit(
-        experiment, found.starts, length, theta, (), scale, found.states
-    ).errors
-    return kept & (
-        whole | fits(errors, math.sqrt(float(np.median(errors[whole]))), step or FINEST)
-    )
-
-
-def _late(experiment: Experiment, found: Fit) -> NDArray[np.bool_]:
-    """Return which windows have a late answer."""
-    rows = found.starts[:, None] + np.arange(found.length)
-    return (
-        np.zeros(len(rows), dtype=bool)
-        if experiment.late is None
-        else experiment.late[rows].any(axis=1)
-    )
 
 
 def _richer(
@@ -421,7 +354,7 @@ def _why(
             )
     else:
         cause = f"the data ask for {describe(asked.suspect.term, asked.suspect.size)}"
-    late = int(np.count_nonzero(_late(experiment, found)))
+    late = int(np.count_nonzero(late_windows(experiment, found)))
     if late:
         cause += (
             f"; in {late} of {len(found.starts)} windows answers came late, and only their mean is"

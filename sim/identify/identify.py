@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.arrays import Array
-from sim.identify.choose_model import Windows, choose
+from sim.identify.choose_model import choose
 from sim.identify.conclude import conclude, covariance_of, nothing
 from sim.identify.experiment import Experiment, encoder
 from sim.identify.identified import Identified
@@ -29,6 +29,7 @@ from sim.identify.identified_motion import (
     window,
 )
 from sim.identify.output_error import Fit, fit, windows
+from sim.identify.windows import Windows
 
 WINDOW = 100  # length of a window [ticks]
 
