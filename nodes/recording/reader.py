@@ -37,9 +37,8 @@ if TYPE_CHECKING:
 __all__ = ["EXTRACT", "RECOVERY", "WITHOUT", "Entry", "M", "Recording"]
 
 RECOVERY = "recovery"  # metadata record added by `nodes.recording.recover.recover`
-EXTRACT = (
-    "extract"  # metadata record of an extract: its source, times and omitted topics
-)
+# metadata record of an extract: its source, times and omitted topics
+EXTRACT = "extract"
 WITHOUT = "without"  # entry of EXTRACT: full names of the omitted topics
 _NANO = 1e9
 
