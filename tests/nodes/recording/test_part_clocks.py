@@ -41,6 +41,7 @@ def test_without_a_record_the_first_stamp_sets_the_clock_of_its_part() -> None:
     assert clocks.stamp_ns(0, message(12 * SECOND), is_ours=True) == 4 * SECOND
     # what is inside counts for messages of ours only, whatever they were published at
     late = message(12 * SECOND, stamped(6, 2.5))
+    assert clocks.count(0, late) == (6, 2.5)
     assert clocks.stamp_ns(0, late, is_ours=True) == 2.5 * SECOND
     assert clocks.stamp_ns(0, late, is_ours=False) == 4 * SECOND
 
