@@ -76,9 +76,8 @@ class Events:
         # nodes are created on the thread that runs their loop
         self.loop_thread = threading.get_ident()  # identifier of the loop's thread
         self.refused = self.denied = 0  # messages refused; connections refused
-        self.quiet = (
-            False  # publish events without logging them: a node without a process
-        )
+        # publish events without logging them: a node without a process
+        self.quiet = False
         self._counts: dict[str, int] = {}
 
     def log(self, text: str) -> None:

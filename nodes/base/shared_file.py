@@ -10,9 +10,8 @@ from pathlib import Path
 
 from nodes.base.setup import Setup
 
-FILE_TIMEOUT = (
-    10.0  # longest wait for a file that another node creates when it starts [s]
-)
+# longest wait for a file that another node creates when it starts [s]
+FILE_TIMEOUT = 10.0
 
 
 def mapped(path: Path, size: int, make: bool) -> mmap.mmap:

@@ -40,9 +40,8 @@ class StderrQueue(io.TextIOBase):
         self._queue: SimpleQueue[str] = SimpleQueue()
         self._taken = self._put = 0
         self._gone = False
-        self.dropped = (
-            0  # pieces of text dropped, because the queue was full or nobody reads
-        )
+        # pieces of text dropped, because the queue was full or nobody reads
+        self.dropped = 0
         self._thread = threading.Thread(target=self._run, name="words", daemon=True)
         self._thread.start()
 

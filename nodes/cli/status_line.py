@@ -20,9 +20,8 @@ from nodes.launcher.launch_spec import Launch
 from nodes.launcher.supervisor import Supervisor
 from nodes.parameters.store import ParameterError
 
-ANSWER_TIMEOUT = (
-    0.2  # time a node may take to answer; otherwise its parts are omitted [s]
-)
+# time a node may take to answer; otherwise its parts are omitted [s]
+ANSWER_TIMEOUT = 0.2
 # Law and surface are asked for in every SLOW-th update: each request costs a loop microseconds.
 SLOW = 3
 

@@ -261,9 +261,8 @@ class _Measure:
     """Measurement of ``hz``, and base of ``bw`` and ``delay``."""
 
     def __init__(self) -> None:
-        self.count = self.refused = self._gaps = (
-            0  # messages, malformed ones, missing seq
-        )
+        # messages, malformed ones, missing seq
+        self.count = self.refused = self._gaps = 0
         self._first = self._last = 0.0
         self._seq: int | None = None
         self._spread = Spread()

@@ -28,9 +28,8 @@ from nodes.compiled.message_fields import NotCompilableError
 from nodes.compiled.source_files import sources_of
 
 TIMEOUT: Final = 300.0  # longest time to compile one kernel [s]
-USUAL: Final = (
-    10.0  # assumed processor time of a kernel that was never compiled here [s]
-)
+# assumed processor time of a kernel that was never compiled here [s]
+USUAL: Final = 10.0
 _FAILED: Final = "Failed in nopython mode pipeline"
 
 

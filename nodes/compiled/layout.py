@@ -21,9 +21,8 @@ from typing import (
 )
 
 NEVER: Final = 2**62  # a tick that does not come
-LONGEST_OUT: Final = (
-    1024  # buffer for one message sent [bytes]; the longest is below 600
-)
+# buffer for one message sent [bytes]; the longest is below 600
+LONGEST_OUT: Final = 1024
 # buffer for one received message [bytes]; a longer one is refused
 LONGEST_IN: Final = 65536 + 64
 # buffer for a first frame [bytes]; only the beginning of a longer one is reported

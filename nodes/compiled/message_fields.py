@@ -14,9 +14,8 @@ from messages.errors import HapticError
 from messages.types import Message
 
 REAL, VECTOR, WHOLE, FLAG, TEXT = range(5)
-LONGEST_NAME: Final = (
-    15  # longest name of a field [bytes]: with its header one copy of 16 bytes
-)
+# longest name of a field [bytes]: with its header one copy of 16 bytes
+LONGEST_NAME: Final = 15
 
 
 class NotCompilableError(HapticError):

@@ -24,9 +24,8 @@ class Published(NamedTuple):
 
     message: type[Message]
     values: dict[str, str]  # Python expression by field, over a state `s` and a `text`
-    offsets: tuple[
-        int, ...
-    ]  # where each stands in the struct, in numbers of 8 bytes; −1: the text
+    # where each stands in the struct, in numbers of 8 bytes; −1: the text
+    offsets: tuple[int, ...]
 
 
 def published(

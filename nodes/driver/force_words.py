@@ -16,9 +16,8 @@ from messages.types import DeviceState, Event, Force, Proxy, Vector
 from nodes.driver import notes
 from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
 
-SILENT_AFTER: Final = (
-    0.5  # time without a state after which a driver counts as silent [s]
-)
+# time without a state after which a driver counts as silent [s]
+SILENT_AFTER: Final = 0.5
 NO_FORCE: Final = 1e-9  # a force below this counts as zero [N]
 LEAST_SHOWN: Final = 0.005  # a force below this would be told as 0.00 N [N]
 
@@ -59,9 +58,8 @@ class Note(NamedTuple):
     """Meaning of one code of the rules."""
 
     kind: EventKind
-    fields: tuple[
-        str, ...
-    ]  # names of its numbers, in the order in which the rules note them
+    # names of its numbers, in the order in which the rules note them
+    fields: tuple[str, ...]
     text: str  # sentence, filled by name
     short: str = ""  # short form for the page, if different
     remedy: str = ""  # what to do about it on the command line; empty if nothing

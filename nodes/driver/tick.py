@@ -84,9 +84,8 @@ TickFunction: TypeAlias = Callable[[Any], int]
 class TickCalls(NamedTuple):
     """What both ticks do with a port."""
 
-    begin: Callable[
-        [Any, int, float], bool
-    ]  # reads and publishes a sample; False if it failed
+    # reads and publishes a sample; False if it failed
+    begin: Callable[[Any, int, float], bool]
     hand_over: Callable[[Any, Any, int, float], None]  # gives a force to the device
     # the same, where the driver was not held up meanwhile; whether it did
     hand_over_in_time: Callable[[Any, Any, int, float, int], bool]

@@ -29,12 +29,10 @@ LISTENERS: Final = 0.25
 LATE: Final = 0.05
 # Share of its time above which a processor counts as busy; FIFO tasks get at most 0.95.
 BUSY: Final = 0.85
-OVERLOADED: Final = (
-    4  # exit code of a launch with more chains than its processors carry
-)
-_SHORTEST: Final = (
-    0.5  # duration below which a run does not show the cost of a tick [s]
-)
+# exit code of a launch with more chains than its processors carry
+OVERLOADED: Final = 4
+# duration below which a run does not show the cost of a tick [s]
+_SHORTEST: Final = 0.5
 _KINDS_KEPT: Final = 256
 
 

@@ -62,9 +62,8 @@ class Child:
         self.to_start = False
         self.ready = False
         self.over = False
-        self.unreported = (
-            False  # whether it exited with 0 without reporting that it finished
-        )
+        # whether it exited with 0 without reporting that it finished
+        self.unreported = False
 
     @property
     def running(self) -> bool:

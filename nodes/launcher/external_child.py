@@ -30,9 +30,8 @@ from nodes.parameters.store import convert
 # The time limits below are extended by `ByHand.distance`.
 ARRIVAL_TIMEOUT = 120.0  # time that the launcher waits for a manual start [s]
 LOST = 5.0  # time without an answer after which a node counts as lost [s]
-UNREPORTED = (
-    2.0  # time after which a finished node counts as gone, with or without report [s]
-)
+# time after which a finished node counts as gone, with or without report [s]
+UNREPORTED = 2.0
 LEASE = 6.0  # time without a request after which such a node stops [s]
 
 ROUND_TRIPS = 12

@@ -41,9 +41,8 @@ AWAKE_RATE = 1000.0
 class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of the loop: rate, pace, duration, axes, scheduling."""
 
-    rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = (
-        500.0  # sampling rate [Hz]
-    )
+    # sampling rate [Hz]
+    rate: Annotated[float, msgspec.Meta(ge=1.0, le=100_000.0)] = 500.0
     pace: Pace = "realtime"  # pace and apply: see nodes/base/setup.py
     apply: Apply = "on_arrival"
     # Duration [s]; 0 runs until stopped.
@@ -63,9 +62,8 @@ class RunSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     awake: bool | Literal["auto"] = "auto"
     # Address of this machine for other machines; needed if nodes run elsewhere.
     host: str = ""
-    port: Annotated[int, msgspec.Meta(ge=1, le=65000)] = (
-        5600  # first tcp port of the run
-    )
+    # first tcp port of the run
+    port: Annotated[int, msgspec.Meta(ge=1, le=65000)] = 5600
 
     @property
     def period(self) -> float:
@@ -94,12 +92,10 @@ class NodeSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     parameters: dict[str, Any] = {}
     required: bool = True  # whether the launch ends when the node does
     respawn: bool = False  # whether it is restarted when it dies
-    respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = (
-        0.5  # delay before a restart [s]
-    )
-    respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = (
-        5  # limit of restarts; -1 for none
-    )
+    # delay before a restart [s]
+    respawn_delay: Annotated[float, msgspec.Meta(ge=0.0)] = 0.5
+    # limit of restarts; -1 for none
+    respawn_max: Annotated[int, msgspec.Meta(ge=-1)] = 5
     # Topic name inside the node's chain to the full name of the topic it receives instead.
     remap: dict[str, str] = {}
     # YAML file of parameters: read at the start, and again whenever it is saved. Empty for none.
@@ -166,9 +162,8 @@ class Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             "k_max",
         ]
     )
-    leaves_out: list[
-        ModelTerm
-    ] = []  # terms of a real device that the scene omits on purpose
+    # terms of a real device that the scene omits on purpose
+    leaves_out: list[ModelTerm] = []
     # Terms present to be identified, whether or not they affect the motion.
     sought: list[ModelTerm] = []
     # Relative change of a figure that does not matter.
@@ -181,9 +176,8 @@ class Include(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     launch: str  # scenario or path of a file
     namespace: str = ""  # prefix of its nodes and topics; empty for none
     arguments: dict[str, Any] = {}  # its arguments that differ from their defaults
-    parameters: dict[
-        str, dict[str, Any]
-    ] = {}  # node to parameters that override its own
+    # node to parameters that override its own
+    parameters: dict[str, dict[str, Any]] = {}
     without: list[str] = []  # nodes to omit
 
 
@@ -229,9 +223,8 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     arguments: dict[str, Any]  # values of all arguments
     run: RunSpec  # settings of the loop
     nodes: dict[str, NodeSpec]  # nodes by name
-    axes: dict[
-        str, list[Axis]
-    ] = {}  # axes by namespace, if they differ from those of ``run``
+    # axes by namespace, if they differ from those of ``run``
+    axes: dict[str, list[Axis]] = {}
     model: Model = Model()  # purpose of the scene
     models: dict[str, Model] = {}  # purpose of each included chain, by namespace
     origins: Any = None  # file and line of each value; see nodes/launcher/origins.py

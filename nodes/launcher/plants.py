@@ -35,9 +35,8 @@ _USUAL = {
     "scale": 1.0,
     **dict.fromkeys(_OF_PARTNERS, 0.0),
 }
-_DIGITS = (
-    12  # significant digits, so that 0.1 kg plus a hand of 0.05 kg is exactly 0.15 kg
-)
+# significant digits, so that 0.1 kg plus a hand of 0.05 kg is exactly 0.15 kg
+_DIGITS = 12
 
 
 def has_plant(kind: type[Node]) -> bool:

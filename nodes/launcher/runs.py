@@ -48,9 +48,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
     manifest: dict[str, str] = {}  # manifest of every recording
     # Namespace of the selected chain (`within`); empty for the whole run.
     namespace: str = ""
-    manifests: dict[
-        str, dict[str, str]
-    ] = {}  # manifest of a single chain, by namespace
+    # manifest of a single chain, by namespace
+    manifests: dict[str, dict[str, str]] = {}
 
     @property
     def lives(self) -> bool:

@@ -56,9 +56,8 @@ class Supervisor:
         files: Mapping[str, bytes] = MappingProxyType({}),
     ) -> None:
         self._launch = launch
-        self._files = (
-            files  # what the run's directory contains from the beginning, by name
-        )
+        # what the run's directory contains from the beginning, by name
+        self._files = files
         self._say, self._warn = say, warn
         self.run = runs.name_of(launch.scenario)
         self.reports: dict[str, dict[str, Any]] = {}

@@ -241,9 +241,8 @@ class WatchedFile:
     def __init__(self, path: str, applied: tuple[int, int, int] | None = None) -> None:
         self.path = path
         self._seen: tuple[int, int, int] | None = None
-        self.applied = (
-            applied  # last save that was returned: time, size and inode number
-        )
+        # last save that was returned: time, size and inode number
+        self.applied = applied
 
     def _signature(self) -> tuple[int, int, int] | None:
         try:

@@ -40,9 +40,8 @@ LINES: tuple[Any, ...] = (
 """Line styles in the same order."""
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # markers in the same order
-PAGE_WIDTH = (
-    7.2  # text width of a paper [inch]: letters are as large in print as they are here
-)
+# text width of a paper [inch]: letters are as large in print as they are here
+PAGE_WIDTH = 7.2
 BAD, GREY, INK = "#B22222", "#8A8F98", "#1D252C"
 
 # label of an axis of frequency in units of the Nyquist frequency

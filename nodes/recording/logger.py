@@ -32,12 +32,10 @@ from nodes.recording.writer import CHOSEN, RecordError, RecordWriter
 
 FLUSH_PERIOD = 0.5  # time between flushes: most that a killed logger loses [s]
 QUEUE = 200_000  # messages queued in the logger's process while its disk is busy
-CONNECTING = (
-    5.0  # time after which `record` starts its duration even without a message [s]
-)
-QUIET_MS = (
-    200  # silence after which a stopping logger assumes that all messages came [ms]
-)
+# time after which `record` starts its duration even without a message [s]
+CONNECTING = 5.0
+# silence after which a stopping logger assumes that all messages came [ms]
+QUIET_MS = 200
 
 
 class LoggerParameters(

@@ -18,17 +18,12 @@ import msgspec
 from messages.topics import DEVICE_STATE, LOOP, split
 from messages.types import Message
 from nodes.recording import mcap_walk
-from nodes.recording.foreign_channels import (
-    ForeignTopic,
-    Stamped,
-    described,
-    file_of,
-    type_of,
-)
+from nodes.recording.foreign_channels import ForeignTopic, described, file_of, type_of
 from nodes.recording.mcap_walk import Channel, CutError, RawMessage, Record, Schema
+from nodes.recording.part_clocks import PartClocks
 from nodes.recording.parts import parts_of
 from nodes.recording.topic_figures import TopicFigures
-from nodes.recording.wall_clock import CLOCK, read_offsets
+from nodes.recording.wall_clock import CLOCK
 from nodes.recording.writer import MANIFEST, RecordError
 
 if TYPE_CHECKING:
@@ -37,9 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["EXTRACT", "RECOVERY", "WITHOUT", "Entry", "M", "Recording"]
 
 RECOVERY = "recovery"  # metadata record added by `nodes.recording.recover.recover`
-EXTRACT = (
-    "extract"  # metadata record of an extract: its source, times and omitted topics
-)
+# metadata record of an extract: its source, times and omitted topics
+EXTRACT = "extract"
 WITHOUT = "without"  # entry of EXTRACT: full names of the omitted topics
 _NANO = 1e9
 
@@ -138,10 +132,7 @@ class Recording:
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self._types: dict[int, type[Message] | None] = {}
-        self._header = msgspec.json.Decoder(Stamped)
-        # Offsets of log and publish times to the time of the run [ns], and whether the publish
-        # times tell the stamps, by part.
-        self._clocks: dict[int, tuple[int, int, bool]] = {}
+        self._clocks = PartClocks()
         self._scan()
 
     @property
@@ -230,7 +221,7 @@ class Recording:
         self.complete = finished == len(self.parts)
         self._enter_chain()
         if self.topics:
-            self.first_log = (first_log - next(iter(self._clocks.values()))[0]) / _NANO
+            self.first_log = (first_log - self._clocks.first.log) / _NANO
             self.wall_duration = (last_log - first_log) / _NANO
 
     def _enter_chain(self) -> None:
@@ -302,12 +293,11 @@ class Recording:
 
     def _set_clock(self, part: int, values: dict[str, str], offset: int) -> None:
         try:
-            log, publish = read_offsets(values)
+            self._clocks.set(part, values)
         except ValueError as error:
             raise RecordError(
                 f"{self.path}: damaged at byte {offset}: {error}"
             ) from error
-        self._clocks[part] = log, publish, True
 
     def _type(self, number: int) -> type[Message] | None:
         """Return the message type of a channel by its number; None if it is not read here."""
@@ -315,13 +305,6 @@ class Recording:
             channel = self.channels[number]
             self._types[number] = type_of(channel, self.schemas.get(channel.schema))
         return self._types[number]
-
-    def _stamped(self, raw: RawMessage) -> Stamped | None:
-        """Return tick and stamp inside a message; None if it has none."""
-        try:
-            return self._header.decode(raw.data)
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return None
 
     def _count(self, raw: RawMessage, offset: int) -> bool:
         """Count a message; return whether it is read here."""
@@ -338,24 +321,7 @@ class Recording:
                 ForeignTopic(channel.encoding, schema.name if schema else ""),
             ).add(raw.publish_time)
             return False
-        part = raw.channel // _OWN_NUMBERS
-        sequence = raw.sequence
-        stamp = 0.0
-        if not self._clocks.get(part, (0, 0, False))[2]:
-            # A tool dropped the record or moved it to the end, or the file is another program's.
-            inside = self._stamped(raw)
-            if inside is not None:
-                sequence = inside.seq & 0xFFFFFFFF
-                stamp = inside.stamp
-            if part not in self._clocks:
-                begin = (
-                    raw.publish_time - round(stamp * _NANO) if inside is not None else 0
-                )
-                self._clocks[part] = begin, begin, False
-            if inside is None:
-                stamp = (raw.publish_time - self._clocks[part][1]) / _NANO
-        else:
-            stamp = (raw.publish_time - self._clocks[part][1]) / _NANO
+        sequence, stamp = self._clocks.count(raw.channel // _OWN_NUMBERS, raw)
         figures = self.topics.setdefault(channel.topic, TopicFigures())
         figures.add(sequence, stamp, split(channel.topic)[1] in LOOP)
         return True
@@ -373,19 +339,13 @@ class Recording:
         int
             Time of the run [ns].
         """
-        _, publish, trusted = self._clocks.get(
-            raw.channel // _OWN_NUMBERS, (0, self.publish_offset, True)
-        )
-        if not trusted and self._type(raw.channel) is not None:
-            inside = self._stamped(raw)
-            if inside is not None:
-                return round(inside.stamp * _NANO)
-        return raw.publish_time - publish
+        part = raw.channel // _OWN_NUMBERS
+        return self._clocks.stamp_ns(part, raw, self._type(raw.channel) is not None)
 
     @property
     def publish_offset(self) -> int:
         """Return what the first part's publish times exceed its stamps by [ns]."""
-        return next(iter(self._clocks.values()))[1] if self._clocks else 0
+        return self._clocks.first.publish
 
     def _refuse_mixed(self) -> None:
         """Raise RecordError for a topic with messages of two types."""
@@ -490,9 +450,7 @@ class Recording:
                 decoders[number] = msgspec.json.Decoder(kind)
         for topic, raw, offset in self.raw():
             if raw.channel in decoders:
-                log_time = (
-                    raw.log_time - self._clocks[raw.channel // _OWN_NUMBERS][0]
-                ) / _NANO
+                log_time = self._clocks.log_time(raw.channel // _OWN_NUMBERS, raw)
                 yield Entry(
                     topic, log_time, self.decode(decoders[raw.channel], raw, offset)
                 )

@@ -53,9 +53,8 @@ class ChainControl:
     ) -> None:
         self._graph, self._run, self._roles = graph, run, roles
         self._dump, self._refusal = dump, refusal
-        self.trees: dict[
-            str, Any
-        ] = {}  # parameters of each node, as far as it answered
+        # parameters of each node, as far as it answered
+        self.trees: dict[str, Any] = {}
         self._serves = graph.serve(self.change)
 
     def refresh(self) -> bool:

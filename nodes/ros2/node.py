@@ -116,9 +116,8 @@ class Ros2(Node):
         self._hand: PointerWriter | None = None
         # kinds and frames of messages that were refused and reported
         self._foreign: set[tuple[str, str]] = set()
-        self._wrench: Any = (
-            None  # newest force from the graph that is not yet sent to the driver
-        )
+        # newest force from the graph that is not yet sent to the driver
+        self._wrench: Any = None
 
     def configure(self) -> None:
         """Join the graph, which may take seconds, before the loop starts."""

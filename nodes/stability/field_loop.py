@@ -22,9 +22,8 @@ from nodes.laws import CompiledLaw
 from nodes.stability.judge import MARGINAL, Verdict
 from nodes.stability.plant import Plant, held_step
 
-LONGEST = (
-    400  # taps above which a law is not judged in a field: its matrix takes seconds
-)
+# taps above which a law is not judged in a field: its matrix takes seconds
+LONGEST = 400
 _ANGLES = 12  # normals in a plane
 _ROUNDING = 1e-12  # part of a field that rounding makes
 

@@ -27,9 +27,8 @@ class FlexiblePlant:
 
     mass: float  # moving mass on both sides of the joint [kg]
     damping: float  # viscous damping to ground on the motor's side [N s/m]
-    delay: float = (
-        0.0  # from the sample to the force that answers it, without the lag [ticks]
-    )
+    # from the sample to the force that answers it, without the lag [ticks]
+    delay: float = 0.0
     # stiffness of a hand or of the device's own spring on the motor's side; below 0 for one that
     # pushes away, as a motor's poles do between two rests [N/m]
     stiffness: float = 0.0

@@ -20,9 +20,8 @@ from nodes.stability.loop_region import Region
 
 _EXCHANGES = 60
 _HALVINGS = 40
-_ROUNDING = (
-    1e-12  # largest violation due to rounding, relative to the terms of the inequality
-)
+# largest violation due to rounding, relative to the terms of the inequality
+_ROUNDING = 1e-12
 _NEAR = np.geomspace(1e-9, 1e-2, 22)  # relative distances from an oscillation frequency
 _EMPTY = 1e-9  # narrowest window, relative to the sum of the taps
 

@@ -83,9 +83,8 @@ class Region:
     period: float  # sampling period [s]
     known: Plant | None  # device of known mass, damping and hand
     discs: tuple[Disc, ...] = ()
-    any_world: bool = (
-        False  # whether every passive world that answers in the same tick is included
-    )
+    # whether every passive world that answers in the same tick is included
+    any_world: bool = False
 
     def quadratic(
         self, derivative: CompiledLaw, theta: Reals

@@ -47,9 +47,8 @@ class LawTable(Result):
         Array  # largest |H| up to half the rate: force per error of the encoder
     )
     pole_radius: Array  # of the loop as given; stable below 1
-    lands: NDArray[
-        np.bool_
-    ]  # whether a mass dropped from 10 mm comes to rest, with the clamp
+    # whether a mass dropped from 10 mm comes to rest, with the clamp
+    lands: NDArray[np.bool_]
     peak_force_n: Array  # largest force of that drop
     rest_friction_n: Array  # friction with which no limit cycle persists: (Δ/2) Σ|h_m|
     plant: Plant

@@ -34,9 +34,8 @@ class KMaxResult(Result):
     )  # largest stable nominal stiffness [N/m]; None: none is stable
     h1_max_n_per_m: float | None  # DC stiffness there, H(1) [N/m]
     method: str  # ``closed_form``, ``pole_radius``, or ``certificate`` for worlds other than a wall
-    stable: tuple[
-        tuple[float, float], ...
-    ]  # stable intervals of the nominal stiffness [N/m]
+    # stable intervals of the nominal stiffness [N/m]
+    stable: tuple[tuple[float, float], ...]
     plant: Plant  # the device and the loop's period
     about: str  # the worlds and hands for which it holds
     _derivative: Any

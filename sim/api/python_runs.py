@@ -30,9 +30,8 @@ from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
 
 STARTS_WITHIN = 60.0  # time to the first tick before a launch is given up [s]
-COMPILES_WITHIN = (
-    900.0  # the same where the tick is compiled first: once for each version [s]
-)
+# the same where the tick is compiled first: once for each version [s]
+COMPILES_WITHIN = 900.0
 
 
 class LaunchError(HapticError):

@@ -34,9 +34,8 @@ class PlannedTrial:
     number: int  # from 1
     block: int  # from 1
     condition: str  # name of the condition
-    arguments: Mapping[
-        str, Any
-    ]  # what differs in this condition, e.g. arguments of a launch
+    # what differs in this condition, e.g. arguments of a launch
+    arguments: Mapping[str, Any]
 
     def row(self) -> dict[str, Any]:
         """Return the columns that the plan decides, and the scalars of the condition.

@@ -22,9 +22,8 @@ MOST_POLE = 0.995  # largest radius of a pole
 POLES = (-0.95, -0.9, -0.8, -0.6, -0.3, 0.3, 0.6)
 # with a known device a slow pole adds static stiffness (THEORY.md §20)
 SLOW_POLES = (0.9, 0.97)
-FELT_AT = (
-    10.0  # frequency at which a hand moves; there the stiffness is given as well [Hz]
-)
+# frequency at which a hand moves; there the stiffness is given as well [Hz]
+FELT_AT = 10.0
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,8 @@ class Demand:
         0.0,
         0.0,
     )  # softest and stiffest hand [N/m], shape (2,)
-    damping_max: float | None = (
-        None  # maximum damping of the device; None if it is known [N s/m]
-    )
+    # maximum damping of the device; None if it is known [N s/m]
+    damping_max: float | None = None
     # Contact conventions (raw history, clamped force) under which every drop must also settle, with
     # a margin (`sim.design.landing`); empty if impact stability is not required.
     lands: tuple[tuple[bool, bool], ...] = ()
@@ -79,9 +78,8 @@ class Robust:
     # the case with that radius: mass [kg], delay [ticks], hand stiffness [N/m], device damping [N
     # s/m], shape (4,)
     worst: tuple[float, ...]
-    pole: float = (
-        0.0  # pole of the filter behind two taps (`pd_filtered`); 0: no filter
-    )
+    # pole of the filter behind two taps (`pd_filtered`); 0: no filter
+    pole: float = 0.0
 
     @property
     def law(self) -> CompiledLaw:

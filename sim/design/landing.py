@@ -29,9 +29,8 @@ from sim.experiments.drop import drop_scene
 from sim.experiments.settling import Criterion, settles
 from sim.play.one_axis_inputs import Scene
 
-MARGIN = (
-    0.03  # how far the masses of the drops lie outside the demanded range, relative
-)
+# how far the masses of the drops lie outside the demanded range, relative
+MARGIN = 0.03
 # heights from which laws must settle [m]; the first is that of `sim.experiments.drop`
 HEIGHTS = (0.01, 0.005, 0.02)
 # half-widths of the boxes, in forces that move the lightest device by the deflection within one

@@ -68,17 +68,15 @@ class Fault:
     what: str
     # Injects the fault into a running rig, and reverts it if that is part of it.
     strike: Callable[[Rig], None]
-    change: Callable[[dict[str, Any]], object] = (
-        dict  # changes the launch file beforehand
-    )
+    # changes the launch file beforehand
+    change: Callable[[dict[str, Any]], object] = dict
     # Prepares what it needs before the launch and returns environment variables; raises
     # FaultSkippedError if that is not possible here.
     prepare: Callable[[], Mapping[str, str]] = dict
     tidy: Callable[[], None] = lambda: None  # removes what `prepare` made
     unread: bool = False  # whether nobody reads what the launch prints
-    exit_code: int = (
-        0  # expected exit code of the launch; not 0 if a node does not return
-    )
+    # expected exit code of the launch; not 0 if a node does not return
+    exit_code: int = 0
     # Returns further violations in the driver's states since the strike.
     judge: Callable[[Sequence[DeviceState]], list[str]] = lambda _: []
 

@@ -36,12 +36,10 @@ class RestFound:
 
     rest: Rest
     map: RestMap
-    limit_cycle_free: ComesToRest | None = (
-        None  # with the given friction; None: none was given
-    )
-    k_rest_n_per_m: float | None = (
-        None  # stiffest at rest with it; None: none, or none given
-    )
+    # with the given friction; None: none was given
+    limit_cycle_free: ComesToRest | None = None
+    # stiffest at rest with it; None: none, or none given
+    k_rest_n_per_m: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures, the frictions at the top level, with the text."""

@@ -20,9 +20,8 @@ DRAWS = 40  # simulated residuals of a valid model
 # error [m]
 FINEST = 1e-9
 LAGS = 20  # lags of the autocorrelation [ticks]
-SURE = (
-    5.0  # significance threshold among about a hundred suspects [standard deviations]
-)
+# significance threshold among about a hundred suspects [standard deviations]
+SURE = 5.0
 QUANTILE = 1.96  # half-width of a 95 % interval [standard deviations]
 IMPROBABLE = 1e-4  # whiteness below which a model is refuted
 

@@ -37,13 +37,11 @@ REFUSED = 0.05  # relative change of K_max above which a remainder refutes the m
 DAMPER = 0.3
 # terms that explain this share of what the best one explains are possible causes too
 ALTERNATIVE = 0.3
-CLEAR = (
-    0.5  # if the best term explains less, every significant term is a possible cause
-)
+# if the best term explains less, every significant term is a possible cause
+CLEAR = 0.5
 NAMED = 0.27  # a term must explain at least this share to be named as the cause
-FLEXIBLE = (
-    0.6  # factor on the share of a term with several shapes when a cause is named
-)
+# factor on the share of a term with several shapes when a cause is named
+FLEXIBLE = 0.6
 PARTS = 4  # parts of the run, and of the range of the motion
 # Terms whose factor is positive in every device; with a negative factor a term only resembles the
 # residual.
@@ -57,9 +55,8 @@ POSITIVE = {
     "quadratic damping",
     "force steps",
 }
-WHOLE = (
-    2.0  # largest factor of a term that is complete at 1, with a margin for its grid
-)
+# largest factor of a term that is complete at 1, with a margin for its grid
+WHOLE = 2.0
 # number of terms tried, best first; of each further kind only its best size
 SHOWN = 8
 
@@ -70,9 +67,8 @@ class Remainder:
 
     # the term that explains most, in words; empty if the residual is noise
     cause: str = ""
-    explained: float = (
-        0.0  # share of the residual, beyond rounding, that the term explains
-    )
+    # share of the residual, beyond rounding, that the term explains
+    explained: float = 0.0
     # largest relative change of K_max by any possible cause
     k_max_change: float = 0.0
     # largest change of each unknown of the fit, in the order of `Fit.free`

@@ -85,9 +85,8 @@ class Expressions:
     module = ""  # module of the function being emitted
 
     def __init__(self) -> None:
-        self.inexact: dict[
-            str, str
-        ] = {}  # places that call what engines round differently
+        # places that call what engines round differently
+        self.inexact: dict[str, str] = {}
 
     def function(self, function: Callable[..., Any]) -> str:
         """Return the name of a function in the emitted code."""

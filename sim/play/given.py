@@ -16,9 +16,8 @@ class Given:
     Arrays have shape (ticks,) or (ticks, 3) for one axis, (ticks, 3) for several.
     """
 
-    force: Array | None = (
-        None  # force on the device in addition to the law's, per tick [N]
-    )
+    # force on the device in addition to the law's, per tick [N]
+    force: Array | None = None
     # Target of the device's hand during each tick, in place of its path [m].
     target: Array | None = None
     # Arrivals in real time, shape (n,): time, rising [ticks]; the tick answered, −1 for the

@@ -27,9 +27,8 @@ class NonidealDevice:
 
     rigid: DeviceModel  # mass of both sides of the joint, damping, Coulomb friction, delay, encoder
     kind: str = "rigid"  # name of the kind of device
-    quadratic: float = (
-        0.0  # damping that grows with speed: force per speed squared [N s²/m²]
-    )
+    # damping that grows with speed: force per speed squared [N s²/m²]
+    quadratic: float = 0.0
     lag: float = 0.0  # time constant of the actuator [s]
     # Share of the mass beyond a joint, frequency [Hz] and damping ratio of the two masses against
     # each other.
@@ -39,9 +38,8 @@ class NonidealDevice:
     gap: float = 0.0  # backlash of the joint [m]
     hardening: float = 0.0  # cubic centring spring [N/m³]
     presliding: float = 0.0  # deflection over which friction builds up (LuGre) [m]
-    stribeck: float = (
-        0.0  # relative increase of friction at rest; it vanishes over 0.02 m/s
-    )
+    # relative increase of friction at rest; it vanishes over 0.02 m/s
+    stribeck: float = 0.0
     # relative difference of friction between the two directions
     uneven: float = 0.0
     cogging: float = 0.0  # force of the motor's poles, 8 mm apart [N]
@@ -50,15 +48,13 @@ class NonidealDevice:
     jitter: float = 0.0  # largest delay of a sample [ticks]
     late: float = 0.0  # largest additional delay of a force [ticks]
     warming: float = 0.0  # relative decrease of damping during the run
-    deadband: float = (
-        0.0  # forces below it have no effect, larger ones are reduced by it [N]
-    )
+    # forces below it have no effect, larger ones are reduced by it [N]
+    deadband: float = 0.0
     # weight of the previous sample in each reading: 0.5 for a sensor that averages two samples
     average: float = 0.0
     sensor_lag: float = 0.0  # time constant of a filter at the sensor [s]
-    gain_by_sign: float = (
-        0.0  # relative increase of positive forces and decrease of negative ones
-    )
+    # relative increase of positive forces and decrease of negative ones
+    gain_by_sign: float = 0.0
     force_step: float = 0.0  # resolution of the motor's force [N]
     pitch: float = 0.0013  # period of the encoder's error [m]
 

@@ -20,9 +20,8 @@ from sim.play.one_axis_inputs import Scene, contact_of, guard_of, in_numbers, mo
 from sim.play.one_axis_loop import play, play_compiled
 from sim.play.one_axis_tables import Arrivals, LawTables, Records
 
-MAX_TICKS: Final = (
-    10_000_000  # longest run of one process, which stores some 100 bytes per tick
-)
+# longest run of one process, which stores some 100 bytes per tick
+MAX_TICKS: Final = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -48,9 +47,8 @@ class Trace:
     # Force passed to the device, after the driver's limits [N], shape (ticks,). Delay and
     # saturation of the device come after it.
     force: Array
-    final: tuple[
-        float, float
-    ]  # position [m] and velocity [m/s] after the last tick, shape (2,)
+    # position [m] and velocity [m/s] after the last tick, shape (2,)
+    final: tuple[float, float]
 
     @property
     def time(self) -> Array:

@@ -54,12 +54,10 @@ class Scene:
     slew: float | None = None  # driver's limit of the change of force per tick [N]
     # Smallest and largest position, the end stops of the device [m], shape (2,), or None.
     workspace: tuple[float, float] | None = None
-    next_tick: bool = (
-        False  # whether forces take effect one tick later (``apply: next_tick``)
-    )
-    passivity: PassivityParameters | None = (
-        None  # the driver's passivity guard; None for none
-    )
+    # whether forces take effect one tick later (``apply: next_tick``)
+    next_tick: bool = False
+    # the driver's passivity guard; None for none
+    passivity: PassivityParameters | None = None
     # Ticks over which the force of a scene that begins in contact rises (the coupling's `ease`); 0:
     # at once.
     ease: int = 0

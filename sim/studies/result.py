@@ -22,9 +22,8 @@ _TABLES = ("rows", "points", "drops", "edges", "curves", "cases", "terms", "para
 class StudyResult(Result):
     """Base of the results of studies; ``result["name"]`` reads a figure of the answer."""
 
-    interrupted: int = (
-        0  # signal that ended the study early, leaving a partial result; 0: none
-    )
+    # signal that ended the study early, leaving a partial result; 0: none
+    interrupted: int = 0
 
     if TYPE_CHECKING:  # each result defines a field or a property
 

@@ -29,9 +29,8 @@ class IdentifiedStep:
     recording: str
     stopped: str  # why the push ended
     found: Identified
-    poses_kg: tuple[float, float] | None = (
-        None  # lighter and heavier in other poses; None: unknown
-    )
+    # lighter and heavier in other poses; None: unknown
+    poses_kg: tuple[float, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures, those of the device at the top level."""

@@ -65,9 +65,8 @@ ERRORS: Final = {
 }
 # force from which its effect is checked, and that other sessions may add [N]
 ASKED: Final = 0.1
-FORCELESS_AFTER: Final = (
-    0.3  # time without an effect after which forces count as refused [s]
-)
+# time without an effect after which forces count as refused [s]
+FORCELESS_AFTER: Final = 0.3
 SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
 """Surplus answers tolerated at once, and per second [1/s]; each was one round trip old."""
 

@@ -33,9 +33,8 @@ FAULT, STALLED, UNREAD = 1, 2, 3
 # time without a sample after which a device counts as lost [s]; until then there is no force
 LOST: Final = 0.8
 SAMPLE: Final = 12
-SILENCE: Final = (
-    0.1  # longest watchdog that a launch file may set for these devices [s]
-)
+# longest watchdog that a launch file may set for these devices [s]
+SILENCE: Final = 0.1
 
 # mailboxes of servo loops that may hang, which must not write into freed memory
 _kept: Final[list[Any]] = []

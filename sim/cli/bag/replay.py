@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from sim.identify.counterfactual import Felt
     from sim.identify.recorded_scene import RecordedScene
 
-EXPLAINED = (
-    1e-5  # a smaller residual counts as explained even if the encoder is finer [m]
-)
+# a smaller residual counts as explained even if the encoder is finer [m]
+EXPLAINED = 1e-5
 
 
 def add(parser: argparse.ArgumentParser) -> None:

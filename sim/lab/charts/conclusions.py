@@ -9,9 +9,8 @@ from sim.lab.charts.derivative_errors import lengths_taken
 from sim.lab.charts.derivatives import GAIN, PERIOD, STIFFNESS
 from sim.lab.charts.points import Group, Point
 
-FEWEST = (
-    8  # minimum number of laws for a rank correlation: with fewer, chance dominates
-)
+# minimum number of laws for a rank correlation: with fewer, chance dominates
+FEWEST = 8
 CHANCE = 0.05  # p above which a rank correlation is not significant
 
 

@@ -53,9 +53,8 @@ class Launched:
     """Rendered force of a launch."""
 
     figures: dict[str, Any]  # output of ``haptic launch --json``
-    onset: NDArray[
-        np.float64
-    ]  # when each force took effect, from tick 0 [s], shape (n,)
+    # when each force took effect, from tick 0 [s], shape (n,)
+    onset: NDArray[np.float64]
     force: NDArray[np.float64]  # the forces [N], shape (n,)
     height: NDArray[np.float64]  # measured height at the ticks [m], shape (n,)
     # Median delay from a sample to the effect of its force [ticks]; infinite if no force was

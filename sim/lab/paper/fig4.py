@@ -86,9 +86,8 @@ class Curve:
     law: str  # one of `LAWS`
     delay: float  # of the loop [ticks]
     touch: bool  # whether with resolution and friction of a Touch X
-    found: list[
-        SimulatedKMax
-    ]  # one per gain of the setting; fewer after an interruption
+    # one per gain of the setting; fewer after an interruption
+    found: list[SimulatedKMax]
     linear: list[float | None]  # K_max of the linear loop by pole radius [N/m]
     # contact convention, one of `sim.design.demand.CONVENTIONS`; the figure shows the first
     convention: int = 0

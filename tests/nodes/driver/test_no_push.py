@@ -203,9 +203,8 @@ def test_a_rearmed_driver_counts_swings_from_zero() -> None:
     swing(4)
     assert port.state == "stopped"
     assert rearm(port.s, tick)
-    port.s.safety = (
-        ACTIVE  # without its ramp, in which forces do not come to their limit
-    )
+    # without its ramp, in which forces do not come to their limit
+    port.s.safety = ACTIVE
     swing(3)
     assert port.state == "active", "swings of before the stop were counted again"
     swing(1)

@@ -106,9 +106,8 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
     # Both move by at most 2 mm a tick, 1 m/s: motion. A jump is of 1 m, far beyond `fastest`.
     theirs, mine, before = 0.0, 0.0, 0.0
     seq = tick = 0
-    last: tuple[int, float] | None = (
-        None  # what counted last: the partner's tick, and where it was
-    )
+    # what counted last: the partner's tick, and where it was
+    last: tuple[int, float] | None = None
     for what, a, b in steps:
         for _ in range(1 + (lost if what == "lose" else 0)):
             tick, seq = tick + 1, 0 if what == "restart" else seq + 1

@@ -35,9 +35,8 @@ class Mutation(NamedTuple):
     old: str  # stands there once, or `place` says where
     new: str
     tests: tuple[str, ...]
-    place: int | None = (
-        None  # index of `old` in the text; None where it stands there once
-    )
+    # index of `old` in the text; None where it stands there once
+    place: int | None = None
 
 
 def mutated(text: str, mutation: Mutation) -> str:
