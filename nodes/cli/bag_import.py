@@ -89,12 +89,18 @@ def units_of(text: str) -> dict[str, str]:
 
 def run_import(arguments: argparse.Namespace) -> int:
     """Write the recording and print what was read from which column."""
+    from nodes.recording.bag_table import bag_of
     from nodes.recording.import_table import import_table
 
     file: Path = arguments.file
     if not file.exists():
         raise UsageError(f"{file}: no such file")
-    out = arguments.out or file.with_suffix(".mcap")
+    # Beside a bag, not in it; a folder may be given as "." or "..".
+    named = bag_of(file) or file
+    named = named.resolve() if named.name in ("", "..") else named
+    if not (named.name or arguments.out):
+        raise UsageError(f"{file}: write the recording elsewhere with --out")
+    out = arguments.out or named.with_suffix(".mcap")
     if out.exists() and not arguments.force:
         raise UsageError(
             f"{out}: already exists; replace it with --force, or write elsewhere with --out"

@@ -49,6 +49,14 @@ def is_bag(path: Path) -> bool:
     )
 
 
+def bag_of(path: Path) -> Path | None:
+    """Return the bag that a path names: a bag, or the folder around a file of one."""
+    if is_bag(path):
+        return path
+    stored = path.suffix.lower() in (".db3", ".mcap") and path.is_file()
+    return path.parent if stored and is_bag(path.parent) else None
+
+
 def read_bag(
     path: Path, columns: Mapping[str, Sequence[str]]
 ) -> tuple[ForeignTable, Any]:
@@ -216,6 +224,8 @@ def _stamp(message: Any) -> int:
 
 def _numbers(message: Any, before: str) -> Iterator[tuple[str, float]]:
     """Yield the numbers of a message by path, but for its header."""
+    import numpy as np
+
     count = 0
     waiting = [(before, message)]
     while waiting and count < _MOST:
@@ -226,9 +236,28 @@ def _numbers(message: Any, before: str) -> Iterator[tuple[str, float]]:
                 for field in dataclasses.fields(value)
                 if field.name not in ("header", "__msgtype__")
             ]
-        elif isinstance(value, bool | int | float):
+        elif isinstance(value, bool | int | float | np.number | np.bool_):
             count += 1
             yield name, float(value)
+        elif _is_row(value):
+            waiting += [
+                (f"{name}.{part}", one)
+                for part, one in zip(_parts_of(message, value), value, strict=True)
+            ]
+
+
+def _is_row(value: Any) -> bool:
+    """Whether a value is a short row of numbers, such as the positions of joints."""
+    dtype = getattr(value, "dtype", None)
+    return dtype is not None and dtype.kind in "biuf" and 0 < len(value) <= _MOST
+
+
+def _parts_of(message: Any, row: Any) -> Sequence[str]:
+    """Return the names of a row's numbers: those of the joints if they have any, else places."""
+    names = getattr(message, "name", None)
+    if isinstance(names, list) and len(set(names)) == len(names) == len(row):
+        return [str(name) for name in names]
+    return [str(place) for place in range(len(row))]
 
 
 def _fields(

@@ -135,9 +135,11 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
     if is_export(path):
         path = path / f"{_TICKS}.csv"
     suffix = path.suffix.lower()
-    if suffix == ".mcap":
+    if suffix in (".mcap", ".db3"):
+        hint = f"open it with: haptic bag info {path}; " if suffix == ".mcap" else ""
         raise RecordError(
-            f"{path}: is an MCAP file already; open it with: haptic bag info {path}"
+            f"{path}: is no table; {hint}of a ROS bag import the folder, which has a"
+            " metadata.yaml (ros2 bag reindex FOLDER writes one)"
         )
     if suffix in TEXT_TABLES:
         reader: Callable[[Path], ForeignTable] = functools.partial(

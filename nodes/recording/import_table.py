@@ -16,10 +16,10 @@ from typing import Any
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
-from nodes.recording.bag_table import is_bag, read_bag
+from nodes.recording.bag_table import bag_of, read_bag
 from nodes.recording.foreign_table import ForeignTable, read_foreign
 from nodes.recording.imported_samples import ImportedSamples, is_own, samples_of
-from nodes.recording.writer import RecordWriter, discard
+from nodes.recording.writer import RecordError, RecordWriter, discard
 
 _NOW = ("lateness", "energy", "guard")  # numbers of a tick that its own state reports
 _LATER = ("changed_at", "response", "delay")  # numbers that the next state reports
@@ -102,8 +102,13 @@ def import_table(
         If the file is no such table or its values make no sense; the text names place and remedy.
     """
     out = Path(out)
-    if is_bag(Path(file)):
-        table, columns = read_bag(Path(file), columns or {})
+    bag = bag_of(Path(file))
+    source = bag or Path(file)
+    of_source = source.iterdir() if source.is_dir() else [source]
+    if out.exists() and any(out.samefile(one) for one in of_source if one.exists()):
+        raise RecordError(f"{out}: is what is imported; write elsewhere with --out")
+    if bag is not None:
+        table, columns = read_bag(bag, columns or {})
     else:
         table = read_foreign(Path(file), decimal_comma=decimal_comma)
     samples = samples_of(

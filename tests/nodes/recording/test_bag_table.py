@@ -10,6 +10,7 @@ import haptic
 import numpy as np
 import pytest
 
+from nodes.cli.main import main
 from nodes.recording.export_ros2 import export_ros2
 from nodes.recording.import_table import import_table
 from nodes.recording.reader import Recording
@@ -191,3 +192,63 @@ def test_a_folder_that_is_no_bag_and_a_broken_one_are_refused_in_one_line(
         RecordError, match=r"^[^\n]* cannot be read as a ROS bag: [^\n]*$"
     ):
         import_table(tmp_path, tmp_path / "out.mcap")
+
+
+def test_a_file_of_a_bag_is_its_bag_and_is_never_written(
+    bag: Bag, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = bag()
+    (stored,) = (one for one in folder.iterdir() if one.name != "metadata.yaml")
+    before = stored.read_bytes()
+    found = import_table(stored, tmp_path / "out.mcap")
+    np.testing.assert_array_equal(
+        found.samples.position,
+        import_table(folder, tmp_path / "whole.mcap").samples.position,
+    )
+    for source in (stored, folder):
+        with pytest.raises(RecordError, match=r"is what is imported; .*--out"):
+            import_table(source, stored, overwrite=True)
+    assert main(["bag", "import", str(stored)]) == 0
+    assert (tmp_path / "bag.mcap").exists()
+    monkeypatch.chdir(folder)
+    assert main(["bag", "import", ".", "--force"]) == 0
+    assert stored.read_bytes() == before
+    assert sorted(one.name for one in folder.iterdir()) == [
+        stored.name,
+        "metadata.yaml",
+    ]
+    alone = tmp_path / f"alone{stored.suffix}"
+    alone.write_bytes(before)
+    with pytest.raises(RecordError, match=r"import the folder, .*ros2 bag reindex"):
+        import_table(alone, tmp_path / "none.mcap")
+    table = tmp_path / "rig.csv"
+    table.write_text("t,x\n0.0,0\n0.001,0\n", encoding="utf-8")
+    with pytest.raises(RecordError, match="is what is imported"):
+        import_table(table, table, overwrite=True)
+
+
+def test_joints_are_columns_by_their_names(tmp_path: Path) -> None:
+    kind = STORE.types["sensor_msgs/msg/JointState"]
+    names = ["hip", "knee"]
+    with rosbag2.Writer(tmp_path / "bag", version=8) as writer:
+        line = writer.add_connection("/joints", kind.__msgtype__, typestore=STORE)
+        for k in range(N):
+            at = BEGIN + k * STEP
+            values = np.array([place(k), -place(k)])
+            message = kind(
+                header=stamp(at),
+                name=names,
+                position=values,
+                velocity=np.array([]),
+                effort=3 * values,
+            )
+            writer.write(line, at, STORE.serialize_cdr(message, line.msgtype))
+    columns = {"position": ["/joints.position.knee"], "force": ["/joints.effort.hip"]}
+    found = import_table(tmp_path / "bag", tmp_path / "out.mcap", columns=columns)
+    k = np.arange(N)
+    np.testing.assert_array_equal(found.samples.position[:, 0], -1e-3 * k)
+    assert found.samples.force is not None
+    np.testing.assert_array_equal(found.samples.force[:, 0], 3 * (1e-3 * k))
+    columns = {"position": ["/joints.position.kne"]}
+    with pytest.raises(RecordError, match=r"did you mean /joints\.position\.knee"):
+        import_table(tmp_path / "bag", tmp_path / "o.mcap", columns=columns)
