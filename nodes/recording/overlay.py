@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 RUNS = 10  # limit of runs in one figure, set by distinguishable line styles
 _CELLS = 2000
+# Least force that is shown as felt, of the largest: damping of a stop far from a wall is less.
+_FELT = 0.02
 # Size of letters [pt] and columns of a legend, until one is no wider than the figure.
 _LEGENDS = ((9.0, 2), (9.0, 1), (8.0, 1), (7.0, 1), (6.0, 1))
 _SMALLEST = _LEGENDS[-1][0]
@@ -273,11 +275,13 @@ def sight_of(
     The way to a wall is no part of what is felt there, and often twenty times as long.
     """
     places = [x for xs, _ in traces for x in xs if math.isfinite(x)]
+    every = [abs(y) for _, ys in traces for y in ys if math.isfinite(y)]
+    least = _FELT * max(every, default=0.0)
     felt = [
         x
         for xs, ys in traces
         for x, y in zip(xs, ys, strict=True)
-        if math.isfinite(x) and y != 0.0
+        if math.isfinite(x) and abs(y) > least
     ]
     if not felt:
         return None

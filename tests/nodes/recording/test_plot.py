@@ -564,6 +564,8 @@ def test_force_over_position_shows_where_a_force_acts() -> None:
     other = ([math.nan, 18.0], [math.nan, 0.1])
     assert sight_of([(way, force), other]) == (17.25, 21.75)
     assert sight_of([(way, [0.0] * 5)]) is None
+    # A trace of a force far from the wall widens nothing.
+    assert sight_of([(way, [-0.02, *force[1:]])]) == (20.375, 21.125)
     assert sight_of([([0.0, 8.0, 10.0], [0.0, 1.0, 1.0])]) == (7.5, 10.5)
     # Six tenths of all, and the rest is shown as well.
     assert sight_of([([0.0, 6.0, 10.0], [0.0, 1.0, 1.0])]) is None
