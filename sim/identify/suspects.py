@@ -185,7 +185,7 @@ class Shapes:
             decay = np.exp(-1.0 / lag)
             mean = (1.0 - decay) * lag
             late = _filtered([1.0 - mean, mean - decay], [1.0, -decay], self._force)
-            # Without its mean delay, which the model already has.
+            # `judge_fit` projects out the effect of its mean delay, which the model has.
             shape = self._moved_by((late - self._force)[self._rows])
             yield Suspect("actuator lag", lag * self._period * 1e3, shape[None], (lag,))
 

@@ -7,18 +7,18 @@ import pytest
 
 from sim.arrays import Array
 from sim.identify.experiment import lockstep
-from sim.identify.identified_motion import NAMES
+from sim.identify.identified_motion import MOBILITY, NAMES
 from sim.identify.output_error import Fit
 from sim.identify.suspects import Shapes
 
 T = 0.002
 
 
-def shapes(position: Array) -> Shapes:
-    """Return the shapes of one window in which the model follows the recording."""
+def shapes(position: Array, force: Array | None = None) -> Shapes:
+    """Return the shapes of one window in which the model, 1 kg, follows the recording."""
     nothing = np.zeros((1, 0))
     found = Fit(
-        np.zeros(len(NAMES)),
+        np.eye(len(NAMES))[MOBILITY],
         np.zeros(0, dtype=np.int64),
         np.zeros((1, 4)),
         np.zeros(1),
@@ -27,8 +27,8 @@ def shapes(position: Array) -> Shapes:
         np.zeros(1, dtype=np.int64),
         len(position),
     )
-    force = np.zeros(len(position))
-    return Shapes(lockstep(T, position, force), found, position[None])
+    pushed = np.zeros(len(position)) if force is None else force
+    return Shapes(lockstep(T, position, pushed), found, position[None])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -55,3 +55,81 @@ def test_a_loose_mass_coasts_through_its_gap_and_then_rests(sign: float) -> None
     assert list(sign * out[:40]) == [0.5 * gap] * 40
     coasting = [0.5 * gap - (k - 0.5) * way for k in range(1, 41)]
     assert list(sign * out[40:]) == [max(one, -0.5 * gap) for one in coasting]
+
+
+def test_a_free_mass_moves_by_half_the_square_of_time() -> None:
+    """Under 1 m/s² from rest; under nothing, not at all."""
+    ticks = np.arange(50)
+    some = shapes(np.zeros(50))
+    (moved,) = some._moved_by(np.ones((1, 50)))
+    assert moved == pytest.approx(0.5 * (ticks * T) ** 2, abs=1e-15)
+    assert not some._moved_by(np.zeros((1, 50))).any()
+
+
+def test_joints_are_looked_for_from_8_hz_to_nine_tenths_of_the_nyquist_frequency() -> (
+    None
+):
+    """By steps of 3 %, each with two damping ratios."""
+    modes = [
+        one
+        for one in shapes(np.zeros(50), np.sin(np.arange(50.0))).all()
+        if one.term == "flexible mode"
+    ]
+    frequencies = sorted({one.size for one in modes})
+    assert frequencies[0] == pytest.approx(8.0)
+    assert frequencies[-1] == pytest.approx(0.9 * 0.5 / T)
+    steps = np.diff(np.log(frequencies))
+    assert steps.max() == pytest.approx(steps.min())
+    assert 0.03 <= steps.max() < 0.031
+    assert len(modes) == 2 * len(frequencies)
+    assert {one.start for one in modes} == {
+        (0.3, frequency, loss) for frequency in frequencies for loss in (0.02, 0.08)
+    }
+
+
+def test_a_joint_under_a_steady_push_stretches_by_its_compliance() -> None:
+    """1 m/s² over ω², after its swing has died: 4 s of a damping ratio of 2 % at 8 Hz."""
+    ticks = 2000
+    slowest = next(shapes(np.zeros(ticks), np.ones(ticks))._modes())
+    ((stretched,),) = slowest.shapes
+    pulse = 2.0 * np.pi * 8.0
+    # e^(−0.02 ω t) is 2 % there.
+    assert stretched[-1] == pytest.approx(1.0 / pulse**2, rel=0.03)
+    assert stretched.max() == pytest.approx(
+        (1.0 + np.exp(-0.02 * np.pi)) / pulse**2, rel=2e-3
+    )
+
+
+def test_a_lag_takes_its_time_off_a_steady_slope() -> None:
+    """A force that grows by 1 N a tick is behind by the lag in ticks, and moves 1 kg by it."""
+    lags = list(shapes(np.zeros(400), np.arange(400.0))._lags())
+    assert [one.start for one in lags] == [(0.25,), (0.5,), (1.0,), (2.0,), (4.0,)]
+    for lag in lags:
+        ((moved,),) = lag.shapes
+        assert lag.size == pytest.approx(1e3 * T * lag.start[0])
+        # After 100 ticks the longest has settled to e⁻²⁵.
+        assert np.diff(moved, 2)[100:] == pytest.approx(-lag.start[0] * T**2, rel=1e-6)
+
+
+def test_a_filtered_sensor_reads_a_part_of_the_sample_before() -> None:
+    """A parabola is continued exactly to the sample before the first."""
+    at = np.arange(30.0)
+    position = 1e-6 * (3.0 + 2.0 * at + 0.5 * at**2)
+    before = 1e-6 * (3.0 + 2.0 * (at - 1.0) + 0.5 * (at - 1.0) ** 2)
+    filters = list(shapes(position)._read())
+    assert [one.size for one in filters] == [0.15, 0.5]
+    for one in filters:
+        ((read,),) = one.shapes
+        assert read == pytest.approx(one.size * (before - position), abs=1e-18)
+
+
+@pytest.mark.parametrize(("largest", "steps"), [(0.02, 4), (0.0201, 5), (1.0, 7)])
+def test_a_force_has_no_steps_larger_than_itself(largest: float, steps: int) -> None:
+    force = largest * np.sin(np.arange(50.0))
+    force[7] = largest
+    found = [
+        one.size
+        for one in shapes(np.zeros(50), force).all()
+        if one.term == "force steps"
+    ]
+    assert found == [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1][:steps]

@@ -114,6 +114,13 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         "in a list of six, three places before one of the first three is three places after it",
     ),
     Equivalent(
+        "nodes/recording/topic_figures.py",
+        "step = (sequence - self.last_seq + 0x80000000) % 0x100000000 - 0x80000000",
+        "+",
+        "-",
+        "half of a modulus added or subtracted is the same by it",
+    ),
+    Equivalent(
         "nodes/stability/roots.py",
         "rounding = 2.0**-52 * np.log2(points) * float(np.sum(np.abs(c)))",
         "52",
