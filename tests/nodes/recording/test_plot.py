@@ -124,6 +124,25 @@ def near(picture: Any, color: str) -> Any:
     return (share > 0.33) & (share < 1.1) & (rest < 0.05)
 
 
+def test_the_title_is_on_top_the_time_below_and_a_switch_in_every_panel(
+    tmp_path: Path,
+) -> None:
+    """The switch is named once, by the law that it chose, at its own time."""
+    path = write(tmp_path / "drop.mcap", list(drop(100, switch=60)), pace="lockstep")
+    first, *rest = plot.figure_of(Recording(path), start=0.0, stop=None).axes
+    assert first.get_title(loc="left") == "floor_drop"
+    assert [axes.get_title(loc="left") for axes in rest] == [""] * len(rest)
+    labels = [axes.get_xlabel() for axes in (first, *rest)]
+    assert labels == [""] * len(rest) + ["simulated time [s]"]
+    for axes in (first, *rest):
+        dotted = [line for line in axes.lines if line.get_linestyle() == ":"]
+        at = [line.get_xdata()[0] for line in dotted if len(line.get_xdata()) == 2]
+        assert at == pytest.approx([60 * PERIOD], abs=1e-12)
+    named = [text for text in first.texts if text.get_text() == "stiffer"]
+    assert [text.xy[0] for text in named] == pytest.approx([60 * PERIOD], abs=1e-12)
+    assert "stiffer" not in [text.get_text() for axes in rest for text in axes.texts]
+
+
 def test_plot_shows_the_run(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["bag", "plot", str(bag), "--from", "0", "--json"]) == 0
     out = Path(json.loads(capsys.readouterr().out)["plot"])

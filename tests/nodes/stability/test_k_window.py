@@ -8,7 +8,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes.stability.k_window import _divided, _gaps
+from nodes.laws import CompiledLaw
+from nodes.stability.k_window import _divided, _gaps, outside
+from nodes.stability.plant import Plant
+from nodes.stability.worlds import AnyWorld, region_of
 
 
 def test_gaps_are_divided_at_the_swings_inside_them() -> None:
@@ -45,3 +48,10 @@ def test_a_gap_is_where_every_quadratic_is_positive(
         assert any(low < k < high for low, high, _ in gaps) == positive
     for low, high, _ in gaps:
         assert floor <= low < high
+
+
+def test_a_law_on_the_boundary_of_a_region_is_not_outside() -> None:
+    """No force at all is what a passive world may give: 0 > 0 at every frequency."""
+    region = region_of(Plant(0.002, 0.1, 1.0), AnyWorld(), any_hand=False)
+    for stiffness, is_outside in ((0.0, False), (1e-3, True), (-1e-3, False)):
+        assert outside(CompiledLaw((stiffness,)), region) is is_outside

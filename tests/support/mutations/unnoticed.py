@@ -106,6 +106,19 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         "<",
         "both branches have the same bits; where one becomes faster is measured, not tested",
     ),
+    *(
+        Equivalent(
+            "nodes/coupling/render.py",
+            line,
+            "0",
+            "1",
+            "a fade of one tick has the new law only: what others see or render has weight 0",
+        )
+        for line in (
+            "laws = 1 + s.leaving if s.fade_ramp > 0 else 1",
+            "if s.fade_ramp > 0:",
+        )
+    ),
     Equivalent(
         "nodes/recording/facts.py",
         "if low[place] < high[place] or low[place + 3] < high[place + 3]",
