@@ -54,11 +54,11 @@ export class Laws {
   // Reset controls to the active values; the reasons stay marked until they are read or another
   // change succeeds. Each refusal has `error` and, as an answer, `remedies`.
   refuse(...refusals) {
-    const short = document.createElement("summary"), whole = document.createElement("details"), shorter = refusals.map(shortened);
-    short.textContent = shorter.join(" ");
-    whole.append(short);
-    if (shorter.some((told, n) => told !== unbroken(refusals[n].error))) whole.append(unbroken(refusals.map(({ error }) => error).join(" ")));
-    this.refusal.replaceChildren(whole);
+    const shorter = refusals.map(shortened), whole = refusals.map(({ error }) => unbroken(error)).join(" "), told = shorter.join(" ");
+    const place = document.createElement(told === whole ? "span" : "details");
+    if (told === whole) place.textContent = told;
+    else place.append(Object.assign(document.createElement("summary"), { textContent: told }), whole);
+    this.refusal.replaceChildren(place);
     this.refusal.hidden = false;
     clearTimeout(this.reading);
     this.reading = setTimeout(() => this.settle(), READ);

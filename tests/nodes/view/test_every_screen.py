@@ -171,8 +171,10 @@ def test_all_of_it_can_be_reached_on_every_screen(
         context = {**SCREENS[screen], "color_scheme": scheme}
         with OpenPage(browser, urls[kind], **context) as page:
             assert page.evaluate(WRONG) == []
-            # Without scrolling: the scene, and what turns the wall or the time.
-            seen = ["#scene", "#play" if kind == "recording" else "#dial"]
+            # Without scrolling: the scene, its force, and what turns the wall or the time.
+            seen = ["#scene", "#strip", "#dial"]
+            if kind == "recording":
+                seen = ["#scene", "#play"]
             height = page.evaluate("innerHeight")
             for name in seen:
                 box: Any = page.locator(name).bounding_box()

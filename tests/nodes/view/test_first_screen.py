@@ -133,7 +133,7 @@ def test_scene_and_force_share_the_first_screen(page: Page) -> None:
         assert dial["y"] + dial["height"] <= height, (width, height)
         # However long a refusal is, it lies over nothing, and what it is about stays in sight.
         page.evaluate(
-            "haptic.laws.refuse('a reason that takes many lines, '.repeat(12))"
+            "haptic.laws.refuse({ error: 'a reason that takes many lines, '.repeat(12) })"
         )
         told: Any = page.locator("#refusal").bounding_box()
         moved: Any = page.locator("#dial").bounding_box()
