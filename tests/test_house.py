@@ -16,6 +16,7 @@ from pathlib import Path
 
 from nodes.parameters.quantities import QUANTITIES
 from tests.support import ROOT
+from tests.support.sources import nodes_of, sources_of, tree_of
 
 FLOORS = ("messages", "nodes", "sim")
 """From the bottom up: a package imports from itself and from those before it."""
@@ -31,18 +32,6 @@ MODULES = {
     for floor in FLOORS
     for path in sorted((ROOT / floor).rglob("*.py"))
 }
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    """Parse a file, once."""
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
-def nodes_of(path: Path) -> tuple[ast.AST, ...]:
-    """Return all nodes of a file's tree, walked once: a dozen tests read them."""
-    return tuple(ast.walk(tree_of(path)))
 
 
 @cache
@@ -316,7 +305,7 @@ def test_verbs_are_short() -> None:
         f"{module}.{node.name}: {lines} lines"
         for module, path in MODULES.items()
         if module.startswith(("nodes.cli", "sim.cli", *FUNCTIONS, "sim.tune.tune"))
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.FunctionDef)
         and (lines := (node.end_lineno or 0) - node.lineno + 1) > LONGEST_VERB
     ]
@@ -456,7 +445,7 @@ def test_the_path_of_a_parameter_is_data() -> None:
     wrong = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in MODULES.values()
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args
         if node.func.id in errors and begins_with_a_path(node.args[0])
         if not any(keyword.arg == "path" for keyword in node.keywords)
@@ -484,9 +473,7 @@ def attributes(kind: ast.ClassDef) -> set[str]:
 def test_long_functions_say_why() -> None:
     """Ruff holds the limits (C901, PLR0915); a longer function has a comment with the reason."""
     silent = []
-    for path in sorted(
-        path for floor in (*FLOORS, "tests") for path in (ROOT / floor).rglob("*.py")
-    ):
+    for path in sources_of(*FLOORS, "tests"):
         lines = path.read_text(encoding="utf-8").splitlines()
         for number, line in enumerate(lines, 1):
             if re.search(r"^\s*def .*# noqa: .*(C901|PLR0915)", line):
@@ -542,8 +529,8 @@ def docstrings(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value.value.strip()
 
 
-def worded_files() -> list[Path]:
-    return sorted(path for folder in WORDED for path in (ROOT / folder).rglob("*.py"))
+def worded_files() -> tuple[Path, ...]:
+    return sources_of(*WORDED)
 
 
 def test_docstrings_begin_with_words_of_the_field() -> None:

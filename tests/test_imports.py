@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import ROOT
+from tests.support.sources import nodes_if_named, sources_of
 
 NETWORK = ("zmq", "msgpack", "nodes.launcher", "nodes.client", "nodes.base.node")
 """What carries messages between processes, and starts them."""
@@ -80,8 +81,8 @@ def test_the_python_api_starts_no_process_itself() -> None:
     wrong = [
         f"{path.relative_to(ROOT)}: {name}"
         for folder in ("sim/api", "sim/studies", "sim/tune")
-        for path in (ROOT / folder).rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for path in sources_of(folder)
+        for node in nodes_if_named(path, "subprocess", "multiprocessing")
         if isinstance(node, ast.Import | ast.ImportFrom)
         for name in (
             [one.name for one in node.names]

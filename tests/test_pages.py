@@ -24,6 +24,7 @@ from sim.lab.bench.scene_costs import BODIES
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir, typed_in
 from tests.support.pages import Block, anchors, blocks, command, links, promised, shell
+from tests.support.sources import nodes_of
 
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
@@ -394,7 +395,7 @@ def test_every_verb_is_run_by_a_page_or_a_test() -> None:
         for line in block.lines
     }
     for path in (ROOT / "tests").rglob("test_*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.Call):
                 typed.update(constants(node.args))
             elif isinstance(node, ast.List | ast.Tuple):

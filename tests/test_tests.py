@@ -6,7 +6,6 @@ import ast
 import itertools
 import re
 import tomllib
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,23 +16,23 @@ from hypothesis import strategies as st
 
 from tests.support import ROOT
 from tests.support.examples import multiply
+from tests.support.sources import nodes_if_named, nodes_of
 from tests.support.thorough import unfounded
 
 FILES = sorted((ROOT / "tests").rglob("test_*.py"))
 OF_NO_ROOM = {"tests/benchmarks"}
 """Folders of tests that mirror no folder of the product."""
 
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    """Parse a file, once."""
-    return ast.parse(path.read_text(encoding="utf-8"))
+FROM_TESTS = re.compile(r"^\s*(?:from|import)\b.*\btests\b(?!\.support)", re.MULTILINE)
+"""Import of something in tests/ that is not obviously of tests/support."""
 
 
 def imports_of_tests(path: Path) -> list[str]:
     """Name what a file imports of tests/ outside tests/support, with its line."""
-    found = []
-    for node in ast.walk(tree_of(path)):
+    found: list[str] = []
+    if not FROM_TESTS.search(path.read_text(encoding="utf-8")):
+        return found
+    for node in nodes_of(path):
         if not isinstance(node, ast.Import | ast.ImportFrom):
             continue
         if isinstance(node, ast.Import):
@@ -82,7 +81,7 @@ def test_what_is_smoke_starts_a_process() -> None:
     """README's line runs tests that are not ``process``, and ``smoke`` ones of those that are."""
     alone = []
     for path in FILES:
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_if_named(path, "smoke"):
             marks = [ast.unparse(mark) for mark in getattr(node, "decorator_list", [])]
             is_smoke = any(mark.startswith("pytest.mark.smoke") for mark in marks)
             if is_smoke and "pytest.mark.process" not in marks:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
-import jsonschema
 import msgspec
 import pytest
 from hypothesis import given
@@ -35,7 +34,9 @@ from nodes.driver.force_words import NOTES, STATES
 from nodes.driver.state import SAFETY
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
+from tests.support.schemas import validate
 from tests.support.setups import setup_of
+from tests.support.sources import nodes_if_named, sources_of
 
 PAGE = (Path(messages.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
 SOURCES = Path(messages.__file__).parents[1]
@@ -119,17 +120,13 @@ def test_each_cause_carries_numbers_that_its_kind_has(cause: int) -> None:
 
 def calls() -> Iterator[tuple[str, ast.Call]]:
     """Yield each call that emits an event of a literal kind."""
-    for package in ("nodes", "sim"):
-        for path in (SOURCES / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                called = node.func if isinstance(node, ast.Call) else None
-                if isinstance(called, ast.Attribute) and called.attr in (
-                    "emit",
-                    "emit_each",
-                    "deny",
-                ):
-                    assert isinstance(node, ast.Call)
-                    yield f"{path.relative_to(SOURCES)}:{node.lineno}", node
+    names = ("emit", "emit_each", "deny")
+    for path in sources_of("nodes", "sim"):
+        for node in nodes_if_named(path, *names):
+            called = node.func if isinstance(node, ast.Call) else None
+            if isinstance(called, ast.Attribute) and called.attr in names:
+                assert isinstance(node, ast.Call)
+                yield f"{path.relative_to(SOURCES)}:{node.lineno}", node
 
 
 def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -> None:
@@ -195,7 +192,7 @@ def test_every_kind_comes_through_wire_and_recording(
         name: float(value) for name, value in numbers.items() if math.isfinite(value)
     }
     assert (event.kind, event.data) == (kind, finite)
-    jsonschema.validate(json.loads(msgspec.json.encode(event)), schema(Event))
+    validate(json.loads(msgspec.json.encode(event)), schema(Event))
 
 
 @pytest.mark.parametrize(

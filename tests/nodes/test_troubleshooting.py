@@ -9,6 +9,7 @@ from functools import cache
 import pytest
 
 from tests.support import ROOT
+from tests.support.sources import nodes_of, sources_of
 
 PAGE = (ROOT / "nodes" / "TROUBLESHOOTING.md").read_text(encoding="utf-8")
 QUOTED = sorted(
@@ -26,18 +27,17 @@ QUOTED = sorted(
 def texts() -> str:
     """Return every text of the sources, with … for inserted values."""
     found = []
-    for package in ("messages", "nodes", "sim"):
-        for path in (ROOT / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.JoinedStr):
-                    found.append(
-                        "".join(
-                            str(part.value) if isinstance(part, ast.Constant) else "…"
-                            for part in node.values
-                        )
+    for path in sources_of("messages", "nodes", "sim"):
+        for node in nodes_of(path):
+            if isinstance(node, ast.JoinedStr):
+                found.append(
+                    "".join(
+                        str(part.value) if isinstance(part, ast.Constant) else "…"
+                        for part in node.values
                     )
-                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                    found.append(node.value)
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
     return "\n".join(found)
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.sources import nodes_if_named, sources_of
+
 ROOT = next(
     folder
     for folder in Path(__file__).resolve().parents
@@ -89,11 +91,12 @@ def test_every_row_of_the_papers_table_has_code_and_a_test() -> None:
 def test_what_is_printed_cites_the_paper_or_this_page() -> None:
     """Each claim that a study prints has a source."""
     allowed = re.compile(r"^(paper\b|THEORY\.md §)")
-    for path in sorted((ROOT / "sim").rglob("*.py")):
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    names = ("Claim", "_by_memory")
+    for path in sources_of("sim"):
+        for call in nodes_if_named(path, *names):
             if (
                 isinstance(call, ast.Call)
-                and getattr(call.func, "id", "") in ("Claim", "_by_memory")
+                and getattr(call.func, "id", "") in names
                 and call.args
             ):
                 told = [

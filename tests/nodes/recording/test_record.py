@@ -25,6 +25,7 @@ from messages.types import DeviceState, Force, Message
 from nodes.recording.reader import Recording
 from nodes.recording.writer import CHUNK_SIZE, Output, RecordError, RecordWriter, save
 from tests.support.recorded import drop
+from tests.support.schemas import validate
 from tests.support.strategies import TYPES, messages
 
 
@@ -78,7 +79,7 @@ def test_messages_fit_their_schema(
     data: st.DataObject, message_type: type[Message]
 ) -> None:
     message = data.draw(messages(message_type))
-    jsonschema.validate(json.loads(msgspec.json.encode(message)), schema(message_type))
+    validate(json.loads(msgspec.json.encode(message)), schema(message_type))
 
 
 @pytest.mark.parametrize(
@@ -94,9 +95,9 @@ def test_messages_fit_their_schema(
 )
 def test_schema_refuses(change: dict[str, Any]) -> None:
     good = json.loads(msgspec.json.encode(state(0)))
-    jsonschema.validate(good, schema(DeviceState))
+    validate(good, schema(DeviceState))
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(good | change, schema(DeviceState))
+        validate(good | change, schema(DeviceState))
 
 
 def test_schema_refuses_types_it_cannot_flatten() -> None:

@@ -10,13 +10,13 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import pytest
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from tests.support.launching import HAPTIC, haptic, running, wait_for
+from tests.support.schemas import validate
 
 pytest.importorskip(
     "foxglove",
@@ -86,9 +86,7 @@ def _talk(client: Any, launch: Any) -> None:
         if isinstance(found, bytes) and found[0] == 1:
             number, stamp = struct.unpack_from("<IQ", found, 1)
             topic = loop[number]
-            jsonschema.validate(
-                json.loads(found[13:]), json.loads(channels[topic]["schema"])
-            )
+            validate(json.loads(found[13:]), json.loads(channels[topic]["schema"]))
             times[topic].append(stamp)
             counts[topic] += 1
     for topic, stamps in times.items():

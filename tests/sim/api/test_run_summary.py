@@ -15,6 +15,7 @@ from sim.api.python_words import in_python
 from sim.api.run_summary import RunSummary, summary_of, warnings_in
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
+from tests.support.sources import nodes_of
 
 STOP = {
     "tick": 432.0,
@@ -129,15 +130,14 @@ def texts(folder: Path) -> set[str]:
     """Return all string literals of a folder's modules that are no docstrings."""
     found = set()
     for path in folder.rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
         docs = {
             id(node.body[0].value)
-            for node in ast.walk(tree)
+            for node in nodes_of(path)
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
             and node.body
             and isinstance(node.body[0], ast.Expr)
         }
-        for node in ast.walk(tree):
+        for node in nodes_of(path):
             if isinstance(node, ast.Constant) and id(node) not in docs:
                 found |= {node.value} if isinstance(node.value, str) else set()
     return found
