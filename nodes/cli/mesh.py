@@ -57,30 +57,34 @@ def _run(arguments: argparse.Namespace) -> int:
     lines = _lines(found)
     code = 0
     if out is not None:
-        left, filled = _close(found, out)
+        left, filled, refusal = _close(found, out)
         figures["close"] = {
             "file": str(out),
             "filled": filled,
             "holes_left": _holes(left),
+            "refusal": refusal,
         }
         limit = f"more than {MOST_EDGES} edges or {MOST_WIDTH:.0%} of the width"
         rest = (
             f"{len(left)} left ({limit}, or crossing itself): {_hole(left[0])}"
             if left
-            else "the mesh is closed"
+            else "the mesh is closed" + (f", but {refusal}" if refusal else "")
         )
         lines.append(f"close     {filled} holes filled, {rest}\n{out}")
-        code = 1 if left else 0
+        code = 1 if refusal else 0
     answer(arguments.json, figures, "\n".join([str(arguments.file), *lines]))
     return code
 
 
-def _close(found: MeshReport, out: Path) -> tuple[list[Hole], int]:
-    """Write the closed mesh; the holes that are left, and how many were filled."""
+def _close(found: MeshReport, out: Path) -> tuple[list[Hole], int, str]:
+    """Write the closed mesh.
+
+    Returns the holes that are left, how many were filled, and why it is no solid then.
+    """
     from nodes.environment.shapes.mesh_edges import rims
     from nodes.environment.shapes.mesh_holes import holes
     from nodes.environment.shapes.mesh_repair import SLIVER, repair
-    from nodes.environment.shapes.mesh_report import write_mesh
+    from nodes.environment.shapes.mesh_report import refusal_of, write_mesh
 
     closed = repair(
         found.read.corners,
@@ -89,9 +93,8 @@ def _close(found: MeshReport, out: Path) -> tuple[list[Hole], int]:
         part=MOST_WIDTH,
     )
     write_mesh(out, closed.points, closed.ids)
-    return holes(closed.points, closed.ids, rims(closed.partner)), closed.counts[
-        "holes"
-    ]
+    left = holes(closed.points, closed.ids, rims(closed.partner))
+    return left, closed.counts["holes"], refusal_of(closed, found.scale)
 
 
 def _holes(found: list[Hole]) -> list[dict[str, float]]:

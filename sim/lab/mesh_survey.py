@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from hashlib import sha256
@@ -157,10 +158,11 @@ def _felt(raw: Array) -> tuple[MeshFelt, PreparedMesh]:
         return MeshFelt.SOLID, prepare_mesh(raw, False, "file")
     except ParameterError:
         closed = repair(raw, widest=MOST_EDGES, part=MOST_WIDTH)
-        if len(closed.ids) and closed.is_solid:
+    if len(closed.ids) and closed.is_solid:
+        with suppress(ParameterError):  # a part is inside out
             made = prepare_mesh(closed.points[closed.ids], False, "file")
             return MeshFelt.CLOSED, made
-        return MeshFelt.SHEET, prepare_mesh(raw, True, "file")
+    return MeshFelt.SHEET, prepare_mesh(raw, True, "file")
 
 
 class _Play:

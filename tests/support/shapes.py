@@ -144,3 +144,26 @@ def prism(outline: Array, height: float) -> tuple[Array, dict[int, Any]]:
     return points, {4: walls, count: caps} if count != 4 else {
         4: np.concatenate([walls, caps])
     }
+
+
+def crossing_prism(outline: Array, height: float) -> Array:
+    """Return the triangles of a prism whose outline may cross itself, shape (n, 3, 3).
+
+    Its caps are fans about the origin.
+    """
+    count = len(outline)
+    here, there = np.arange(count), np.roll(np.arange(count), -1)
+    points = np.concatenate(
+        [np.column_stack([outline, np.full(count, z)]) for z in (0.0, height)]
+        + [[[0.0, 0.0, 0.0], [0.0, 0.0, height]]]
+    )
+    caps = np.column_stack([np.full(count, 2 * count), there, here])
+    ids = [
+        np.column_stack([here, there, there + count]),
+        np.column_stack([here, there + count, here + count]),
+        caps,
+        caps[:, ::-1] + [count, count, 1],
+    ]
+    corners = points[np.concatenate(ids)]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(corners[np.abs(across).max(axis=1) > 0.0])

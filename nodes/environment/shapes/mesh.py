@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_holes import holes
+from nodes.environment.shapes.mesh_lobes import inside_out
 from nodes.environment.shapes.mesh_repair import SLIVER, Repaired, repair
 from nodes.environment.shapes.tables import NODE
 from nodes.environment.shapes.triangle_sets import lowest_heights
@@ -20,6 +21,8 @@ LARGEST = (
 )
 SMALLEST = 1e-3
 
+# a part that is inside out and shorter has no room for the default tool [m]
+_THINNEST = 2e-5
 _FLAT_ROUNDS = 20  # steps from a flat triangle to one that has a normal
 _LEAF = 4  # largest number of triangles in a leaf of the tree
 
@@ -50,7 +53,7 @@ def prepare_mesh(
     """
     found = repaired_triangles(corners, where)
     if not both_sides:
-        refuse_open(found, where, notes)
+        refuse_no_solid(found, where, notes)
     ids = found.ids
     neighbours = found.partner.reshape(-1, 3) // 3
     if both_sides:
@@ -123,9 +126,10 @@ def repaired_triangles(corners: Corners, where: str) -> Repaired:
     return found
 
 
-def refuse_open(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
-    """Raise ParameterError unless every edge is closed; name the reason and the ways out."""
+def refuse_no_solid(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
+    """Raise ParameterError unless a mesh bounds a solid; name the reason and the ways out."""
     if found.is_solid:
+        _refuse_inside_out(found, where)
         return
     lonely = int((found.partner < 0).sum())
     if found.disagreeing:
@@ -143,6 +147,20 @@ def refuse_open(found: Repaired, where: str, notes: tuple[str, ...]) -> None:
         path=where,
     )
     raise error.continued("".join(f"; {note}" for note in notes))
+
+
+def _refuse_inside_out(found: Repaired, where: str) -> None:
+    lobe = inside_out(found.points[found.ids])
+    if lobe is None or lobe.length <= _THINNEST:
+        return
+    x, y, z = lobe.place
+    raise ParameterError(
+        f"a part of the mesh is inside out, {lobe.length:.2g} m long at"
+        f" ({x:.4g}, {y:.4g}, {z:.4g}) m: the mesh crosses itself, and a tool would be caught"
+        " there; unite its parts in the program that made it, or set sides: both to feel it as a"
+        " sheet",
+        path=where,
+    )
 
 
 def _order(corners: Corners) -> tuple[NDArray[np.int64], int]:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.environment.shapes.mesh import refuse_open, repaired_triangles
+from nodes.environment.shapes.mesh import refuse_no_solid, repaired_triangles
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_file import ReadMesh, read_mesh
 from nodes.environment.shapes.mesh_holes import Hole, holes
@@ -121,17 +121,22 @@ def count_crossings(found: Repaired, width: float) -> tuple[int, int]:
     return int(((outer != 0.0) | (inner != 1.0)).sum()), count
 
 
+def refusal_of(found: Repaired, scale: float) -> str:
+    """Return why a repaired mesh in its file's unit is felt as no solid; empty if it is."""
+    try:
+        refuse_no_solid(found._replace(points=found.points * scale), "", ())
+    except ParameterError as error:
+        return error.text
+    return ""
+
+
 def _refusals(corners: Coordinates) -> tuple[str, str]:
     """Return why triangles [m] are felt as no solid, and as no sheet; empty if they are."""
     try:
         found = repaired_triangles(corners, "")
     except ParameterError as error:
         return error.text, error.text
-    try:
-        refuse_open(found, "", ())
-    except ParameterError as error:
-        return error.text, ""
-    return "", ""
+    return refusal_of(found, 1.0), ""
 
 
 def write_mesh(path: Path, points: Coordinates, ids: Ids) -> None:

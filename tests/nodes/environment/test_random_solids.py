@@ -20,7 +20,14 @@ from nodes.environment.shapes.polygons import cut_faces
 from nodes.environment.shapes.proxy import meet
 from nodes.environment.shapes.scene import mesh, new_memory, scene_table
 from sim.lab.proxy_shapes import icosphere
-from tests.support.shapes import Array, box_triangles, prism, turned, winding
+from tests.support.shapes import (
+    Array,
+    box_triangles,
+    crossing_prism,
+    prism,
+    turned,
+    winding,
+)
 
 
 def part(rng: np.random.Generator, size: float) -> Array:
@@ -142,22 +149,12 @@ def test_turned_faces_do_not_open_a_solid(seed: int) -> None:
     )
 
 
-def _bow() -> Array:
-    """Return a prism whose outline crosses itself: one of its two lobes is inside out."""
-    outline = np.array([[0.0, 0.0], [0.03, 0.02], [0.03, 0.0], [0.0, 0.008]])
-    outline = np.concatenate([outline, [[-0.01, 0.004]]])
-    here, there = np.arange(5), np.roll(np.arange(5), -1)
-    points = np.concatenate(
-        [np.column_stack([outline, np.full(5, z)]) for z in (0, 0.02)]
-    )
-    walls = np.concatenate(
-        [
-            np.column_stack([here, there, there + 5]),
-            np.column_stack([here, there + 5, here + 5]),
-        ]
-    )
-    caps = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]])
-    return np.asarray(points[np.concatenate([walls, caps[:, ::-1], caps + 5])])
+def _curl() -> Array:
+    """Return a prism whose outline laps over itself: within its inner loop it is solid twice."""
+    angle = 2.0 * np.pi * (np.arange(24) + 0.5) / 24
+    radius = 0.01 + 0.02 * np.cos(angle)
+    outline = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    return crossing_prism(outline, 0.02)
 
 
 BOX = box_triangles([0.02] * 3)
@@ -170,9 +167,9 @@ CRACKED = np.concatenate([BOX, BOX + np.array([0.02 + 0.5 * TOOL_RADIUS, 0.001, 
     [
         (OVERLAPPING, (0.005, 0.002, 0.0)),
         (CRACKED, (0.01, 0.0, 0.0)),
-        (_bow(), (0.02, 0.005, 0.01)),
+        (_curl(), (0.005, 0.0, 0.01)),
     ],
-    ids=["overlapping", "cracked", "bow"],
+    ids=["overlapping", "cracked", "curl"],
 )
 def test_a_tool_begins_where_the_winding_number_says(
     corners: Array, lead: tuple[float, float, float]
