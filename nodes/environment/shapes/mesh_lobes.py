@@ -37,7 +37,7 @@ class _Lines(NamedTuple):
 
 
 def inside_out(corners: Coordinates) -> Lobe | None:
-    """Return the longest piece of a line where closed triangles, shape (n, 3, 3), are inside out.
+    """Return the longest piece of a line where closed triangles (n, 3, 3) are inside out.
 
     `_LINES` by `_LINES` lines run along each axis: a part that all of them miss is not found.
     """
@@ -78,7 +78,7 @@ def _along(
 
 
 def _is_across(seen: Coordinates, at: Ids) -> Flags:
-    """Return which triangles, seen along the lines, contain their line; of two at an edge, one."""
+    """Return which triangles, seen along the lines, contain their line; at an edge one of two."""
     inside = np.zeros(len(at), dtype=bool)
     for k in range(3):
         one, other = seen[:, k], seen[:, (k + 1) % 3]
