@@ -7,7 +7,7 @@ make no sense in SI units are refused, with the unit that was probably meant.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     Array = np.ndarray[Any, np.dtype[np.float64]]
+    Kept = np.ndarray[Any, np.dtype[np.bool_]]
 
 ROLES = ("position", "force", "time")
 LARGEST_SPAN = 2.0  # span of positions beyond which another unit was probably meant [m]
@@ -38,6 +39,7 @@ RATE_TOLERANCE = (
 )
 
 LONGEST_GAP = 86400.0  # gap between two rows beyond which a time is damaged [s]
+_MOST_MISSING = 1.0 / 3.0  # share of rows without a number up to which these are gaps
 _ROWS_OF_GAP = 1000.0  # rows that are missing in such a gap
 _TOLD_BY_ALL = 32  # rows from which times are judged as a whole
 SLOWEST_USUAL = 20.0  # rate below which another unit of time was probably meant [Hz]
@@ -155,12 +157,21 @@ def samples_of(
         )
     sources: dict[str, str] = {}
     own = is_own(table)
-    position = _filled(table, "position", where, given, sources)
-    force = _filled(table, "force", pushed, given, sources) if pushed else None
-    refuse_unlikely(table, position, force, given)
     name = (
         next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
     )
+    kept = None
+    if name is not None and not ignore_times and not own:
+        kept = _kept(table, name, where.values(), pushed.values())
+    if kept is not None:
+        first = table.place(int(np.argmin(kept)))
+        gaps = f"{np.sum(~kept)} rows without a number, the first at {first}"
+        table = table.of_rows(kept)
+    position = _filled(table, "position", where, given, sources)
+    force = _filled(table, "force", pushed, given, sources) if pushed else None
+    if kept is not None:
+        sources["gaps"] = gaps
+    refuse_unlikely(table, position, force, given)
     if name is None or ignore_times:
         if rate is None and ignore_times:
             raise RecordError(
@@ -234,11 +245,13 @@ def motion_of(
         )
     where = {axis or "x": name for axis, name in where.items()}
     sources: dict[str, str] = {}
-    position = _filled(table, "position", where, given, sources)
-    refuse_unlikely(table, position, None, given)
     name = (
         next(iter(chosen["time"].values())) if "time" in chosen else _time_column(table)
     )
+    kept = None if name is None else _kept(table, name, where.values(), ())
+    known = table if kept is None else table.of_rows(kept)
+    position = _filled(known, "position", where, given, sources)
+    refuse_unlikely(known, position, None, given)
     if name is None:
         if rate is None:
             raise RecordError(
@@ -258,6 +271,7 @@ def motion_of(
             f" {1.0 / (step * factor):.6g} times a second; which one is it?"
             f"{_unit_hint(step, rate)}"
         )
+    since = since if kept is None else since[kept]
     if len(since) != len(position):
         raise RecordError(
             f"{table.path}: {len(since)} times in {name!r} and {len(position)} positions"
@@ -396,13 +410,46 @@ def _filled(
         ):
             raise RecordError(
                 f"{table.path}: {table.place(int(bad[0]))}, column {name!r}: no number"
-                f" ({bad.size} such rows of {len(values)}); remove these rows: with a column of"
-                " times they are read as gaps"
+                f" ({bad.size} such rows of {len(values)});"
+                f"{_remedy(values, _MOST_MISSING * len(values))}"
             )
         found[:, "xyz".index(part)] = values * factor
         told.append(source)
     sources[role] = ", ".join(told)
     return found
+
+
+def _remedy(values: Array, most: float) -> str:
+    """Return what to do about numbers that are missing or infinite."""
+    import numpy as np
+
+    missing = int(np.isnan(values).sum())
+    if missing > most:
+        return (
+            " are its columns of different rates? Import one of them alone, or remove"
+            " these rows"
+        )
+    if missing:
+        return " remove these rows, or add a column of times, with which they are gaps"
+    return " remove these rows: with a column of times they are read as gaps"
+
+
+def _kept(
+    table: ForeignTable, time: str, places: Iterable[str], forces: Iterable[str]
+) -> Kept | None:
+    """Return which rows have all numbers, None for all; of many missing ones none is a gap."""
+    import numpy as np
+
+    columns = [table.numbers(name) for name in places]
+    # The force of the last row is never reported.
+    columns += [np.append(table.numbers(name)[:-1], 0.0) for name in forces]
+    if {len(column) for column in columns} != {len(table.numbers(time))}:
+        return None  # refused by their lengths
+    missing = np.zeros(len(columns[0]), dtype=np.bool_)
+    for column in columns:
+        missing |= np.isnan(column)
+    few = 0 < int(missing.sum()) <= _MOST_MISSING * len(missing)
+    return ~missing if few else None
 
 
 def refuse_unlikely(
