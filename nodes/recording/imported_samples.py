@@ -376,7 +376,7 @@ def _unlikely(table: ForeignTable, role: str, size: float, limit: float) -> Reco
     for unit in others:
         factor = UNITS[role][unit]
         if factor in (1e-3, 1e-6) and size * factor <= limit:
-            fault += f"; {asked} in {unit} ({size * factor:.3g} {own})?"
+            fault += f"; {asked} in {unit} ({size * factor:.3g} {own})"
             way = (
                 f"say so with {words.get().unit(role, unit)}, or {as_is} if {so} {name}"
             )
