@@ -7,7 +7,13 @@ from collections.abc import Mapping, Sequence
 
 from nodes.parameters.nearest import did_you_mean
 from nodes.recording.foreign_table import ForeignTable
-from nodes.recording.foreign_units import UNITS, factor_of, plain_name, suffix_unit
+from nodes.recording.foreign_units import (
+    UNITS,
+    factor_of,
+    plain_name,
+    split_unit,
+    suffix_unit,
+)
 from nodes.recording.import_words import words
 from nodes.recording.writer import RecordError
 
@@ -52,10 +58,18 @@ def checked_columns(
                 f"columns: {role} has {len(names)} columns, expected one"
                 + ("" if role == "time" else " or three, as X:Y:Z")
             )
+        names = [_without_unit(table, name) for name in names]
         for name in names:
             table.numbers(name)
         found[role] = dict(zip("xyz" if len(names) == 3 else ("",), names, strict=True))
     return found
+
+
+def _without_unit(table: ForeignTable, name: str) -> str:
+    """Return the name of a column that is named as the file does, with its unit."""
+    plain, unit = split_unit(name)
+    as_written = name not in table.columns and unit and table.units.get(plain) == unit
+    return plain if as_written else name
 
 
 def checked_units(

@@ -169,6 +169,19 @@ def test_missing_rows_are_gaps(imported: Callable[..., Imported]) -> None:
     assert np.flatnonzero(np.isnan(force)).tolist() == [19, len(kept) - 1]
 
 
+def test_a_column_is_chosen_as_the_file_writes_it(
+    imported: Callable[..., Imported],
+) -> None:
+    text = lines(1e3 * TIME, 1e3 * POSITION, names="when (ms),stage [mm]")
+    for time, position in (("when", "stage"), ("when (ms)", "stage [mm]")):
+        found = imported(text, columns={"time": [time], "position": [position]})
+        assert found.samples.period == 1e-3
+    with pytest.raises(
+        RecordError, match=r"no column 'stage \[m\]'; did you mean stage"
+    ):
+        imported(text, columns={"time": ["when"], "position": ["stage [m]"]})
+
+
 def test_rows_without_a_number_are_gaps(imported: Callable[..., Imported]) -> None:
     """As motion capture writes a marker that is hidden, and said so."""
     hidden = np.isin(np.arange(TICKS), (0, 20, 21, 22))
