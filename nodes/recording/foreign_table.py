@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +47,8 @@ class ForeignTable:
         Line of each row in a text file; empty in other formats, whose rows count from 0.
     rate : float or None
         Rate of its ticks, if the file names it [Hz].
+    rows : sequence of int
+        Row of the file of each row, counted from 0; empty: all of them.
     """
 
     path: Path
@@ -54,10 +56,21 @@ class ForeignTable:
     units: dict[str, str] = field(default_factory=dict)
     lines: Sequence[int] = ()
     rate: float | None = None
+    rows: Sequence[int] = ()
 
     def place(self, row: int) -> str:
         """Return where a row is in the file, for a person."""
+        row = self.rows[row] if self.rows else row
         return f"line {self.lines[row]}" if self.lines else f"row {row}"
+
+    def of_rows(self, kept: np.ndarray[Any, np.dtype[np.bool_]]) -> ForeignTable:
+        """Return the table of some rows; columns of another length are left out."""
+        columns = {
+            name: column[kept]
+            for name, column in self.columns.items()
+            if len(column) == len(kept)
+        }
+        return replace(self, columns=columns, rows=kept.nonzero()[0].tolist())
 
     @property
     def names(self) -> str:

@@ -18,7 +18,8 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.types import DeviceState, Force, Message, Proxy
 from nodes.recording.bag_table import bag_of, read_bag
 from nodes.recording.foreign_table import ForeignTable, read_foreign
-from nodes.recording.imported_samples import ImportedSamples, is_own, samples_of
+from nodes.recording.imported_columns import is_own
+from nodes.recording.imported_samples import ImportedSamples, samples_of
 from nodes.recording.writer import RecordError, RecordWriter, discard
 
 _NOW = ("lateness", "energy", "guard")  # numbers of a tick that its own state reports

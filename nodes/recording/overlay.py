@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 RUNS = 10  # limit of runs in one figure, set by distinguishable line styles
 _CELLS = 2000
+_ZOOMED = "shown: where a force acts"
 # Least force that is shown as felt, of the largest: damping of a stop far from a wall is less.
 _FELT = 0.02
 # Size of letters [pt] and columns of a legend, until one is no wider than the figure.
@@ -293,6 +294,16 @@ def sight_of(
     return low - margin, high + margin
 
 
+def _show_where_felt(
+    axes: Axes, traces: Sequence[tuple[Sequence[float], Sequence[float]]]
+) -> bool:
+    """Limit a panel to where forces act. Return whether that is a part of it."""
+    sight = sight_of(traces)
+    if sight is not None:
+        axes.set_xlim(*sight)
+    return sight is not None
+
+
 def _extent(line: Line, axis: int) -> float:
     values = line.arrays()[1][:, axis]
     return float(np.ptp(values)) if len(values) else 0.0
@@ -314,13 +325,17 @@ def force_over_position(
         any(one.normal) for one in lines
     ):
         grid = [figure.subplots()]
+        traces = []
         for number, (recording, one) in enumerate(zip(recordings, lines, strict=True)):
-            x, y = _along_the_normal(recording, *ends, one.begin)
-            grid[0].plot(x, y, label=labels[number], **_look(number, len(lines)))
+            traces.append(_along_the_normal(recording, *ends, one.begin))
+            look = _look(number, len(lines))
+            grid[0].plot(*traces[-1], label=labels[number], **look)
+        zoomed = _show_where_felt(grid[0], traces)
         grid[0].axvline(0.0, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
         grid[0].set_xlabel("distance along the normal [mm]")
         grid[0].set_ylabel("force along the normal [N]")
         facts = ["dashed: the surface", "only ticks at which a surface was near"]
+        facts += [_ZOOMED] if zoomed else []
     else:
         grid = list(figure.subplots(1, len(drawn), squeeze=False)[0])
         zoomed = False
@@ -333,9 +348,7 @@ def force_over_position(
                     traces.append(_trace(recording, one, axis, *ends))
                     look = _look(number, len(lines))
                     axes.plot(*traces[-1], label=labels[number], **look)
-            if (sight := sight_of(traces)) is not None:
-                axes.set_xlim(*sight)
-                zoomed = True
+            zoomed |= _show_where_felt(axes, traces)
             for level in _levels(lines, axis):
                 axes.axvline(level, color=COLORS["surface"], lw=1.2, ls="--", zorder=1)
             axes.set_xlabel(f"position {'xyz'[axis]} [mm]")
@@ -346,7 +359,7 @@ def force_over_position(
         levels = _levels(lines, drawn[0]) if len(drawn) == 1 else []
         facts = [_facts(levels)] if levels else []
         if zoomed:
-            facts.append("shown: where a force acts")
+            facts.append(_ZOOMED)
         if len(recordings) == len(drawn) == 1:
             facts.append(end_of(summarise(recordings[0]), drawn))
     for axes in grid:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from messages.errors import RefusedError, UsageError
-from nodes.recording.bag_table import is_bag
+from messages.errors import HapticError, RefusedError, UsageError
+from nodes.recording.bag_table import bag_of, is_bag
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable, is_export
 from nodes.recording.import_table import import_table
@@ -63,6 +63,9 @@ def as_recording(
         If the file is no such table.
     """
     path = Path(file)
+    bag = bag_of(path)
+    if bag is not None and _is_foreign_bag(bag):
+        path = bag  # of which a file may be named
     of_table = {
         "columns": columns,
         "units": units,
@@ -97,7 +100,15 @@ def as_recording(
             )
         finally:
             words.reset(before)
-        yield out
+        try:
+            yield out
+        except HapticError as error:
+            # The recording is gone when the error is read.
+            error.args = tuple(
+                one.replace(str(out), str(path)) if isinstance(one, str) else one
+                for one in error.args
+            )
+            raise
 
 
 def _is_foreign_bag(path: Path) -> bool:

@@ -205,6 +205,8 @@ def test_a_file_of_a_bag_is_its_bag_and_is_never_written(
         found.samples.position,
         import_table(folder, tmp_path / "whole.mcap").samples.position,
     )
+    read_back = haptic.read(stored)["position"]
+    np.testing.assert_array_equal(read_back, found.samples.position)
     for source in (stored, folder):
         with pytest.raises(RecordError, match=r"is what is imported; .*--out"):
             import_table(source, stored, overwrite=True)

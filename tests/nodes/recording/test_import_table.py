@@ -169,6 +169,39 @@ def test_missing_rows_are_gaps(imported: Callable[..., Imported]) -> None:
     assert np.flatnonzero(np.isnan(force)).tolist() == [19, len(kept) - 1]
 
 
+def test_a_column_is_chosen_as_the_file_writes_it(
+    imported: Callable[..., Imported],
+) -> None:
+    text = lines(1e3 * TIME, 1e3 * POSITION, names="when (ms),stage [mm]")
+    for time, position in (("when", "stage"), ("when (ms)", "stage [mm]")):
+        found = imported(text, columns={"time": [time], "position": [position]})
+        assert found.samples.period == 1e-3
+    with pytest.raises(
+        RecordError, match=r"no column 'stage \[m\]'; did you mean stage"
+    ):
+        imported(text, columns={"time": ["when"], "position": ["stage [m]"]})
+
+
+def test_rows_without_a_number_are_gaps(imported: Callable[..., Imported]) -> None:
+    """As motion capture writes a marker that is hidden, and said so."""
+    hidden = np.isin(np.arange(TICKS), (0, 20, 21, 22))
+    text = lines(TIME, np.where(hidden, np.nan, POSITION), FORCE).replace("nan", "")
+    found = imported(text)
+    kept = np.flatnonzero(~hidden)
+    # The first tick is that of the first row with numbers.
+    assert found.samples.seq.tolist() == (kept - kept[0]).tolist()
+    np.testing.assert_array_equal(found.samples.position[:, 0], POSITION[kept])
+    assert "gaps     4 rows without a number, the first at line 2" in found.text
+    assert "3 ticks missing in gaps" in found.text
+    pushed = np.where(np.isin(np.arange(TICKS), (5, TICKS - 1)), np.nan, FORCE)
+    found = imported(lines(TIME, POSITION, pushed))
+    assert found.samples.seq.tolist() == [n for n in range(TICKS) if n != 5]
+    # A later row is named by its own line, though rows before it are left out.
+    damaged = np.where(hidden, np.nan, np.where(TIME == 0.029, 1e9, POSITION))
+    with pytest.raises(RecordError, match="line 31: the position is 1e"):
+        imported(lines(TIME, damaged, FORCE))
+
+
 def test_three_axes_by_names_and_by_choice(imported: Callable[..., Imported]) -> None:
     columns = (TIME, POSITION, 2 * POSITION, 3 * POSITION, FORCE, 2 * FORCE, 3 * FORCE)
     named = imported(lines(*columns, names="t,px,py,pz,Fx,Fy,Fz"))
@@ -228,8 +261,13 @@ BEYOND = lines(TIME * 1e3, POSITION, FORCE)
         ),
         (
             lines(TIME, POSITION, np.where(TIME == 0.007, np.nan, FORCE)),
+            {"rate": 1000.0, "ignore_times": True},
+            r"line 9, column 'F': no number \(1 such rows of 60\); .*add a column of times",
+        ),
+        (
+            lines(TIME, np.where(np.arange(TICKS) % 2, np.nan, POSITION), FORCE),
             {},
-            r"line 9, column 'F': no number \(1 such rows of 60\)",
+            r"line 3, column 'x': no number \(30 .* columns of different rates\? Import",
         ),
         (RIG + "1,2\n", {}, f"line {TICKS + 2} has 2 fields, the first line 3"),
         (

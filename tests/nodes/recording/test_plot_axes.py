@@ -120,6 +120,28 @@ def test_force_over_a_curved_surface_is_drawn_along_its_normal(
     assert not any("surface, at" in text.get_text() for text in axes.texts)
 
 
+def test_the_way_to_a_curved_surface_is_not_shown(tmp_path: Path) -> None:
+    """From 100 mm away to 1 mm inside: the felt millimetre fills the panel."""
+
+    def sent() -> Iterator[tuple[str, Message]]:
+        normal = (0.0, 0.6, 0.8)
+        for k in range(300):
+            distance = max(0.1 - 5e-4 * k, -1e-3)
+            place = tuple((RADIUS + distance) * n for n in normal)
+            on = tuple(max(RADIUS, RADIUS + distance) * n for n in normal)
+            force = tuple(STIFFNESS * max(0.0, -distance) * n for n in normal)
+            common: Any = {"seq": k, "stamp": k * PERIOD, "position": place}
+            yield DEVICE_STATE, DeviceState(**common, force=force, force_seq=k - 1)
+            yield PROXY, Proxy(**common, proxy=on, normal=normal, distance=distance)
+
+    run = recorded(tmp_path / "far.mcap", sent(), "x,y,z")
+    (axes,) = force_over_position([run]).axes
+    low, high = axes.get_xlim()
+    assert low < -1.0
+    assert 0.0 < high < 1.0
+    assert any("shown: where a force acts" in text.get_text() for text in axes.texts)
+
+
 def test_a_flat_surface_has_a_place_and_a_curved_one_has_none(
     sphere: Recording, wall: Recording
 ) -> None:

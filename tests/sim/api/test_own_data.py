@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from messages.errors import RefusedError, UsageError
+from messages.errors import HapticError, RefusedError, UsageError
 from nodes.recording.import_table import import_table
 from nodes.recording.writer import RecordError
 from sim.identify.experiment import SHORTEST
@@ -131,6 +131,18 @@ def test_arrays_that_cannot_be_are_refused(rig: Rig) -> None:
     few = SHORTEST - 1
     with pytest.raises(RefusedError, match=f"{few} samples"):
         haptic.identify(position=position[:few], force=force[:few], rate=500)
+
+
+def test_a_refused_identification_names_the_file_that_was_given(
+    csv: Path, tmp_path: Path
+) -> None:
+    short = tmp_path / "short.csv"
+    lines = csv.read_text(encoding="utf-8").splitlines(keepends=True)
+    short.write_text("".join(lines[:200]), encoding="utf-8")
+    with pytest.raises(HapticError, match="are needed") as refused:
+        haptic.identify(short, **CHOSEN)
+    assert str(short) in str(refused.value)
+    assert "haptic-import-" not in str(refused.value)
 
 
 def test_refusals_name_the_arguments_of_python(csv: Path, tmp_path: Path) -> None:
