@@ -166,6 +166,12 @@ const link = new Link({
   },
   ended(found) { status.end(found); },
   poses({ poses }) { space.pose(poses); },
+  // The surface was replaced while the run goes on.
+  shape({ shape }) {
+    space.reshape(shape);
+    section.solids = space.solids;
+    changedAt = performance.now();
+  },
   beside(found) { beside.show(found); if (found.law) changedAt = performance.now(); },
   over(found) {
     overlaid = overview.over = new Over(found);

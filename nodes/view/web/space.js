@@ -57,6 +57,18 @@ export class Space {
     for (const button of this.modes) button.parentElement.hidden = !this.shape || !hand;
   }
 
+  // Replace the shape; the camera stays as long as it sees the new one as well.
+  reshape(shape) {
+    if (!this.shape) return;
+    this.shape = { tool_radius: 0, friction: 0, parts: [], ...shape };
+    this.solids = new Solids(this.shape);
+    this.drawn = "";
+    if (!this.shape.parts.length) return;
+    const { middle, reach, low } = this.solids.extent(), near = size(minus(middle, this.turn.middle)) < 0.5 * this.turn.reach;
+    if (near && reach < 1.5 * this.turn.reach && reach > 0.5 * this.turn.reach) this.ground.at = Math.min(this.ground.at, low - 0.004 * reach);
+    else this.fit();
+  }
+
   // Camera and ground for everything that is placed.
   fit() {
     const { middle, reach, low } = this.solids.extent();

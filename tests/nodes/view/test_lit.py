@@ -316,6 +316,39 @@ def test_a_picture_that_stays_has_the_pixels_of_the_shader(page: Page) -> None:
         assert changed > 400
 
 
+def test_a_surface_that_is_replaced_is_drawn_and_the_camera_stays_if_it_sees_it(
+    lit: Browser,
+) -> None:
+    page = opened(lit, ball())
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    state = "[space.turn.reach, ...space.turn.middle]"
+    seen(page, {}, [(0.0, 0.0)])
+    before = page.evaluate(state)
+
+    # The middle of the ball, and beside it.
+    aside = [c - 0.8 * RADIUS * r for c, r in zip(CENTRE, camera.right, strict=True)]
+    places = [camera.seen(CENTRE), camera.seen(aside)]
+    page.evaluate("space.reshape({})")
+    bare = seen(page, {}, places)
+    assert page.evaluate(state) == before
+
+    def covers(**given: Any) -> Any:
+        surface = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, **given}
+        page.evaluate("shape => space.reshape(shape)", shape_of({"surface": surface}))
+        # The shadow on the ground differs, too, but by less.
+        colours = zip(seen(page, {}, places), bare, strict=True)
+        return [math.dist(found, before) for found, before in colours]
+
+    assert min(covers()) > 60.0
+    within, beside = covers(radius=0.6 * RADIUS)
+    assert within > 60.0 > beside
+    assert page.evaluate(state) == before
+    # Another place altogether.
+    covers(position=[1.0, 0.0, 0.0])
+    assert page.evaluate(state) != before
+    page.close()
+
+
 def test_without_webgl_a_fine_mesh_is_drawn_coarser_and_closed(lit: Browser) -> None:
     """Also when a browser takes WebGL away in the middle."""
     shape = fine_ball(5)

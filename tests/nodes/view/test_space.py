@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from nodes.launcher import scenario_files
 from nodes.recording.reader import Recording
 from tests.support.ball_picture import CENTRE, COLOURS, RADIUS, Camera, shade
 from tests.support.browser import OpenPage, needs_browser, shown, url_of, viewing
-from tests.support.launching import Running, running, wait_for
+from tests.support.launching import HAPTIC, Running, running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -354,6 +355,30 @@ def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> Non
     assert axes["y"] + axes["height"] <= corner["y"]
     page.set_viewport_size({"width": 1366, "height": 768})
     assert not page.locator("#lens").is_visible()
+
+
+@pytest.mark.process
+def test_a_surface_that_is_replaced_while_it_runs_is_drawn_anew(
+    page: Page, launch: Running
+) -> None:
+    """And drawn at once on a page that is opened later, because both read it from its node."""
+    radius = "haptic.space.solids.extent().low"
+
+    def ask(value: float) -> None:
+        words = ["param", "set", "environment", "surface.radius", str(value)]
+        command = [*HAPTIC, *words, "--run", launch.run.run]
+        environment = launch.environment
+        subprocess.run(command, env=environment, check=True, capture_output=True)
+
+    for value in (0.7 * RADIUS, RADIUS):
+        ask(value)
+        wait_for(
+            lambda value=value: (
+                page.evaluate(radius)  # type: ignore[misc]
+                == pytest.approx(CENTRE[2] - value, abs=1e-6)
+            ),
+            "the ball of another radius",
+        )
 
 
 @pytest.mark.process
