@@ -465,7 +465,8 @@ function draw(time) {
   if (rests) setTimeout(() => requestAnimationFrame(draw), GLANCE); else requestAnimationFrame(draw);
   const past = slow.window(), held = scene.held !== null || space.held !== null;
   const lively = held || (past && past.at < past.sight[1]) || time - touched < LIVELY;
-  if (!lively && (rests || time - link.heard > LIVELY || time - drawn < HALF)) return;
+  // Also while the hand is kept where it is.
+  if (rests || (!lively && (time - link.heard > LIVELY || time - drawn < HALF))) return;
   drawn = time;
   if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
   if ($("space").hidden) scene.draw();

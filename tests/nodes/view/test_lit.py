@@ -349,6 +349,40 @@ def test_a_surface_that_is_replaced_is_drawn_and_the_camera_stays_if_it_sees_it(
     page.close()
 
 
+def test_a_body_is_drawn_again_when_it_has_moved_by_what_a_picture_shows(
+    lit: Browser,
+) -> None:
+    """Bodies at rest tremble by a micrometre, and each tremble drew the whole scene."""
+    shape = ball()
+    shape["parts"][0]["pose"] = 0
+    page = opened(lit, shape)
+    found = page.evaluate("""() => {
+      const upright = [1, 0, 0, 0, 1, 0, 0, 0, 1], calls = [];
+      let at = 0;
+      const drawn = (pixels) => {
+        at += pixels / space.pixels;
+        space.pose([[at, 0, 0, ...upright]]);
+        const { version } = space.solids;
+        shown({ yaw: -0.4, pitch: 0.6 });
+        return version;
+      };
+      space.pose([[0, 0, 0, ...upright]]);
+      shown({ yaw: -0.4, pitch: 0.6 });
+      // As coarse as turning was last.
+      space.lit.kept.step = 4;
+      const first = space.solids.version, steps = [0.1, 0.1, 0.1, 20].map(drawn);
+      const share = space.lit.into.width / space.still.width;
+      shown({ yaw: -0.3, pitch: 0.6 });
+      return [steps.map((each) => each - first), share, space.solids.poses[0][0] / at,
+        space.lit.into.width / space.still.width]; }""")
+    # Tenths of a pixel count together, and what is felt is where it is.
+    assert found[0] == [0, 0, 1, 2]
+    assert found[2] == 1.0
+    # Looked at, it is at most half as fine; a camera that turns may be coarser.
+    assert found[1] >= 0.5 > found[3]
+    page.close()
+
+
 def test_without_webgl_a_fine_mesh_is_drawn_coarser_and_closed(lit: Browser) -> None:
     """Also when a browser takes WebGL away in the middle."""
     shape = fine_ball(5)

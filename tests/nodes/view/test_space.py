@@ -397,6 +397,22 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
 
 
 @pytest.mark.process
+def test_a_hand_that_is_kept_where_it_is_costs_no_picture(page: Page) -> None:
+    """It was drawn ten times a second as long as it was held."""
+    page.locator("#space").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("haptic.space.held !== null")
+    count = """() => new Promise((done) => {
+      const { space } = haptic, { draw } = space;
+      let drawn = 0;
+      space.draw = () => { drawn++; draw.call(space); };
+      setTimeout(() => { space.draw = draw; done(drawn); }, 500); })"""
+    wait_for(lambda: page.evaluate(count) == 0, "a page at rest")
+    assert page.evaluate("haptic.space.held !== null")
+    page.keyboard.press("Escape")
+
+
+@pytest.mark.process
 def test_it_touches_with_a_cone_and_a_spring(page: Page) -> None:
     """Drawn while the ball is touched; the hand taps along the first axis, or is pulled."""
     page.evaluate("haptic.space.held = [0.03, 0.012, 0.0]; haptic.space.tell()")
