@@ -69,6 +69,7 @@ EventKind: TypeAlias = Literal[
     "stability",
     "stale",
     "stopped",
+    "surface",
     "target",
     "tick",
     "unanswered",
@@ -249,6 +250,7 @@ EVENTS: Final[dict[EventKind, Kind]] = {
         "the loop generated energy; the driver stopped it until `rearm`",
         (*CHANGE, "limit_n", "strokes", "span_s", "energy_j"),
     ),
+    "surface": Kind("the surface was replaced while it runs"),
     "target": Kind("a ROS 2 target was refused"),
     "tick": Kind("the compiled tick is not available"),
     "unanswered": Kind(

@@ -40,7 +40,7 @@ from nodes.environment.surfaces import (
     surface_effects,
 )
 from nodes.environment.touched_surface import TouchedSurface
-from nodes.parameters.store import ParameterError, convert
+from nodes.parameters.store import ParameterError, convert, differences
 
 if TYPE_CHECKING:
     from nodes.compiled.answering import CompiledTicks
@@ -192,11 +192,19 @@ class Environment(Node):
         self._refuse_unjudged(parameters)
         with self.loading:
             place, meet = self._built(parameters)
+        changed = differences(self.store.current, parameters)
+        news = ", ".join(
+            f"{path} {'none' if old is None else old} → {'none' if new is None else new}"
+            for path, (old, new) in changed.items()
+            if path.startswith("surface")
+        )
 
         def apply(seq: int) -> dict[str, Any]:
             jump = self._place.take(place)
             s = self.counters
             self._touch(meet)
+            # Each one: a page draws it anew.
+            self.events.emit("surface", news, always=True)
             if jump:
                 s.rebased = seq
                 s.ease = (

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from messages.errors import HapticError
@@ -141,6 +142,14 @@ class Comparison:
         if later != self.later:
             self.later = later
             self._restart()
+
+    def touch(self, name: str, surface: Any) -> None:
+        """Set the present surface of environment `name`, and restart B."""
+        setup = self._setups[name]
+        parameters = {**setup.parameters, "surface": surface}
+        changed = msgspec.structs.replace(setup, parameters=parameters)
+        self._setups = {**self._setups, name: changed}
+        self._restart()
 
     def _restart(self) -> None:
         self._targets: list[Vector] = []

@@ -156,6 +156,8 @@ class LiveRun:
         self.sings: Callable[[], dict[str, str] | None] | None = None
         # Whether the laws must be read again after a receipt; reset by the reader.
         self.changed = True
+        # Whether the surface may differ from the launch's; reset by the reader.
+        self.reshaped = True
         self._end = RunEnd()
         self.ended = ""  # why the run ended; empty while it runs
         self.refused = 0  # messages that do not follow the protocol
@@ -237,6 +239,7 @@ class LiveRun:
                 self._device = message.reason if message.kind == "device_force" else ""
             # The map depends on the delay.
             self.changed |= message.kind == "delay"
+            self.reshaped |= message.kind == "surface"
             if message.kind in ("safety", "stopped"):
                 self._why = cause_of(message)
                 self._stop = {

@@ -197,6 +197,7 @@ class ReplayPages:
         ]
         delays = states = 0.0
         unknown_delay = False
+        replaced = math.inf
         next_scene = next_report = self.begin
         log_time = 0.0
         pending = False  # whether the scene of the newest state is still to be stored
@@ -210,6 +211,8 @@ class ReplayPages:
             elif isinstance(message, Event) and message.kind == "delay":
                 self._read_delay(message)
                 unknown_delay |= "delay_ticks" not in message.data
+            elif isinstance(message, Event) and message.kind == "surface":
+                replaced = min(replaced, message.seq * period)
             while live.board.logged > len(self.log.items):
                 texts, _, _ = live.board.since(1 << 62, len(self.log.items))
                 self.log.add(message.seq * period, texts[0])
@@ -230,6 +233,10 @@ class ReplayPages:
             self._store_moment(log_time)
         live.feed.file(all_of_them=True)
         self._delay = delays / states if states else 0.0
+        if self._shape and replaced < math.inf:
+            notices.append(
+                f"The surface was replaced at {replaced:.1f} s: drawn is the one of the launch."
+            )
         if unknown_delay:
             notices.append(
                 "The device's delay was changed, but this older recording has no value for it: the"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +19,6 @@ from nodes.client.launches import roles
 from nodes.driver.pointer import awaited_pointer
 from nodes.launcher.runs import RunInfo
 from nodes.laws.law_fields import all_law_fields
-from nodes.parameters.store import ParameterError
 from nodes.view.commands import Commander, CommandError
 from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
@@ -29,9 +27,9 @@ from nodes.view.page_words import in_page_words
 from nodes.view.run_page import DRAIN_PERIOD, RunPage, Wakes
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
+from nodes.view.shown_surface import ShownSurface
 
 if TYPE_CHECKING:
-    from nodes.view.drawn_bodies import RunningBodies, RunningShapes
     from nodes.view.foxglove import Bridge
 
 AT_ONCE = 5000  # messages processed before pages get their turn
@@ -87,7 +85,7 @@ class RunPages:
         )
         self._laws: dict[str, Any] = {}
         self._bridge: Bridge | None = None
-        self._bodies: RunningBodies | RunningShapes | None = None
+        self._shown = ShownSurface(run)
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         self._pace = Wakes()
@@ -103,7 +101,7 @@ class RunPages:
             "sings": self._sings(),
             "opens": True,
             "delays": self._commander.delays,
-            "shape": self._shape(stopping),
+            "shape": self._shown.shape(stopping),
         }
         self.live.board.put(
             "hello", {**facts.hello(), **document, "fields": all_law_fields()}
@@ -127,29 +125,6 @@ class RunPages:
             and isinstance(surface, Mapping)
             and surface.get("kind") == "plane"
         )
-
-    def _shape(self, stopping: Callable[[], bool]) -> dict[str, Any]:
-        """Return the static shape of a scene with several axes; empty for one axis."""
-        name = roles(self._run).get("environment", "")
-        if not name or len(self._run.nodes[name].axes) < 2:
-            return {}
-        environment = self._run.nodes[name]
-        if "scene" in environment.parameters:
-            from nodes.view.drawn_bodies import RunningBodies
-
-            # On another machine or without MuJoCo, the flat views remain.
-            with contextlib.suppress(OSError, ParameterError):
-                self._bodies = RunningBodies(environment, stopping)
-                return self._bodies.shape
-            return {}
-        from nodes.view.shape import moves, shape_of
-
-        shape = shape_of(environment.parameters)
-        if moves(shape):
-            from nodes.view.drawn_bodies import RunningShapes
-
-            self._bodies = RunningShapes(environment)
-        return shape
 
     def _open_page(self) -> RunPage:
         return RunPage(self.live, self.hand, self.command)
@@ -267,7 +242,7 @@ class RunPages:
             self.hand.tap(axis, surface, side)
 
     def _show_bodies(self) -> None:
-        poses = self._bodies.news() if self._bodies is not None else None
+        poses = self._shown.poses()
         if poses is not None:
             self.live.board.put("poses", poses)
 
@@ -302,6 +277,8 @@ class RunPages:
     def _refresh(self) -> None:
         """Start due jobs that are not running: reading laws, drawing the map."""
         live = self.live
+        if live.reshaped and not live.ended and self._shown.surface is not None:
+            self._start("surface", self._read_surface)
         if live.ended or not self._commander.coupling:
             return
         if live.changed:
@@ -316,6 +293,8 @@ class RunPages:
             return
         if name == "laws":
             self.live.changed = False
+        elif name == "surface":
+            self.live.reshaped = False
         self._busy.add(name)
 
         async def work() -> None:
@@ -362,6 +341,26 @@ class RunPages:
             # A restarting coupling or driver does not answer yet.
             await asyncio.sleep(ASK_AGAIN)
             self.live.changed = True
+
+    async def _read_surface(self) -> None:
+        """Draw the surface as it is now, which may not be that of the launch."""
+        shown = self._shown
+        run = asyncio.get_running_loop().run_in_executor
+        try:
+            parameters = await run(
+                self._asking, self._commander.ask, shown.name, "param.dump"
+            )
+        except CommandError:
+            # A restarting environment does not answer yet.
+            await asyncio.sleep(ASK_AGAIN)
+            self.live.reshaped = True
+            return
+        if parameters.get("surface") == shown.surface:
+            return
+        shape = await run(None, shown.replaced, parameters)
+        self._comparison.touch(shown.name, shown.surface)
+        if shape is not None:
+            self.live.board.put("shape", {"shape": shape})
 
     async def _inertia(self) -> dict[str, Any] | None:
         """Return the masses that the device reports for its poses."""

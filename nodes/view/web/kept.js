@@ -11,8 +11,8 @@ export class Kept {
     Object.assign(this, { canvas: document.createElement("canvas"), base: document.createElement("canvas"), step: 2, stale: true, last: [0, 0, 0, 0], solids: null });
   }
 
-  // Pixels along a side as a part of all, while the picture moves.
-  get share() { return SHARES[this.step]; }
+  // Pixels along a side as a part of all, while the picture moves; at least a given one.
+  share(least) { return Math.max(least, SHARES[this.step]); }
 
   // Choose the next picture's share by the time of one that moved [ms].
   pace(time) {

@@ -164,11 +164,11 @@ export class Lit {
     return { array, buffers, count: faces.length, type: faces.BYTES_PER_ELEMENT === 4 ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, flatly: normals === null, closed };
   }
 
-  // Draw the solids; `turn` is the camera, `pixels` how many a metre has, `tints` their colours, and
-  // `turning` whether another picture follows at once. Return whether this one has less detail.
-  draw({ turn, pixels, width, height, ground, tints, turning }) {
+  // Draw the solids; `turn` is the camera, `pixels` how many a metre has, `tints` their colours,
+  // `turning` whether another picture follows at once, and `least` the share of its pixels. Return whether this one has less detail.
+  draw({ turn, pixels, width, height, ground, tints, turning, least = 0 }) {
     const { gl, canvas, kept } = this, far = 6 * turn.reach, { right, up, away } = axesOf(turn), began = performance.now();
-    const share = turning && kept ? kept.share : 1, into = this.target(turning, [canvas.width, canvas.height].map((side) => Math.ceil(side * share)));
+    const share = turning && kept ? kept.share(least) : 1, into = this.target(turning, [canvas.width, canvas.height].map((side) => Math.ceil(side * share)));
     this.view = { matrix: [right, up, away], middle: turn.middle, scale: [(2 * pixels) / width, (2 * pixels) / height, 1 / far], pixel: 1 / (pixels * (canvas.width / width)) };
     this.drawn = turning ? this.quick : this.whole;
     const shadowed = `${this.solids.version} ${turn.reach}`;

@@ -166,6 +166,12 @@ const link = new Link({
   },
   ended(found) { status.end(found); },
   poses({ poses }) { space.pose(poses); },
+  // The surface was replaced while the run goes on.
+  shape({ shape }) {
+    space.reshape(shape);
+    section.solids = space.solids;
+    changedAt = performance.now();
+  },
   beside(found) { beside.show(found); if (found.law) changedAt = performance.now(); },
   over(found) {
     overlaid = overview.over = new Over(found);
@@ -459,7 +465,8 @@ function draw(time) {
   if (rests) setTimeout(() => requestAnimationFrame(draw), GLANCE); else requestAnimationFrame(draw);
   const past = slow.window(), held = scene.held !== null || space.held !== null;
   const lively = held || (past && past.at < past.sight[1]) || time - touched < LIVELY;
-  if (!lively && (rests || time - link.heard > LIVELY || time - drawn < HALF)) return;
+  // Also while the hand is kept where it is.
+  if (rests || (!lively && (time - link.heard > LIVELY || time - drawn < HALF))) return;
   drawn = time;
   if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
   if ($("space").hidden) scene.draw();

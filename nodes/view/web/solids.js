@@ -4,7 +4,7 @@ import { cutOf, Slabs } from "./slabs.js";
 export class Solids {
   constructor(shape) {
     this.parts = shape.parts.map(decoded);
-    this.poses = null;
+    this.poses = this.shown = null;
     this.version = 0;
     this.slabs = new Map();
   }
@@ -12,9 +12,12 @@ export class Solids {
   // Number of triangles.
   get count() { return this.parts.reduce((sum, { faces }) => sum + faces.length / 3, 0); }
 
-  // Per pose: position, then rotation matrix by rows.
-  pose(poses) {
+  // Per pose: position, then rotation matrix by rows. What moved by less than `least` [m] in all is
+  // drawn where it was.
+  pose(poses, least = 0) {
     this.poses = poses;
+    if (this.shown && !this.parts.some((part) => part.pose >= 0 && apart(this.shown[part.pose], poses[part.pose], part.box) > least)) return;
+    this.shown = poses;
     this.version++;
   }
 
@@ -75,6 +78,17 @@ export class Solids {
 }
 
 const STILL = [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1];
+
+// Largest distance between two places of a box's corners [m].
+function apart(before, after, box) {
+  if (!before || !after) return before === after ? 0 : Infinity;
+  let most = 0;
+  for (let k = 0; k < 8; k++) {
+    const corner = [0, 1, 2].map((n) => box[(k >> n) & 1][n]), from = moved(before, corner), to = moved(after, corner);
+    most = Math.max(most, Math.hypot(...to.map((each, n) => each - from[n])));
+  }
+  return most;
+}
 
 function isShift(pose) { return STILL.every((each, k) => k < 3 || pose[k] === each); }
 

@@ -11,6 +11,7 @@ import { colour, onTheme } from "./theme.js";
 const TRACE_SECONDS = 2;
 const STEP = 0.0005;
 const REST = 200; // time after which the camera rests [ms]
+const UNSEEN = 0.25; // motion of a body that no picture shows [pixels]
 const BALL = 8; // smallest radius of the device's ball [pixels]
 
 export class Space {
@@ -57,6 +58,18 @@ export class Space {
     for (const button of this.modes) button.parentElement.hidden = !this.shape || !hand;
   }
 
+  // Replace the shape; the camera stays as long as it sees the new one as well.
+  reshape(shape) {
+    if (!this.shape) return;
+    this.shape = { tool_radius: 0, friction: 0, parts: [], ...shape };
+    this.solids = new Solids(this.shape);
+    this.drawn = "";
+    if (!this.shape.parts.length) return;
+    const { middle, reach, low } = this.solids.extent(), near = size(minus(middle, this.turn.middle)) < 0.5 * this.turn.reach;
+    if (near && reach < 1.5 * this.turn.reach && reach > 0.5 * this.turn.reach) this.ground.at = Math.min(this.ground.at, low - 0.004 * reach);
+    else this.fit();
+  }
+
   // Camera and ground for everything that is placed.
   fit() {
     const { middle, reach, low } = this.solids.extent();
@@ -69,7 +82,7 @@ export class Space {
   pose(poses) {
     if (!this.solids) return;
     const first = !this.solids.poses;
-    this.solids.pose(poses);
+    this.solids.pose(poses, this.pixels ? UNSEEN / this.pixels : 0);
     if (first) this.fit();
   }
 
@@ -184,7 +197,7 @@ export class Space {
   draw() {
     const { canvas, still } = this, width = canvas.clientWidth, height = canvas.clientHeight, ratio = devicePixelRatio || 1;
     if (!width || !this.shape) return;
-    const { yaw, pitch, scale, reach } = this.turn, view = [yaw, pitch, scale, width, height, ratio, this.solids.version].join();
+    const { yaw, pitch, scale, reach } = this.turn, sight = [yaw, pitch, scale, width, height, ratio].join(), view = `${sight},${this.solids.version}`;
     this.camera = axesOf(this.turn);
     this.pixels = (0.42 * Math.min(width, height) * scale) / reach;
     for (const each of [canvas, still]) if (each.width !== Math.round(width * ratio) || each.height !== Math.round(height * ratio)) { each.width = Math.round(width * ratio); each.height = Math.round(height * ratio); }
@@ -195,8 +208,11 @@ export class Space {
     // A picture of less detail, while the camera turns, is replaced when it rests.
     const time = performance.now(), turning = this.drawn !== view && this.drawn !== "";
     if (turning) this.turned = time;
+    // Bodies that move before a still camera are looked at: not coarser than half.
+    const least = sight === this.sight ? 0.5 : 0;
+    this.sight = sight;
     if (this.drawn !== view || (this.rough && time - this.turned > REST)) {
-      this.rough = this.picture.draw({ turn: this.turn, pixels: this.pixels, width, height, ground: this.ground, tints: this.tints(), turning });
+      this.rough = this.picture.draw({ turn: this.turn, pixels: this.pixels, width, height, ground: this.ground, tints: this.tints(), turning, least });
       this.drawn = view;
     }
     const there = this.now !== null && this.now.position.every(Number.isFinite);

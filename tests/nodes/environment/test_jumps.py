@@ -171,8 +171,11 @@ def test_a_jump_is_told_until_the_next_one_and_the_later_one_counts() -> None:
     met = answers(node, at(*3 * [(0.0, 0.0, 0.01)]))
     assert [proxy.rebased for proxy in met] == [0, 0, 0]
     changed = node.store.changed({"surface.position": 0.001})
+    told: list[tuple[str, str]] = []
+    node.events.emit = lambda kind, reason, *_, **__: told.append((kind, reason))  # type: ignore[method-assign,assignment]
     node.prepare(changed)(3)
     node.store.accept(changed)
+    assert told == [("surface", "surface.position none → 0.001")]
     met = answers(node, at(*2 * [(0.0, 0.0, 0.01)], first=3))
     assert [(proxy.rebased, proxy.ease) for proxy in met] == [(3, 150), (3, 150)]
     # The driver's own jump, later, is eased as the coupling does.
@@ -180,6 +183,7 @@ def test_a_jump_is_told_until_the_next_one_and_the_later_one_counts() -> None:
     assert [(proxy.rebased, proxy.ease) for proxy in met] == [(7, 0), (7, 0)]
     # The same surface again is none.
     node.prepare(node.store.changed({"surface.position": 0.001}))(9)
+    assert len(told) == 1
     assert answers(node, at((0.0, 0.0, 0.02), first=9, rebased=7))[0].rebased == 7
 
 

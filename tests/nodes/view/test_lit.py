@@ -316,6 +316,73 @@ def test_a_picture_that_stays_has_the_pixels_of_the_shader(page: Page) -> None:
         assert changed > 400
 
 
+def test_a_surface_that_is_replaced_is_drawn_and_the_camera_stays_if_it_sees_it(
+    lit: Browser,
+) -> None:
+    page = opened(lit, ball())
+    camera = Camera(YAW, PITCH, WIDTH, HEIGHT)
+    state = "[space.turn.reach, ...space.turn.middle]"
+    seen(page, {}, [(0.0, 0.0)])
+    before = page.evaluate(state)
+
+    # The middle of the ball, and beside it.
+    aside = [c - 0.8 * RADIUS * r for c, r in zip(CENTRE, camera.right, strict=True)]
+    places = [camera.seen(CENTRE), camera.seen(aside)]
+    page.evaluate("space.reshape({})")
+    bare = seen(page, {}, places)
+    assert page.evaluate(state) == before
+
+    def covers(**given: Any) -> Any:
+        surface = {"kind": "sphere", "position": CENTRE, "radius": RADIUS, **given}
+        page.evaluate("shape => space.reshape(shape)", shape_of({"surface": surface}))
+        # The shadow on the ground differs, too, but by less.
+        colours = zip(seen(page, {}, places), bare, strict=True)
+        return [math.dist(found, before) for found, before in colours]
+
+    assert min(covers()) > 60.0
+    within, beside = covers(radius=0.6 * RADIUS)
+    assert within > 60.0 > beside
+    assert page.evaluate(state) == before
+    # Another place altogether.
+    covers(position=[1.0, 0.0, 0.0])
+    assert page.evaluate(state) != before
+    page.close()
+
+
+def test_a_body_is_drawn_again_when_it_has_moved_by_what_a_picture_shows(
+    lit: Browser,
+) -> None:
+    """Bodies at rest tremble by a micrometre, and each tremble drew the whole scene."""
+    shape = ball()
+    shape["parts"][0]["pose"] = 0
+    page = opened(lit, shape)
+    found = page.evaluate("""() => {
+      const upright = [1, 0, 0, 0, 1, 0, 0, 0, 1], calls = [];
+      let at = 0;
+      const drawn = (pixels) => {
+        at += pixels / space.pixels;
+        space.pose([[at, 0, 0, ...upright]]);
+        const { version } = space.solids;
+        shown({ yaw: -0.4, pitch: 0.6 });
+        return version;
+      };
+      space.pose([[0, 0, 0, ...upright]]);
+      shown({ yaw: -0.4, pitch: 0.6 });
+      // As coarse as turning was last.
+      space.lit.kept.step = 4;
+      const first = space.solids.version, steps = [0.1, 0.1, 0.1, 20].map(drawn);
+      const share = space.lit.into.width / space.still.width;
+      shown({ yaw: -0.3, pitch: 0.6 });
+      return [steps.map((each) => each - first), share, space.solids.poses[0][0] / at,
+        space.lit.into.width / space.still.width]; }""")
+    # Tenths of a pixel count together, and what is felt is where it is.
+    assert found[0] == [0, 0, 1, 2]
+    assert found[2] == 1.0
+    # Looked at, it is at most half as fine; a camera that turns may be coarser.
+    assert found[1] >= 0.5 > found[3]
+    page.close()
+
+
 def test_without_webgl_a_fine_mesh_is_drawn_coarser_and_closed(lit: Browser) -> None:
     """Also when a browser takes WebGL away in the middle."""
     shape = fine_ball(5)

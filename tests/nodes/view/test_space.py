@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from nodes.launcher import scenario_files
 from nodes.recording.reader import Recording
 from tests.support.ball_picture import CENTRE, COLOURS, RADIUS, Camera, shade
 from tests.support.browser import OpenPage, needs_browser, shown, url_of, viewing
-from tests.support.launching import Running, running, wait_for
+from tests.support.launching import HAPTIC, Running, running, wait_for
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -357,6 +358,30 @@ def test_a_plane_of_section_cuts_the_ball_and_gives_the_plots(page: Page) -> Non
 
 
 @pytest.mark.process
+def test_a_surface_that_is_replaced_while_it_runs_is_drawn_anew(
+    page: Page, launch: Running
+) -> None:
+    """And drawn at once on a page that is opened later, because both read it from its node."""
+    radius = "haptic.space.solids.extent().low"
+
+    def ask(value: float) -> None:
+        words = ["param", "set", "environment", "surface.radius", str(value)]
+        command = [*HAPTIC, *words, "--run", launch.run.run]
+        environment = launch.environment
+        subprocess.run(command, env=environment, check=True, capture_output=True)
+
+    for value in (0.7 * RADIUS, RADIUS):
+        ask(value)
+        wait_for(
+            lambda value=value: (
+                page.evaluate(radius)  # type: ignore[misc]
+                == pytest.approx(CENTRE[2] - value, abs=1e-6)
+            ),
+            "the ball of another radius",
+        )
+
+
+@pytest.mark.process
 def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
     page.locator("#space").focus()
 
@@ -369,6 +394,22 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
     wait_for(moved, "away from the camera")
     page.keyboard.press("Escape")
     assert page.evaluate("haptic.space.held") is None
+
+
+@pytest.mark.process
+def test_a_hand_that_is_kept_where_it_is_costs_no_picture(page: Page) -> None:
+    """It was drawn ten times a second as long as it was held."""
+    page.locator("#space").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("haptic.space.held !== null")
+    count = """() => new Promise((done) => {
+      const { space } = haptic, { draw } = space;
+      let drawn = 0;
+      space.draw = () => { drawn++; draw.call(space); };
+      setTimeout(() => { space.draw = draw; done(drawn); }, 500); })"""
+    wait_for(lambda: page.evaluate(count) == 0, "a page at rest")
+    assert page.evaluate("haptic.space.held !== null")
+    page.keyboard.press("Escape")
 
 
 @pytest.mark.process
