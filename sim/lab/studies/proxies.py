@@ -27,6 +27,7 @@ from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.transforms import BboxBase
 
     from sim.lab.proxies import ProxyError
 
@@ -158,7 +159,7 @@ def errors_over_time(found: Sequence[ProxyError]) -> Figure:
             for row in shown
         ]
         # No name covers a marker.
-        taken = [
+        taken: list[BboxBase] = [
             Bbox.from_bounds(x - 3.0, y - 3.0, 6.0, 6.0)
             for x, y in axes.transData.transform([point[1:] for point in named])
         ]

@@ -68,7 +68,7 @@ def test_no_name_in_the_picture_covers_a_marker_or_another_name() -> None:
     made = (
         ("plane", 0, 5e-8, 0.38),
         ("sphere", 0, 5e-8, 0.95),
-        ("capsule", 0, 5e-8, 1.03),
+        ("capsule", 0, 1.2e-7, 1.02),
         ("sphere of 320 triangles", 320, 0.5, 1.08),
         ("sphere of 1280 triangles", 1280, 0.16, 1.25),
         ("sphere of 5120 triangles", 5120, 0.09, 1.6),
