@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import UsageError
@@ -26,6 +26,9 @@ from sim.studies.result import Findings
 from sim.studies.sweeps import SpreadOptions, spread
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import BboxBase
+
     from sim.lab.proxies import ProxyError
 
 _MOST = 7
@@ -117,18 +120,21 @@ def proxies(options: ProxiesOptions) -> ProxiesFound:
         f" mm: {wrong} on the wrong side, at most {1e6 * aside:.3g} µm beside the device"
     )
     plate = PlateCrossed(options.steps, step, wrong, aside)
-    picture = _draw(options.out / "proxies.png", found)
+    picture = save_figure(errors_over_time(found), options.out / "proxies.png", fresh)
     return ProxiesFound(
         lines=lines, picture=picture, held=not wrong, rows=found, plate=plate
     )
 
 
 @styled
-def _draw(path: Path, found: list[ProxyError]) -> Path:
+def errors_over_time(found: Sequence[ProxyError]) -> Figure:
     """Plot the largest error and the noise of the force over the time of a call."""
+    from matplotlib.transforms import Bbox
+
     figure = new_figure(PAGE_WIDTH, 3.4)
     panels = figure.subplots(1, 2)
     kinds = ("closed form", "mesh")
+    labels = ("closed form", "mesh of a sphere, by its triangles")
     for axes, key, scale, title in (
         (panels[0], "max_n", 1e3, "largest force error  [mN]"),
         (panels[1], "noise_n", 1e3, "noise of the force  [mN]"),
@@ -143,12 +149,20 @@ def _draw(path: Path, found: list[ProxyError]) -> Path:
                 marker=MARKERS[i],
                 ls="none" if kind == "closed form" else LINES[i],
                 lw=0.8,
-                label=kind,
+                label=labels[i],
             )
         axes.set(xlabel="time of a call, median  [µs]", title=title)
         axes.margins(0.15)
         plain_log(axes.xaxis, *axes.get_xlim())
-        named = [(row.name, row.call_us, scale * getattr(row, key)) for row in shown]
-        name_points(axes, named, [], must=True, size=6.5, color=INK)
+        named = [
+            (str(row.triangles or row.name), row.call_us, scale * getattr(row, key))
+            for row in shown
+        ]
+        # No name covers a marker.
+        taken: list[BboxBase] = [
+            Bbox.from_bounds(x - 3.0, y - 3.0, 6.0, 6.0)
+            for x, y in axes.transData.transform([point[1:] for point in named])
+        ]
+        name_points(axes, named, taken, must=True, size=6.5, color=INK)
     panels[0].legend()
-    return save_figure(figure, path, fresh)
+    return figure

@@ -129,23 +129,37 @@ class Session {
 
   refusal(name, law) {
     const fault = `${name}: the loop would be unstable; nothing was changed`;
-    const edge = this.edge(name, law);
-    if (edge === null) return new Refusal(`${fault}; no stiffness is stable with this damping and delay`, []);
+    const [least, edge] = this.interval(name, law);
     const field = `${name}.${law.stiffness === undefined ? "hardness" : "stiffness"}`;
-    const most = Number((edge * 0.999).toPrecision(4));
-    const text = `the largest ${field} that is accepted is ${most}`;
-    return new Refusal(`${fault}; ${text}`, [{ kind: "at_most", text, values: { [field]: most } }]);
+    const refused = (kind, word, value) => {
+      const text = `the ${word} ${field} that is accepted is ${value}`;
+      return new Refusal(`${fault}; ${text}`, [{ kind, text, values: { [field]: value } }]);
+    };
+    // Some laws are unstable where they are too soft, too. On a hand they need less than without.
+    if (least > 0 && law.stiffness <= least) {
+      let [out, inside] = [law.stiffness, Math.min(1.001 * least, 0.5 * (least + (edge ?? Infinity)))];
+      for (let n = 0; n < 30; n++) {
+        const middle = 0.5 * (out + inside);
+        if (this.stable(name, { ...law, stiffness: middle })) inside = middle; else out = middle;
+      }
+      return refused("at_least", "smallest", Number((inside * 1.001).toPrecision(4)));
+    }
+    if (edge === null) return new Refusal(`${fault}; no stiffness is stable with this damping and delay`, []);
+    return refused("at_most", "largest", Number((edge * 0.999).toPrecision(4)));
+  }
+
+  // Smallest and largest stable stiffness of a law [N/m]; null where there is none.
+  interval(name, law = this.laws[name], delay = this.delay) {
+    const parts = this.data.parts[name], { period } = this.data.device;
+    const numbers = compiled(parts, law, period);
+    if (numbers.own.kind) return [null, null];
+    if (law.stiffness === undefined) return [null, scaledEdge(this.device(delay), numbers)];
+    const found = stableStiffness(this.device(delay), withoutSpring(parts, law, period));
+    return found ? [found[0], found[1] < Infinity ? found[1] : null] : [null, null];
   }
 
   // Largest stable stiffness of a law [N/m], or null.
-  edge(name, law = this.laws[name], delay = this.delay) {
-    const parts = this.data.parts[name], { period } = this.data.device;
-    const numbers = compiled(parts, law, period);
-    if (numbers.own.kind) return null;
-    if (law.stiffness === undefined) return scaledEdge(this.device(delay), numbers);
-    const found = stableStiffness(this.device(delay), withoutSpring(parts, law, period));
-    return found && found[1] < Infinity ? found[1] : null;
-  }
+  edge(name, law = this.laws[name], delay = this.delay) { return this.interval(name, law, delay)[1]; }
 
   switchTo(name, ramp, beyond) {
     if (!Object.hasOwn(this.laws, name)) throw new Error(`no law is named ${name} on this page`);

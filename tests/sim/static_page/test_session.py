@@ -476,6 +476,44 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
     assert "stiffness: 500" in found["python"]
 
 
+def test_a_law_refused_because_it_is_too_soft_is_told_the_smallest_stiffness(
+    tmp_path: Path,
+) -> None:
+    """One tick late the paper's law needs some spring; told was the largest."""
+    found = run(
+        tmp_path,
+        """
+        const session = new Session(DATA), said = [];
+        session.switchTo("multi_term", 0, true);
+        session.setDelay(1, true);
+        const tried = (value) => {
+          try { session.setLaw("stiffness", value, false); } catch (error) { return error; }
+          return null;
+        };
+        for (const value of [10, 1e5]) said.push(tried(value).remedies[0]);
+        const taken = said.map(({ values }) => tried(Object.values(values)[0]) === null);
+        result = { said, taken, law: session.laws.multi_term, device: session.device() };
+        """,
+        "touch_wall",
+    )
+    least, most = (next(iter(one["values"].values())) for one in found["said"])
+    assert [one["kind"] for one in found["said"]] == ["at_least", "at_most"]
+    assert found["taken"] == [True, True]
+    given = {**found["device"]}
+    plant = Plant(
+        T, given["mass"], given["damping"], given["delay"], given["stiffness"]
+    )
+
+    def stable(stiffness: float) -> bool:
+        law = parse_law({**found["law"], "stiffness": stiffness}, "multi_term")
+        return bool(pole_radius(law.compile(T), plant) < 1.0)
+
+    # Both are told a thousandth inside, in four digits.
+    inside = [stable(least), stable(most)]
+    outside = [stable(0.998 * least), stable(1.002 * most)]
+    assert (inside, outside) == ([True, True], [False, False])
+
+
 def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> None:
     """A sings for seconds under the page's own hand; B, three times as stiff, settles."""
     found = run(
