@@ -226,14 +226,19 @@ def _missing_symbol(error: OSError) -> str:
 
 def _stubs(archive: Path) -> str:
     """Return C source of no-op functions for the vendor's logger, which its archive lacks."""
-    names: dict[str, set[str]] = {"U": set(), "T": set()}
     done = subprocess.run(["nm", archive], capture_output=True, text=True, check=False)
     if done.returncode:
         raise OSError(
             f"nm cannot read {archive}: {done.stderr[-300:]}; is it a static library of"
             f" {compiler()}?"
         )
-    for line in done.stdout.splitlines():
+    return stub_source(done.stdout)
+
+
+def stub_source(listing: str) -> str:
+    """Return the source of the functions that an archive's listing by ``nm`` lacks."""
+    names: dict[str, set[str]] = {"U": set(), "T": set()}
+    for line in listing.splitlines():
         *_, kind, name = line.split() if len(line.split()) >= 2 else ("", "", "")
         if kind in ("U", "T", "D", "B", "R", "W"):
             names["U" if kind == "U" else "T"].add(name)

@@ -495,3 +495,23 @@ def test_a_law_is_tried_with_the_budget_that_it_comes_with(
     node.store.accept(node.store.changed({"budget": 0.1}))
     node._settle(node.store.current, node._renderer.fallback)
     node.prepare(node.store.changed({"law": "slow", "budget": 1.0}))
+
+
+def test_a_law_that_is_scheduled_follows_a_change_before_its_time() -> None:
+    """Only the one that was changed is compiled again; the others are the same objects."""
+
+    def pd(stiffness: float) -> dict[str, Any]:
+        return {"kind": "pd", "stiffness": stiffness, "damping": 3.0}
+
+    laws = {"first": pd(500.0), "second": pd(600.0), "third": pd(700.0)}
+    schedule = [{"at": 0.1, "law": "second"}, {"at": 0.2, "law": "third"}]
+    more = {"law": "first", "laws": laws, "schedule": schedule, "stability": "off"}
+    node = Coupling(setup_of(name="coupling", parameters=more))
+    node.configure()
+    second, third = (swap.law for swap in node._schedule.swaps)
+    node.prepare(node.store.changed({"laws.second.stiffness": 650.0}))(0)
+    changed, same = node._schedule.swaps
+    assert same.law is third
+    assert changed.law is not second
+    assert changed.law.compiled.h1 == pytest.approx(650.0)
+    assert (changed.tick, same.tick) == (50, 100)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.forcedimension.dhd import FUNCTIONS, load_library
+from nodes.driver.forcedimension.dhd import FUNCTIONS, load_library, stub_source
 from nodes.driver.forcedimension.driver import (
     ForceDimensionDevice,
     ForceDimensionDriverParameters,
@@ -162,6 +162,29 @@ def test_what_cannot_be_linked_or_loaded_is_refused_in_one_line(
             match=rf"{path.name} cannot be loaded .*install the Force Dimension SDK",
         ):
             load_library(str(path))
+
+
+def test_only_what_the_vendor_s_logger_lacks_is_filled_in() -> None:
+    """A listing of ``nm``: members, undefined names, and those that another member defines."""
+    logger = "_ZN14forcedimension6logger"
+    listing = f"""
+usb.o:
+0000000000000000 T dhdOpen
+                 U {logger}4stopEv
+                 U {logger}5startEv
+                 U {logger}5startEv
+                 U malloc
+
+log.o:
+0000000000000010 W {logger}4stopEv
+0000000000000020 t {logger}5startEv
+"""
+    line = "__attribute__((weak)) long {name}(void) {{ return 0; }}\n"
+    # A local function, `t`, is none that another member finds.
+    assert stub_source(listing) == line.format(name=f"{logger}5startEv")
+    for kind in "TDBRW":
+        whole = f"{listing}0000000000000030 {kind} {logger}5startEv\n"
+        assert stub_source(whole) == stub_source("") == "int unused;\n"
 
 
 def test_a_world_is_kept_in_its_file(tmp_path: Path) -> None:

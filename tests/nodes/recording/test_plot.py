@@ -129,12 +129,13 @@ def test_the_title_is_on_top_the_time_below_and_a_switch_in_every_panel(
 ) -> None:
     """The switch is named once, by the law that it chose, at its own time."""
     path = write(tmp_path / "drop.mcap", list(drop(100, switch=60)), pace="lockstep")
-    first, *rest = plot.figure_of(Recording(path), start=0.0, stop=None).axes
+    panels: list[Any] = plot.figure_of(Recording(path), start=0.0, stop=None).axes
+    first, *rest = panels
     assert first.get_title(loc="left") == "floor_drop"
     assert [axes.get_title(loc="left") for axes in rest] == [""] * len(rest)
-    labels = [axes.get_xlabel() for axes in (first, *rest)]
+    labels = [axes.get_xlabel() for axes in panels]
     assert labels == [""] * len(rest) + ["simulated time [s]"]
-    for axes in (first, *rest):
+    for axes in panels:
         dotted = [line for line in axes.lines if line.get_linestyle() == ":"]
         at = [line.get_xdata()[0] for line in dotted if len(line.get_xdata()) == 2]
         assert at == pytest.approx([60 * PERIOD], abs=1e-12)

@@ -18,9 +18,9 @@ from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
 from sim.cli.bag.replay import at_most
 from sim.device.hand import Hand, path_position
-from sim.device.model import DeviceModel
+from sim.device.model import DeviceModel, coefficients
 from sim.identify import counterfactual
-from sim.identify.counterfactual import missing_force, nudges, replay
+from sim.identify.counterfactual import _smooth, missing_force, nudges, replay
 from sim.identify.experiment import read
 from sim.identify.identify import identify
 from sim.identify.recorded_scene import another_law, rebuild
@@ -397,3 +397,43 @@ def test_the_smoother_is_the_conditional_mean_of_the_joint_normal_distribution()
     assert likelihood == pytest.approx(expected, rel=1e-10)
     means = np.array(mean)[:, 2] + covariance[2::3, seen] @ np.linalg.solve(spread, off)
     assert force == pytest.approx(means, rel=1e-9, abs=1e-10)
+
+
+@pytest.mark.parametrize("walk", [0.03, 1.0])
+def test_the_missing_force_is_the_mean_of_all_that_explain_the_positions(
+    walk: float,
+) -> None:
+    """Smoothing tick by tick is conditioning of one Gaussian of all ticks at once."""
+    ticks, noise = 25, 3e-4
+    step = coefficients(0.1, 2.0, 50.0, 0.02)
+    rng = np.random.default_rng(1)
+    y, known = 1e-2 * rng.normal(size=ticks), 1e-3 * rng.normal(size=(ticks, 2))
+    likelihood, force = _smooth(y, known, step, noise, walk)
+    # What is unknown: first position, speed and force, and the steps of the force.
+    a11, a12, a21, a22, b1, b2 = step
+    unknowns = np.eye(ticks + 2)
+    spread = np.diag([noise, 1.0, 1.0, *[walk] * (ticks - 1)]) ** 2
+    state, offset = unknowns[:3].copy(), np.array([y[0], 0.0])
+    positions, offsets, forces = [], [], []
+    for k in range(ticks):
+        if k:
+            x, v, f = state
+            state = np.array(
+                [
+                    a11 * x + a12 * v + b1 * f,
+                    a21 * x + a22 * v + b2 * f,
+                    f + unknowns[2 + k],
+                ]
+            )
+            offset = np.array([[a11, a12], [a21, a22]]) @ offset + known[k - 1]
+        positions.append(state[0])
+        offsets.append(offset[0])
+        forces.append(state[2])
+    place, pushed = np.array(positions), np.array(forces)
+    covariance = place @ spread @ place.T + noise**2 * np.eye(ticks)
+    surprise = y - np.array(offsets)
+    solved = np.linalg.solve(covariance, surprise)
+    # 25 ticks of matrices whose entries lie six decades apart.
+    assert force == pytest.approx(pushed @ spread @ place.T @ solved, rel=1e-6)
+    density = -0.5 * (surprise @ solved + np.linalg.slogdet(covariance)[1])
+    assert likelihood == pytest.approx(density, rel=1e-6)
