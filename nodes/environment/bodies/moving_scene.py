@@ -199,9 +199,8 @@ class MovingScene:
         """
         if first:
             self.begin(position)
-            self._done = (
-                tick * self.steps
-            )  # a restarted node continues with the present tick
+            # a restarted node continues with the present tick
+            self._done = tick * self.steps
             return "the scene begins"
         if 0 <= self._controls_until < tick:
             self._controls_until = -1

@@ -73,9 +73,8 @@ def test_an_overload_is_told_before_the_start_by_what_ticks_cost_here(
         in told
     )
     assert warning(launch, chains, "compiled", 2) == ""
-    assert (
-        warning(launch, chains, "plain", 1) == ""
-    )  # another tick costs something else
+    # another tick costs something else
+    assert warning(launch, chains, "plain", 1) == ""
     assert warning(several(tmp_path, 16, pace="lockstep"), chains, "compiled", 1) == ""
 
 

@@ -61,9 +61,8 @@ def test_what_changes_nothing_is_reported_and_the_device_is_identified(
     assert found.remainder
     assert not found.refuted
     assert refusal(found) is None
-    if (
-        name != "force steps of 5 mN"
-    ):  # whose grid of sizes names them as what repeats as well
+    # whose grid of sizes names them as what repeats as well
+    if name != "force steps of 5 mN":
         assert words in found.remainder
     off = k_max_off(device, found, T)
     assert off is not None
