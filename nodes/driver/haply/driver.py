@@ -21,17 +21,6 @@ from websockets.sync.client import ClientConnection, connect
 
 from messages.types import ZERO, Vector
 from nodes.driver.device import Workspace
-from nodes.driver.haply.failures import (
-    BROKEN,
-    CLOSED,
-    ERRORS,
-    FORCELESS,
-    NO_STATE,
-    SLOW,
-    SURPLUS,
-    UNPLUGGED,
-    UNREADABLE,
-)
 from nodes.driver.haply.service import (
     ENDS,
     EVENTS,
@@ -44,6 +33,17 @@ from nodes.driver.haply.service import (
     buttons,
     command,
     read,
+)
+from nodes.driver.haply.service_faults import (
+    BROKEN,
+    CLOSED,
+    ERRORS,
+    FORCELESS,
+    NO_STATE,
+    SLOW,
+    SURPLUS,
+    UNPLUGGED,
+    UNREADABLE,
 )
 from nodes.driver.haply.surplus import SurplusAnswers, SurplusError
 from nodes.driver.hardware.driver import HardwareDriver
