@@ -13,14 +13,14 @@ import math
 import threading
 import time
 from contextlib import AbstractContextManager, ExitStack, suppress
-from typing import Annotated, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import msgspec
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import ClientConnection, connect
 
 from messages.types import ZERO, Vector
-from nodes.driver.device import Workspace
+from nodes.driver.haply.parameters import Inverse3DriverParameters
 from nodes.driver.haply.service import (
     ENDS,
     EVENTS,
@@ -48,53 +48,13 @@ from nodes.driver.haply.service_faults import (
 from nodes.driver.haply.surplus import SurplusAnswers, SurplusError
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.libraries import Search
-from nodes.driver.hardware.mailbox import (
-    SAMPLE,
-    HardwareParameters,
-    MailboxDevice,
-    ServoParameters,
-)
+from nodes.driver.hardware.mailbox import SAMPLE, MailboxDevice
 
 COLD_START: Final = 25.0  # start time of the service, by the vendor's guide [s]
 # force from which its effect is checked, and that other sessions may add [N]
 ASKED: Final = 0.1
 # time without an effect after which forces count as refused [s]
 FORCELESS_AFTER: Final = 0.3
-
-
-class Inverse3Parameters(
-    ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
-):
-    """Parameters of the device.
-
-    serial: Its identifier in the service (``device_id``); empty for the first one.
-    host: Host of the service.
-    port, events_port: Port of its WebSocket, and of its events; 0 for no events.
-    start_time: Longest wait for the service and the device [s]: a cold start takes up to 25.
-    peak_force: Largest force along an axis [N], which the service does not report.
-    continuous_force: Largest lasting force [N].
-    workspace: Workspace along its own axes [m].
-    """
-
-    serial: str = ""
-    host: str = "localhost"
-    port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 10001
-    events_port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 10020
-    start_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 30.0
-    peak_force: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 8.0
-    continuous_force: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 3.0
-    workspace: Workspace = ((-0.35, 0.35), (-0.35, 0.35), (-0.35, 0.35))
-
-
-class Inverse3DriverParameters(
-    HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
-):
-    """Parameters of the driver node.
-
-    inverse3: The device.
-    """
-
-    inverse3: Inverse3Parameters = Inverse3Parameters()
 
 
 class Inverse3Device(MailboxDevice):
