@@ -553,3 +553,32 @@ def test_no_line_is_longer_than_100_columns() -> None:
         if len(re.sub(r"\s+# (?:noqa|type: ignore).*", "", line)) > 100
     ]
     assert long == []
+
+
+CROWDED = re.compile(
+    r"[(\[]\n +(?:[^\n#]*[^,\n#\s]  # [^\n]*\n *[)\]]|[^\n#]*\n *[)\]][^\n#]*  # (?!type:|noqa))"
+)
+"""A value alone between brackets, beside a comment that did not fit on its line."""
+
+
+def test_a_long_comment_stands_above_its_line() -> None:
+    """Ruff would put the value between brackets of its own to keep the comment beside it."""
+    for crowded in (
+        "A = (\n    1  # why\n)\n",
+        "a: list[\n    int\n] = []  # why\n",
+        "    x: (\n        int  # why\n    )\n",
+    ):
+        assert CROWDED.search(crowded)
+    for plain in (
+        "A = (\n    1,  # why\n)\n",
+        "f(\n    a=1,  # why\n    b=2,\n)\n",
+        "# why\nA = 1\n",
+        "a = [\n    1,\n    2,\n]  # why\n",
+    ):
+        assert not CROWDED.search(plain)
+    found = [
+        f"{path.relative_to(ROOT)}: {one[0]}"
+        for path in worded_files()
+        for one in CROWDED.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []

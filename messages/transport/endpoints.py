@@ -40,9 +40,8 @@ DOMAIN = b"haptic"
 # [bytes]
 MAX_MESSAGE = 16 * MAX_PAYLOAD
 MAX_UPSTREAM = 1024  # longest frame that a listener may send to a publisher: a subscription [bytes]
-KEEPALIVE_S = (
-    1  # interval of the kernel's keep-alive probes on a silent tcp connection [s]
-)
+# interval of the kernel's keep-alive probes on a silent tcp connection [s]
+KEEPALIVE_S = 1
 KEEPALIVE_PROBES = 2  # unanswered probes after which the connection is closed
 # longest handshake of a local peer [ms]; ZeroMQ's 30 s would accumulate idle connections
 HANDSHAKE_MS = 3000

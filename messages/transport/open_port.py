@@ -25,9 +25,8 @@ from messages.transport.endpoints import (
 )
 from messages.transport.gate import close_bound
 
-MAX_GROWTH = (
-    128 << 20
-)  # growth of memory at which all listeners are disconnected [bytes]
+# growth of memory at which all listeners are disconnected [bytes]
+MAX_GROWTH = 128 << 20
 QUEUE = 4096  # messages queued for one listener before its newest ones are dropped
 # longest time for ZeroMQ to free a closed port, under thousands of connections [s]
 GIVEN_BACK = 10.0

@@ -54,9 +54,8 @@ class Publisher:
             if places:
                 with closed_if_refused(*self._sockets):
                     self._sockets.append(self._bound(context, thread, places))
-        self.apart = (
-            len(self._sockets) > 1
-        )  # whether listeners have a socket of their own
+        # whether listeners have a socket of their own
+        self.apart = len(self._sockets) > 1
         # pyzmq's own send, without the layer above it that checks unused arguments
         self._hop = super(zmq.Socket, self._sockets[0]).send
         self._aside = super(zmq.Socket, self._sockets[-1]).send

@@ -20,9 +20,8 @@ class Waker:
         # Nobody else can forge it: a similar frame is discarded like any other topic.
         self.frame = topic + b"\x00" + os.urandom(16)  # the frame received, alone
         self.endpoint = f"inproc://wake-{id(self)}"  # where the subscription connects
-        self._lock = (
-            threading.RLock()
-        )  # a signal handler may interrupt its own thread here
+        # a signal handler may interrupt its own thread here
+        self._lock = threading.RLock()
         self._socket = context.socket(zmq.PUB)
         self._socket.bind(self.endpoint)
 

@@ -45,9 +45,8 @@ class CompiledTicks:
         self._node = node
         self._kernel = kernel
         self._inbox = node.inbox
-        self.state = state = (
-            node.counters
-        )  # the node's state, in which the kernel ticks
+        # the node's state, in which the kernel ticks
+        self.state = state = node.counters
         self.inside = False  # whether the kernel runs
         self._posting = threading.Lock()
         self._at = state.here = ctypes.addressof(state)

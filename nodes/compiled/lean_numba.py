@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-TRIED: Final = (
-    (0, 68),
-)  # versions of numba whose kernels compile alike with it and without
+# versions of numba whose kernels compile alike with it and without
+TRIED: Final = ((0, 68),)
 
 
 def make_lean() -> None:

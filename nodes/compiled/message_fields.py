@@ -30,9 +30,8 @@ class Field(NamedTuple):
     # index of its value in the floats (a vector takes three), the integers (also flags) or the
     # texts
     slot: int
-    low: (
-        int  # bounds of an integer; `high` is the longest length of a text [characters]
-    )
+    # bounds of an integer; `high` is the longest length of a text [characters]
+    low: int
     high: int
     # value if absent; None if required; 0 for texts, which are only checked
     default: float | None

@@ -51,9 +51,8 @@ class History:
         self._state, self._n = state, n
         # number of newest values that are valid: all, except in a snapshot
         self.length = self.known = length
-        self.values = array("d", [0.0]) * (
-            2 * length
-        )  # the ring [m], shape (2 * length,)
+        # the ring [m], shape (2 * length,)
+        self.values = array("d", [0.0]) * (2 * length)
         self.filled_at, self.level = (
             0,
             0.0,
@@ -163,9 +162,8 @@ class LawOnAxis:
         self.gain = newest_gain(self.numbers, self.coefficients)
         # stiffness to a constant deflection [N/m]; 0 of a law that has none, or code of its own
         self.still = still_of(law)
-        self.plain = (
-            not law.sections and law.evaluate is None
-        )  # whether the law has taps only
+        # whether the law has taps only
+        self.plain = not law.sections and law.evaluate is None
         # sums the taps, from the history's head to a force [N]
         self.sum_of_taps = sum_of_taps(law.taps, history)
         self._own = law.own_code(axis)

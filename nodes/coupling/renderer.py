@@ -89,9 +89,8 @@ class Renderer:
             memory,
             1,
         )
-        self.histories = [
-            History(memory, s, n) for n in range(len(self.axes))
-        ]  # one per axis
+        # one per axis
+        self.histories = [History(memory, s, n) for n in range(len(self.axes))]
         # laws that become active later; their sections run along until then
         self.standby: list[ActiveLaw] = []
         self._leaving: list[list[Share]] = []

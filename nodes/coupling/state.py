@@ -39,9 +39,8 @@ class CouplingState(LoopState):
     axes: int  # number of axes
     axis: Annotated[list[int], 3]  # index of each
     length: int  # values of a history
-    history: Annotated[
-        list[int], 3
-    ]  # address of a history, which stores its values twice
+    # address of a history, which stores its values twice
+    history: Annotated[list[int], 3]
     head: Annotated[list[int], 3]  # index of the newest value
     pushes: Annotated[list[int], 3]  # values pushed so far
 

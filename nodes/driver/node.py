@@ -181,9 +181,8 @@ class Driver(Node):
         ) / period
         held = lower(parameters.safety, limits, period, f"{self.setup.name}.safety")
         if s.realtime == 0:
-            held = msgspec.structs.replace(
-                held, max_age=0
-            )  # only the tick's own answer counts
+            # only the tick's own answer counts
+            held = msgspec.structs.replace(held, max_age=0)
         set_safety(s, parameters.safety, held, period)
         self._kept = set_motion(s, round((limits.latency or 0.0) / period, 9))
         set_guard(s, parameters.passivity)

@@ -15,9 +15,8 @@ from nodes.compiled.published import published
 from nodes.compiled.rules import rule
 
 BETWEEN: Final = 0
-WAITING: Final = (
-    1  # phase: sample published, awaiting its force (BETWEEN: before the sample)
-)
+# phase: sample published, awaiting its force (BETWEEN: before the sample)
+WAITING: Final = 1
 IDLE, RAMP, ACTIVE, DAMPING, NOTHING, FAULT, STOPPED = range(7)
 SAFETY: Final = ("waiting", "ramp", "active", "damping", "zero", "fault", "stopped")
 """States of the safety, and their names in messages."""
@@ -51,9 +50,8 @@ class DriverState(LoopState):
     poll: int  # address of its struct pollfd
 
     # The tick
-    phase: (
-        int  # WAITING: sample published, awaiting its force; BETWEEN: before the sample
-    )
+    # WAITING: sample published, awaiting its force; BETWEEN: before the sample
+    phase: int
     next_tick: int  # 1 if a force takes effect at the next deadline
     epoch: float  # time of tick 0 [s]
     sampled: float  # time at which this tick's sample was published [s]
@@ -63,9 +61,8 @@ class DriverState(LoopState):
     response: float  # time from publishing the sample to its answer [s]
     delay: float  # from the last tick's sample to its force taking effect [ticks]
     position_ready: int  # 1 if the driver has already read the position
-    pending_result: (
-        int  # outcome of a message that the driver has already processed, plus 1
-    )
+    # outcome of a message that the driver has already processed, plus 1
+    pending_result: int
     failed: int  # 1 after a failed call of the device
     waits_until: float  # time until which this tick waits for its answer [s]
     late_answer: int  # 1 if a message is kept for the next tick
@@ -99,9 +96,8 @@ class DriverState(LoopState):
     split: float  # time in the tick up to which `mean` is complete [ticks]
     # time in the tick at which the first new force was written; 1 for none [ticks]
     changed_at: float
-    device_hold_ticks: (
-        float  # ticks without a write after which the device lets go by itself
-    )
+    # ticks without a write after which the device lets go by itself
+    device_hold_ticks: float
     # forces from outside, in two places (nodes/driver/external.py) [N]
     external: Annotated[list[float], 6]
     external_until: Annotated[list[int], 2]  # tick up to which each is valid
@@ -166,9 +162,8 @@ class DriverState(LoopState):
     always_ramp: int  # 1 if the first force always has a ramp
 
     # Oscillations
-    stop_after: (
-        int  # times at the peak within STOP_WINDOW that stop the driver; 0: never
-    )
+    # times at the peak within STOP_WINDOW that stop the driver; 0: never
+    stop_after: int
     peaked: int  # 1 if the force has just reached its peak
     peaks_count: int  # how often it has
     peaks: Annotated[list[float], 2 * PEAKS]  # ring of tick and energy of each

@@ -131,7 +131,7 @@ def known_costs() -> dict[str, float]:
     return {}
 
 
-def keep_costs(measured: Mapping[str, float]) -> None:
+def store_costs(measured: Mapping[str, float]) -> None:
     """Store tick costs [s] by kind of chain; do nothing if the folder is not writable."""
     known = known_costs()
     for kind, cost in measured.items():
@@ -237,24 +237,26 @@ class Meter:
 
     def __init__(self, pids: Mapping[str, int]) -> None:
         self._pids = dict(pids)
-        self._had = {name: _processor_time(pid) for name, pid in self._pids.items()}
+        self._before = {name: _processor_time(pid) for name, pid in self._pids.items()}
         self._began = {
             name: (time.monotonic(), _waited(pid)) for name, pid in self._pids.items()
         }
         self._waits: dict[str, float] = {}
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Update the waiting times of the nodes that still run."""
         for name, pid in self._pids.items():
             at, before = self._began[name]
             if (waited := _waited(pid)) > before and time.monotonic() > at:
                 self._waits[name] = (waited - before) / (time.monotonic() - at)
 
-    def had(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    def processor_times(
+        self, reports: Mapping[str, Mapping[str, Any]]
+    ) -> dict[str, float]:
         """Return each node's processor time since the first tick [s], from its final report."""
         ends = {name: reports.get(name, {}).get("status", {}) for name in self._pids}
         return {
-            name: max(0.0, float(end["cpu"]) - self._had[name])
+            name: max(0.0, float(end["cpu"]) - self._before[name])
             for name, end in ends.items()
             if end.get("pid") == self._pids[name]
         }
@@ -289,25 +291,25 @@ def measured_load(
     processors : int
         Processors that the chains share.
     """
-    had = meter.had(reports)
+    used = meter.processor_times(reports)
     by_chain = {name.rpartition("/")[0]: reports.get(name, {}) for name in drivers}
-    load = load_of(launch, sum(had.values()), meter.waiting(), by_chain, processors)
+    load = load_of(launch, sum(used.values()), meter.waiting(), by_chain, processors)
     if load is not None and load.lost < LATE:
         costs = {}
         for chain, report in by_chain.items():
             spent = sum(
-                time for name, time in had.items() if name.rpartition("/")[0] == chain
+                time for name, time in used.items() if name.rpartition("/")[0] == chain
             )
             costs[kind_of_chain(launch, chain, tick)] = spent / max(
                 1, report.get("ticks", 0)
             )
-        keep_costs(costs)
+        store_costs(costs)
     return load
 
 
 def load_of(
     launch: Launch,
-    had: float,
+    used: float,
     waiting: float,
     reports: Mapping[str, Mapping[str, Any]],
     processors: int,
@@ -318,7 +320,7 @@ def load_of(
     ----------
     launch : Launch
         The launch.
-    had : float
+    used : float
         Processor time of its chains' nodes [s].
     waiting : float
         Time that they waited for a processor, per second.
@@ -339,11 +341,11 @@ def load_of(
         lost = lost + missed + left_out
         most = max(most, ticks + left_out)
     seconds = most / rate
-    if seconds < _SHORTEST or had <= 0.0 or launch.run.pace != "realtime":
+    if seconds < _SHORTEST or used <= 0.0 or launch.run.pace != "realtime":
         return None
     share = lost / (done + lost)
-    cost = had / max(done, 1)  # time spent on lost ticks counts for the answered ones
-    busy = had / (seconds * processors)
+    cost = used / max(done, 1)  # time spent on lost ticks counts for the answered ones
+    busy = used / (seconds * processors)
     return Load(
         chains=len(reports),
         rate_hz=rate,

@@ -54,9 +54,8 @@ class Child:
         self._exit: int | None = None
         self._wait_for_processor = ProcessorWait()
         self.again_at: float | None = None
-        self.ready_at = (
-            time.monotonic()
-        )  # time when it became ready; before, of creation [s]
+        # time when it became ready; before, of creation [s]
+        self.ready_at = time.monotonic()
         # Times that its device may take to open, from `ready_at` on, and to close [s].
         self.opening = self.closing = 0.0
         self.to_start = False

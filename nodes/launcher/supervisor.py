@@ -219,9 +219,9 @@ class Supervisor:
 
     def _start_child(self, child: Child) -> None:
         child.start(self.run_dir)
-        self._write_down(child)
+        self._store_child(child)
 
-    def _write_down(self, child: Child) -> None:
+    def _store_child(self, child: Child) -> None:
         if self._reaper is not None:
             self._reaper.write_down(child)
 
@@ -267,7 +267,7 @@ class Supervisor:
                     raise LaunchFailedError(
                         f"{child.setup.name}: answers device with {times!r:.100}"
                     ) from error
-            self._write_down(child)
+            self._store_child(child)
 
     def _start_driver(self) -> None:
         for child in self.children.values():
@@ -286,17 +286,17 @@ class Supervisor:
             if self._reaper is not None:
                 self._reaper.check(self.children.values())
             for name, child in self.children.items():
-                self._look_after(name, child)
+                self._check_child(name, child)
             if time.monotonic() >= next_progress:
                 next_progress = time.monotonic() + 0.2
                 if self._meter is not None:
-                    self._meter.look()
+                    self._meter.sample()
                 if progress is not None:
                     progress(self)
             time.sleep(0.01)
         self.exit_reason = self.exit_reason or self._stop_asked
 
-    def _look_after(self, name: str, child: Child) -> None:
+    def _check_child(self, name: str, child: Child) -> None:
         if child.to_start and child.running:
             self._restart_driver(child)
         if child.over or child.running:

@@ -28,9 +28,8 @@ def public_kinds() -> list[str]:
     for name in law_names():
         try:
             law = load_law(name)
-        except (
-            ValueError
-        ):  # a package that cannot be imported; `haptic doctor` reports it
+        # a package that cannot be imported; `haptic doctor` reports it
+        except ValueError:
             continue
         if not law.internal:
             found.append(name)

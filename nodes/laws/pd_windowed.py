@@ -55,9 +55,8 @@ def windowed_slope(
 ) -> float:
     """Return the slope of the longest line back whose samples all lie within `error` of it."""
     newest = ring[head]
-    error *= (
-        1.0 + 1e-9
-    )  # slightly more than the error, because encoder samples lie exactly on it
+    # slightly more than the error, because encoder samples lie exactly on it
+    error *= 1.0 + 1e-9
     slope = newest - ring[head + 1]
     for n in range(2, window + 1):
         wider = (newest - ring[head + n]) / n

@@ -50,9 +50,8 @@ class Account(msgspec.Struct):
 class Completeness(msgspec.Struct):
     """Whether a recording is complete; shown by ``bag info``, plots and summaries."""
 
-    complete: (
-        bool  # whether the writer finished the file; False for a cut, recovered file
-    )
+    # whether the writer finished the file; False for a cut, recovered file
+    complete: bool
     end_s: float  # time of the run at which the recording ends [s]
     # Ticks of the run after the end of a cut recording; None if no launch reported the run's
     # length.

@@ -104,9 +104,8 @@ def read_bag(
         raise
     # rosbags raises many kinds for a damaged bag.
     except Exception as error:
-        text = " ".join(
-            str(error).split()
-        )  # of a broken metadata.yaml it has several lines
+        # of a broken metadata.yaml it has several lines
+        text = " ".join(str(error).split())
         raise RecordError(f"{path}: cannot be read as a ROS bag: {text}") from error
 
 

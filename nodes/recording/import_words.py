@@ -14,9 +14,8 @@ from typing import Final, NamedTuple
 class ImportWords(NamedTuple):
     """How one interface writes the options of an import."""
 
-    columns: Callable[
-        [Mapping[str, str]], str
-    ]  # columns by role, axes joined by colons
+    # columns by role, axes joined by colons
+    columns: Callable[[Mapping[str, str]], str]
     unit: Callable[[str, str], str]  # a role and its unit
     rate: Callable[[str], str]  # a rate [Hz], or a word for it
     ticks: str  # that each row is a tick, at a rate

@@ -18,12 +18,10 @@ if TYPE_CHECKING:
     Array = np.ndarray[Any, np.dtype[np.float64]]
 
 UNEVEN = 0.25  # tolerated distance of a stamp from its tick [ticks]
-ROUNDED = (
-    0.45  # the same of rounded stamps; a missing row makes 0.5 − 0.75/rows [ticks]
-)
-RATE_TOLERANCE = (
-    0.01  # tolerated difference between a given rate and that of the stamps
-)
+# the same of rounded stamps; a missing row makes 0.5 − 0.75/rows [ticks]
+ROUNDED = 0.45
+# tolerated difference between a given rate and that of the stamps
+RATE_TOLERANCE = 0.01
 LONGEST_GAP = 86400.0  # gap between two rows beyond which a time is damaged [s]
 _ROWS_OF_GAP = 1000.0  # rows that are missing in such a gap
 _TOLD_BY_ALL = 32  # rows from which times are judged as a whole

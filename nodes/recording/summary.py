@@ -26,9 +26,8 @@ class Summary(msgspec.Struct):
     overruns: int | None
     # p50, p99, p999 and max response time of the ticks answered in time [µs]; empty if none.
     response_us: dict[str, float]
-    age_ticks_max: (
-        int | None
-    )  # age of the oldest force used [ticks]; None without states
+    # age of the oldest force used [ticks]; None without states
+    age_ticks_max: int | None
     # Final position [m] and force [N], shape (3,); empty if no state was recorded.
     position_m: list[float]
     force_n: list[float]

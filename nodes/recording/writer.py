@@ -62,9 +62,8 @@ class Output:
             os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
         )
         try:
-            self.descriptor = os.open(
-                path, flags, 0o644
-            )  # file descriptor; -1 once closed
+            # file descriptor; -1 once closed
+            self.descriptor = os.open(path, flags, 0o644)
             self._claim()
         except FileExistsError as error:
             raise RecordError(

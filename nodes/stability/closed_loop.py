@@ -42,9 +42,8 @@ class Rendered:
     # largest factor on the whole law that is passive on this device; None without a declared
     # damping
     passive_scale: float | None
-    pole_radius: (
-        float | None
-    )  # largest pole of the closed loop; None without a declared mass
+    # largest pole of the closed loop; None without a declared mass
+    pole_radius: float | None
 
 
 def closed_loop(law: CompiledLaw, plant: Plant) -> NDArray[np.float64]:

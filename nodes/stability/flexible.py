@@ -36,9 +36,8 @@ class FlexiblePlant:
     lag: float = 0.0
     # share of the mass beyond the joint, in [0, 1); 0 for a rigid device
     share: float = 0.0
-    frequency: float = (
-        math.inf
-    )  # undamped frequency of the two masses against each other [Hz]
+    # undamped frequency of the two masses against each other [Hz]
+    frequency: float = math.inf
     loss: float = 0.0  # damping ratio of that mode
 
     def __post_init__(self) -> None:

@@ -244,12 +244,10 @@ class Tolerance:
     mass_max_kg: float | None
     # least damping of the device; None if stable without damping
     damping_min_n_s_per_m: float | None
-    hand_stiffness_max_n_per_m: (
-        float | None
-    )  # largest stiffness of a hand; searched up to 1e6 N/m
-    delay_max_ticks: (
-        float | None
-    )  # largest delay, fractions included; searched up to 100 ticks
+    # largest stiffness of a hand; searched up to 1e6 N/m
+    hand_stiffness_max_n_per_m: float | None
+    # largest delay, fractions included; searched up to 100 ticks
+    delay_max_ticks: float | None
 
 
 def tolerance(law: CompiledLaw, plant: Plant) -> Tolerance | None:

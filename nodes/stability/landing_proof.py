@@ -153,9 +153,8 @@ def _loop(
     path = Laurent(np.asarray(above, dtype=np.float64), whole + 1)
     free = plant.stiffness == 0.0
     if free:
-        below = np.cumsum(below)[
-            :-1
-        ]  # divided by 1 − w; the remainder is 0 up to rounding
+        # divided by 1 − w; the remainder is 0 up to rounding
+        below = np.cumsum(below)[:-1]
     top, bottom = law_polynomials(law)
     device = Laurent(np.asarray(below, dtype=np.float64))
     whole_device = device * Laurent(np.array([1.0, -1.0])) if free else device

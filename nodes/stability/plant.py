@@ -265,9 +265,8 @@ def held_plant(plant: Plant) -> HeldPlant:
     return HeldPlant(whole, (new_1, new_0 + old_1, old_0), (1.0, -trace, determinant))
 
 
-@functools.lru_cache(
-    maxsize=1024
-)  # a search uses the same few devices thousands of times
+# a search uses the same few devices thousands of times
+@functools.lru_cache(maxsize=1024)
 def held_step(
     plant: Plant,
 ) -> tuple[

@@ -40,9 +40,8 @@ It computes position and force from nodes, law, hand targets, initial state and 
 PLAY_PERIOD = 0.05  # time between two continuations of B [s]
 FREE = 0.4  # time without contact of both after which B restarts from A's state [s]
 RESTART_AFTER = 30.0  # time after which it restarts in any case [s]
-SHOWN = (
-    1.0  # duration of B that each message contains, so that slow pages miss nothing [s]
-)
+# duration of B that each message contains, so that slow pages miss nothing [s]
+SHOWN = 1.0
 
 
 class Changed(NamedTuple):

@@ -45,9 +45,8 @@ class Feed:
             *(f"{field}.{axis}" for field in _FIELDS for axis in axes),
             *_SCALARS,
         ]
-        self.per_bin = max(
-            1, math.ceil(1.0 / (period * bins_per_second) - 1e-9)
-        )  # ticks in a bin
+        # ticks in a bin
+        self.per_bin = max(1, math.ceil(1.0 / (period * bins_per_second) - 1e-9))
         self._period = period
         self._axes = [AXIS_INDEX[axis] for axis in axes]
         self._grace = max(2, math.ceil(GRACE / (self.per_bin * period)))

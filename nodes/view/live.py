@@ -87,9 +87,8 @@ class Facts(NamedTuple):
     apply: Apply
     axes: list[str]  # axes that the scene computes
     driver: str  # name of the driver node
-    run_dir: str = (
-        ""  # directory where the launcher writes why it ends; empty for a recording
-    )
+    # directory where the launcher writes why it ends; empty for a recording
+    run_dir: str = ""
     # Limit of the force that the driver hands over, if the launch has one [N].
     peak: float | None = None
 

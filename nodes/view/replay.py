@@ -177,9 +177,8 @@ class ReplayPages:
             {"type": "hello", **self._facts.hello(), **document}
         ).decode()
         self.over = "" if over is None else self.read_over(over)
-        self.server = PageServer(
-            lambda: ReplayPage(self), opened=opened
-        )  # serves the pages
+        # serves the pages
+        self.server = PageServer(lambda: ReplayPage(self), opened=opened)
         self._mapping = ThreadPoolExecutor(1, "map")
         self._maps: dict[str, Future[dict[str, Any]]] = {}
 

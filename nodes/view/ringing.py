@@ -14,9 +14,8 @@ from typing import Final, NamedTuple
 
 from messages.types import Vector
 
-SLOWEST: Final = (
-    0.26  # longest cycle; a hand seldom goes to and fro 4 times a second [s]
-)
+# longest cycle; a hand seldom goes to and fro 4 times a second [s]
+SLOWEST: Final = 0.26
 STROKES: Final = 5  # strokes in a row that generate energy
 SPAN: Final = 0.1  # shortest ringing that is reported [s]
 # Smallest stroke counted: absolute [N], and relative to the largest force lately.
@@ -98,9 +97,8 @@ def observe_stroke(
 
 def end_stroke(s: Strokes) -> None:
     """End a stroke where the force was furthest."""
-    first = 8 * (
-        s.turns % 2
-    )  # of the turn before the last: the beginning of this cycle
+    # of the turn before the last: the beginning of this cycle
+    first = 8 * (s.turns % 2)
     cycle = s.at[0] - s.turned[first]
     gained = s.at[1] - s.turned[first + 1]
     if s.turns >= 2 and cycle > 0.0:

@@ -39,13 +39,11 @@ class LawTable(Result):
 
     law: NDArray[np.str_]  # name
     k_max_wall_n_per_m: Array  # largest stable nominal stiffness at a wall
-    k_max_any_world_n_per_m: (
-        Array  # the same before any world that answers in the same tick
-    )
+    # the same before any world that answers in the same tick
+    k_max_any_world_n_per_m: Array
     h1_n_per_m: Array  # stiffness felt at rest, H(1)
-    noise_gain_n_per_m: (
-        Array  # largest |H| up to half the rate: force per error of the encoder
-    )
+    # largest |H| up to half the rate: force per error of the encoder
+    noise_gain_n_per_m: Array
     pole_radius: Array  # of the loop as given; stable below 1
     # whether a mass dropped from 10 mm comes to rest, with the clamp
     lands: NDArray[np.bool_]

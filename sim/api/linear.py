@@ -35,9 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POINTS = 2000  # frequencies of a plot of the loop
-_FACTORS = np.geomspace(
-    1e-3, 1e3, 241
-)  # factors on the law among which a margin is searched
+# factors on the law among which a margin is searched
+_FACTORS = np.geomspace(1e-3, 1e3, 241)
 _LOCUS = 160  # stiffnesses of a root locus
 
 
@@ -54,9 +53,8 @@ class OpenLoop(Result):
     # factors on the whole law between which the closed loop stays stable; None: no such edge
     gain_margin: float | None
     least_gain: float | None
-    phase_margin_deg: (
-        float | None
-    )  # at the last frequency where |L| = 1; None if it never is
+    # at the last frequency where |L| = 1; None if it never is
+    phase_margin_deg: float | None
     crossover_hz: float | None  # that frequency
     plant: Plant
     frequency_hz: Array

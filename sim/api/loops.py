@@ -29,9 +29,8 @@ _SHOWN = 41
 class KMaxResult(Result):
     """Largest stable stiffness of a law on a device."""
 
-    k_max_n_per_m: (
-        float | None
-    )  # largest stable nominal stiffness [N/m]; None: none is stable
+    # largest stable nominal stiffness [N/m]; None: none is stable
+    k_max_n_per_m: float | None
     h1_max_n_per_m: float | None  # DC stiffness there, H(1) [N/m]
     method: str  # ``closed_form``, ``pole_radius``, or ``certificate`` for worlds other than a wall
     # stable intervals of the nominal stiffness [N/m]

@@ -35,9 +35,8 @@ class Played(Result):
     # Whether a drop came to rest in the wall (sim.experiments.settling.Criterion); None if nothing
     # falls or the run is too short.
     settled: bool | None
-    stopped_at_tick: (
-        int | None
-    )  # first tick with the driver stopped; None: never stopped
+    # first tick with the driver stopped; None: never stopped
+    stopped_at_tick: int | None
     peak_force_n: float  # largest force [N]
     # Final position [m]: a number for one axis, else one per axis.
     final_position_m: float | tuple[float, ...]

@@ -55,9 +55,8 @@ class RunSummary(Result):
     response_us: dict[str, float]  # percentiles of the response time [µs]
     final: dict[str, Any]  # final position [m], force [N] and motion
     recording: str | None  # path of the recording
-    stopped_at_tick: (
-        int | None
-    )  # first tick with the driver stopped; None: never stopped
+    # first tick with the driver stopped; None: never stopped
+    stopped_at_tick: int | None
     stopped_why: str  # reason of that stop
     refused: dict[str, int]  # forces that the driver refused, by reason
     limited: dict[str, int]  # forces that it lowered, by limit

@@ -71,9 +71,8 @@ class TrialTable(Result):
     blocks: int
     seed: int
     plan: Sequence[PlannedTrial]
-    rows: list[dict[str, Any]] = field(
-        default_factory=list
-    )  # a tidy row per trial that is done
+    # a tidy row per trial that is done
+    rows: list[dict[str, Any]] = field(default_factory=list)
     out: Path | None = None  # CSV file to which each row is appended
 
     def __len__(self) -> int:

@@ -77,9 +77,8 @@ class _Table:
                 for row in rows
             ]
         ).T
-        self.response = np.array(
-            [row.at(theta) for row in rows]
-        ).T  # of the numerator, (t, p)
+        # of the numerator, (t, p)
+        self.response = np.array([row.at(theta) for row in rows]).T
         period = conditions[0].period
         weights = [values(one.weight, theta) for one in conditions]
         rests = [values(one.rest, theta) for one in conditions]

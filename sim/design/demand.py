@@ -30,15 +30,13 @@ class Demand:
 
     # lightest and heaviest device, including the hand's share [kg], shape (2,)
     mass: tuple[float, float]
-    damping: (
-        float  # viscous damping b of the device, the minimum if it is a range [N s/m]
-    )
+    # viscous damping b of the device, the minimum if it is a range [N s/m]
+    damping: float
     # shortest and longest delay of the loop, may be fractional [ticks], shape (2,)
     delay: tuple[float, float]
     period: float  # sampling period T [s]
-    radius: (
-        float  # largest pole radius R allowed at any mass, delay and hand in the ranges
-    )
+    # largest pole radius R allowed at any mass, delay and hand in the ranges
+    radius: float
     nyquist: float  # largest |H(−1)| allowed [N/m]
     stiffness: tuple[float, float] = (
         0.0,

@@ -38,9 +38,8 @@ CUTOFFS = (0.05, 0.1, 0.2, 0.4, 0.8)
 class Tuned:
     """The stiffest member of a family at one demand."""
 
-    family: (
-        str  # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
-    )
+    # ``pd``, ``pd_filtered``, ``pd_alpha``, ``paper_optimum`` or ``designed``
+    family: str
     # description for `nodes.laws.parse.parse_law`; None if no member meets the demand
     law: dict[str, Any] | None
     found: Robust | None  # its figures

@@ -88,9 +88,8 @@ class WorldDesign:
     h1_n_per_m: float  # H(1) [N/m]
     h_nyquist_n_per_m: float  # H(−1) [N/m]
     limit_n_per_m: float  # the closed limit for any hand, 2b/(T(1 + d)) [N/m]
-    bound_n_per_m: (
-        float | None
-    )  # upper bound for the family; None for a known device [N/m]
+    # upper bound for the family; None for a known device [N/m]
+    bound_n_per_m: float | None
     # whether the condition is met at every frequency, and H has no zero outside the unit circle
     proven: bool
 

@@ -87,9 +87,8 @@ class AxisState:
     commands_count: int
     slot: int  # index of the next force
 
-    push: (
-        float  # force from outside besides the motor's, the weight's and the hand's [N]
-    )
+    # force from outside besides the motor's, the weight's and the hand's [N]
+    push: float
 
     # Real time
     delay: float  # delay of the device [ticks]

@@ -91,9 +91,8 @@ class _Course:
         self.moved_at: list[int] = []  # ticks at which a surface moved
         self.swapped_at: list[int] = []  # ticks at which the law changed
         self.kinds: Counter[str] = Counter()
-        self._at: Sequence[float] = surface.get(
-            "position", ()
-        )  # position of a sphere [m]
+        # position of a sphere [m]
+        self._at: Sequence[float] = surface.get("position", ())
 
     def do(self) -> None:
         """Perform a random action at a random time."""

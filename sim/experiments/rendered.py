@@ -110,9 +110,8 @@ class ZWidth:
 
     kind: str  # of the law
     gain: Array  # B, in the law's own unit
-    k_max_n_per_m: (
-        Array  # nominal K up to which the loop with the known device is stable
-    )
+    # nominal K up to which the loop with the known device is stable
+    k_max_n_per_m: Array
     h1_max_n_per_m: Array  # H(1) at `k_max_n_per_m`
     # nominal K up to which the law is passive with the device's damping, for any hand
     passive_n_per_m: Array

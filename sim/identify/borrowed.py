@@ -60,9 +60,8 @@ class PushedLaunch:
         )
         setup = run.nodes[self.driver]
         self.period = setup.period  # sampling period [s]
-        self.axes = tuple(
-            AXIS_INDEX[axis] for axis in setup.axes
-        )  # axes that the scene computes
+        # axes that the scene computes
+        self.axes = tuple(AXIS_INDEX[axis] for axis in setup.axes)
         # driver limits, set by `read_limits`: force [N], change per tick [N]
         self.peak: float | None = None
         self.slew: float | None = None

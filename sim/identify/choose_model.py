@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,6 +87,19 @@ class Choice:
     remainder: Remainder = NOTHING  # significant remaining term and its effect
 
 
+class RicherFit(NamedTuple):
+    """A fit with one term more."""
+
+    errors: Array  # of its held-out windows, squared and summed in each
+    fit: Fit  # over the searched windows
+    term: str
+
+    @property
+    def error(self) -> float:
+        """Sum over the held-out windows."""
+        return float(self.errors.sum())
+
+
 def choose(
     experiment: Experiment,
     found: Fit,
@@ -97,20 +111,24 @@ def choose(
 
     The remainder of the last model is weighed by its effect on K_max.
     """
-    choice, evidence, kept = _judged(experiment, found, windows, (), scale, step)
+    choice, evidence, kept = _judge(experiment, found, windows, (), scale, step)
     tried = [(choice, evidence)]
-    while _doubted(choice, evidence) and len(choice.terms) < len(TERMS):
-        richer = _richer(experiment, choice, evidence, kept, scale)
+    while _is_doubtful(choice, evidence) and len(choice.terms) < len(TERMS):
+        richer = _fit_richer(experiment, choice, evidence, kept, scale)
         if richer is None:
             break
-        choice, evidence, kept = _judged(
-            experiment, richer[0], kept, (*choice.terms, richer[1]), scale, step
+        choice, evidence, kept = _judge(
+            experiment, richer.fit, kept, (*choice.terms, richer.term), scale, step
         )
         tried.append((choice, evidence))
-    return _weighed(experiment, tried, step) if _doubted(choice, evidence) else choice
+    return (
+        _choose_by_remainder(experiment, tried, step)
+        if _is_doubtful(choice, evidence)
+        else choice
+    )
 
 
-def _weighed(
+def _choose_by_remainder(
     experiment: Experiment,
     tried: list[tuple[Choice, list[Evidence]]],
     step: float | None,
@@ -131,18 +149,18 @@ def _weighed(
         if left_out.k_max_change <= REFUSED and (
             best is None or beyond <= HALVES * best[1]
         ):
-            best = _with(choice, left_out), beyond
+            best = _with_remainder(choice, left_out), beyond
     if best is not None:
         return best[0]
     left_out = remainder(experiment, rigid.model, first, step)
     why = (
-        f"{_why(experiment, rigid.model, first, step)}; it may change K_max by"
+        f"{_explain(experiment, rigid.model, first, step)}; it may change K_max by"
         f" {_percent(left_out.k_max_change)}"
     )
     return replace(rigid, remainder=left_out, unsteady=0.0, why=why)
 
 
-def _with(choice: Choice, left_out: Remainder) -> Choice:
+def _with_remainder(choice: Choice, left_out: Remainder) -> Choice:
     """Return a choice with its remainder; a term that explains it replaces jitter."""
     return replace(
         choice,
@@ -155,11 +173,11 @@ def _percent(change: float) -> str:
     return f"{100.0 * change:.2g} %" if change <= 1.0 else "more than its half"
 
 
-def _doubted(choice: Choice, evidence: list[Evidence]) -> bool:
+def _is_doubtful(choice: Choice, evidence: list[Evidence]) -> bool:
     return choice.whiteness < IMPROBABLE or any(one.strength > SURE for one in evidence)
 
 
-def _judged(
+def _judge(
     experiment: Experiment,
     found: Fit,
     windows: Windows,
@@ -259,15 +277,15 @@ def _mode_bound(evidence: list[Evidence]) -> float:
     return seen
 
 
-def _richer(
+def _fit_richer(
     experiment: Experiment,
     choice: Choice,
     evidence: list[Evidence],
     windows: Windows,
     scale: float,
-) -> tuple[Fit, str] | None:
+) -> RicherFit | None:
     """Fit every remaining term; return the fit that best explains held-out windows, or None."""
-    tried: list[tuple[Array, Fit, str]] = []
+    tried: list[RicherFit] = []
     before = choice.model
     at = np.isin(before.starts, windows.seen)
     for term, unknowns in TERMS.items():
@@ -280,7 +298,7 @@ def _richer(
         ):
             continue
         theta = before.theta.copy()
-        theta[list(unknowns)] = _start(asked)
+        theta[list(unknowns)] = _initial_values(asked)
         # An averaging sensor delays by its mean, which was part of the delay.
         theta[DELAY] = max(theta[DELAY] - theta[AVERAGE] + before.theta[AVERAGE], 0.0)
         free = (*before.free.tolist(), *unknowns)
@@ -297,31 +315,31 @@ def _richer(
         errors = fit(
             experiment, windows.unseen, windows.length, found.theta, (), scale
         ).errors
-        tried.append((errors, found, term))
-    best = _simplest(tried)
-    if best is None or float(best[0].sum()) > 1.02 * float(choice.test.errors.sum()):
+        tried.append(RicherFit(errors, found, term))
+    best = _best(tried)
+    if best is None or best.error > 1.02 * float(choice.test.errors.sum()):
         return None
-    return best[1], best[2]
+    return best
 
 
-def _simplest(tried: list[tuple[Array, Fit, str]]) -> tuple[Array, Fit, str] | None:
+def _best(tried: list[RicherFit]) -> RicherFit | None:
     """Return the fit with the smallest held-out error; a joint only if significantly better."""
-    best = min(tried, key=lambda one: float(one[0].sum()), default=None)
-    if best is None or best[2] != JOINT:
+    best = min(tried, key=lambda one: one.error, default=None)
+    if best is None or best.term != JOINT:
         return best
 
-    def as_good(errors: Array) -> bool:
-        more = errors - best[0]
-        close = float(errors.sum()) <= CLOSE * float(best[0].sum())
+    def is_as_good(one: RicherFit) -> bool:
+        more = one.errors - best.errors
+        is_close = one.error <= CLOSE * best.error
         chance = BETTER * float(more.std(ddof=1)) / math.sqrt(len(more))
-        return close and float(more.mean()) <= chance
+        return is_close and float(more.mean()) <= chance
 
     # Each other term has one unknown, and a blur resembles a stiff, well-damped joint.
-    others = [one for one in tried if one[2] != JOINT and as_good(one[0])]
-    return min(others, key=lambda one: float(one[0].sum()), default=best)
+    others = [one for one in tried if one.term != JOINT and is_as_good(one)]
+    return min(others, key=lambda one: one.error, default=best)
 
 
-def _start(asked: Evidence) -> tuple[float, ...]:
+def _initial_values(asked: Evidence) -> tuple[float, ...]:
     """Return the initial values of a term."""
     if asked.suspect.term == "quadratic damping":
         return (max(asked.factor, 1e-3),)
@@ -334,7 +352,7 @@ def _start(asked: Evidence) -> tuple[float, ...]:
     return (min(ratio / (1.0 + ratio), 0.7), *asked.suspect.start[1:])
 
 
-def _why(
+def _explain(
     experiment: Experiment, found: Fit, evidence: list[Evidence], step: float | None
 ) -> str:
     """Describe what refutes a model and which term is missing."""

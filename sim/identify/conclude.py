@@ -181,9 +181,8 @@ def _mechanics(
 ) -> dict[str, Estimate]:
     """Estimate mass, damping, friction, stiffness and load; none if the mass is unknown."""
     g, relative = widths.mobility, widths.mass_off
-    force = float(
-        np.std(experiment.force)
-    )  # root-mean-square variation of the force [N]
+    # root-mean-square variation of the force [N]
+    force = float(np.std(experiment.force))
     if relative > 0.5:
         why = (
             f"its error would be {100 * relative:.0f} %: push with forces that change more, or"

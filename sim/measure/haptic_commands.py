@@ -80,9 +80,8 @@ def haptic(
     return done
 
 
-_STARTER = ThreadPoolExecutor(
-    1, "starter"
-)  # starts processes for threads that may end before them
+# starts processes for threads that may end before them
+_STARTER = ThreadPoolExecutor(1, "starter")
 
 
 def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:

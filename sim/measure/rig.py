@@ -61,9 +61,8 @@ class Rig(Running):
             environment=environment,
             stderr=self._pipe[1] if self._pipe else None,
         )
-        (self.folder / "drill.yaml").write_bytes(
-            msgspec.json.encode(content)
-        )  # JSON is YAML
+        # JSON is YAML
+        (self.folder / "drill.yaml").write_bytes(msgspec.json.encode(content))
         self.states: list[DeviceState] = []  # states published, in the order of receipt
         # Result of ``haptic launch --json``; empty before the end.
         self.summary: dict[str, Any] = {}

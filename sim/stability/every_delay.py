@@ -53,9 +53,8 @@ class EveryDelay:
     stable: Certificate  # unstable: with a growing sequence
     # factor per tick by which every motion contracts in the certificate's norm; None without one
     rate: float | None
-    words: (
-        int  # products in the certificate: runs of delays over which the norm contracts
-    )
+    # products in the certificate: runs of delays over which the norm contracts
+    words: int
     longest: int  # ticks of the longest of them
     # delays of a sequence that grows when repeated [ticks]; empty without one
     growing: tuple[float, ...]

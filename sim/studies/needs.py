@@ -81,9 +81,8 @@ class ChainNeeds:
     model: Model  # what its launch file declares
     felt: bool  # whether changes are judged by what a hand notices
     needs: Needs
-    rest: (
-        RestNeeds | None
-    )  # None without contact, of a device not rigid or a law not linear
+    # None without contact, of a device not rigid or a law not linear
+    rest: RestNeeds | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name."""

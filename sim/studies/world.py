@@ -45,9 +45,8 @@ class WorldFound(Findings):
     """K_max for each kind of world, and what a stiffness needs."""
 
     limits: WorldLimits
-    needed: (
-        Mapping[str, float | None] | None
-    )  # by name with unit; of the asked stiffness
+    # by name with unit; of the asked stiffness
+    needed: Mapping[str, float | None] | None
 
     @property
     def answer(self) -> dict[str, Any]:

@@ -47,9 +47,8 @@ class KnockVerdict:
 
     factor: float  # factor on all taps
     left: float  # motion in the last third of the window, peak to peak [share of the knock]
-    rests: (
-        bool  # whether that is small enough, or still decays after the longest window
-    )
+    # whether that is small enough, or still decays after the longest window
+    rests: bool
     why: str = ""  # reason if the trial ended early; else empty
     # ``stop`` or ``fault`` of the driver, ``energy`` exceeded; else empty
     ended_by: str = ""

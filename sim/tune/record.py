@@ -67,9 +67,8 @@ class DesignedStep:
     worst: tuple[float, float]  # mass [kg] and delay [ticks] of the largest pole radius
     landing_proof: ProvenLanding
     best_pd_h1_n_per_m: float | None  # None: one of the two fails the drop test
-    model_refuted: (
-        str | None
-    )  # why the recording refutes the model; None or empty: it does not
+    # why the recording refutes the model; None or empty: it does not
+    model_refuted: str | None
     poses_kg: tuple[float, float]
 
     @property

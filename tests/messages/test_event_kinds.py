@@ -158,9 +158,8 @@ def test_every_event_that_is_emitted_is_registered_and_every_kind_is_emitted() -
         assert kind in EVENTS or "." in kind, place
         assert set(names) <= {*EVENTS[kind].data}, place
         used.add(kind)
-    assert used | {"world"} == set(
-        EVENTS
-    )  # of an environment that is not in every tree yet
+    # of an environment that is not in every tree yet
+    assert used | {"world"} == set(EVENTS)
 
 
 def literal(call: ast.Call) -> ast.expr | None:

@@ -49,9 +49,8 @@ def assert_nothing_left(runtime_dir: Path) -> None:
 @contextlib.contextmanager
 def private_runtime_dir() -> Iterator[Path]:
     """Create a private runtime directory (mode 0700) with a path short enough for sockets."""
-    with tempfile.TemporaryDirectory(
-        prefix="hapt-", dir="/tmp"
-    ) as path:  # short: socket paths are
+    # short: socket paths are
+    with tempfile.TemporaryDirectory(prefix="hapt-", dir="/tmp") as path:
         yield Path(path)
 
 

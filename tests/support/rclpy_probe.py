@@ -126,9 +126,8 @@ def main(seconds: float, with_parameters: bool, namespace: str) -> None:  # noqa
             int(at % 1.0 * 1e9),
         )
         message.wrench.force.x = PUSH
-        message.wrench.force.y = (
-            0.1 * PUSH
-        )  # as a sensor's has; the scene computes x alone
+        # as a sensor's has; the scene computes x alone
+        message.wrench.force.y = 0.1 * PUSH
         wrench.publish(message)
 
     def pull() -> None:

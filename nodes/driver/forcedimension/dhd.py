@@ -180,9 +180,8 @@ def _linked(archive: Path) -> Any:
         ("/usr/lib", "/usr/lib/x86_64-linux-gnu", "/lib/x86_64-linux-gnu"),
     )
     if usb.library is not None:
-        ctypes.CDLL(
-            usb.library, mode=ctypes.RTLD_GLOBAL
-        )  # the archive needs its functions
+        # the archive needs its functions
+        ctypes.CDLL(usb.library, mode=ctypes.RTLD_GLOBAL)
     with tempfile.TemporaryDirectory(prefix="haptic-dhd-") as folder:
         stubs = Path(folder) / "stubs.c"
         stubs.write_text(_stubs(archive), encoding="ascii")

@@ -13,14 +13,14 @@ import math
 import threading
 import time
 from contextlib import AbstractContextManager, ExitStack, suppress
-from typing import Annotated, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import msgspec
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import ClientConnection, connect
 
 from messages.types import ZERO, Vector
-from nodes.driver.device import Workspace
+from nodes.driver.haply.parameters import Inverse3DriverParameters
 from nodes.driver.haply.service import (
     ENDS,
     EVENTS,
@@ -34,80 +34,27 @@ from nodes.driver.haply.service import (
     command,
     read,
 )
+from nodes.driver.haply.service_faults import (
+    BROKEN,
+    CLOSED,
+    ERRORS,
+    FORCELESS,
+    NO_STATE,
+    SLOW,
+    SURPLUS,
+    UNPLUGGED,
+    UNREADABLE,
+)
+from nodes.driver.haply.surplus import SurplusAnswers, SurplusError
 from nodes.driver.hardware.driver import HardwareDriver
 from nodes.driver.hardware.libraries import Search
-from nodes.driver.hardware.mailbox import (
-    SAMPLE,
-    HardwareParameters,
-    MailboxDevice,
-    ServoParameters,
-)
+from nodes.driver.hardware.mailbox import SAMPLE, MailboxDevice
 
 COLD_START: Final = 25.0  # start time of the service, by the vendor's guide [s]
-CLOSED, SLOW, FORCELESS, UNPLUGGED, NO_STATE, UNREADABLE, SURPLUS, BROKEN = range(1, 9)
-"""Errors, as numbers for the mailbox."""
-
-ERRORS: Final = {
-    CLOSED: "the Inverse Service closed the connection",
-    SLOW: "the Inverse Service does not answer in time",
-    FORCELESS: (
-        "the Inverse Service takes no forces (0 N act while a force is asked for): it must be of"
-        " version 3.5"
-    ),
-    UNPLUGGED: "the Inverse3 was unplugged",
-    NO_STATE: "the Inverse Service gives no state of the Inverse3",
-    UNREADABLE: "the Inverse Service sends messages that cannot be read",
-    SURPLUS: (
-        "the Inverse Service goes on sending more states than it is asked for: it must be of"
-        " version 3.5"
-    ),
-    BROKEN: "the exchange with the Inverse Service failed",
-}
 # force from which its effect is checked, and that other sessions may add [N]
 ASKED: Final = 0.1
 # time without an effect after which forces count as refused [s]
 FORCELESS_AFTER: Final = 0.3
-SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
-"""Surplus answers tolerated at once, and per second [1/s]; each was one round trip old."""
-
-
-class Inverse3Parameters(
-    ServoParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
-):
-    """Parameters of the device.
-
-    serial: Its identifier in the service (``device_id``); empty for the first one.
-    host: Host of the service.
-    port, events_port: Port of its WebSocket, and of its events; 0 for no events.
-    start_time: Longest wait for the service and the device [s]: a cold start takes up to 25.
-    peak_force: Largest force along an axis [N], which the service does not report.
-    continuous_force: Largest lasting force [N].
-    workspace: Workspace along its own axes [m].
-    """
-
-    serial: str = ""
-    host: str = "localhost"
-    port: Annotated[int, msgspec.Meta(ge=1, le=65535)] = 10001
-    events_port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 10020
-    start_time: Annotated[float, msgspec.Meta(ge=0.0, le=120.0)] = 30.0
-    peak_force: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 8.0
-    continuous_force: Annotated[float, msgspec.Meta(gt=0.0, le=20.0)] = 3.0
-    workspace: Workspace = ((-0.35, 0.35), (-0.35, 0.35), (-0.35, 0.35))
-
-
-class Inverse3DriverParameters(
-    HardwareParameters, frozen=True, forbid_unknown_fields=True, kw_only=True
-):
-    """Parameters of the driver node.
-
-    inverse3: The device.
-    """
-
-    inverse3: Inverse3Parameters = Inverse3Parameters()
-
-
-class _SurplusError(Exception):
-    """The service keeps sending more answers than requested."""
 
 
 class Inverse3Device(MailboxDevice):
@@ -127,7 +74,7 @@ class Inverse3Device(MailboxDevice):
         self._remark = ""
         self._others: Vector = ZERO
         self._withheld = self._many_buttons = self._unreadable = False
-        self._surplus, self._forgiven, self._counted = 0, float(SURPLUS_BURST), 0.0
+        self._surplus = SurplusAnswers(self._note_surplus)
         self._broken = ""  # exception that ended the exchange
 
     @classmethod
@@ -245,11 +192,14 @@ class Inverse3Device(MailboxDevice):
     def _failed(self, error: int, fatal: bool = False) -> None:
         self._code.mailbox_failed(self._at, error, int(fatal))
 
+    def _note_surplus(self, count: int) -> None:
+        self.facts["surplus_answers"] = count
+
     def _exchange(self) -> None:
         """Exchange until the end (own thread); any error also ends the forces."""
         try:
             self._go_on_exchanging()
-        except _SurplusError:
+        except SurplusError:
             self._failed(SURPLUS, fatal=True)
         except (ConnectionClosed, OSError):
             self._failed(CLOSED, fatal=not self._ending.is_set())
@@ -265,7 +215,8 @@ class Inverse3Device(MailboxDevice):
         force = (ctypes.c_double * 3)()
         period = 1.0 / self._wants.servo_rate
         first = True
-        due = begun = self._counted = time.monotonic()
+        due = begun = time.monotonic()
+        self._surplus.begin()
         owed = blind = proven = False
         refused_since = math.inf
         while not self._ending.is_set():
@@ -276,9 +227,9 @@ class Inverse3Device(MailboxDevice):
             try:
                 # A second request, or an unrequested answer, would delay every later answer by one.
                 if not owed:
-                    self._newest(socket, "")
+                    self._surplus.newest(socket, "")
                     socket.send(command(self._id, wanted if acts else None, first))
-                answered = read(self._newest(socket, socket.recv(timeout=1.0)))
+                answered = read(self._surplus.newest(socket, socket.recv(timeout=1.0)))
             except TimeoutError:
                 self._failed(SLOW)
                 owed = True
@@ -338,30 +289,6 @@ class Inverse3Device(MailboxDevice):
             self._at, (ctypes.c_double * SAMPLE)(*seen, 0.0, float(pressed))
         )
         self._code.mailbox_ticked(self._at)
-
-    def _newest(self, socket: ClientConnection, answer: str | bytes) -> str | bytes:
-        """Return the newest answer received, `answer` if none; count surplus ones.
-
-        One answer was requested each time. If surplus ones stayed queued, each would make every
-        later position older by one period, without limit. Raises _SurplusError if they keep coming.
-        """
-        while True:
-            try:
-                answer = socket.recv(timeout=0)
-            except TimeoutError:
-                return answer
-            now = time.monotonic()
-            self._forgiven = (
-                min(
-                    SURPLUS_BURST, self._forgiven + (now - self._counted) * SURPLUS_RATE
-                )
-                - 1.0
-            )
-            self._surplus += 1
-            self._counted = now
-            self.facts["surplus_answers"] = self._surplus
-            if self._forgiven < 0.0:
-                raise _SurplusError
 
     def _listen(self) -> None:
         """Receive the service's events until the end (own thread), if it has any."""

@@ -129,9 +129,8 @@ class MailboxDevice(ABC):
         self._waits = ""
         # limits in the scene, known after `connect`
         self.limits = DeviceLimits()
-        self.turn = matrix(
-            parameters.mapping, self.AXES
-        )  # from the device's axes into the scene's
+        # from the device's axes into the scene's
+        self.turn = matrix(parameters.mapping, self.AXES)
         self._code: Any = None
         self._shared: Any = None
         self._box: Any = None

@@ -179,9 +179,8 @@ class TouchDevice(MailboxDevice):
         while (state := self._hd.hdCheckCalibration()) != hdapi.CALIBRATION_OK:
             self._check("the calibration cannot be checked")
             if state == hdapi.CALIBRATION_NEEDS_UPDATE:
-                styles = (
-                    ctypes.c_int * 1
-                )()  # the position may jump: forces are still off
+                # the position may jump: forces are still off
+                styles = (ctypes.c_int * 1)()
                 self._hd.hdGetIntegerv(hdapi.CALIBRATION_STYLE, styles)
                 self._check("the way of calibrating cannot be read")
                 ways = [

@@ -240,9 +240,8 @@ class MujocoEnvironment(Node):
 _SHORT = 1e-6
 
 
-@functools.lru_cache(
-    maxsize=64
-)  # a launch asks when it is read, and again when it is wired
+# a launch asks when it is read, and again when it is wired
+@functools.lru_cache(maxsize=64)
 def _tool_facts(
     parameters: MujocoParameters, name: str, *_version: int
 ) -> tuple[float, float, float | None]:

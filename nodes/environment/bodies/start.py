@@ -16,9 +16,8 @@ from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError
 
 Keyframe: TypeAlias = str | Annotated[int, msgspec.Meta(ge=0)]
-LARGEST_CONTROL = (
-    1e10  # largest control of an actuator without ctrlrange, MuJoCo's own limit
-)
+# largest control of an actuator without ctrlrange, MuJoCo's own limit
+LARGEST_CONTROL = 1e10
 
 
 class ControlParameters(

@@ -16,9 +16,8 @@ from nodes.environment.shapes.triangle_sets import lowest_heights
 from nodes.parameters.store import ParameterError
 
 Corners = NDArray[np.float64]  # triangles, corners, coordinates [m], shape (n, 3, 3)
-LARGEST = (
-    2.0  # largest extent of a mesh [m]; a larger one was probably drawn in millimetres
-)
+# largest extent of a mesh [m]; a larger one was probably drawn in millimetres
+LARGEST = 2.0
 SMALLEST = 1e-3
 
 # a part that is inside out and shorter has no room for the default tool [m]
@@ -32,9 +31,8 @@ class PreparedMesh(NamedTuple):
 
     corners: Corners  # triangles in the order of the tree [m], shape (n, 3, 3)
     normals: NDArray[np.float64]  # outward normals, shape (n, 3)
-    neighbours: NDArray[
-        np.int64
-    ]  # triangle across each edge, −1 for none, shape (n, 3)
+    # triangle across each edge, −1 for none, shape (n, 3)
+    neighbours: NDArray[np.int64]
     # bounding boxes in heap order, root at 1: lower, upper corner [m], shape (2 * leaves, 6)
     boxes: NDArray[np.float64]
     leaves: int  # leaves of the tree

@@ -94,9 +94,8 @@ def read_mesh(path: Path, where: str) -> ReadMesh:
             raise ValueError(
                 f"has no triangles ({len(points)} points); export its surface"
             )
-        with np.errstate(
-            all="ignore"
-        ):  # coordinates that are not finite are refused later
+        # coordinates that are not finite are refused later
+        with np.errstate(all="ignore"):
             ids, cut, crossed = cut_faces(points, groups)
     except (ValueError, IndexError, OverflowError) as error:
         raise ParameterError(f"{path}: {error}", path=where) from error

@@ -34,9 +34,8 @@ class MeshReport(NamedTuple):
     scale: float  # at which it was examined [m per unit]
     repaired: Repaired
     holes: list[Hole]  # widths in the file's unit
-    crossings: (
-        int  # probed places of its faces where the mesh crosses or overlaps itself
-    )
+    # probed places of its faces where the mesh crosses or overlaps itself
+    crossings: int
     probes: int
     verdict: str  # empty if it is felt as a solid, else why it is not
     sheet: str  # the same with sides: both

@@ -11,9 +11,8 @@ from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import signed_volumes
 
 MOST_SHELLS = 20_000  # of a mesh of which some look inwards
-_MOST_WORK = (
-    50_000_000  # triangles of shells that are asked whether they contain another
-)
+# triangles of shells that are asked whether they contain another
+_MOST_WORK = 50_000_000
 _PROBES = 5  # places of a shell at which it is asked whether another contains it
 
 

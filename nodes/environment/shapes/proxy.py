@@ -46,9 +46,8 @@ _FACING = 0.2  # least cosine at which the centre of a round part gives the dire
 
 _PARALLEL = 1e-9
 _BIT = 1e-6  # distance along a crease over which its curvature is measured [m]
-_FLATTEST = (
-    0.1  # least curvature term: a step along a crease is lengthened at most tenfold
-)
+# least curvature term: a step along a crease is lengthened at most tenfold
+_FLATTEST = 0.1
 _TURNS = 9  # descents in a call: the first, and two for each patch that is tried
 
 

@@ -94,19 +94,16 @@ PROXY: Final = 8  # answer: the proxy (3) [m]
 NORMAL: Final = 11  # answer: outward normal (3)
 DISTANCE: Final = 14  # answer: signed distance along it, negative inside [m]
 IN_CONTACT: Final = 15  # answer: 1 in contact
-CONTACTS: Final = (
-    16  # start of the contacts: up to MAX_CONTACTS entries of CONTACT floats
-)
+# start of the contacts: up to MAX_CONTACTS entries of CONTACT floats
+CONTACTS: Final = 16
 MAX_CONTACTS: Final = 8
-CONTACT: Final = (
-    8  # floats per contact: normal (3), gap [m], shape, triangle, multiplier [m]
-)
+# floats per contact: normal (3), gap [m], shape, triangle, multiplier [m]
+CONTACT: Final = 8
 
 GAP, SHAPE, FACE, SHARE = range(3, 7)
 
-SEEN: Final = (
-    CONTACTS + MAX_CONTACTS * CONTACT
-)  # scratch: triangles seen by a patch search
+# scratch: triangles seen by a patch search
+SEEN: Final = CONTACTS + MAX_CONTACTS * CONTACT
 PATCH: Final = 96  # largest number of triangles in a patch search
 # scratch: proxy (3) [m] and its contact before another triangle is tried
 BACK: Final = SEEN + PATCH
@@ -119,9 +116,8 @@ WAKE: Final = NOW + 8  # where a viscous region holds the proxy (3) [m]
 GOAL: Final = NOW + 11  # where the proxy would be without shapes (3) [m]
 ENERGY: Final = NOW + 14  # energy that moving shapes have put into the device [J]
 MOST_POWER: Final = NOW + 15  # largest power of it in a tick [W]
-PASSED: Final = (
-    NOW + 16
-)  # 1 if a shape that moves went past a proxy that something held
+# 1 if a shape that moves went past a proxy that something held
+PASSED: Final = NOW + 16
 # nearest triangle of the last call for each shape; behind them the mode of each shape
 LAST: Final = NOW + 17
 # felt; not felt until the tool is outside; kept in contact during a jump (before placing)

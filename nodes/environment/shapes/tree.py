@@ -190,9 +190,8 @@ def _answer(
         )
         == 0
     ):
-        sign = (
-            1.0  # where a mesh crosses itself, a face may be seen from behind outside
-        )
+        # where a mesh crosses itself, a face may be seen from behind outside
+        sign = 1.0
     away *= sign
     return away - scene[t.RADIUS], dx / away, dy / away, dz / away
 

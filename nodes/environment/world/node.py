@@ -23,9 +23,8 @@ from nodes.parameters.store import ParameterError, convert
 
 # longest time without a state that the world catches up with [s]; the rest is skipped
 GAP: Final = 0.1
-SOFTEST: Final = (
-    1e-3  # least force that moves an implicit world by 1 m within one tick [N/m]
-)
+# least force that moves an implicit world by 1 m within one tick [N/m]
+SOFTEST: Final = 1e-3
 LIGHTEST: Final = 1e-6  # least mass of a stepped world [kg]
 
 

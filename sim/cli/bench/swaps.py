@@ -43,14 +43,12 @@ class Block:
 class Asked:
     """Requests to the coupling and their results."""
 
-    answers: list[dict[str, Any]] = field(
-        default_factory=list
-    )  # one per answered request
+    # one per answered request
+    answers: list[dict[str, Any]] = field(default_factory=list)
     times: list[float] = field(default_factory=list)  # time until each answer [s]
     refused: list[str] = field(default_factory=list)  # texts of refusals
-    blocks: list[Block] = field(
-        default_factory=list
-    )  # busy and idle stretches, alternating
+    # busy and idle stretches, alternating
+    blocks: list[Block] = field(default_factory=list)
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -28,9 +28,8 @@ class Point:
     error: float  # in the unit of its group
     # Its family, e.g. ``gl``; members are drawn as one line.
     family: str = ""
-    detail: dict[str, Extra] = field(
-        default_factory=dict
-    )  # other values, with units in the keys
+    # other values, with units in the keys
+    detail: dict[str, Extra] = field(default_factory=dict)
     # whether no other point of the group is both cheaper and more accurate; set by
     # `with_front`
     on_front: bool = False

@@ -58,9 +58,8 @@ class FailureEdge:
         )
 
 
-Boundary = tuple[
-    str, CompiledLaw, Plant
-]  # name of a law, its derivative part, and the device
+# name of a law, its derivative part, and the device
+Boundary = tuple[str, CompiledLaw, Plant]
 
 
 def boundaries() -> list[Boundary]:

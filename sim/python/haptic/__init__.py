@@ -120,7 +120,8 @@ def __getattr__(name: str) -> Any:
         found = getattr(importlib.import_module(_HOME[name]), name)
     elif name[:1].isupper() and (
         law := importlib.import_module("sim.api.laws").law_class(name)
-    ):  # a law of another package
+    ):
+        # a law of another package
         found = law
     else:
         raise AttributeError(

@@ -174,9 +174,8 @@ def test_credit_is_given_out_once_and_a_sum_that_begins_anew_gives_nothing() -> 
         guarded(s, 0.0)
         return float(s.wanted[0])
 
-    assert (
-        force(0.5) == 0.0
-    )  # the first sum is where a partner stands, not what it gave to us
+    # the first sum is where a partner stands, not what it gave to us
+    assert force(0.5) == 0.0
     # 1 mJ over a step of 1 mm; rounding of 0.501 − 0.5
     assert force(0.501) == pytest.approx(1.0, rel=1e-12)
     # nothing moved: it is still there, and no more than that

@@ -192,9 +192,8 @@ messages = st.tuples(st.integers(-12, 2), vectors)
 ticks = st.tuples(
     st.integers(1, 3),  # ticks passed: more than one is an overrun
     st.tuples(places, places, places),
-    st.lists(
-        messages, max_size=8
-    ),  # forces that arrive in this tick, by the tick they answer
+    # forces that arrive in this tick, by the tick they answer
+    st.lists(messages, max_size=8),
 )
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from nodes.driver.haply.driver import FORCELESS_AFTER, SURPLUS_BURST
+from nodes.driver.haply.driver import FORCELESS_AFTER
+from nodes.driver.haply.surplus import SURPLUS_BURST
 from tests.support.devices import SOFT, Bench, bench, through
 from tests.support.launching import running, wait_for
 
@@ -184,7 +185,7 @@ def test_surplus_answers_make_no_position_older(
     stand: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With each state sent twice, the position was 17.6 s old after 16 s."""
-    monkeypatch.setattr("nodes.driver.haply.driver.SURPLUS_BURST", math.inf)
+    monkeypatch.setattr("nodes.driver.haply.surplus.SURPLUS_BURST", math.inf)
     device = stand.device(deadline=0.1)
     device.connect()
     device.open()

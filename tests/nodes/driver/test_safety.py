@@ -194,9 +194,8 @@ def test_a_ramp_that_pushes_too_fast_goes_back_and_a_hand_that_pushes_in_does_no
     for tick, (speed, share) in enumerate(speeds, 20):
         port.moves((0.0, 0.0, speed))
         port.answer(force(tick), tick)
-        assert port.force[2] == pytest.approx(
-            share, rel=1e-15
-        )  # a sum of shares of ticks
+        # a sum of shares of ticks
+        assert port.force[2] == pytest.approx(share, rel=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -56,9 +56,8 @@ def test_a_stop_is_for_good_and_damps_first() -> None:
     port = Port(
         peak_force=8.0, damping=0.5, damping_ticks=5, workspace=((-0.1, 0.1),) * 3
     )
-    tick = swung(
-        port, 6, 2, 1e-3
-    )  # stopped in the tick before this one: 4 of 5 are left
+    # stopped in the tick before this one: 4 of 5 are left
+    tick = swung(port, 6, 2, 1e-3)
     for passed, answered in enumerate([True, False] * 5):
         port.watch_position(ZERO, tick)
         port.watch_swings(1.0, (0.0, 0.0, -0.2), tick)

@@ -94,9 +94,8 @@ def test_the_axis_with_least_damping_counts_and_a_damper_between_bodies_does_not
     tool = f'{some}<geom size="0.005" mass="0.05"/><site name="a"/>'
     bodies = f'<body name="tool">{tool}</body>{other}'
     path = scene(tmp_path, bodies)
-    assert (
-        MovingScene(path, "tool", T, "environment").response().damping == 0.0
-    )  # along y
+    # along y
+    assert MovingScene(path, "tool", T, "environment").response().damping == 0.0
     damped = ToolParameters(damping=0.4)
     assert MovingScene(
         path, damped, T, "environment"

@@ -23,11 +23,11 @@ from nodes.launcher.chain_load import (
     Load,
     Meter,
     carried,
-    keep_costs,
     kind_of_chain,
     known_costs,
     load_of,
     spread,
+    store_costs,
     warning,
 )
 from nodes.launcher.launch_spec import Launch
@@ -62,7 +62,7 @@ def test_an_overload_is_told_before_the_start_by_what_ticks_cost_here(
     assert warning(launch, chains, "compiled", 2) == ""  # nothing was measured here
     kind = kind_of_chain(launch, "c3", "compiled")
     # 16 chains of 150 µs at 500 Hz are 1.2 processors; of 100 µs 0.8 of one.
-    keep_costs({kind: 150e-6})
+    store_costs({kind: 150e-6})
     told = warning(launch, chains, "compiled", 1)
     assert told.startswith(
         "overload ahead: 16 chains at 500 Hz will take 120% of one processor, as measured here (150"
@@ -73,9 +73,8 @@ def test_an_overload_is_told_before_the_start_by_what_ticks_cost_here(
         in told
     )
     assert warning(launch, chains, "compiled", 2) == ""
-    assert (
-        warning(launch, chains, "plain", 1) == ""
-    )  # another tick costs something else
+    # another tick costs something else
+    assert warning(launch, chains, "plain", 1) == ""
     assert warning(several(tmp_path, 16, pace="lockstep"), chains, "compiled", 1) == ""
 
 
@@ -87,8 +86,8 @@ def test_costs_are_kept_by_kind_and_whatever_else_is_there_counts_as_nothing(
     assert kind_of_chain(launch, "c0", "plain") != kind_of_chain(
         launch, "c0", "compiled"
     )
-    keep_costs({"a": 1e-4, "b": 2e-4})
-    keep_costs({"a": 3e-4})
+    store_costs({"a": 1e-4, "b": 2e-4})
+    store_costs({"a": 3e-4})
     # Four times as often finds warmer caches; nearly as often does not.
     assert kind_of_chain(
         several(tmp_path, 2, rate=2000.0), "c0", "plain"
@@ -109,7 +108,7 @@ def test_costs_are_kept_by_kind_and_whatever_else_is_there_counts_as_nothing(
     place.unlink()
     place.mkdir()
     assert known_costs() == {}
-    keep_costs({"a": 1e-4})  # there is no place for it, and that is no failure
+    store_costs({"a": 1e-4})  # there is no place for it, and that is no failure
 
 
 @given(
@@ -150,7 +149,7 @@ def test_a_launch_of_many_chains_uses_all_processors_and_each_goes_before_the_ne
     setups = wire(launch, "r", tmp_path, {})
     # eight times a twentieth fit on one
     assert {setup.scheduling.cpus[0] for setup in setups.values()} == {0}
-    keep_costs({kind_of_chain(launch, "c0", launch.run.tick): 400e-6})  # a fifth each
+    store_costs({kind_of_chain(launch, "c0", launch.run.tick): 400e-6})  # a fifth each
     setups = wire(launch, "r", tmp_path, {})
     on = {
         core: [
@@ -223,16 +222,16 @@ def test_the_meter_counts_the_processor_time_of_a_process_and_how_long_it_waits(
     begun = time.process_time()
     while time.process_time() - begun < 0.05:
         pass
-    meter.look()
+    meter.sample()
     end = {
         "a": {"status": {"pid": os.getpid(), "cpu": time.process_time()}},
         "gone": {"status": {"pid": gone, "cpu": 0.0}},
     }
-    had = meter.had(end)
+    had = meter.processor_times(end)
     assert 0.05 <= had["a"] <= time.process_time() - begun + 0.05
     assert had["gone"] == 0.0
     # another process than the one of the first tick
-    assert meter.had({"a": {"status": {"pid": 1, "cpu": 1e9}}}) == {}
+    assert meter.processor_times({"a": {"status": {"pid": 1, "cpu": 1e9}}}) == {}
     assert meter.waiting() >= 0.0
 
 

@@ -157,9 +157,8 @@ def test_cosine_sums_are_the_real_parts(coefficients: list[float], low: int) -> 
     polynomial = Laurent(np.array(coefficients), low)
     theta: NDArray[Any] = np.linspace(0.1, np.pi, 17)
     at, w = polynomial.at(theta), np.exp(-1j * theta)
-    size = 1e-13 * len(
-        coefficients
-    )  # so many terms of at most 1, each rounded once or twice
+    # so many terms of at most 1, each rounded once or twice
+    size = 1e-13 * len(coefficients)
     assert np.abs(values(polynomial.real(), theta) - at.real).max() < size
     assert (
         np.abs(

@@ -206,9 +206,8 @@ def test_the_delay_of_a_loop_and_of_its_device_are_told_apart() -> None:
         "partner_later": -3.0,
     }
     pair = PlantParameters(mass=0.1, **other, device_delay=1.0).at(T, 0.5)
-    assert pair.other == Plant(
-        T, 0.2, 2.0, 0.0, 50.0
-    )  # nothing acts before it is handed over
+    # nothing acts before it is handed over
+    assert pair.other == Plant(T, 0.2, 2.0, 0.0, 50.0)
     with pytest.raises(ValueError, match="delay = -1"):
         Plant(T, 0.1, 1.0, 0.5, partner=Counterpart(0.1, later=-1.5))
 

@@ -268,9 +268,8 @@ def test_mass_of_an_euler_tool() -> None:
             np.max(-T * (s * z).real / (np.abs(s) ** 2 * (1.0 - np.cos(theta))))
         )
         assert needed_tool_mass(law, plant) == pytest.approx(expected, rel=1e-7)
-    heavy = Plant(
-        T, 1e4, 1e3, 0.0
-    )  # hardly moves, so that the tool alone has to be heavy enough
+    # hardly moves, so that the tool alone has to be heavy enough
+    heavy = Plant(T, 1e4, 1e3, 0.0)
     assert needed_tool_mass(with_spring(pd(0.5), 10.0), heavy) == pytest.approx(
         (10.0 * T**2 + 2.0 * 0.5 * T) / 4.0, rel=0.05
     )
@@ -742,9 +741,8 @@ def test_a_stepped_world_breaks_the_certificate_of_implicit_ones(delay: float) -
         mass / T**2 * np.array([1.0, -2.0, 1.0]), np.array([0.0, spring, 0.0])
     )
     assert polynomial_radius(law, plant, [(np.array([1.0, 0.0, 0.0]), below)]) > 1.0003
-    assert (
-        world_radius(law, plant, Body(mass, 0.0, spring)) < 1.0
-    )  # the same body, backward Euler
+    # the same body, backward Euler
+    assert world_radius(law, plant, Body(mass, 0.0, spring)) < 1.0
     # moved after the force
     assert world_radius(law, plant, Body(mass, 0.0, spring, "semi_implicit")) > 1.0003
 

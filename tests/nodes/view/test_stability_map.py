@@ -77,9 +77,8 @@ def test_inside_is_stable_and_outside_is_not(
 
 def test_the_edge_for_any_world_lies_below_that_of_a_wall() -> None:
     found = whole_map(parse_law(LAWS[0]), PLANT)
-    assert found["k_max_any_world_n_per_m"] == pytest.approx(
-        2244.217, abs=1e-3
-    )  # THEORY.md §18
+    # THEORY.md §18
+    assert found["k_max_any_world_n_per_m"] == pytest.approx(2244.217, abs=1e-3)
     walls = {b: high for b, _, high in found["edge"]}
     shared = [(k, walls[b]) for b, k in found["any_world"] if b in walls]
     assert len(shared) > 2

@@ -21,9 +21,8 @@ from tests.support.launching import (
 if TYPE_CHECKING:
     from jupyter_client.manager import KernelManager
 
-pytestmark = pytest.mark.filterwarnings(
-    "default"
-)  # of the kernel client's own libraries
+# of the kernel client's own libraries
+pytestmark = pytest.mark.filterwarnings("default")
 
 
 def says_ready(message: dict[str, Any]) -> bool:

@@ -80,9 +80,8 @@ def closed_radius(
         np.convolve(top, below),
     ]
     size = max(map(len, parts))
-    total = sum(
-        np.pad(part, (0, size - len(part))) for part in parts
-    )  # ascending powers of w
+    # ascending powers of w
+    total = sum(np.pad(part, (0, size - len(part))) for part in parts)
     return float(np.abs(np.roots(np.trim_zeros(np.asarray(total), "b"))).max())
 
 

@@ -116,13 +116,11 @@ def test_a_law_each_bears_more_than_one_beside_the_first_device_and_a_damper_sti
 ):
     rows = over_delay(DEVICE, 500.0, 1.0, [0, 2], dampers=5)
     near, far = rows
-    assert near.one_law_n_per_m == pytest.approx(
-        500.0, rel=1e-6
-    )  # b/T at no delay, whichever way
+    # b/T at no delay, whichever way
+    assert near.one_law_n_per_m == pytest.approx(500.0, rel=1e-6)
     assert near.law_each_n_per_m == pytest.approx(500.0, rel=1e-6)
-    assert far.law_each_n_per_m == pytest.approx(
-        1.0 / (T * 3.0), rel=1e-6
-    )  # b/(T(1 + (a + c)/2))
+    # b/(T(1 + (a + c)/2))
+    assert far.law_each_n_per_m == pytest.approx(1.0 / (T * 3.0), rel=1e-6)
     assert far.one_law_n_per_m is not None
     assert far.law_each_n_per_m is not None
     assert far.damped_n_per_m is not None

@@ -81,9 +81,8 @@ def test_the_passive_edge_is_colgate_s_from_both_sides(delay: float) -> None:
 
     edge = passive_stiffness(spring, plant)  # type: ignore[arg-type]
     if delay in (0.0, 1.0):
-        assert edge == pytest.approx(
-            2.0 / (T * (1.0 + 2.0 * delay)), rel=1e-5
-        )  # THEORY.md §2
+        # THEORY.md §2
+        assert edge == pytest.approx(2.0 / (T * (1.0 + 2.0 * delay)), rel=1e-5)
     for share, passive in ((0.999, True), (1.001, False)):
         assert (
             damping_needed(PD(stiffness=share * edge, damping=0.0).compile(T), T, delay)

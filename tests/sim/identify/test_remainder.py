@@ -15,7 +15,7 @@ from nodes.stability.flexible import FlexiblePlant, flexible_radius
 from sim.device.model import DeviceModel
 from sim.identify import identified_motion as motion
 from sim.identify.alterations import stiffest
-from sim.identify.choose_model import _simplest
+from sim.identify.choose_model import RicherFit, _best
 from sim.identify.experiment import lockstep
 from sim.identify.identified import Identified, refusal
 from sim.identify.identified_text import figures, from_figures, text, verdict
@@ -61,9 +61,8 @@ def test_what_changes_nothing_is_reported_and_the_device_is_identified(
     assert found.remainder
     assert not found.refuted
     assert refusal(found) is None
-    if (
-        name != "force steps of 5 mN"
-    ):  # whose grid of sizes names them as what repeats as well
+    # whose grid of sizes names them as what repeats as well
+    if name != "force steps of 5 mN":
         assert words in found.remainder
     off = k_max_off(device, found, T)
     assert off is not None
@@ -123,17 +122,19 @@ def test_a_joint_is_taken_only_where_it_beats_a_term_of_one_unknown_beyond_chanc
     rng = np.random.default_rng(1)
     blur = rng.uniform(0.9, 1.1, 12)
     a_little, much = blur - rng.normal(1e-3, 0.01, 12), 0.5 * blur
-    lag, joint = (blur, fitted, "actuator lag"), (a_little, fitted, "flexible mode")
-    assert _simplest([lag, joint]) is lag
-    assert _simplest([(1.5 * blur, fitted, "quadratic damping"), joint, lag]) is lag
-    wild = (1.5 * blur + 5.0 * (np.arange(12) == 3), fitted, "actuator lag")
-    assert _simplest([wild, joint]) is joint
-    clear = (much, fitted, "flexible mode")
-    assert _simplest([lag, clear]) is clear
-    assert _simplest([joint]) is joint
-    assert _simplest([]) is None
-    better = (0.9 * a_little, fitted, "sensor filter")
-    assert _simplest([lag, joint, better]) is better
+    lag = RicherFit(blur, fitted, "actuator lag")
+    joint = RicherFit(a_little, fitted, "flexible mode")
+    assert _best([lag, joint]) is lag
+    square = RicherFit(1.5 * blur, fitted, "quadratic damping")
+    assert _best([square, joint, lag]) is lag
+    wild = RicherFit(1.5 * blur + 5.0 * (np.arange(12) == 3), fitted, "actuator lag")
+    assert _best([wild, joint]) is joint
+    clear = RicherFit(much, fitted, "flexible mode")
+    assert _best([lag, clear]) is clear
+    assert _best([joint]) is joint
+    assert _best([]) is None
+    better = RicherFit(0.9 * a_little, fitted, "sensor filter")
+    assert _best([lag, joint, better]) is better
 
 
 @pytest.mark.slow

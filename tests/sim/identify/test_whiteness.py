@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sim.arrays import Array
-from sim.identify.choose_model import _doubted
+from sim.identify.choose_model import _is_doubtful
 from sim.identify.judge_fit import IMPROBABLE, SURE, Left, whiteness
 
 DRAWS, WINDOWS, LENGTH = 40, 10, 200
@@ -40,8 +40,8 @@ def test_noise_with_a_memory_is_improbable_and_without_any_is_not(seed: int) -> 
     white = whiteness(left_of(coloured(rng, 0.0), draws))
     remembering = whiteness(left_of(coloured(rng, 0.2), draws))
     assert remembering < IMPROBABLE < white
-    assert _doubted(as_choice(remembering), [])
-    assert not _doubted(as_choice(white), [])
+    assert _is_doubtful(as_choice(remembering), [])
+    assert not _is_doubtful(as_choice(white), [])
 
 
 def as_choice(found: float) -> Any:
@@ -51,5 +51,5 @@ def as_choice(found: float) -> Any:
 
 def test_a_term_that_the_data_ask_for_is_a_doubt_however_white_the_rest() -> None:
     below, above = (SimpleNamespace(strength=share * SURE) for share in (0.99, 1.01))
-    assert not _doubted(as_choice(0.5), [below])  # type: ignore[list-item]
-    assert _doubted(as_choice(0.5), [below, above])  # type: ignore[list-item]
+    assert not _is_doubtful(as_choice(0.5), [below])  # type: ignore[list-item]
+    assert _is_doubtful(as_choice(0.5), [below, above])  # type: ignore[list-item]

@@ -84,9 +84,8 @@ def _share(a: float, b: float) -> float:
 
 
 def hidden(a: float, b: float) -> float:
-    share = _share(
-        a, b
-    )  # in JavaScript, a function without its underscore would be hidden
+    # in JavaScript, a function without its underscore would be hidden
+    share = _share(a, b)
     return share + _share(b, b)
 
 

@@ -27,9 +27,8 @@ PD = (
     "--rate",
     "500",
 )
-ANY_WORLD = pytest.approx(
-    2244.217, abs=5.1e-4
-)  # THEORY.md §18, to the digits of its table
+# THEORY.md §18, to the digits of its table
+ANY_WORLD = pytest.approx(2244.217, abs=5.1e-4)
 
 
 def answered(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:

@@ -37,9 +37,8 @@ def test_the_edge_before_any_world_is_the_one_of_the_table() -> None:
 
 
 def test_a_servo_s_edge_is_below_that_of_a_heavy_device() -> None:
-    assert beyond.two_rates().value == pytest.approx(
-        1361.0, rel=1e-3
-    )  # THEORY.md §13, for N = 4
+    # THEORY.md §13, for N = 4
+    assert beyond.two_rates().value == pytest.approx(1361.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.5])
