@@ -9,7 +9,7 @@ import numpy as np
 
 from nodes.driver.limits import SafetyParameters
 from nodes.environment.shapes.kinds import TOOL_RADIUS, Touchable
-from nodes.environment.shapes.scene import Friction, Solid, plane
+from nodes.environment.shapes.scene import FeltRegion, Solid, plane
 from nodes.environment.surfaces import parse_surface
 from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.laws import CompiledLaw
@@ -36,6 +36,8 @@ class TermScene(NamedTuple):
     own: tuple[Solid, ...]  # shapes of the launch file
     solids: tuple[Solid, ...] | None = None  # shapes that replace them
     shortened: bool = False
+    crossed: tuple[FeltRegion, ...] = ()  # regions of the launch file
+    has_regions: bool = True  # whether they are there
 
     @property
     def shapes(self) -> tuple[Solid, ...]:
@@ -50,11 +52,13 @@ class TermScene(NamedTuple):
     @property
     def instead(self) -> Instead:
         """Replacements for parts of the launch file."""
+        regions = None if self.has_regions else ()
         if not self.shortened:
-            return Instead(solids=self.solids)
+            return Instead(solids=self.solids, regions=regions)
         laws = self.laws
         swaps = [replace(swap, law=half(swap.law)) for swap in laws.swaps]
-        return Instead(law=half(laws.law), swaps=swaps, solids=self.solids)
+        law = half(laws.law)
+        return Instead(law=law, swaps=swaps, solids=self.solids, regions=regions)
 
     @property
     def laws(self) -> LawsOfRun:
@@ -83,13 +87,17 @@ def term_scene(launch: Launch, namespace: str = "") -> TermScene:
     hops = hops_of(launch, namespace)
     spec = launch.nodes[hops.environment]
     own: tuple[Solid, ...] = ()
+    crossed: tuple[FeltRegion, ...] = ()
     if spec.kind == "environment":
         where = f"{hops.environment}.surface"
         surface = parse_surface(spec.parameters.get("surface", {"kind": "free"}), where)
-        own = tuple(surface.solids(where)) if isinstance(surface, Touchable) else ()
+        if isinstance(surface, Touchable):
+            own, crossed = (tuple(surface.solids(where)), tuple(surface.regions(where)))
     # A switch may change the device or make the loop unstable: play it without judging.
     return with_parameters(
-        TermScene(launch, namespace, hops, own), hops.coupling, UNJUDGED
+        TermScene(launch, namespace, hops, own, crossed=crossed),
+        hops.coupling,
+        UNJUDGED,
     )
 
 
@@ -284,12 +292,10 @@ def one_face(scene: TermScene) -> TermScene:
         )
     normal = found.normal[deepest]
     point = found.proxy[deepest] - tool_radius(scene) * normal
+    first = scene.shapes[0]
+    face = plane(tuple(point.tolist()), tuple(normal.tolist()), first.friction)
     return scene._replace(
-        solids=(
-            plane(
-                tuple(point.tolist()), tuple(normal.tolist()), scene.shapes[0].friction
-            ),
-        )
+        solids=(face._replace(factors=first.factors, motion=first.motion),)
     )
 
 
@@ -314,11 +320,22 @@ def _halved(solid: Solid) -> Solid:
     return solid
 
 
-def rubbed(friction: Friction) -> Edit:
-    """Return the edit that sets the friction of all shapes."""
+def reshaped(**changes: Any) -> Edit:
+    """Return the edit that sets fields of all shapes."""
     return lambda scene: scene._replace(
-        solids=tuple(solid._replace(friction=friction) for solid in scene.shapes)
+        solids=tuple(solid._replace(**changes) for solid in scene.shapes)
     )
+
+
+def in_field(scene: TermScene) -> bool:
+    """Return whether a force field by formula acts."""
+    field = scene.parameters(scene.hops.coupling).get("field") or {"kind": "none"}
+    return bool(field["kind"] != "none")
+
+
+def without_field(scene: TermScene) -> TermScene:
+    """Remove the force field."""
+    return with_parameters(scene, scene.hops.coupling, {"field": {"kind": "none"}})
 
 
 def bodies_move(scene: TermScene) -> bool:

@@ -8,7 +8,7 @@ file), or absent.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nodes.environment.shapes.scene import SLIPPERY, Friction
+from nodes.environment.shapes.scene import SLIPPERY, WHOLE, Friction
 from nodes.environment.shapes.tables import MESH, PLANE
 from sim.experiments import term_scene as of
 from sim.experiments.term_scene import Ask, Edit, TermScene
@@ -117,10 +117,28 @@ TERMS: tuple[NeedTerm, ...] = (
     NeedTerm(
         "surface_friction",
         lambda scene: any(solid.friction != SLIPPERY for solid in scene.shapes),
-        of.rubbed(SLIPPERY),
-        of.rubbed(ROUGH),
+        of.reshaped(friction=SLIPPERY),
+        of.reshaped(friction=ROUGH),
         f"{ROUGH.static}",
     ),
+    NeedTerm(
+        "factors",
+        lambda scene: any(solid.factors != WHOLE for solid in scene.shapes),
+        of.reshaped(factors=WHOLE),
+        simpler="the whole law on every shape",
+    ),
+    NeedTerm(
+        "motion",
+        lambda scene: any(solid.motion is not None for solid in scene.shapes),
+        of.reshaped(motion=None),
+        simpler="shapes that stay where they begin",
+    ),
+    NeedTerm(
+        "regions",
+        lambda scene: bool(scene.crossed) and scene.has_regions,
+        lambda scene: scene._replace(has_regions=False),
+    ),
+    NeedTerm("field", of.in_field, of.without_field),
     NeedTerm(
         "tool_radius",
         lambda scene: of.tool_radius(scene) > 0.0,

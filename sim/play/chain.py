@@ -22,7 +22,8 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment, load_world
 from nodes.environment.meet import Numbers
 from nodes.environment.node import Environment
-from nodes.environment.shapes.scene import Solid, new_memory, scene_table
+from nodes.environment.shapes.kinds import Touchable
+from nodes.environment.shapes.scene import FeltRegion, Solid, new_memory, scene_table
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
@@ -44,6 +45,7 @@ class Instead:
     law: CompiledLaw | None = None  # the law of tick 0
     swaps: Sequence[PlannedSwap] = ()  # swaps to further laws
     solids: Sequence[Solid] | None = None  # touched solids
+    regions: Sequence[FeltRegion] | None = None  # regions without a surface
     world: MovingScene | None = None  # scene of moving bodies
     # Changes of the environment's parameters, each with its first tick.
     environment: Sequence[tuple[int, Mapping[str, Any]]] = ()
@@ -52,7 +54,10 @@ class Instead:
     def is_scenery(self) -> bool:
         """Whether the environment is replaced or changed."""
         return (
-            self.solids is not None or self.world is not None or bool(self.environment)
+            self.solids is not None
+            or self.regions is not None
+            or self.world is not None
+            or bool(self.environment)
         )
 
 
@@ -192,13 +197,19 @@ def _begin_environment(node: Any, instead: Instead) -> None:
         )
         return
     node.configure()
-    if instead.solids is not None and isinstance(node, Environment):
+    if (instead.solids, instead.regions) != (None, None) and isinstance(
+        node, Environment
+    ):
         where = f"{node.setup.name}.surface"
-        radius = getattr(
-            parse_surface(node.store.current.surface, where), "tool_radius", 0.0
-        )
-        table = scene_table(instead.solids, radius, node.setup.period)
-        numbers = Numbers(SHAPES, table, new_memory(len(instead.solids)))
+        surface = parse_surface(node.store.current.surface, where)
+        radius = getattr(surface, "tool_radius", 0.0)
+        solids, regions = instead.solids, instead.regions
+        if isinstance(surface, Touchable):
+            solids = surface.solids(where) if solids is None else solids
+            regions = surface.regions(where) if regions is None else regions
+        solids = solids or ()
+        table = scene_table(solids, radius, node.setup.period, regions or ())
+        numbers = Numbers(SHAPES, table, new_memory(len(solids)))
         node.begin_with(TouchedSurface.of(numbers, node.counters.met))
 
 

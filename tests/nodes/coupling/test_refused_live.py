@@ -23,6 +23,8 @@ LARGEST = re.compile(
     re.IGNORECASE,
 )
 
+HARD = "{kind: pd, stiffness: 2e5, damping: 2.0}"
+
 
 @pytest.fixture(scope="module")
 def press(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
@@ -94,14 +96,13 @@ def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     )
     # A law that is not active is judged when it is set; what was taken by force is judged again
     # when it is switched to.
-    hard = "{kind: pd, stiffness: 2e5, damping: 2.0}"
     assert (
         "coupling.laws.hard: pole radius"
-        in typed(press, "param", "set", "coupling", "laws.hard", hard, code=1).stderr
+        in typed(press, "param", "set", "coupling", "laws.hard", HARD, code=1).stderr
     )
     assert (
         "UNSTABLE"
-        in typed(press, "param", "set", "coupling", "laws.hard", hard, "--force").stdout
+        in typed(press, "param", "set", "coupling", "laws.hard", HARD, "--force").stdout
     )
     told = typed(press, "law", "switch", "hard", "--json", code=1)
     found = LARGEST.search(json.loads(told.stdout.splitlines()[-1])["error"])
@@ -212,6 +213,7 @@ def test_what_is_certain_of_a_scene_that_moves_is_said_anew_when_the_law_changes
 @pytest.mark.slow
 def test_a_forced_one_saturates_and_ends_safely(press: Running) -> None:
     """Last: the loop is unstable afterwards."""
+    typed(press, "param", "set", "coupling", "laws.hard", HARD, "--force")
     told = press.haptic("law", "switch", "hard", "--force").stdout
     assert "UNSTABLE: applied because of --force" in told
     # The hand comes back every 3 s.

@@ -81,7 +81,14 @@ def test_scenes_in_three_axes_model_enough_and_no_more(scenario: str) -> None:
     # What a scene in three axes is made of is what it needs.
     own = [
         judged[term]
-        for term in ("shape", "triangles", "surface_friction", "tool_radius", "bodies")
+        for term in (
+            "shape",
+            "triangles",
+            "surface_friction",
+            "tool_radius",
+            "bodies",
+            "field",
+        )
         if term in judged
     ]
     assert "needed" in own
@@ -241,22 +248,40 @@ def test_costs_are_told_for_every_term() -> None:
     assert all(f.cost_us is None for f in found.findings if f.switched == "other")
 
 
-SCENES = ("floor_guarded", "identify", "mesh_pebble", "world_feel")
+SCENES = ("floor_guarded", "identify", "mesh_pebble", "world_feel", "reach", "moving")
 """Of these each term is in one, or can be."""
 
 
+def moving(data: dict[str, Any]) -> None:
+    """Put a soft sphere that moves through a viscous ball into the way of the hand."""
+    way = {"path": [[0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, -0.01]], "speed": 0.1}
+    soft = {"stiffness": 0.5, "damping": 0.8}
+    data["nodes"]["environment"]["parameters"]["surface"] = {
+        "kind": "union",
+        "shapes": [
+            {"kind": "sphere", "radius": 0.05, "motion": way, **soft},
+            {
+                "kind": "viscosity",
+                "time": 0.02,
+                "within": {"kind": "sphere", "radius": 0.09},
+            },
+        ],
+    }
+
+
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: str(term.name))
-def test_switches_do_what_they_say(term: NeedTerm) -> None:
+def test_switches_do_what_they_say(term: NeedTerm, tmp_path: Path) -> None:
     tried = 0
     for name in SCENES:
-        scene = term_scene(launch_file.read(name, {}))
+        file = changed(tmp_path, "sphere_feel", moving) if name == "moving" else name
+        scene = term_scene(launch_file.read(file, {}))
         if name == "identify":
             laws = {"long": {"kind": "fir", "taps": [100.0, -1.0, 1.0, 2.0, -2.0]}}
             scene = with_parameters(scene, "coupling", {"law": "long", "laws": laws})
         with_it = scene if term.declared(scene) else None
         if with_it is None and term.typical is not None:
-            changed = term.typical(scene)
-            with_it = changed if term.declared(changed) else None
+            typical = term.typical(scene)
+            with_it = typical if term.declared(typical) else None
         if with_it is None:
             continue
         tried += 1
@@ -371,3 +396,14 @@ def test_what_is_left_out_although_it_matters_is_said() -> None:
     loose = needs(launch, rounds=0, tolerance=lambda _: 0.5)
     assert "friction" not in [finding.term for finding in loose.left_out]
     assert verdicts(loose)["gravity"] == "needed"
+
+
+def test_regions_stay_where_shapes_are_replaced(tmp_path: Path) -> None:
+    """The same shapes in place of themselves change no bit, and no region is lost with them."""
+    launch = launch_file.read(
+        changed(tmp_path, "sphere_feel", moving), {"duration": 0.4}
+    )
+    scene = term_scene(launch)
+    whole = scene.play().force
+    assert np.array_equal(scene._replace(solids=scene.own).play().force, whole)
+    assert not np.array_equal(scene._replace(has_regions=False).play().force, whole)
