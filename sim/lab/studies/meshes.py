@@ -6,9 +6,11 @@ import os
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from messages.errors import UsageError
+from nodes.launcher.scenario_files import launch_dirs
 from nodes.parameters.options import argument, option
 from nodes.parameters.quantities import SEED, positive, whole
 from sim.studies.result import Findings
@@ -25,9 +27,10 @@ class MeshesOptions(SpreadOptions):
     """Options of `meshes`."""
 
     sources: list[str] = argument(
-        nargs="+",
+        default=[],
+        nargs="*",
         metavar="SOURCE",
-        help="folders, files, or names of installed packages",
+        help="folders, files, or names of installed packages; none: meshes of our launch files",
     )
     largest: float = option(
         default=20.0, type=positive, help="largest file that is read [MB] (default: 20)"
@@ -53,7 +56,9 @@ def meshes(options: MeshesOptions) -> MeshesFound:
     """Judge all files; fail if reading one fails, or one is felt wrongly."""
     from sim.lab.mesh_survey import WIDTH, MeshFelt, judge, sources
 
-    found = sources(options.sources, 1e6 * options.largest)
+    ours = [str(folder / "meshes") for folder in launch_dirs()]
+    given = options.sources or [path for path in ours if Path(path).is_dir()]
+    found = sources(given, 1e6 * options.largest)
     if options.most:
         found = [
             one._replace(files=one.files[:: -(-len(one.files) // options.most) or 1])
