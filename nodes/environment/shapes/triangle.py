@@ -162,7 +162,16 @@ def triangle_hit(
         return 2.0, nx, ny, nz
     if before <= -radius and after <= -radius:
         return 2.0, nx, ny, nz
-    return _rim_hit(scene, at, radius, x, y, z, sx, sy, sz)
+    rim, ux, uy, uz = _rim_hit(scene, at, radius, x, y, z, sx, sy, sz)
+    # Of faces that are nearly flush, the ball is over the rim by less than a tolerance too low,
+    # which is no hit, and over the triangle behind it by more.
+    if (
+        rim > 1.0
+        and before >= radius - SKIN
+        and _within(scene, at, x + sx, y + sy, z + sz, EDGE)
+    ):
+        return max((radius - before) / closing, 0.0), nx, ny, nz
+    return rim, ux, uy, uz
 
 
 def _rim_hit(

@@ -7,11 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import read_triangles
 from nodes.environment.shapes.scene import Friction, Solid, box, mesh, rotation
+from nodes.environment.shapes.tables import SKIN, TOLERANCE
+from nodes.environment.shapes.triangle import triangle_hit
 from sim.play.touch import touch
 from tests.support.shapes import Array, box_triangles
 
@@ -114,3 +118,27 @@ def test_the_seam_of_a_file_is_not_felt(tool: float) -> None:
     found = touch(solids, path, tool)
     assert np.abs((found.proxy - path)[1:, 0]).max() < 1e-9
     assert found.proxy[1:, 2] == pytest.approx(0.003 + tool, abs=1e-9)
+
+
+# a flat triangle about the origin, and the tool's offset with its skin
+FLAT = [-0.01, -0.01, 0.0, 0.01, -0.01, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 1.0]
+OFFSET = 1e-5 + SKIN
+
+
+@given(
+    st.floats(0.0, 2.0 * np.pi),
+    st.floats(0.0, 0.999),
+    st.floats(-9.0, -2.0),
+    st.floats(1e-5, 3e-3),
+)
+def test_a_ball_that_comes_over_a_nearly_flush_face_hits_it(
+    way: float, over: float, slope: float, length: float
+) -> None:
+    """Above its rim it is up to a tolerance too low, which is no hit; behind it, by more."""
+    rim = np.array([0.0, -0.01, OFFSET - over * TOLERANCE])
+    aside = np.array([0.3 * np.cos(way), 1.0, 0.0])
+    step = length * (aside - [0.0, 0.0, 10.0**slope])
+    place = rim - 0.4 * step
+    part, _, _, _ = triangle_hit(FLAT, 0, OFFSET, *place.tolist(), *step.tolist())
+    end = (place + min(part, 1.0) * step)[2]
+    assert end >= OFFSET - 1.001 * TOLERANCE
