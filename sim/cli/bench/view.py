@@ -40,8 +40,13 @@ OPTIONS = [
     "--disable-background-networking",
     "--disable-sync",
 ]
-# WebGL 2 without a graphics card, for pictures of the 3D view
-WITH_WEBGL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+# WebGL 2 without a graphics card, for pictures of the 3D view; the page itself is drawn without,
+# which costs a tenth
+WITH_WEBGL = [
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",
+]
 
 COMPILED = 180.0  # longest wait until another law plays beside the launch [s]
 # In the page: time from navigation until scene, plots and laws are shown [ms].

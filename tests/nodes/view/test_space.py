@@ -397,6 +397,24 @@ def test_keys_move_the_hand_in_three_dimensions_too(page: Page) -> None:
 
 
 @pytest.mark.process
+def test_the_scene_fills_its_row_when_the_row_becomes_lower(page: Page) -> None:
+    """The canvas beside it kept the row as high as its own last picture."""
+
+    def heights() -> list[float]:
+        boxes: list[Any] = [
+            page.locator(each).bounding_box() for each in ("#space", "#section")
+        ]
+        return [box["height"] for box in boxes]
+
+    for height in (890, 650, 768):
+        page.set_viewport_size({"width": 1366, "height": height})
+        page.evaluate("haptic.section.draw(haptic.space.now, haptic.space.turn)")
+        scene, beside = heights()
+        assert scene == pytest.approx(beside, abs=1.0)
+        assert scene == pytest.approx(0.43 * height, abs=1.0)
+
+
+@pytest.mark.process
 def test_a_hand_that_is_kept_where_it_is_costs_no_picture(page: Page) -> None:
     """It was drawn ten times a second as long as it was held."""
     page.locator("#space").focus()
