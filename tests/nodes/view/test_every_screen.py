@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -193,7 +194,7 @@ def test_every_text_and_control_of_a_live_page_suits_eyes_and_fingers(
         for screen, scheme in product(LIVE_SCREENS, ("light", "dark")):
             context = {**LIVE_SCREENS[screen], "color_scheme": scheme}
             with OpenPage(browser, url_of(launch), **context) as page:
-                wait_for(lambda p=page: p.evaluate("haptic.dial.edge"), "the edge")
+                wait_for(partial(page.evaluate, "haptic.dial.edge"), "the edge")
                 for state in ("", EVERY_STATE):
                     if state:
                         page.evaluate(state)

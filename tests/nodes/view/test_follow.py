@@ -69,7 +69,7 @@ NAMES, STIFFNESSES, DELAYS = tuple(EDGES), (500.0, 2500.0, 5500.0), (0.0, 0.5, 2
 
 
 def edge(state: Mapping[str, Any]) -> float:
-    return EDGES[state["law"]] / (1.0 + state["delay"])
+    return EDGES[str(state["law"])] / (1.0 + float(state["delay"]))
 
 
 def states() -> list[dict[str, Any]]:
@@ -106,7 +106,7 @@ def test_from_any_state_a_link_leads_to_its_own_and_says_what_it_cannot(
 ) -> None:
     """Nothing is lost silently: before, a delay past the edge was, and so was none."""
     starts = [each for each in states() if each["k"] < edge(each)]
-    cases = [
+    cases: list[dict[str, Any]] = [
         {"link": link(wanted), "start": start, "hello": hello}
         for wanted in states()
         for start in starts
