@@ -207,8 +207,9 @@ def _users(room: str, module: str) -> frozenset[str]:
 
 
 @cache
-def _all_tests() -> tuple[Path, ...]:
-    return tuple(sorted((ROOT / "tests").rglob("test_*.py")))
+def _all_tests() -> dict[Path, str]:
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    return {file: file.read_text(encoding="utf-8") for file in files}
 
 
 @cache
@@ -235,5 +236,7 @@ def suite_of(room: str, file: Path) -> tuple[str, ...]:
     near = sorted((test for test in tests if distance(test) < 3), key=distance)
     if not any(distance(test) < 2 for test in near):
         # Its own tests stand with another subject, which uses it.
-        near = [test for test in _all_tests() if module in _imports(test)] + near
+        name = module.rpartition(".")[2]
+        named = [test for test, text in _all_tests().items() if name in text]
+        near = [test for test in named if module in _imports(test)] + near
     return (*(str(test.relative_to(ROOT)) for test in near), *folders)
