@@ -1,4 +1,4 @@
-"""JSON schemas, each checked once: a check takes a hundred times as long as a message."""
+"""JSON schemas, each checked once, which takes a hundred times as long as a message."""
 
 from __future__ import annotations
 
