@@ -151,8 +151,7 @@ SECTIONS: Final[dict[str, ResultSection]] = {
     ),
     "mutations": ResultSection(
         "Mutations",
-        "How many changes of a line, drawn from the code of each room, its tests notice that start"
-        " no process.",
+        "How many changes of a line, drawn from each room, its tests without processes notice.",
         "python -m tests.support.mutations --only-drawn --near --drawn 180 --seed 5",
         90.0,
     ),

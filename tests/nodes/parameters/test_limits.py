@@ -138,7 +138,7 @@ def use_node(kind: str, parameters: dict[str, Any]) -> None:
         made: Any = node(setup)
         made.configure()
         if kind == "coupling":
-            made._show_law()
+            made.operations()["law.show"]()
 
 
 def use_law(kind: str, parameters: dict[str, Any]) -> None:

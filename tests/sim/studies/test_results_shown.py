@@ -183,8 +183,7 @@ def test_the_last_argument_of_several_takes_them_apart_or_as_a_list() -> None:
         for given in (("a", "b"), (["a", "b"],), (("a", "b"),)):
             assert getattr(kind.of(*first, *given), name) == ["a", "b"]
         assert getattr(kind.of(*first, "a"), name) == ["a"]
-    with pytest.raises(UsageError, match="sources: must be given"):
-        MeshesOptions.of()
+    assert MeshesOptions.of().sources == []
     assert DetailOptions.of("shapes").assignments == []
 
 
