@@ -94,9 +94,13 @@ class Bench(NamedTuple):
         return device
 
     def press(self, device: MailboxDevice, force: Vector) -> None:
-        """Write a force until the arm receives it."""
+        """Read and write as a driver does, until the arm receives a force.
+
+        After a gap of its own a force without a newer reading counts for nothing (mailbox.h).
+        """
 
         def arrives() -> bool:
+            device.read_position(0)
             device.write_force(force, 0, 0.0)
             return self.world.force() == pytest.approx(force, abs=1e-12)
 
