@@ -11,11 +11,13 @@ from collections.abc import Callable
 
 from websockets.sync.client import ClientConnection
 
+from messages.errors import HapticError
+
 SURPLUS_BURST, SURPLUS_RATE = 100, 10.0
 """Surplus answers tolerated at once, and per second [1/s]; each was one round trip old."""
 
 
-class SurplusError(Exception):
+class SurplusError(HapticError):
     """The service keeps sending more answers than requested."""
 
 
