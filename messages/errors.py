@@ -31,6 +31,7 @@
 | `ControlError` | of those: a control request that is refused or gets no answer |
 | `NoAnswerError` | of those: a request without an answer in time |
 | `StalledError` | of those: a tuning on a machine that does not respond in time |
+| `SurplusError` | a device's service that sends more answers than requested; its driver fails |
 | `UnknownEventError` | an event of an unregistered kind or number; a programming error |
 | `MeasurementError` | a benchmark, study or drill that could not measure |
 | `NoCompilerError` | of those: no C compiler |
@@ -62,6 +63,8 @@ TOGETHER: Final = "together"  # values of several parameters that would be accep
 FORCE: Final = "force"  # repeat the request with ``force: true``
 OTHER: Final = "other"  # what only its text says
 
+_MOST_VALUES: Final = 16384  # values of a remedy; the longest law has 8192 taps
+
 
 class Remedy(msgspec.Struct, frozen=True):
     """One way out of a refusal, which each interface words for itself.
@@ -78,7 +81,7 @@ class Remedy(msgspec.Struct, frozen=True):
 
     kind: Name
     text: Text
-    values: Annotated[dict[Name, Real], msgspec.Meta(max_length=64)] = {}
+    values: Annotated[dict[Name, Real], msgspec.Meta(max_length=_MOST_VALUES)] = {}
 
 
 class HapticError(Exception):

@@ -69,6 +69,13 @@ class Reply(msgspec.Struct, frozen=True):
     remedies: Annotated[tuple[Remedy, ...], msgspec.Meta(max_length=16)] = ()
 
 
+class _Bare(msgspec.Struct, frozen=True):
+    """A reply without its remedies."""
+
+    ok: bool
+    error: Text = ""
+
+
 class ControlError(RefusedError):
     """A node refused a request, or did not answer."""
 
@@ -84,6 +91,7 @@ _WATCHED = 250
 
 _request = msgspec.msgpack.Decoder(Request)
 _reply = msgspec.msgpack.Decoder(Reply)
+_bare = msgspec.msgpack.Decoder(_Bare)
 
 MAX_REPLY = 16 * MAX_PAYLOAD
 """Longest reply that is decoded [bytes]."""
@@ -114,14 +122,21 @@ def decode_reply(frames: Sequence[bytes]) -> Reply:
     Returns
     -------
     Reply
-        The typed reply.
+        The typed reply; a refusal whose remedies are invalid has none.
 
     Raises
     ------
     MessageRefusedError
         If it is not one frame, malformed or longer than MAX_REPLY.
     """
-    return _decode("Reply", _reply, frames, MAX_REPLY)
+    try:
+        return _decode("Reply", _reply, frames, MAX_REPLY)
+    except MessageRefusedError:
+        # Without invalid remedies the reason of a refusal remains.
+        bare = _decode("Reply", _bare, frames, MAX_REPLY)
+        if bare.ok or not bare.error:
+            raise
+        return Reply(False, error=bare.error)
 
 
 def _decode(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from messages.errors import AT_LEAST, AT_MOST, OTHER, TOGETHER, Remedy
@@ -22,6 +22,7 @@ from nodes.laws.parse import compile_law, parse_law
 if TYPE_CHECKING:
     from nodes.stability.plant import Plant
 
+_NAMED = 8  # parameters that a text names; a law may have thousands of taps
 _SOFTEST = 1e-12  # part of the requested stiffness from which a stable one is searched
 
 
@@ -112,13 +113,13 @@ class Remedies:
         if share is None:
             return Remedy(
                 OTHER,
-                f"no value of {where}.{' or '.join(start)} is accepted on the way there, with "
+                f"no value of {where}.{_listed(start, ' or ')} is accepted on the way there, with "
                 "the rest as requested",
             )
         reached = numbers_of(at(share))
         ends = numbers_of(asked)
         if len(start) > 1:
-            told = ", ".join(f"{path} {reached[path]:.4g}" for path in start)
+            told = _listed([f"{path} {reached[path]:.4g}" for path in start], ", ")
             return Remedy(
                 TOGETHER,
                 f"together, {where} is accepted up to {told}",
@@ -169,3 +170,11 @@ class Remedies:
 
     def _compiled(self, description: dict[str, Any]) -> CompiledLaw:
         return compile_law(parse_law(description), self._period)
+
+
+def _listed(names: Iterable[str], joint: str) -> str:
+    """Return names for a person, of many the first."""
+    every = list(names)
+    more = len(every) - _NAMED
+    first = joint.join(every[:_NAMED])
+    return f"{first} and {more} more" if more > 0 else first

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from messages import topics
 from messages.codec import MAX_PAYLOAD, Decoder, MessageRefusedError, encode
 from messages.transport.context import new_context
-from messages.transport.requests import MAX_REPLY, decode_reply, decode_request
+from messages.transport.requests import MAX_REPLY, Reply, decode_reply, decode_request
 from messages.transport.sockets import Publisher, Subscription
 from messages.types import MAX_COUNT, DeviceState, Force, Message, Proxy
 from tests.support.launching import private_runtime_dir, wait_for
@@ -255,3 +255,25 @@ def test_garbage_sent_to_a_running_node_is_counted_and_told(tmp_path: Path) -> N
             answers.close()
             rogue.close()
             context.term()
+
+
+@pytest.mark.parametrize(
+    "remedies",
+    [
+        None,
+        "raise it",
+        [{"kind": "at_most", "text": "5", "values": {"a.b": 5.0}}] * 17,
+        [{"kind": "at_most", "text": "5", "values": {"a.b": math.nan}}],
+        [{"kind": "at_most", "text": "5", "values": {"a.b": "5"}}],
+        [{"kind": "at_most", "text": "5" * 5000}],
+        [{"text": "5"}],
+    ],
+)
+def test_invalid_remedies_do_not_hide_why_a_request_was_refused(remedies: Any) -> None:
+    reply = {"ok": False, "error": "n.gain: 9, limit 3", "remedies": remedies}
+    found = decode_reply([msgpack.packb(reply)])
+    assert found == Reply(False, error="n.gain: 9, limit 3")
+    # What is no refusal, or has no reason, is no reply.
+    for wrong in ({"ok": True}, {"error": ""}, {"error": 3}):
+        with pytest.raises(MessageRefusedError):
+            decode_reply([msgpack.packb({**reply, **wrong})])

@@ -14,7 +14,7 @@ function accepted({ kind, values }) {
 
 // A refusal in a sentence, by what would be accepted where that is known.
 export function shortened({ error, remedies = [] }) {
-  const end = remedies.find(({ kind }) => Object.hasOwn(ENDS, kind));
+  const end = remedies.find(({ kind, values }) => Object.hasOwn(ENDS, kind) && Object.keys(values ?? {}).length);
   return end ? `Refused: the loop would be unstable. ${accepted(end)}.` : unbroken(error);
 }
 

@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from messages.errors import AT_LEAST, AT_MOST, FORCE
+from messages.errors import AT_LEAST, AT_MOST, FORCE, TOGETHER
+from messages.transport.requests import Reply, decode_reply
 from nodes.coupling.judgement import Judgement, StartAnyway
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
@@ -143,6 +144,36 @@ def test_a_refusal_names_the_last_value_that_would_be_taken(
     assert verdict is not None
     assert not verdict.stable
     assert "the loop is unstable" in warning
+
+
+@pytest.mark.parametrize("count", [2, 60, 400])
+def test_a_refusal_of_any_number_of_taps_is_a_reply(count: int) -> None:
+    """With 65 changed numbers the reply was no reply, and no reason was left."""
+    now, wanted = (
+        parameters(
+            laws={
+                "own": {"kind": "fir", "taps": [gain + 1e-7 * k for k in range(count)]}
+            },
+            plant={"mass": 0.1, "damping": 1.0},
+        )
+        for gain in (1e-4, 1e7)
+    )
+    book = LawBook("coupling", T)
+    with pytest.raises(ParameterError) as raised:
+        Judgement("coupling", T, book).of_change(
+            now, wanted, "own", book.compile(wanted, "own"), 1.0, force=False
+        )
+    error = raised.value
+    sent = msgspec.msgpack.encode(
+        Reply(False, error=error.fault, remedies=error.remedies)
+    )
+    nearest = decode_reply([sent]).remedies[0]
+    assert nearest.kind == TOGETHER
+    assert len(nearest.values) == count
+    assert ("and 392 more" in nearest.text) == (count == 400)
+    assert len(str(error)) < 1000
+    taps = [nearest.values[f"coupling.laws.own.taps[{k}]"] for k in range(count)]
+    assert stable({"kind": "fir", "taps": taps})
 
 
 def test_a_refused_switch_says_how_stiff_the_other_law_may_be_or_how_much_of_its_taps() -> (

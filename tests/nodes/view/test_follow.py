@@ -186,9 +186,16 @@ def test_a_refusal_is_told_in_a_sentence_by_what_would_be_accepted(
         {"error": "Unstable.", "remedies": [{"kind": "at_most", "values": each}]}
         for each in values
     ]
+    # Without a value the sentence is the reason, as from other programs' nodes.
+    refusals += [
+        {"error": "Too much.", "remedies": [{"kind": "at_most", **each}]}
+        for each in ({"values": {}}, {})
+    ]
     told = run(tmp_path, [], [*refusals, {"error": "There is no connection."}])["told"]
     assert [each.rpartition("The ")[2] for each in told] == [
         "largest stiffness that is accepted is 5\u202f797.",
         "largest H(1) that is accepted is 9\u202f540.",
+        "Too much.",
+        "Too much.",
         "There is no connection.",
     ]
