@@ -111,13 +111,16 @@ class ForeignTable:
             return column.astype(np.float64)
         values = [str(value).strip() for value in column]
         try:
-            return np.array([int(value) for value in values], dtype=np.int64)
+            if not any(
+                "_" in value for value in values
+            ):  # as Python alone writes 1_000
+                return np.array([int(value) for value in values], dtype=np.int64)
         except (ValueError, OverflowError):
             pass
         found = np.empty(len(values))
         for row, value in enumerate(values):
             try:
-                found[row] = float(value) if value else np.nan
+                found[row] = float(value.replace("_", "?")) if value else np.nan
             except ValueError:
                 raise RecordError(
                     f"{self.path}: {self.place(row)}, column {name!r}: {value[:40]!r} is no number"

@@ -29,6 +29,7 @@ _CLOCK = re.compile(
     r"(Z|[+-]\d\d:?\d\d)?"
 )
 _EPOCH = datetime.date(1970, 1, 1)
+_DAY = 86_400 * 1_000_000_000  # [ns]
 _COMMENTS = ("#", "%")
 _DELIMITERS = ("\t", ";", "|", ",", None)  # None: white space
 _SEARCHED = 200  # lines in which the first row is searched
@@ -169,7 +170,7 @@ def _is_number(text: str) -> bool:
         float(text)
     except ValueError:
         return False
-    return True
+    return "_" not in text  # as Python alone writes 1_000
 
 
 def _is_row(fields: Sequence[str]) -> bool:
@@ -184,6 +185,17 @@ def _are_names(fields: Sequence[str], count: int) -> bool:
     return count - 1 <= len(named) <= count + 1 and not any(map(_is_number, named))
 
 
+def _are_units(fields: Sequence[str]) -> bool:
+    """Whether a line has units, which some columns may lack."""
+    units = [field.strip("[]() ") for field in fields if field.strip("[]() -")]
+    return bool(units) and all(map(is_unit, units))
+
+
+def _continues(fields: Sequence[str], count: int) -> bool:
+    """Whether a line may be the row after one of `count` numbers; one word above is none."""
+    return len(fields) == count and (count > 1 or _is_row(fields))
+
+
 def _layout(lines: Sequence[_Line], comments: Sequence[_Line]) -> _Layout:
     """Return where the rows begin: at the first two lines of as many numbers."""
     for first, line in enumerate(lines[:_SEARCHED]):
@@ -193,12 +205,16 @@ def _layout(lines: Sequence[_Line], comments: Sequence[_Line]) -> _Layout:
             row = _split(line.text, delimiter)
             after = lines[first + 1 : first + 2]
             if _is_row(row) and all(
-                len(_split(text, delimiter)) == len(row) for _, text in after
+                _continues(_split(text, delimiter), len(row)) for _, text in after
             ):
                 return _named(lines, comments, delimiter, first, len(row))
     # No row is of numbers alone: one of its columns holds texts.
     present = [one for one in _DELIMITERS if one is None or one in lines[0].text]
-    return _Layout(present[0], 1, _split(lines[0].text, present[0]))
+    names = _split(lines[0].text, present[0])
+    below = _split(lines[1].text, present[0]) if len(lines) > 1 else []
+    if _are_units(below) and _are_names(names, len(below)):
+        return _Layout(present[0], 2, names, below)
+    return _Layout(present[0], 1, names)
 
 
 def _named(
@@ -219,8 +235,7 @@ def _named(
     above = _split(lines[first - 1].text, delimiter)
     if first > 1:
         higher = _split(lines[first - 2].text, delimiter)
-        units = [field.strip("[]() ") for field in above if field.strip("[]() -")]
-        if units and all(map(is_unit, units)) and _are_names(higher, count):
+        if _are_units(above) and _are_names(higher, count):
             return _Layout(delimiter, first, higher, above)
     if _are_names(above, count):
         return _Layout(delimiter, first, above)
@@ -243,13 +258,30 @@ def _rows(
     reader = csv.reader(
         (line.text for line in lines), delimiter=delimiter, skipinitialspace=True
     )
+    begin = 0
     try:
-        begin = 0
         for fields in reader:
+            _refuse_open_quote(path, lines[begin : reader.line_num], delimiter, fields)
             yield lines[begin].number, fields
             begin = reader.line_num
     except csv.Error as error:
-        raise RecordError(f"{path}: is no CSV: {error}") from error
+        number = lines[begin].number
+        raise RecordError(f"{path}: line {number}: is no CSV: {error}") from error
+
+
+def _refuse_open_quote(
+    path: Path, lines: Sequence[_Line], delimiter: str, fields: Sequence[str]
+) -> None:
+    """Raise RecordError for a row of several lines, of which a quote has taken in other rows."""
+    if len(lines) == 1:
+        return
+    quotes = sum(line.text.count('"') for line in lines)
+    taken = any(len(_split(line.text, delimiter)) == len(fields) for line in lines[1:])
+    if quotes % 2 or taken:
+        raise RecordError(
+            f"{path}: line {lines[0].number}: a quote is not closed before line"
+            f" {lines[-1].number}; close or remove it"
+        )
 
 
 def _without_end(
@@ -316,7 +348,9 @@ def _clock_times(column: Column) -> Column | None:
     """Return times of the clock since 1970, or midnight [ns]; None if a text is none."""
     import numpy as np
 
-    found = []
+    found: list[int] = []
+    dated = False
+    days = 0  # midnights that times without a date have passed
     for text in column:
         read = _CLOCK.fullmatch(text.strip())
         if read is None:
@@ -330,9 +364,15 @@ def _clock_times(column: Column) -> Column | None:
         if zone and zone != "Z":
             of_zone = 60 * int(zone[1:3]) + int(zone[-2:])
             of_zone = -of_zone if zone[0] == "-" else of_zone
-        minutes = 60 * (24 * (day_of - _EPOCH).days + int(hour)) + int(minute) - of_zone
+        dated |= bool(year)
+        hours = 24 * ((day_of - _EPOCH).days + days) + int(hour)
+        minutes = 60 * hours + int(minute) - of_zone
         nanoseconds = int((part or "0").ljust(9, "0"))
-        found.append((60 * minutes + int(second)) * 1_000_000_000 + nanoseconds)
+        time = (60 * minutes + int(second)) * 1_000_000_000 + nanoseconds
+        if found and not dated and time < found[-1] - _DAY // 2:
+            days += 1
+            time += _DAY
+        found.append(time)
     if not found or max(map(abs, found)) >= 1 << 63:
         return None
     return np.array(found, dtype=np.int64)

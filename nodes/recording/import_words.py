@@ -6,6 +6,7 @@ name options, and each interface sets its own words for the time of a call.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
 from typing import Final, NamedTuple
@@ -23,7 +24,9 @@ class ImportWords(NamedTuple):
 
 
 def _as_options(columns: Mapping[str, str]) -> str:
-    return "--columns " + ",".join(f"{role}={name}" for role, name in columns.items())
+    return "--columns " + shlex.quote(
+        ",".join(f"{role}={name}" for role, name in columns.items())
+    )
 
 
 def _in_yaml(columns: Mapping[str, str]) -> str:
@@ -50,10 +53,15 @@ PYTHON: Final = ImportWords(
 )
 LAUNCH_FILE: Final = ImportWords(
     columns=_in_yaml,
-    unit=lambda role, unit: f"units: {{{role}: {unit}}}",
+    unit=lambda role, unit: f'units: {{{role}: "{unit}"}}',  # a number is a text, too
     rate=lambda hz: f"rate: {hz}",
-    ticks="rate: HZ",
+    ticks="haptic bag import --rate HZ --ignore-times, whose recording file: reads too",
     decimal_comma="haptic bag import --decimal-comma, whose recording file: reads too",
 )
+HAND_IN_PYTHON: Final = PYTHON._replace(
+    ticks='haptic.read(FILE, rate=HZ, ignore_times=True)["position"] and rate=HZ',
+    decimal_comma='haptic.read(FILE, decimal_comma=True)["position"] and rate=HZ',
+)
+"""Of a hand's path, whose file has fewer options than one that is read."""
 
 words: Final[ContextVar[ImportWords]] = ContextVar("words", default=COMMAND_LINE)

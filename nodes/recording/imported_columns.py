@@ -56,7 +56,11 @@ def checked_columns(
         if len(names) not in ((1,) if role == "time" else (1, 3)):
             raise RecordError(
                 f"columns: {role} has {len(names)} columns, expected one"
-                + ("" if role == "time" else " or three, as X:Y:Z")
+                + (
+                    ""
+                    if role == "time"
+                    else f" or three: {words.get().columns({role: 'X:Y:Z'})}"
+                )
             )
         names = [_without_unit(table, name) for name in names]
         for name in names:

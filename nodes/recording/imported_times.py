@@ -169,7 +169,7 @@ def refuse_unlikely_time(
     raise RecordError(
         f"{table.path}: column {name!r} grows by {step:g} a row, {1.0 / step:.4g} Hz if it is"
         f" seconds.{unit_hint(step, rate) or named}, or {words.get().unit('time', 's')} if it is;"
-        f" if it counts rows, add {words.get().ticks}"
+        f" if it counts rows, use {words.get().ticks}"
     )
 
 
@@ -193,7 +193,7 @@ def _regular(
         raise RecordError(
             f"{table.path}: {table.place(int(bad[0]) + 1)}, column {name!r}: the times are uneven"
             f" ({bad.size} of {len(steps)} steps lie beside a multiple of {step:g}); resample the"
-            f" data evenly, or, if each row is a tick, add {words.get().ticks}"
+            f" data evenly, or, if each row is a tick, use {words.get().ticks}"
         )
     period = float(since[-1] / counts.sum())
     rounded = float(f"{period:.6g}")

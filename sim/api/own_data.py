@@ -17,7 +17,7 @@ from nodes.recording.bag_table import bag_of, is_bag
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable, is_export
 from nodes.recording.import_table import import_table
-from nodes.recording.import_words import PYTHON, words
+from nodes.recording.import_words import HAND_IN_PYTHON, PYTHON, words
 from nodes.recording.imported_samples import refuse_unlikely
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
@@ -80,7 +80,8 @@ def as_recording(
         or path.suffix.lower() == ".mcap"
         or is_mcap(path)
     ):
-        if given := [name for name, value in of_table.items() if value]:
+        given = [name for name, value in of_table.items() if value]
+        if given and path.exists():
             raise UsageError(f"{path}: is no table; {', '.join(given)} are of tables")
         yield path
         return
@@ -272,7 +273,13 @@ def hand_path(
                 "hand_path: times of a file are a column of it; name it in columns"
             )
         try:
-            found = read_path(str(position), columns or {}, _units(units), rate or 0.0)
+            found = read_path(
+                str(position),
+                _columns(columns),
+                _units(units),
+                rate or 0.0,
+                HAND_IN_PYTHON,
+            )
         except ValueError as error:
             raise UsageError(f"hand_path: {error}") from None
         return _as_hand([[list(corner) for corner in path] for path in found.values()])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from messages.topics import DEVICE_STATE
 from nodes.recording.foreign_table import is_export, read_foreign
-from nodes.recording.import_words import LAUNCH_FILE, words
+from nodes.recording.import_words import LAUNCH_FILE, ImportWords, words
 from nodes.recording.imported_samples import motion_of
 from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordError
@@ -28,6 +28,7 @@ def read_path(
     columns: Mapping[str, str | Sequence[str]],
     units: Mapping[str, str],
     rate: float,
+    in_words: ImportWords = LAUNCH_FILE,
 ) -> dict[str, list[tuple[float, float]]]:
     """Return the paths in a file, by axis.
 
@@ -42,6 +43,8 @@ def read_path(
         Units of ``position`` and ``time``.
     rate : float
         Rows per second without a column of times [Hz]; 0: there is one.
+    in_words : ImportWords
+        How errors write these options.
 
     Returns
     -------
@@ -68,7 +71,7 @@ def read_path(
         (role, names if isinstance(names, str) else tuple(names))
         for role, names in columns.items()
     )
-    before = words.set(LAUNCH_FILE)
+    before = words.set(in_words)
     try:
         return _read(
             path, stat.st_mtime_ns, stat.st_size, key, tuple(units.items()), rate

@@ -203,7 +203,12 @@ def test_no_line_makes_the_search_long(tmp_path: Path) -> None:
     path.write_text("a,b\n" + "word,word\n" * 5000, encoding="utf-8")
     assert len(read_text(path, decimal_comma=False).lines) == 5000
     path.write_text('t,x\n0,0\n0,0\n"' + BARE, encoding="utf-8")
-    with pytest.raises(RecordError, match="line 4 has 1 fields"):
+    with pytest.raises(
+        RecordError, match="line 4: a quote is not closed before line 43"
+    ):
+        read_text(path, decimal_comma=False)
+    path.write_text('t,x\n0,0\n0,0\n"' + BARE * 500, encoding="utf-8")
+    with pytest.raises(RecordError, match="line 4: is no CSV: field larger"):
         read_text(path, decimal_comma=False)
 
 
@@ -239,3 +244,61 @@ def test_times_and_vectors_of_arrays(tmp_path: Path) -> None:
     found = import_table(tmp_path / "log.parquet", tmp_path / "p.mcap")
     is_the_rig(found)
     np.testing.assert_array_equal(found.samples.position, wide)
+
+
+def test_times_of_the_clock_go_on_after_midnight(imported: Import) -> None:
+    begin = 86_400_000 - 20  # [ms] of a day: midnight is tick 10
+    since = [(begin + 2 * k) % 86_400_000 for k in range(TICKS)]
+    clock = [
+        f"{t // 3_600_000:02d}:{t // 60_000 % 60:02d}:{t // 1000 % 60:02d}.{t % 1000:03d}"
+        for t in since
+    ]
+    rows = zip(clock, POSITION.tolist(), strict=True)
+    text = "time,x\n" + "".join(f"{t},{x!r}\n" for t, x in rows)
+    is_the_rig(imported(text))
+    # With dates, a time that goes back does.
+    dated = text.replace("\n00:", "\n2026-11-27T00:").replace(
+        "\n23:", "\n2026-11-27T23:"
+    )
+    with pytest.raises(RecordError, match="the time does not grow"):
+        imported(dated)
+
+
+@pytest.mark.parametrize("state", ["", "idle,"])
+def test_a_quote_that_is_not_closed_takes_no_rows(imported: Import, state: str) -> None:
+    """Before, the rows behind it were gone where its own column was not read."""
+    rows = [f"{row},{state}1" for row in ROWS]
+    names = f"t,x,{'state,' if state else ''}note"
+    rows[5] = rows[5][:-1] + '"1'
+    for close in ("", '1"'):
+        rows[30] = rows[30][:-1] + (close or "1")
+        with pytest.raises(RecordError, match=r"line 7: a quote is not closed"):
+            imported("\n".join([names, *rows]))
+    # Closed, a line break inside quotes is text.
+    rows[5] = rows[5][:-2] + '"the tool\nslipped"'
+    rows[30] = rows[29].replace(ROWS[29], ROWS[30])
+    is_the_rig(imported("\n".join([names, *rows])))
+
+
+def test_a_number_alone_above_the_names_is_no_row(imported: Import) -> None:
+    """As motion capture writes its rate."""
+    text = f"Trajectories\n500\n,Hand:A\nt,x\ns,m\n{BARE}"
+    is_the_rig(imported(text))
+
+
+def test_a_line_of_units_is_read_beside_texts(imported: Import) -> None:
+    rows = [
+        f"{1e3 * t!r},idle,{1e3 * x!r}"
+        for t, x in zip(TIME.tolist(), POSITION.tolist(), strict=True)
+    ]
+    found = imported("\n".join(["t,state,x", "ms,,mm", *rows])).samples
+    np.testing.assert_allclose(found.position[:, 0], POSITION, rtol=1e-12)
+    assert found.sources == {"position": "x in mm", "time": "t in ms"}
+
+
+@pytest.mark.parametrize("written", ["1_0", "1_0.5"])
+def test_digits_joined_as_in_python_are_no_number(
+    imported: Import, written: str
+) -> None:
+    with pytest.raises(RecordError, match=rf"'{written}' is no number"):
+        imported(f"t,x\n{BARE}{TICKS * 2e-3!r},{written}\n")

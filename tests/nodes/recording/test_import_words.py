@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import shlex
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import yaml
 
 from nodes.cli import bag_import
 from nodes.recording.foreign_table import ForeignTable
+from nodes.recording.import_table import import_table
 from nodes.recording.import_words import (
     COMMAND_LINE,
     LAUNCH_FILE,
@@ -20,6 +22,7 @@ from nodes.recording.import_words import (
 )
 from nodes.recording.imported_samples import samples_of
 from nodes.recording.writer import RecordError
+from sim.device.hand_path import read_path
 
 CHOSEN = {"position": "x:y:z", "time": "t"}
 
@@ -59,3 +62,22 @@ def test_a_refusal_has_the_words_of_the_interface(chosen: ImportWords) -> None:
         words.reset(before)
     assert chosen.columns({"position": "NAME"}) in str(refused.value)
     assert ("--" in str(refused.value)) == (chosen is COMMAND_LINE)
+
+
+def test_a_name_with_spaces_can_be_pasted_into_a_shell() -> None:
+    chosen = COMMAND_LINE.columns({"position": "Position x"})
+    assert shlex.split(chosen) == ["--columns", "position=Position x"]
+
+
+def test_rows_as_ticks_are_offered_as_a_hand_takes_them(tmp_path: Path) -> None:
+    """A launch file's rate does not replace a column of times, and was offered so."""
+    table, run = tmp_path / "count.csv", tmp_path / "count.mcap"
+    table.write_text("t,x\n" + "".join(f"{k},{1e-4 * k * k!r}\n" for k in range(40)))
+    for rate in (0.0, 500.0):
+        with pytest.raises(
+            ValueError, match="haptic bag import --rate HZ --ignore-times"
+        ):
+            read_path(str(table), {}, {}, rate)
+    import_table(table, run, rate=500.0, ignore_times=True)
+    corners = read_path(str(run), {}, {}, 0.0)["x"]
+    assert corners[-1] == pytest.approx((39 / 500, 1e-4 * 39**2), rel=1e-9)

@@ -162,3 +162,23 @@ def test_refusals_name_the_arguments_of_python(csv: Path, tmp_path: Path) -> Non
         haptic.read(run, units="mm")
     with pytest.raises(TypeError, match="unit"):
         haptic.read(csv, unit="mm")
+
+
+def test_a_hand_of_a_file_names_what_python_gives(tmp_path: Path) -> None:
+    table = tmp_path / "count.csv"
+    rows = "".join(f"{k},{1e-4 * k * k!r},0,0\n" for k in range(40))
+    table.write_text("t,u,v,w\n" + rows)
+    with pytest.raises(UsageError, match=r"columns=\{'position': 'NAME'\}"):
+        haptic.hand_path(table)
+    columns = {"position": "u:v:w"}
+    with pytest.raises(UsageError, match=r"rate=HZ, ignore_times=True\)\[.position.\]"):
+        haptic.hand_path(table, columns=columns)
+    read = haptic.read(table, columns=columns, rate=500, ignore_times=True)
+    hand = haptic.hand_path(read["position"], rate=500)
+    assert hand["path"][-1] == pytest.approx([39 / 500, 1e-4 * 39**2], rel=1e-9)
+    assert set(hand["axes"]) == {"y", "z"}
+
+
+def test_a_missing_table_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="No such file"):
+        haptic.read(tmp_path / "none.csv", rate=500)
