@@ -164,13 +164,14 @@ def triangle_hit(
         return 2.0, nx, ny, nz
     rim, ux, uy, uz = _rim_hit(scene, at, radius, x, y, z, sx, sy, sz)
     # Of faces that are nearly flush, the ball is over the rim by less than a tolerance too low,
-    # which is no hit, and over the triangle behind it by more.
-    if (
-        rim > 1.0
-        and before >= radius - SKIN
-        and _within(scene, at, x + sx, y + sy, z + sz, EDGE)
-    ):
-        return max((radius - before) / closing, 0.0), nx, ny, nz
+    # which is no hit, and over the triangle behind it by more. A ball that passes under the rim
+    # is lower before it is over the triangle.
+    if before >= radius - SKIN:
+        low = min(max((radius - TOUCH - before) / closing, 0.0), 1.0)
+        if rim > low and _within(
+            scene, at, x + low * sx, y + low * sy, z + low * sz, EDGE
+        ):
+            return max((radius - before) / closing, 0.0), nx, ny, nz
     return rim, ux, uy, uz
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nodes.environment.shapes.kinds import TOOL_RADIUS
@@ -16,6 +16,7 @@ from nodes.environment.shapes.mesh_file import read_triangles
 from nodes.environment.shapes.scene import Friction, Solid, box, mesh, rotation
 from nodes.environment.shapes.tables import SKIN, TOLERANCE
 from nodes.environment.shapes.triangle import triangle_hit
+from sim.lab.proxy_shapes import nearest_on
 from sim.play.touch import touch
 from tests.support.shapes import Array, box_triangles
 
@@ -142,3 +143,43 @@ def test_a_ball_that_comes_over_a_nearly_flush_face_hits_it(
     part, _, _, _ = triangle_hit(FLAT, 0, OFFSET, *place.tolist(), *step.tolist())
     end = (place + min(part, 1.0) * step)[2]
     assert end >= OFFSET - 1.001 * TOLERANCE
+
+
+def nearest_pass(place: Array, step: Array) -> float:
+    """Return how near a step comes to the flat triangle [m]; along a line it is convex."""
+    corners = np.reshape(FLAT[:9], (1, 3, 3))
+
+    def away(part: float) -> float:
+        at = place + part * step
+        return float(np.linalg.norm(at - nearest_on(corners, at)[0]))
+
+    low, high = 0.0, 1.0
+    for _ in range(45):
+        a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
+        low, high = (low, b) if away(a) <= away(b) else (a, high)
+    return min(away(low), away(0.0), away(1.0))
+
+
+@settings(max_examples=25)
+@given(
+    st.floats(0.0, 2.0 * np.pi),
+    st.floats(-6.0, 6.0),
+    st.floats(0.2, 4.0),
+    st.sampled_from([1e-5, 1e-3, 5e-3]),
+)
+@example(0.0, -2.0, 1.0, 1e-3)
+def test_a_ball_hits_a_face_just_where_it_comes_near(
+    way: float, height: float, slope: float, radius: float
+) -> None:
+    """One that passes under the rim, as below a plate's edge, is not caught by its top."""
+    rim = np.array([0.001, -0.01, height * radius])
+    step = np.array([0.3 * np.cos(way), 1.0, -slope]) * 4.0 * radius
+    place = rim - step * (height - 1.5) * radius / step[2]
+    step = step * (1.0 + 10.0 * abs(height))
+    near = nearest_pass(place, step)
+    part, _, _, _ = triangle_hit(FLAT, 0, radius, *place.tolist(), *step.tolist())
+    # between them lie the tolerance of a hit and the rounding of the search
+    if part <= 1.0:
+        assert near < radius + 1e-12
+    else:
+        assert near > radius - TOLERANCE - 1e-12
