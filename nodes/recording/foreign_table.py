@@ -111,9 +111,8 @@ class ForeignTable:
             return column.astype(np.float64)
         values = [str(value).strip() for value in column]
         try:
-            if not any(
-                "_" in value for value in values
-            ):  # as Python alone writes 1_000
+            # Python alone writes 1_000.
+            if not any("_" in value for value in values):
                 return np.array([int(value) for value in values], dtype=np.int64)
         except (ValueError, OverflowError):
             pass
