@@ -37,6 +37,11 @@ def _in_yaml(columns: Mapping[str, str]) -> str:
     return f"columns: {{{', '.join(lists)}}}"
 
 
+def _unit_in_yaml(role: str, unit: str) -> str:
+    text = f'"{unit}"' if unit == "NUMBER" else unit  # a number is a text, too
+    return f"units: {{{role}: {text}}}"
+
+
 COMMAND_LINE: Final = ImportWords(
     columns=_as_options,
     unit=lambda role, unit: f"--units {role}={unit}",
@@ -53,9 +58,9 @@ PYTHON: Final = ImportWords(
 )
 LAUNCH_FILE: Final = ImportWords(
     columns=_in_yaml,
-    unit=lambda role, unit: f'units: {{{role}: "{unit}"}}',  # a number is a text, too
+    unit=_unit_in_yaml,
     rate=lambda hz: f"rate: {hz}",
-    ticks="haptic bag import --rate HZ --ignore-times, whose recording file: reads too",
+    ticks="rate: HZ without a column of times",
     decimal_comma="haptic bag import --decimal-comma, whose recording file: reads too",
 )
 HAND_IN_PYTHON: Final = PYTHON._replace(

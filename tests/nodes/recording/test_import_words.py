@@ -12,7 +12,6 @@ import yaml
 
 from nodes.cli import bag_import
 from nodes.recording.foreign_table import ForeignTable
-from nodes.recording.import_table import import_table
 from nodes.recording.import_words import (
     COMMAND_LINE,
     LAUNCH_FILE,
@@ -71,13 +70,17 @@ def test_a_name_with_spaces_can_be_pasted_into_a_shell() -> None:
 
 def test_rows_as_ticks_are_offered_as_a_hand_takes_them(tmp_path: Path) -> None:
     """A launch file's rate does not replace a column of times, and was offered so."""
-    table, run = tmp_path / "count.csv", tmp_path / "count.mcap"
-    table.write_text("t,x\n" + "".join(f"{k},{1e-4 * k * k!r}\n" for k in range(40)))
+    table = tmp_path / "count.csv"
+    rows = "".join(f"{k},{1e-4 * k * k!r}\n" for k in range(40))
+    table.write_text(f"t,x\n{rows}")
     for rate in (0.0, 500.0):
-        with pytest.raises(
-            ValueError, match="haptic bag import --rate HZ --ignore-times"
-        ):
+        with pytest.raises(ValueError, match="rate: HZ without a column of times"):
             read_path(str(table), {}, {}, rate)
-    import_table(table, run, rate=500.0, ignore_times=True)
-    corners = read_path(str(run), {}, {}, 0.0)["x"]
+    table.write_text(f"count,x\n{rows}")
+    corners = read_path(str(table), {}, {}, 500.0)["x"]
     assert corners[-1] == pytest.approx((39 / 500, 1e-4 * 39**2), rel=1e-9)
+
+
+def test_the_value_of_a_unit_is_offered_as_a_text() -> None:
+    offered = LAUNCH_FILE.unit("position", "NUMBER").replace("NUMBER", "0.9144")
+    assert yaml.safe_load(offered) == {"units": {"position": "0.9144"}}

@@ -353,5 +353,7 @@ def test_a_file_is_a_hand_in_python_as_in_a_launch_file(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"hand_path: .*No such file"):
         haptic.hand_path(tmp_path / "none.csv")
     path.write_text("t;position\n0,000;0,0\n0,004;0,1\n", "utf-8")
-    with pytest.raises(UsageError, match="with haptic bag import --decimal-comma"):
+    with pytest.raises(
+        UsageError, match=r"with haptic.read\(FILE, decimal_comma=True\)"
+    ):
         haptic.hand_path(path)
