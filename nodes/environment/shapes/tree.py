@@ -19,7 +19,7 @@ from nodes.environment.shapes.triangle import (
 
 # far above the rounding of coordinates up to 1 km [m]
 _ROUNDING = 1e-12
-_FAR_PART = 1.0 / (1.0 + t.FAR_ERROR) ** 2
+_FAR_PART = 1.0 / (1.0 + t.FAR_ERROR)
 
 
 def mesh_hit(
@@ -98,9 +98,9 @@ def mesh_gap(
     """Return the signed distance of the tool's centre from contact [m], and the normal.
 
     `last` is the place in memory of the triangle that was nearest before. Of a mesh farther than
-    `near` [m] any triangle may be returned that is farther than the nearest by `FAR_ERROR` at most:
-    where many are nearly as near, as on the axis of a torus, the nearest is found only by asking
-    all of them.
+    `near` [m] any triangle may be returned whose distance from contact is larger than the
+    nearest one's by `FAR_ERROR` at most: where many are nearly as near, as on the axis of a torus,
+    the nearest is found only by asking all of them.
     """
     count = int(scene[row + t.COUNT])
     leaves = int(scene[row + t.LEAVES])
@@ -116,8 +116,7 @@ def mesh_gap(
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
     side = height_above(scene, triangles + t.TRIANGLE * face, x, y, z)
     reach, ux, uy, uz = _towards(x - qx, y - qy, z - qz)
-    near = near + scene[t.RADIUS]
-    limit = _limit(best, near * near)
+    limit = _limit(best, near, scene[t.RADIUS])
     k = 1
     while True:
         at = tree + t.NODE * k
@@ -144,7 +143,7 @@ def mesh_gap(
                         qx, qy, qz = px, py, pz
                         reach, ux, uy, uz = _towards(x - px, y - py, z - pz)
                     best = away
-                    limit = _limit(best, near * near)
+                    limit = _limit(best, near, scene[t.RADIUS])
         while k & 1:
             k = k >> 1
         if k == 0:
@@ -196,12 +195,14 @@ def _answer(
     return away - scene[t.RADIUS], dx / away, dy / away, dz / away
 
 
-def _limit(best: float, exact: float) -> float:
+def _limit(best: float, near: float, radius: float) -> float:
     """Return the squared distance within which a nearer triangle is searched [m²].
 
-    `exact` is the squared distance up to which the nearest one is needed.
+    `best` is that of the nearest one found [m²], `near` the distance from contact up to which the
+    nearest one is needed [m].
     """
-    return min(best, max(exact, best * _FAR_PART))
+    gap = max((sqrt(best) - radius) * _FAR_PART, near)
+    return min(best, (radius + gap) * (radius + gap))
 
 
 def _towards(dx: float, dy: float, dz: float) -> Vector4:

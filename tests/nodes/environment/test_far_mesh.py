@@ -53,11 +53,11 @@ def torus(around: int, across: int, radius: float, tube: float) -> Array:
 
 
 def played(
-    corners: Array, path: Array, sheet: bool = False
+    corners: Array, path: Array, sheet: bool = False, radius: float = 0.0
 ) -> tuple[Array, Array, Array]:
     """Return answers of distance, normal, contact and inside; tables' reads; true distances."""
     made = prepare_mesh(corners, sheet, "file")
-    table = Counted(scene_table([mesh(made)], 0.0, 1e-3))
+    table = Counted(scene_table([mesh(made)], radius, 1e-3))
     memory = new_memory(1)
     answers, reads = [], []
     for place in path.tolist():
@@ -116,17 +116,21 @@ def test_a_far_mesh_costs_no_more_than_contact(corners: Array, path: Array) -> N
     assert (away < true * (1.0 + FAR_ERROR) + EXACT).all()
 
 
-def test_a_mesh_has_its_exact_distance_up_to_the_limit() -> None:
-    """Along a flat sheet, whose boxes are as near as their triangles; far above it is not."""
+def tiles() -> Array:
+    """Return a flat sheet of 800 triangles, 20 mm wide, shape (800, 3, 3)."""
     x, y = np.meshgrid(np.arange(20), np.arange(20), indexing="ij")
     corner = 1e-3 * np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 1, 3)
     halves = np.array(
         [[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
     )
-    sheet = np.concatenate([corner + 1e-3 * half for half in halves])
+    return np.concatenate([corner + 1e-3 * half for half in halves])
+
+
+def test_a_mesh_has_its_exact_distance_up_to_the_limit() -> None:
+    """Along a flat sheet, whose boxes are as near as their triangles; far above it is not."""
     way = np.linspace([2.3e-3, 5e-3, 0.0], [7.1e-3, 6.4e-3, 0.0], TICKS)
     for height in (0.98 * NEAR, 8.0 * NEAR):
-        found, _, true = played(sheet, way + height * np.eye(3)[2], sheet=True)
+        found, _, true = played(tiles(), way + height * np.eye(3)[2], sheet=True)
         assert (np.abs(found[:, 0] + SKIN - true).max() < EXACT) == (height < NEAR)
 
 
@@ -140,3 +144,14 @@ def test_a_tool_in_the_middle_of_a_solid_waits_at_low_cost() -> None:
         meet(table, memory, *place)
         assert memory[INSIDE] == 1.0
         assert k == 0 or table.reads < 1000
+
+
+def test_a_large_tool_errs_by_a_tenth_of_its_own_distance() -> None:
+    """Not of that of its centre, which lies a radius farther."""
+    radius = 20.0 * NEAR
+    way = np.linspace([2.3e-3, 5e-3, 0.0], [17.1e-3, 6.4e-3, 0.0], TICKS)
+    up = (1.2 * NEAR + radius) * np.eye(3)[2]
+    found, _, true = played(tiles(), way + up, True, radius)
+    away = found[:, 0] + SKIN
+    assert (away > true - radius - EXACT).all()
+    assert (away < (true - radius) * (1.0 + FAR_ERROR) + EXACT).all()
