@@ -195,9 +195,10 @@ def test_a_refusal_is_told_in_a_sentence_by_what_would_be_accepted(
         for kind, each in ends
     ]
     # Without a value the sentence is the reason, as from other programs' nodes.
+    without: list[dict[str, Any]] = [{"values": {}}, {}]
     refusals += [
         {"error": "Too much.", "remedies": [{"kind": "at_most", **each}]}
-        for each in ({"values": {}}, {})
+        for each in without
     ]
     told = run(tmp_path, [], [*refusals, {"error": "There is no connection."}])["told"]
     assert [each.rpartition("The ")[2] for each in told] == [
