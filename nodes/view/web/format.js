@@ -14,6 +14,8 @@ export function fixed(value, digits) {
 export function figure(value) {
   if (!Number.isFinite(value)) return "–";
   if (value === 0) return "0";
+  // Forces that fade have a hundred zeros, more than `toFixed` writes.
+  if (Math.abs(value) < 1e-6) return value.toExponential(2).replaceAll("-", "−");
   return fixed(value, Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))));
 }
 

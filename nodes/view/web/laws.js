@@ -6,10 +6,16 @@ const READ = 12000;
 
 const ENDS = { at_most: "largest", at_least: "smallest" };
 
+// A figure of an end, rounded to the side that is accepted; but not for the last bit.
+function within(kind, value) {
+  const unit = value === 0 ? 1 : Math.min(1, 10 ** (Math.floor(Math.log10(Math.abs(value))) - 2)), units = value / unit;
+  return figure(unit * (kind === "at_most" ? Math.floor(units + 1e-6) : Math.ceil(units - 1e-6)));
+}
+
 // Say which value would be accepted in place of a refused one.
 function accepted({ kind, values }) {
   const [[path, value]] = Object.entries(values), name = path.split(".").at(-1);
-  return `The ${ENDS[kind]} ${name === "hardness" ? "H(1)" : name} that is accepted is ${figure(value)}`;
+  return `The ${ENDS[kind]} ${name === "hardness" ? "H(1)" : name} that is accepted is ${within(kind, value)}`;
 }
 
 // A refusal in a sentence, by what would be accepted where that is known.

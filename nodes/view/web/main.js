@@ -165,7 +165,8 @@ const link = new Link({
     if (!hello?.replay) open();
   },
   ended(found) { status.end(found); },
-  poses({ poses }) { space.pose(poses); },
+  // Bodies move while the hand rests, too.
+  poses({ poses }) { if (space.pose(poses)) changedAt = performance.now(); },
   // The surface was replaced while the run goes on.
   shape({ shape }) {
     space.reshape(shape);

@@ -51,6 +51,7 @@ export class Space {
     this.shape = axes.length > 1 && shape?.parts?.length ? shape : null;
     this.solids = this.shape && new Solids(shape);
     this.ready = hand;
+    this.replaced = false;
     this.drawn = "";
     this.loaded = null;
     this.trace.length = 0;
@@ -64,9 +65,15 @@ export class Space {
     this.shape = { tool_radius: 0, friction: 0, parts: [], ...shape };
     this.solids = new Solids(this.shape);
     this.drawn = "";
-    if (!this.shape.parts.length) return;
+    this.replaced = true;
+    // Bodies have no place before their poses come.
+    if (this.shape.parts.length && this.solids.parts.every(({ pose }) => pose < 0)) this.place();
+  }
+
+  // Fit the first shape; of a later one only the ground, as long as the camera sees it as well.
+  place() {
     const { middle, reach, low } = this.solids.extent(), near = size(minus(middle, this.turn.middle)) < 0.5 * this.turn.reach;
-    if (near && reach < 1.5 * this.turn.reach && reach > 0.5 * this.turn.reach) this.ground.at = Math.min(this.ground.at, low - 0.004 * reach);
+    if (this.replaced && near && reach < 1.5 * this.turn.reach && reach > 0.5 * this.turn.reach) this.ground.at = Math.min(this.ground.at, low - 0.004 * reach);
     else this.fit();
   }
 
@@ -78,12 +85,13 @@ export class Space {
     this.drawn = "";
   }
 
-  // Set the poses of the bodies.
+  // Set the poses of the bodies. Return whether a picture shows it.
   pose(poses) {
-    if (!this.solids) return;
-    const first = !this.solids.poses;
+    if (!this.solids) return false;
+    const first = !this.solids.poses, { version } = this.solids;
     this.solids.pose(poses, this.pixels ? UNSEEN / this.pixels : 0);
-    if (first) this.fit();
+    if (first) this.place();
+    return version !== this.solids.version;
   }
 
   // -- the camera ---------------------------------------------------------------------------------

@@ -151,7 +151,8 @@ class Session {
   // Smallest and largest stable stiffness of a law [N/m]; null where there is none.
   interval(name, law = this.laws[name], delay = this.delay) {
     const parts = this.data.parts[name], { period } = this.data.device;
-    const numbers = compiled(parts, law, period);
+    // What is scaled as a whole is searched around the law as it is written, however far it was scaled.
+    const numbers = compiled(parts, { ...law, scale: 1 }, period);
     if (numbers.own.kind) return [null, null];
     if (law.stiffness === undefined) return [null, scaledEdge(this.device(delay), numbers)];
     const found = stableStiffness(this.device(delay), withoutSpring(parts, law, period));

@@ -148,13 +148,14 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     found = page.evaluate(
         """async () => { const { fixed, figure, count, digits } = await import("./format.js");
       return [fixed(-0.001, 2), fixed(-1.25, 1), figure(4470.4), figure(0.0123),
-        count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2))]; }"""
+        figure(3.5e-130), count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2))]; }"""
     )
     assert found == [
         "0.00",
         "\u22121.3",
         "4\u202f470",
         "0.0123",
+        "3.50e\u2212130",
         "1\u00a0tick",
         "2\u00a0ticks",
         "0.2",

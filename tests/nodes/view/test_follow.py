@@ -181,20 +181,33 @@ def test_a_refusal_is_told_in_a_sentence_by_what_would_be_accepted(
     tmp_path: Path,
 ) -> None:
     """Also one without remedies, as of a lost connection."""
-    values = [{"laws.pd.stiffness": 5797.0}, {"hardness": 9540.0}]
+    ends: list[tuple[str, dict[str, float]]] = [
+        ("at_most", {"laws.pd.stiffness": 5797.0}),
+        ("at_most", {"hardness": 9540.0}),
+        # Typed as it is told, each is accepted; three digits would be past the end.
+        ("at_most", {"laws.pd.stiffness": 128.9}),
+        ("at_most", {"laws.pd.damping": 3.456}),
+        ("at_most", {"laws.pd.damping": 0.3}),
+        ("at_least", {"laws.pd.stiffness": 66.43}),
+    ]
     refusals: list[dict[str, Any]] = [
-        {"error": "Unstable.", "remedies": [{"kind": "at_most", "values": each}]}
-        for each in values
+        {"error": "Unstable.", "remedies": [{"kind": kind, "values": each}]}
+        for kind, each in ends
     ]
     # Without a value the sentence is the reason, as from other programs' nodes.
+    without: list[dict[str, Any]] = [{"values": {}}, {}]
     refusals += [
         {"error": "Too much.", "remedies": [{"kind": "at_most", **each}]}
-        for each in ({"values": {}}, {})
+        for each in without
     ]
     told = run(tmp_path, [], [*refusals, {"error": "There is no connection."}])["told"]
     assert [each.rpartition("The ")[2] for each in told] == [
         "largest stiffness that is accepted is 5\u202f797.",
         "largest H(1) that is accepted is 9\u202f540.",
+        "largest stiffness that is accepted is 128.",
+        "largest damping that is accepted is 3.45.",
+        "largest damping that is accepted is 0.300.",
+        "smallest stiffness that is accepted is 66.5.",
         "Too much.",
         "Too much.",
         "There is no connection.",

@@ -349,6 +349,39 @@ def test_a_surface_that_is_replaced_is_drawn_and_the_camera_stays_if_it_sees_it(
     page.close()
 
 
+def test_a_replaced_shape_that_moves_keeps_the_camera_and_says_what_is_seen(
+    lit: Browser,
+) -> None:
+    """Its first poses fitted the camera anew."""
+    shape = ball()
+    shape["parts"][0]["pose"] = 0
+    page = opened(lit, shape)
+    found = page.evaluate(
+        """shape => {
+      const upright = [1, 0, 0, 0, 1, 0, 0, 0, 1], found = { seen: [] };
+      const pose = (x) => found.seen.push(space.pose([[x, 0, 0, ...upright]]));
+      pose(0);
+      shown({ yaw: -0.4, pitch: 0.6 });
+      const sight = () => [space.turn.reach, ...space.turn.middle];
+      found.before = sight();
+      space.reshape(shape);
+      found.between = sight();
+      pose(0.001);
+      found.after = sight();
+      pose(0.001 + 0.1 / space.pixels);
+      pose(0.002);
+      space.reshape(shape);
+      pose(1);
+      found.far = sight();
+      return found; }""",
+        shape,
+    )
+    assert found["before"] == found["between"] == found["after"]
+    assert found["far"] != found["before"]
+    assert found["seen"] == [True, True, False, True, True]
+    page.close()
+
+
 def test_a_body_is_drawn_again_when_it_has_moved_by_what_a_picture_shows(
     lit: Browser,
 ) -> None:

@@ -349,6 +349,27 @@ result = { rows, python: session.python() };
 """
 
 
+def test_the_edge_of_a_scaled_law_is_the_same_however_far_it_was_scaled(
+    tmp_path: Path,
+) -> None:
+    """A refused 10⁶ N/m was told that no stiffness is stable, though small ones are."""
+    script = """
+const session = new Session(DATA), edges = [1e-6, 1, 1e6].map((scale) =>
+  session.edge("designed_d0", { ...session.laws.designed_d0, scale }));
+session.switchTo("designed_d0", 0, true);
+let remedies = null;
+try { session.scale(1e9, false); } catch (error) { ({ remedies } = error); }
+result = { edges, remedies };
+"""
+    found = run(tmp_path, script, "touch_wall")
+    edge = found["edges"][1]
+    assert edge > 0.0
+    assert found["edges"] == [edge] * 3
+    (most,) = found["remedies"]
+    # Rounded down to four digits, a thousandth below.
+    assert 0.998 * edge < most["values"]["designed_d0.hardness"] < edge
+
+
 @pytest.mark.parametrize("scenario", ["touch_wall", "sphere_feel"])
 def test_a_copied_session_gives_the_same_bits_in_python(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenario: str

@@ -248,6 +248,37 @@ def test_a_visitor_touches_the_wall_without_any_process_of_ours(
     assert wrong == []
 
 
+_MOVING = """
+summary: a ball goes to and fro while the hand rests
+include:
+  - launch: sphere_feel
+    parameters:
+      driver: {device: {hand: {path: [[0, 0], [1, 0]]}}}
+      environment:
+        surface:
+          kind: sphere
+          position: [0.07, 0.01, -0.05]
+          radius: 0.015
+          motion: {path: [[0, 0, 0, 0], [1, -0.03, 0, 0], [2, 0, 0, 0]], repeat: 2}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@needs_browser
+def test_a_shape_that_moves_is_drawn_while_the_hand_rests(tmp_path: Path) -> None:
+    """It stood still from 4.5 s on."""
+    (tmp_path / "moving.yaml").write_text(_MOVING)
+    write_site(tmp_path / "page", (str(tmp_path / "moving.yaml"),))
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto(f"file://{tmp_path}/page/index.html")
+        # Longer than what rests is drawn.
+        page.wait_for_function("haptic.space.now?.t > 6")
+        drawn = page.evaluate("haptic.space.drawn")
+        page.wait_for_function("drawn => haptic.space.drawn !== drawn", arg=drawn)
+
+
 @pytest.mark.slow
 @pytest.mark.process
 @needs_browser
