@@ -23,7 +23,7 @@ from nodes.stability.judge import last_inside
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
 
-_FACTORS = np.geomspace(1e-3, 1e3, 121)  # scales searched for the first instability
+_FACTORS = np.geomspace(1e-3, 1e9, 241)  # scales searched for the first instability
 _HALVINGS = 30
 
 

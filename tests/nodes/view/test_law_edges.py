@@ -103,6 +103,15 @@ def test_a_refusal_of_an_h1_tells_the_largest_one_that_is_accepted(name: str) ->
     assert in_hardness(other, scaled, 4e4) == other
 
 
+def test_the_edge_of_a_scaled_law_does_not_depend_on_how_soft_it_is_now() -> None:
+    """To 2**-30 of the bracket and the rounding of a scale, far below the edge too."""
+    whole = edges_of_laws({"fir": LAWS["fir"]}, DEVICES)["fir"]
+    soft = {"kind": "fir", "taps": [1e-6 * tap for tap in LAWS["fir"]["taps"]]}
+    assert edges_of_laws({"fir": soft}, DEVICES)["fir"] == pytest.approx(
+        whole, rel=1e-8
+    )
+
+
 def _product(roots: Any, x: Any) -> Any:
     return np.prod(x[:, None] - roots, axis=1)
 
