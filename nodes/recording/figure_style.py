@@ -123,6 +123,7 @@ def save_figure(
     _write_numbers_plainly(figure)
     figure.set_dpi(150)
     settle_layout(figure)
+    _thin_out_numbers(figure)
     for suffix in (".pdf", ".svg", path.suffix):
         # Render to memory first: on a full disk matplotlib's PDF writer hides the reason behind an
         # error of its own.
@@ -131,6 +132,24 @@ def save_figure(
             figure.savefig(drawn, dpi=150, format=suffix.removeprefix("."))
         room(path.with_suffix(suffix)).write_bytes(drawn.getbuffer())
     return path
+
+
+def _thin_out_numbers(figure: Figure) -> None:
+    """Leave out the numbers between the powers of ten of an axis where they lie over each other."""
+    from matplotlib.ticker import NullFormatter
+
+    for axes in figure.axes:
+        for axis, along in ((axes.xaxis, 0), (axes.yaxis, 1)):
+            if axis.get_scale() != "log":
+                continue
+            axis.get_tightbbox()  # places the numbers
+            ends = sorted(
+                tuple(label.get_window_extent().get_points()[:, along])
+                for label in axis.get_ticklabels(which="both")
+                if label.get_text()
+            )
+            if any(end > begin for (_, end), (begin, _) in itertools.pairwise(ends)):
+                axis.set_minor_formatter(NullFormatter())
 
 
 def settle_layout(figure: Figure) -> None:

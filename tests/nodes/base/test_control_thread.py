@@ -181,6 +181,8 @@ def test_who_is_served_after_a_disconnection_waits_for_no_file(
         control.start()
         place = f"ipc://{folder}/n.ctl"
         call(context, place, "clock", timeout=DEADLINE)
+        # Growth counts from the first look, which may come after the first request.
+        wait_for(lambda: control._usual_memory, "the usual memory is known")
         memory[0] += control_thread.MAX_GROWTH + 1
         wait_for(lambda: done, "all requesting peers are disconnected")
         call(context, place, "clock", timeout=DEADLINE)

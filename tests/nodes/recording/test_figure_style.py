@@ -25,6 +25,7 @@ from nodes.recording.figure_style import (
     threshold,
     typeset,
 )
+from tests.support.overlap import checked_figures
 
 
 @styled
@@ -150,3 +151,17 @@ def test_a_full_disk_is_told_as_one(tmp_path: Path) -> None:
     figure.add_subplot().plot([0.0, 1.0])
     with pytest.raises(OSError, match="No space left on device"):
         save_figure(figure, tmp_path / "full.png")
+
+
+@pytest.mark.parametrize("high", [15.0, 60.0, 500.0, 1e5])
+def test_numbers_of_a_logarithmic_axis_never_lie_over_each_other(
+    tmp_path: Path, high: float
+) -> None:
+    """However narrow the panel, and however little of a decade it shows."""
+    figure = new_figure(2.0, 1.6)
+    axes = figure.add_subplot()
+    axes.plot([8.0, high], [0.0, 1.0])
+    axes.set(xscale="log", xlabel="time of a call  [µs]")
+    with checked_figures() as overlaps:
+        save_figure(figure, tmp_path / "log.png")
+    assert overlaps == []
