@@ -135,7 +135,7 @@ def save_figure(
 
 
 def _thin_out_numbers(figure: Figure) -> None:
-    """Leave out the numbers between the powers of ten of an axis where they lie over each other."""
+    """Remove the numbers between powers of ten where they lie over each other."""
     from matplotlib.ticker import NullFormatter
 
     for axes in figure.axes:
