@@ -71,5 +71,5 @@ def save(
     whole = plain({**figures, "claims": claims})
     data.write_text(json.dumps(whole, indent=1, allow_nan=False) + "\n")
     return PaperFigure(
-        lines=lines, curves=figures, claims=claims, data=data, picture=plot
+        lines=tuple(lines), curves=figures, claims=claims, data=data, picture=plot
     )

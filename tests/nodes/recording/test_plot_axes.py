@@ -127,9 +127,14 @@ def test_the_way_to_a_curved_surface_is_not_shown(tmp_path: Path) -> None:
         normal = (0.0, 0.6, 0.8)
         for k in range(300):
             distance = max(0.1 - 5e-4 * k, -1e-3)
-            place = tuple((RADIUS + distance) * n for n in normal)
-            on = tuple(max(RADIUS, RADIUS + distance) * n for n in normal)
-            force = tuple(STIFFNESS * max(0.0, -distance) * n for n in normal)
+            place, on, force = (
+                (scale * normal[0], scale * normal[1], scale * normal[2])
+                for scale in (
+                    RADIUS + distance,
+                    max(RADIUS, RADIUS + distance),
+                    STIFFNESS * max(0.0, -distance),
+                )
+            )
             common: Any = {"seq": k, "stamp": k * PERIOD, "position": place}
             yield DEVICE_STATE, DeviceState(**common, force=force, force_seq=k - 1)
             yield PROXY, Proxy(**common, proxy=on, normal=normal, distance=distance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 import subprocess
@@ -474,7 +475,7 @@ def test_a_recording_is_looked_at_in_three_dimensions_too(
         wait_for(lambda: replayed.evaluate("haptic.space.pixels > 0"), "the picture")
         assert replayed.locator("#space").is_visible()
         same = [
-            each.evaluate("JSON.stringify(haptic.space.shape)")
+            json.loads(each.evaluate("JSON.stringify(haptic.space.shape)"))
             for each in (page, replayed)
         ]
         assert same[0] == same[1]
