@@ -44,7 +44,7 @@ from sim.static_page.law_parts import parts_of
 _FIRST: Final = ("touch_wall",)  # scenarios if none are named
 _SCRIPTS: Final = ("laws", "edges", "moving_worlds", "words", "delay", "session")
 # ticks for which laws that push pseudo-randomly have their push
-_TICKS: Final = 300_000
+_TICKS: Final = 200_000
 LONGEST_DELAY: Final = 20  # longest delay of the device that the page plays [ticks]
 LARGEST: Final = 500_000  # largest folder [bytes]
 # An array that several scenarios may have; a marker that is in no script stands for it.
