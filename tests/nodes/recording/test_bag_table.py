@@ -247,10 +247,10 @@ def test_joints_are_columns_by_their_names(tmp_path: Path) -> None:
             writer.write(line, at, STORE.serialize_cdr(message, line.msgtype))
     columns = {"position": ["/joints.position.knee"], "force": ["/joints.effort.hip"]}
     found = import_table(tmp_path / "bag", tmp_path / "out.mcap", columns=columns)
-    k = np.arange(N)
-    np.testing.assert_array_equal(found.samples.position[:, 0], -1e-3 * k)
+    rows = np.arange(N)
+    np.testing.assert_array_equal(found.samples.position[:, 0], -1e-3 * rows)
     assert found.samples.force is not None
-    np.testing.assert_array_equal(found.samples.force[:, 0], 3 * (1e-3 * k))
+    np.testing.assert_array_equal(found.samples.force[:, 0], 3 * (1e-3 * rows))
     columns = {"position": ["/joints.position.kne"]}
     with pytest.raises(RecordError, match=r"did you mean /joints\.position\.knee"):
         import_table(tmp_path / "bag", tmp_path / "o.mcap", columns=columns)
