@@ -21,7 +21,6 @@
 | `CannotTellError` | a recorded contact that does not determine K_max |
 | `NotInBrowserError` | a scenario that the static page does not play |
 | `NotEmittedError` | Python that is not emitted as JavaScript; a programming error |
-| `SurplusError` | a device service that keeps sending more answers than requested |
 | `StudyCancelledError` | a study that its caller cancelled |
 | `NotOneAxisError` | a launch that cannot be simulated as one axis |
 | `UsageError` | a request that cannot be done as asked; exit code 2 |

@@ -123,8 +123,12 @@ def vector_of(table: ForeignTable, role: str, axis: str) -> dict[str, str]:
     return {axis: one} if one is not None else found
 
 
-def time_column(table: ForeignTable) -> str | None:
-    """Return the column of times by the usual names; None without one."""
+def time_column(
+    table: ForeignTable, chosen: Mapping[str, Mapping[str, str]]
+) -> str | None:
+    """Return the column of times, chosen or by the usual names; None without one."""
+    if "time" in chosen:
+        return next(iter(chosen["time"].values()))
     plain = {name: plain_name(name) for name in table.columns}
     for wanted in _WHOLE["time"]:
         one = _one(table, "time", [name for name in plain if plain[name] == wanted])

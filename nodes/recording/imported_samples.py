@@ -138,9 +138,7 @@ def samples_of(
         )
     sources: dict[str, str] = {}
     own = is_own(table)
-    name = (
-        next(iter(chosen["time"].values())) if "time" in chosen else time_column(table)
-    )
+    name = time_column(table, chosen)
     kept = None
     if name is not None and not ignore_times and not own:
         kept = _kept(table, name, where.values(), pushed.values())
@@ -159,11 +157,7 @@ def samples_of(
                 f"{table.path}: without its times the rate is needed: {words.get().rate('HZ')}"
             )
         if rate is None:
-            raise RecordError(
-                f"{table.path}: no column of times among {table.names}; say the rate"
-                f" with {words.get().rate('HZ')}, or the column with"
-                f" {words.get().columns({'time': 'NAME'})}"
-            )
+            raise _without_times(table)
         refuse_rate(table, rate)
         period = 1.0 / rate
         seq = np.arange(len(position))
@@ -226,20 +220,14 @@ def motion_of(
         )
     where = {axis or "x": name for axis, name in where.items()}
     sources: dict[str, str] = {}
-    name = (
-        next(iter(chosen["time"].values())) if "time" in chosen else time_column(table)
-    )
+    name = time_column(table, chosen)
     kept = None if name is None else _kept(table, name, where.values(), ())
     known = table if kept is None else table.of_rows(kept)
     position = _filled(known, "position", where, given, sources)
     refuse_unlikely(known, position, None, given)
     if name is None:
         if rate is None:
-            raise RecordError(
-                f"{table.path}: no column of times among {table.names}; say the rate"
-                f" with {words.get().rate('HZ')}, or the column with"
-                f" {words.get().columns({'time': 'NAME'})}"
-            )
+            raise _without_times(table)
         refuse_rate(table, rate)
         return np.arange(len(position)) / rate, position, "".join(sorted(where))
     since, factor, _ = growing(table, name, given)
@@ -258,6 +246,14 @@ def motion_of(
             f"{table.path}: {len(since)} times in {name!r} and {len(position)} positions"
         )
     return since * factor, position, "".join(sorted(where))
+
+
+def _without_times(table: ForeignTable) -> RecordError:
+    return RecordError(
+        f"{table.path}: no column of times among {table.names}; say the rate"
+        f" with {words.get().rate('HZ')}, or the column with"
+        f" {words.get().columns({'time': 'NAME'})}"
+    )
 
 
 def _filled(
@@ -344,9 +340,9 @@ def refuse_unlikely(
     given : mapping, optional
         Units that were given, by role.
     """
-    given = given or {}
     import numpy as np
 
+    given = given or {}
     if len(position) < 2:
         raise RecordError(f"{table.path}: {len(position)} rows; at least 2 are needed")
     _refuse_absurd(table, "position", position, FARTHEST, "m")

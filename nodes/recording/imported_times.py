@@ -132,14 +132,8 @@ def _own_ticks(
     if not period > 0.0:
         raise RecordError(f"{table.path}: column 'stamp' does not grow")
     refuse_rate(table, 1.0 / period)
-    rounded = float(f"{period:.6g}")
     sources["time"] = "stamp in s, seq"
-    near = abs(rounded / period - 1.0) < ROUNDING
-    return (
-        rounded if near else period,
-        seq.astype(np.int64),
-        np.asarray(stamp, dtype=np.float64),
-    )
+    return (_plain(period), seq.astype(np.int64), np.asarray(stamp, dtype=np.float64))
 
 
 def unit_hint(step: float, rate: float | None = None) -> str:
@@ -195,11 +189,14 @@ def _regular(
             f" ({bad.size} of {len(steps)} steps lie beside a multiple of {step:g}); resample the"
             f" data evenly, or, if each row is a tick, use {words.get().ticks}"
         )
-    period = float(since[-1] / counts.sum())
-    rounded = float(f"{period:.6g}")
     # Stamps are rounded, and so is their mean step.
-    near = abs(rounded / period - 1.0) < ROUNDING
-    return rounded if near else period, np.cumsum(counts)
+    return _plain(float(since[-1] / counts.sum())), np.cumsum(counts)
+
+
+def _plain(period: float) -> float:
+    """Return the period of six digits that a period is near to, or the period itself."""
+    rounded = float(f"{period:.6g}")
+    return rounded if abs(rounded / period - 1.0) < ROUNDING else period
 
 
 def _even_period(since: Array) -> float:

@@ -81,8 +81,7 @@ def _in_hardness(one: Remedy, asked: Mapping[str, float], hardness: float) -> Re
     shares = {
         abs(tap): value / tap
         for path, value in one.values.items()
-        for name, tap in asked.items()
-        if path.endswith(f".{name}")
+        if (tap := asked.get(path.rpartition(".")[2])) is not None
     }
     if not shares:
         return one

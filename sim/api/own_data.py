@@ -203,10 +203,7 @@ def identify_arrays(
         raise UsageError(f"delay {delay:g} ticks; expected 0 to {SHORTEST}")
     if len(where) < SHORTEST:
         raise RefusedError(f"{len(where)} samples; at least {SHORTEST} are needed")
-    try:
-        refuse_unlikely(ForeignTable(ARRAYS, {}), where, pushed)
-    except RecordError as error:
-        raise UsageError(f"{error.fault} Arrays are in metres and newtons") from None
+    _refuse_unlikely(where, pushed)
     if where.ndim == 2:
         axis = axis or "xyz"[int(np.argmax(np.std(pushed, axis=0)))]
         where, pushed = where[:, "xyz".index(axis)], pushed[:, "xyz".index(axis)]
@@ -308,10 +305,7 @@ def hand_path(
         )
     if (back := np.flatnonzero(np.diff(at) <= 0.0)).size:
         raise UsageError(f"time[{back[0] + 1}] does not grow")
-    try:
-        refuse_unlikely(ForeignTable(ARRAYS, {}), where, None)
-    except RecordError as error:
-        raise UsageError(f"{error.fault} Arrays are in metres and newtons") from None
+    _refuse_unlikely(where, None)
     paths = [
         [list(corner) for corner in corners(at, column)]
         for column in (where.T if where.ndim == 2 else [where])
@@ -328,6 +322,16 @@ def _as_hand(paths: Sequence[list[list[float]]]) -> dict[str, Any]:
         for axis, path in zip("yz", paths[1:], strict=True)
     }
     return {"path": paths[0], "axes": own}
+
+
+def _refuse_unlikely(
+    position: NDArray[np.float64], force: NDArray[np.float64] | None
+) -> None:
+    """Raise UsageError for arrays of values that no device reaches: they have no units."""
+    try:
+        refuse_unlikely(ForeignTable(ARRAYS, {}), position, force)
+    except RecordError as error:
+        raise UsageError(f"{error.fault}; arrays are in metres and newtons") from None
 
 
 def _checked(name: str, values: ArrayLike) -> NDArray[np.float64]:

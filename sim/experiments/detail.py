@@ -253,32 +253,22 @@ def _levels(
     friction = solids[0].friction
     several = {solid.factors for solid in solids}
     factors = felt_as if len(several) > 1 else solids[0].factors
+
+    def alone(shape: Solid) -> list[Solid]:
+        return [shape._replace(friction=friction, factors=factors)]
+
     # Unique vertices: the number of triangles at a vertex does not change the shape.
     points = np.unique(points, axis=0)
     if len(points) >= _FEWEST:
         if meshes:
-            yield "box", [_box(points)._replace(friction=friction, factors=factors)]
-            yield (
-                "capsule",
-                [_capsule(points)._replace(friction=friction, factors=factors)],
-            )
+            yield "box", alone(_box(points))
+            yield "capsule", alone(_capsule(points))
         if not (len(solids) == 1 and solids[0].kind == PLANE):
-            yield (
-                "sphere",
-                [_sphere(points)._replace(friction=friction, factors=factors)],
-            )
+            yield "sphere", alone(_sphere(points))
     if len(solids) > 1 or solids[0].kind != PLANE:
         normal = normals.mean(axis=0)
-        yield (
-            "plane",
-            [
-                plane(
-                    tuple(touched.mean(axis=0).tolist()),
-                    tuple(normal.tolist()),
-                    friction,
-                )._replace(factors=factors)
-            ],
-        )
+        point = tuple(touched.mean(axis=0).tolist())
+        yield "plane", alone(plane(point, tuple(normal.tolist())))
 
 
 def decimated(whole: Solid, cells: int) -> Iterator[tuple[str, list[Solid] | str]]:

@@ -172,7 +172,11 @@ def test_a_jump_is_told_until_the_next_one_and_the_later_one_counts() -> None:
     assert [proxy.rebased for proxy in met] == [0, 0, 0]
     changed = node.store.changed({"surface.position": 0.001})
     told: list[tuple[str, str]] = []
-    node.events.emit = lambda kind, reason, *_, **__: told.append((kind, reason))  # type: ignore[method-assign]
+
+    def emit(kind: str, reason: str, *_: Any, **__: Any) -> None:
+        told.append((kind, reason))
+
+    node.events.emit = emit  # type: ignore[method-assign]
     node.prepare(changed)(3)
     node.store.accept(changed)
     assert told == [("surface", "surface.position none → 0.001")]
