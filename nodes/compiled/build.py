@@ -163,7 +163,9 @@ def _compile(module: str, keep_failure: bool) -> None:
         kind, content = linked(object_file(module))
         entry = cache.CacheEntry(kind=kind, content=content)
     except Exception as error:
-        if not keep_failure:
+        # What the machine lacks, an installation that is being replaced, may be there next time.
+        is_lasting = not isinstance(error, ImportError | OSError | MemoryError)
+        if not (keep_failure and is_lasting):
             raise NotCompilableError(_cause(error)) from error
         # it would fail at each launch
         entry = cache.CacheEntry(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from nodes.cli.doctor import CHECKS
-from nodes.compiled import cache
+from nodes.compiled import build, cache
 from nodes.compiled.build import expected_seconds, find, reason
 from nodes.compiled.choose_tick import choose, compile_later
 from nodes.compiled.library import functions, library_of_pyzmq, obtain
@@ -200,6 +201,29 @@ def test_a_cache_that_cannot_be_written_is_named(
     assert told == [
         f"the plain tick ran; a compiled one cannot be kept: {lock.parent}: Is a directory"
     ]
+
+
+@pytest.mark.parametrize(
+    ("error", "kept"),
+    [
+        (ModuleNotFoundError("No module named 'llvmlite'"), False),
+        (OSError(28, "No space left on device"), False),
+        (TypeError("no float"), True),
+    ],
+)
+def test_a_failure_of_the_machine_is_not_kept_as_one_of_the_kernel(
+    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, kept: bool
+) -> None:
+    """An environment that was removed while it compiled barred its kernels for good."""
+
+    def fail(_: str) -> bytes:
+        raise error
+
+    monkeypatch.setattr(build, "object_file", fail)
+    raised = contextlib.nullcontext() if kept else pytest.raises(NotCompilableError)
+    with raised:
+        build._compile(TINY, keep_failure=True)
+    assert (find(TINY) is not None) is kept
 
 
 @pytest.mark.process
