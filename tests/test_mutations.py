@@ -9,9 +9,17 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.mutations.__main__ import try_all
-from tests.support.mutations.drawn import ROOMS, all_of, draw, room_of, suite_of
+from tests.support.mutations.drawn import (
+    ROOMS,
+    all_of,
+    draw,
+    launched_by,
+    room_of,
+    suite_of,
+)
 from tests.support.mutations.mutation import (
     Mutation,
+    Stage,
     copy_sources,
     mutated,
     near,
@@ -149,6 +157,28 @@ def test_a_file_is_tried_by_the_tests_that_run_it(file: str, noticing: str) -> N
 
 
 @pytest.mark.parametrize(
+    ("file", "first", "also"),
+    [
+        ("nodes/driver/touch/driver.py", "test_touch", "test_last_line"),
+        ("nodes/coupling/node.py", "test_hot_swap", "test_refused_live"),
+        ("nodes/recording/logger.py", "test_own_data_page", "test_record"),
+    ],
+)
+def test_a_survivor_is_tried_by_its_folder_tests_that_start_processes(
+    file: str, first: str, also: str
+) -> None:
+    room = file.rpartition("/")[0].removesuffix("/touch")
+    found = launched_by(room, ROOT / file)
+    assert found[0] == f"tests/{room}/{first}.py"
+    assert f"tests/{room}/{also}.py" in found
+    assert all(
+        "mark.process" in (ROOT / one).read_text(encoding="utf-8") for one in found
+    )
+    (one,) = (one for one in draw(1, "one", ["nodes/stability"]))
+    assert one.launched == () == one.tests_of(Stage.LAUNCHED)
+
+
+@pytest.mark.parametrize(
     ("noticed", "tried"), [(0, 7), (7, 7), (27, 30), (1, 1), (90, 180)]
 )
 def test_wilson_bounds_are_the_shares_that_lie_a_quantile_away(
@@ -167,40 +197,49 @@ def test_wilson_bounds_are_the_shares_that_lie_a_quantile_away(
 
 def test_the_score_counts_rooms_and_all_that_were_drawn() -> None:
     some = draw(12, "one")
+    noticed = [None if i < 3 else "test_a.py::test_b" for i in range(12)]
     tried = [
-        Tried(room_of(one), one, None if i < 3 else "test_a.py::test_b")
+        Tried(room_of(one), one, noticed[i], Stage.LAUNCHED if i < 5 else Stage(1))
         for i, one in enumerate(some)
     ]
     tried.append(Tried("named", NAMED_RULES[0], "test_a.py::test_c"))
     found = counts(tried)
-    assert found["all drawn"] == (9, 12)
-    assert found["named"] == (1, 1)
-    assert {room: found[room] for room in ROOMS} == {
-        room: (1 if i < 3 else 2, 2) for i, room in enumerate(ROOMS)
+    assert found["all drawn"] == (12, 7, 2)
+    assert found["named"] == (1, 1, 0)
+    assert {room: found[room].noticed for room in ROOMS} == {
+        room: 1 if i < 3 else 2 for i, room in enumerate(ROOMS)
     }
+    assert all(found[room].tried == 2 for room in ROOMS)
     record = as_record(tried)
     assert record["survive"] == [one.name for one in some[:3]]
     lines = as_lines(tried)
-    assert lines[-4].split()[:5] == ["all", "drawn", "12", "9", "75"]
+    assert lines[-4].split()[:5] == ["all", "drawn", "12", "7", "2"]
+    assert lines[-4].split()[5:6] == ["75"]
     assert lines[-3:] == [f"survives: {one.name}" for one in some[:3]]
 
 
 def test_a_run_goes_on_from_its_file(tmp_path: Path) -> None:
     """What the file has is not tried again, unless it survived and that is asked for."""
     some = draw(4, "one")
-    tried = [Tried("named", one, None) for one in some]
-    tried[0] = tried[0]._replace(noticed_by="pytest ends with -24")
+    tried = [Tried("named", one, None, Stage.LAUNCHED) for one in some]
+    tried[0] = Tried("named", some[0], "pytest ends with -24")
     record = tmp_path / "score.json"
     assert known(record, again=False) == {}
     text = json.dumps(as_record(tried))
     record.write_text(text, encoding="utf-8")
     assert len(known(record, again=False)) == 4
-    assert list(known(record, again=True).values()) == ["pytest ends with -24"]
+    assert list(known(record, again=True).values()) == [tried[0][2:]]
     # The folder has no sources, so whatever was tried would fail.
     groups = [("named", one) for one in some]
     assert try_all(groups, tmp_path, record) == tried
     with pytest.raises(FileNotFoundError):
         try_all(groups, tmp_path, record, again=True)
+    # What survived in one process is tried by tests that start processes, if that is asked for.
+    later = [tried[0], *(one._replace(stage=Stage.IN_PROCESS) for one in tried[1:])]
+    record.write_text(json.dumps(as_record(later)), encoding="utf-8")
+    assert try_all(groups, tmp_path, record, last=Stage.IN_PROCESS) == later
+    with pytest.raises(FileNotFoundError):
+        try_all(groups, tmp_path, record)
     # A result belongs to the text of its file.
     record.write_text(text.replace(source_of(some[0]), "0"), encoding="utf-8")
     with pytest.raises(FileNotFoundError):
@@ -228,4 +267,44 @@ def test_who_tries_one_tells_which_test_noticed(tmp_path: Path) -> None:
     record = tmp_path / "score.json"
     tried = try_all(both, tmp_path, record)
     assert [one.noticed_by for one in tried] == [None, noticing]
+    assert [one.stage for one in tried] == [Stage.LAUNCHED, Stage.IN_PROCESS]
     assert json.loads(record.read_text(encoding="utf-8"))["survive"] == ["nothing"]
+
+
+@pytest.mark.slow
+def test_a_process_that_fails_by_chance_notices_nothing(tmp_path: Path) -> None:
+    """Tests that start processes try what survives; one must fail twice, and only with it."""
+    copy_sources(tmp_path)
+    rule = tmp_path / "rule.py"
+    rule.write_text("ANSWER = 42\n", encoding="utf-8")
+    text = """
+import subprocess, sys
+from pathlib import Path
+import pytest
+
+def answer():
+    return subprocess.check_output([sys.executable, "-c", "import rule; print(rule.ANSWER)"])
+
+@pytest.mark.process
+def test_fails_at_first():
+    answer()
+    seen = Path("seen")
+    first, _ = not seen.exists(), seen.touch()
+    assert not first
+
+@pytest.mark.process
+def test_answers():
+    assert answer() == b"42\\n"
+
+def test_in_process():
+    assert 0
+"""
+    test = tmp_path / "tests" / "test_launched.py"
+    test.write_text(text, encoding="utf-8")
+    name = f"tests/{test.name}"
+    other = Mutation("other", "rule.py", "42", "43", (), launched=(name,))
+    same = other._replace(name="same", new="42 ")
+    assert noticed_by(other, tmp_path) is None
+    assert noticed_by(other, tmp_path, stage=Stage.LAUNCHED) == f"{name}::test_answers"
+    (tmp_path / "seen").unlink()
+    assert noticed_by(same, tmp_path, stage=Stage.LAUNCHED) is None

@@ -6,14 +6,19 @@ import argparse
 import json
 import sys
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 
 from tests.support.commit import commit
 from tests.support.mutations.drawn import ROOMS, draw, room_of
+from tests.support.mutations.forked import Forks
 from tests.support.mutations.mutation import (
     Mutation,
+    Outcome,
+    Stage,
     copy_sources,
     failing_anyway,
+    forks,
     function_of,
     near,
     noticed_by,
@@ -35,11 +40,12 @@ def try_all(
     record: Path | None = None,
     *,
     again: bool = False,
+    last: Stage = Stage.LAUNCHED,
 ) -> list[Tried]:
     """Try mutations in a copy of the sources; return the test that notices each.
 
-    A test that fails without any mutation notices nothing; what it seemed to notice is tried
-    without it.
+    All are tried by tests in one process, then the survivors by tests that start processes. A test
+    that fails without any mutation notices nothing; what it seemed to notice is tried without it.
 
     Parameters
     ----------
@@ -51,13 +57,17 @@ def try_all(
         Results are read from it and written to it one by one.
     again : bool
         Try again what survived according to `record`.
+    last : Stage
+        The stage at which a survivor is left.
     """
     found = known(record, again=again) if record else {}
     key = {one.name: (one.name, source_of(one)) for _, one in groups}
 
-    def try_one(mutation: Mutation, failing: frozenset[str]) -> None:
-        test = noticed_by(mutation, folder, failing)
-        found[key[mutation.name]] = test
+    failing: frozenset[str] = frozenset()
+
+    def try_one(mutation: Mutation, stage: Stage, forked: Forks | None) -> None:
+        test = noticed_by(mutation, folder, failing, stage, forked)
+        found[key[mutation.name]] = Outcome(test, stage)
         said = f"noticed  {mutation.name}   {test}"
         print(
             said if test else f"SURVIVES {mutation.name}", file=sys.stderr, flush=True
@@ -68,22 +78,45 @@ def try_all(
 
     def tried() -> list[Tried]:
         known_now = [(group, one) for group, one in groups if key[one.name] in found]
-        return [Tried(group, one, found[key[one.name]]) for group, one in known_now]
+        return [Tried(group, one, *found[key[one.name]]) for group, one in known_now]
 
-    for _, mutation in groups:
-        if key[mutation.name] not in found:
-            try_one(mutation, frozenset())
-    failing: frozenset[str] = frozenset()
+    def is_left(mutation: Mutation, stage: Stage) -> bool:
+        before = found.get(key[mutation.name])
+        return before is None or (before.noticed_by is None and before.stage < stage)
+
     while True:
-        noticing = {function_of(one.noticed_by) for one in tried() if one.noticed_by}
-        tests = {test for test in noticing - failing if test.startswith("tests/")}
-        more = failing_anyway(tests, folder)
+        for stage in [one for one in Stage if one <= last]:
+            left = [one for _, one in groups if is_left(one, stage)]
+            in_process = left if stage is Stage.IN_PROCESS else []
+            with forks(in_process, folder) if in_process else nullcontext() as forked:
+                for mutation in left:
+                    try_one(mutation, stage, forked)
+        more = _noticing_nothing(tried(), folder, failing)
         if not more:
             return tried()
         failing |= more
         for one in tried():
             if one.noticed_by and function_of(one.noticed_by) in more:
-                try_one(one.mutation, failing)
+                del found[key[one.mutation.name]]
+                if one.stage is Stage.LAUNCHED:
+                    survived = Outcome(None, Stage.IN_PROCESS)
+                    found[key[one.mutation.name]] = survived
+
+
+def _noticing_nothing(
+    tried: list[Tried], folder: Path, failing: frozenset[str]
+) -> frozenset[str]:
+    """Return which tests that noticed mutations fail without any, beside those known."""
+    found: frozenset[str] = frozenset()
+    for stage in Stage:
+        noticing = {
+            function_of(one.noticed_by)
+            for one in tried
+            if one.noticed_by and one.stage is stage
+        }
+        tests = {test for test in noticing - failing if test.startswith("tests/")}
+        found |= failing_anyway(tests, folder, stage)
+    return found
 
 
 def main() -> int:
@@ -117,6 +150,14 @@ def main() -> int:
     parser.add_argument(
         "--again", action="store_true", help="try again what survived in that file"
     )
+    parser.add_argument(
+        "--stages",
+        type=int,
+        choices=[int(one) for one in Stage],
+        default=int(max(Stage)),
+        help="1: leave a drawn one that no test in one process notices; 2 (default): try tests"
+        " that start processes too",
+    )
     arguments = parser.parse_args()
     named = (
         []
@@ -129,7 +170,13 @@ def main() -> int:
     groups = [("named", one) for one in named] + [(room_of(one), one) for one in drawn]
     with tempfile.TemporaryDirectory(prefix="haptic-mutations-") as folder:
         copy_sources(Path(folder))
-        tried = try_all(groups, Path(folder), arguments.json, again=arguments.again)
+        tried = try_all(
+            groups,
+            Path(folder),
+            arguments.json,
+            again=arguments.again,
+            last=Stage(arguments.stages),
+        )
     print("\n".join(as_lines(tried)))
     return int(any(one.survives for one in tried if one.group == "named"))
 

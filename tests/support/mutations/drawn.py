@@ -36,6 +36,8 @@ ROOMS: Final = {
 SUPPORT: Final = ROOT / "tests" / "support"
 COMPILED: Final = frozenset({"kernel", "compiled_tick", "tick"})
 """Files of a room that only compiled ticks run; their tests are in tests/nodes/compiled."""
+_STARTS: Final = "mark.process"
+"""Text of a file with tests that start processes."""
 
 _COMPARED: Final[dict[type[ast.cmpop], tuple[str, str]]] = {
     ast.Lt: ("<", "<="),
@@ -158,7 +160,11 @@ def draw(number: int, seed: str, rooms: list[str] | None = None) -> list[Mutatio
         chance.shuffle(pool)
     drawn = [pools[i % len(pools)][i // len(pools)] for i in range(number)]
     return [
-        one._replace(tests=suite_of(room_of(one), ROOT / one.file)) for one in drawn
+        one._replace(
+            tests=suite_of(room_of(one), ROOT / one.file),
+            launched=launched_by(room_of(one), ROOT / one.file),
+        )
+        for one in drawn
     ]
 
 
@@ -212,19 +218,46 @@ def _all_tests() -> dict[Path, str]:
     return {file: file.read_text(encoding="utf-8") for file in files}
 
 
+def _folders(room: str, file: Path) -> tuple[str, ...]:
+    """Return the folders of tests that mirror a file's room."""
+    compiled = ("tests/nodes/compiled",) if file.stem in COMPILED else ()
+    return (*compiled, *ROOMS[room])
+
+
+def _tests_in(folders: tuple[str, ...]) -> list[Path]:
+    return [
+        path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))
+    ]
+
+
+@cache
+def launched_by(room: str, file: Path) -> tuple[str, ...]:
+    """Return the files of a room's folders that start processes, those near a file first.
+
+    Near by imports or not: what a launch runs is imported by its processes.
+    """
+    nearest = suite_of(room, file)
+    names = [
+        str(path.relative_to(ROOT))
+        for path in _tests_in(_folders(room, file))
+        if _STARTS in path.read_text(encoding="utf-8")
+    ]
+    return tuple(
+        sorted(
+            names,
+            key=lambda name: nearest.index(name) if name in nearest else len(nearest),
+        )
+    )
+
+
 @cache
 def suite_of(room: str, file: Path) -> tuple[str, ...]:
     """Return a file's tests: of its name, importing it or what imports it, its room's.
 
     Where none of its room imports it, those that do in other folders come first.
     """
-    module = _module(file)
-    folders: tuple[str, ...] = ROOMS[room]
-    if file.stem in COMPILED:
-        folders = ("tests/nodes/compiled", *folders)
-    tests = [
-        path for folder in folders for path in sorted((ROOT / folder).glob("test_*.py"))
-    ]
+    module, folders = _module(file), _folders(room, file)
+    tests = _tests_in(folders)
 
     def distance(test: Path) -> int:
         if test.stem.startswith(f"test_{file.stem}"):

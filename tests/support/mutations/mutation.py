@@ -1,4 +1,8 @@
-"""A mutation, and how it is tried: in a copy of the sources, whose tests must fail."""
+"""A mutation, and how it is tried: in a copy of the sources, whose tests must fail.
+
+Tests in one process are tried first; what survives them is tried by tests that start processes, if
+that is asked for. Real-time tests judge the machine as well and take no part.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +14,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable
+from enum import IntEnum
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from tests.support import ROOT
 from tests.support.mutations import first_failure
+from tests.support.mutations.forked import Forks
 
 LONGEST: Final = 900
 """Processor time after which a mutation's tests have failed: a loop without end [s].
@@ -23,6 +29,25 @@ What waits without end fails by pytest's own timeout.
 """
 NOTHING_COLLECTED: Final = 5
 """Exit code of pytest where a file has only tests that are slow or start processes."""
+
+WAITING: Final = 300
+"""Time after which a test that starts processes has failed: it waits for one that is gone [s]."""
+
+
+class Stage(IntEnum):
+    """Which tests try a mutation; a survivor of one goes on to the next."""
+
+    IN_PROCESS = 1
+    LAUNCHED = 2  # tests that start processes
+
+
+_SELECTED: Final = {
+    Stage.IN_PROCESS: ("-m", "not slow and not process"),
+    Stage.LAUNCHED: (
+        *("-m", "process and not slow and not realtime"),
+        f"--timeout={WAITING}",
+    ),
+}
 
 _dates = itertools.count(int(time.time()) - 10**6)
 
@@ -37,6 +62,19 @@ class Mutation(NamedTuple):
     tests: tuple[str, ...]
     # index of `old` in the text; None where it stands there once
     place: int | None = None
+    # files with tests that start processes, for what survives `tests`
+    launched: tuple[str, ...] = ()
+
+    def tests_of(self, stage: Stage) -> tuple[str, ...]:
+        """Return the files and folders that try it at a stage."""
+        return self.tests if stage is Stage.IN_PROCESS else self.launched
+
+
+class Outcome(NamedTuple):
+    """What is known of a mutation: the first test that fails, and how far it was tried."""
+
+    noticed_by: str | None  # None if it survives every stage up to `stage`
+    stage: Stage
 
 
 def mutated(text: str, mutation: Mutation) -> str:
@@ -57,7 +95,11 @@ def mutated(text: str, mutation: Mutation) -> str:
 
 
 def noticed_by(
-    mutation: Mutation, folder: Path, without: frozenset[str] = frozenset()
+    mutation: Mutation,
+    folder: Path,
+    without: frozenset[str] = frozenset(),
+    stage: Stage = Stage.IN_PROCESS,
+    forks: Forks | None = None,
 ) -> str | None:
     """Apply a mutation in a copy of the sources; return the first test that fails, or None.
 
@@ -69,21 +111,44 @@ def noticed_by(
         A copy of the sources, as they were again at the end.
     without : frozenset of str
         Test functions that fail without any mutation, which are not run.
+    stage : Stage
+        Which of its tests are run. One that starts processes must fail twice, because a busy
+        machine alone may fail it once.
+    forks : Forks, optional
+        What tries a change inside a function without another start of pytest.
     """
     path = folder / mutation.file
     text = path.read_text(encoding="utf-8")
-    _write(path, mutated(text, mutation))
+    changed = mutated(text, mutation)
+    _write(path, changed)
     try:
-        for stage in stages(mutation.tests):
-            left_out = tuple(f"--deselect={test}" for test in sorted(without))
-            if failed := _first_failure(folder, (*stage, *left_out)):
+        if forks and stage is Stage.IN_PROCESS:
+            was_tried, failed = forks.first_failure(
+                mutation.file, (text, changed), list(mutation.tests), without, LONGEST
+            )
+            if was_tried:
                 return failed
+        for tests in stages(mutation.tests_of(stage)):
+            left_out = set(without)
+            while failed := _first_failure(folder, (*tests, *_but(left_out)), stage):
+                if stage is Stage.IN_PROCESS or not failed.startswith("tests/"):
+                    return failed
+                again = (function_of(failed), *_but(without))
+                if _first_failure(folder, again, stage):
+                    return failed
+                left_out.add(function_of(failed))
         return None
     finally:
         _write(path, text)
 
 
-def failing_anyway(tests: Iterable[str], folder: Path) -> frozenset[str]:
+def _but(left_out: Iterable[str]) -> tuple[str, ...]:
+    return tuple(f"--deselect={test}" for test in sorted(left_out))
+
+
+def failing_anyway(
+    tests: Iterable[str], folder: Path, stage: Stage = Stage.IN_PROCESS
+) -> frozenset[str]:
     """Return which tests fail without any mutation: they notice nothing.
 
     Parameters
@@ -92,6 +157,8 @@ def failing_anyway(tests: Iterable[str], folder: Path) -> frozenset[str]:
         Ids of test functions, and files that cannot be collected.
     folder : Path
         A copy of the sources without a mutation.
+    stage : Stage
+        The stage at which they noticed one.
     """
     left, failing = set(tests), set[str]()
     while left:
@@ -99,9 +166,9 @@ def failing_anyway(tests: Iterable[str], folder: Path) -> frozenset[str]:
         functions = sorted(left.difference(files))
         failed = None
         if files:
-            failed = _first_failure(folder, ("--collect-only", *files))
+            failed = _first_failure(folder, ("--collect-only", *files), stage)
         if functions and not failed:
-            failed = _first_failure(folder, tuple(functions))
+            failed = _first_failure(folder, tuple(functions), stage)
         if not failed:
             break
         if function_of(failed) not in left:
@@ -137,25 +204,13 @@ def near(tests: tuple[str, ...]) -> tuple[str, ...]:
     return files if len(files) > 2 else tests
 
 
-def _first_failure(folder: Path, words: tuple[str, ...]) -> str | None:
+def _first_failure(folder: Path, words: tuple[str, ...], stage: Stage) -> str | None:
     """Run tests up to the first that fails; return its id, or how pytest ended without one."""
-    command = [
-        *(sys.executable, "-m", "pytest", "-n", "0", "-q", "-x"),
-        *("-p", "no:cacheprovider", "-p", first_failure.__name__),
-        *("-m", "not slow and not process", *words),
-    ]
-    written = folder / "first_failure"
+    environment = _environment(folder)
+    written = Path(environment[first_failure.FILE])
     written.unlink(missing_ok=True)
-    # Compiled code belongs to the path of its sources: it is of no use when the copy is gone.
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(folder),
-        "NUMBA_CACHE_DIR": f"{folder}/cache",
-        first_failure.FILE: str(written),
-    }
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     with subprocess.Popen(
-        command,
+        _pytest(words, stage),
         cwd=folder,
         env=environment,
         stdout=subprocess.DEVNULL,
@@ -168,6 +223,36 @@ def _first_failure(folder: Path, words: tuple[str, ...]) -> str | None:
     if written.exists():
         return written.read_text(encoding="utf-8")
     return f"pytest ends with {code}"
+
+
+def _pytest(words: tuple[str, ...], stage: Stage) -> list[str]:
+    return [
+        *(sys.executable, "-m", "pytest", "-n", "0", "-q", "-x"),
+        *("-p", "no:cacheprovider", "-p", first_failure.__name__),
+        *(*_SELECTED[stage], *words),
+    ]
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    # Compiled code belongs to the path of its sources: it is of no use when the copy is gone.
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(folder),
+        "NUMBA_CACHE_DIR": f"{folder}/cache",
+        first_failure.FILE: str(folder / "first_failure"),
+    }
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    return environment
+
+
+def forks(mutations: Iterable[Mutation], folder: Path) -> Forks:
+    """Return a pytest that collects once what tries some mutations in one process."""
+    places = {test for one in mutations for test in one.tests}
+    folders = {place for place in places if not place.endswith(".py")}
+    # A file that stands in a folder is collected with it.
+    files = {place for place in places if str(Path(place).parent) not in folders}
+    words = tuple(sorted(folders | files))
+    return Forks(_pytest(words, Stage.IN_PROCESS), folder, _environment(folder))
 
 
 def copy_sources(folder: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from tests.support import ROOT
-from tests.support.mutations.mutation import Mutation
+from tests.support.mutations.mutation import Mutation, Outcome, Stage
 
 NORMAL_95: Final = 1.959963984540054
 """Quantile 0.975 of the standard normal distribution."""
@@ -22,11 +22,33 @@ class Tried(NamedTuple):
     group: str  # room it was drawn from, or "named"
     mutation: Mutation
     noticed_by: str | None  # id of the first test that fails; None if all pass
+    stage: Stage = Stage.IN_PROCESS  # the last one that was run
 
     @property
     def survives(self) -> bool:
         """Whether every test passes with it."""
         return self.noticed_by is None
+
+
+class Count(NamedTuple):
+    """How many mutations of a group were tried and noticed."""
+
+    tried: int = 0
+    in_process: int = 0  # noticed by a test in one process
+    launched: int = 0  # noticed by a test that starts processes only
+
+    @property
+    def noticed(self) -> int:
+        """How many were noticed at any stage."""
+        return self.in_process + self.launched
+
+    def with_one(self, one: Tried) -> Count:
+        """Return the count with one more."""
+        launched = not one.survives and one.stage is Stage.LAUNCHED
+        in_process = not one.survives and not launched
+        return Count(
+            self.tried + 1, self.in_process + in_process, self.launched + launched
+        )
 
 
 def wilson(noticed: int, tried: int) -> tuple[float, float]:
@@ -39,27 +61,33 @@ def wilson(noticed: int, tried: int) -> tuple[float, float]:
     return max(centre - half, 0.0), min(centre + half, 1.0)
 
 
-def counts(tried: Iterable[Tried]) -> dict[str, tuple[int, int]]:
-    """Return how many were noticed and tried: of each group, and of all that were drawn."""
-    found: dict[str, tuple[int, int]] = {}
+def counts(tried: Iterable[Tried]) -> dict[str, Count]:
+    """Return how many were tried and noticed: of each group, and of all that were drawn."""
+    found: dict[str, Count] = {}
     for one in tried:
         for group in {one.group, "named" if one.group == "named" else "all drawn"}:
-            noticed, number = found.get(group, (0, 0))
-            found[group] = (noticed + (not one.survives), number + 1)
+            found[group] = found.get(group, Count()).with_one(one)
     return found
 
 
 def as_record(tried: list[Tried]) -> dict[str, object]:
     """Return the score as data for JSON."""
     groups = {}
-    for group, (noticed, number) in counts(tried).items():
-        low, high = wilson(noticed, number)
-        groups[group] = {"tried": number, "noticed": noticed, "low": low, "high": high}
+    for group, count in counts(tried).items():
+        low, high = wilson(count.noticed, count.tried)
+        groups[group] = {
+            "tried": count.tried,
+            "in_process": count.in_process,
+            "launched": count.launched,
+            "low": low,
+            "high": high,
+        }
     rows = [
         {
             "name": one.mutation.name,
             "source": source_of(one.mutation),
             "noticed_by": one.noticed_by,
+            "stage": int(one.stage),
         }
         for one in tried
     ]
@@ -72,8 +100,8 @@ def source_of(mutation: Mutation) -> str:
     return hashlib.sha256((ROOT / mutation.file).read_bytes()).hexdigest()[:16]
 
 
-def known(record: Path, *, again: bool) -> dict[tuple[str, str], str | None]:
-    """Return what a file of `as_record` knows: the noticing test of each name and source.
+def known(record: Path, *, again: bool) -> dict[tuple[str, str], Outcome]:
+    """Return what a file of `as_record` knows: the outcome of each name and source.
 
     Parameters
     ----------
@@ -86,7 +114,7 @@ def known(record: Path, *, again: bool) -> dict[tuple[str, str], str | None]:
         return {}
     rows = json.loads(record.read_text(encoding="utf-8"))["tried"]
     return {
-        (row["name"], row["source"]): row["noticed_by"]
+        (row["name"], row["source"]): Outcome(row["noticed_by"], Stage(row["stage"]))
         for row in rows
         if row["noticed_by"] is not None or not again
     }
@@ -94,14 +122,17 @@ def known(record: Path, *, again: bool) -> dict[tuple[str, str], str | None]:
 
 def as_lines(tried: list[Tried]) -> list[str]:
     """Return the score as a table, all that were drawn last, then what survives."""
-    lines = [f"{'room':16}{'tried':>6}{'noticed':>9}{'%':>5}   95 % interval"]
-    for group, (noticed, number) in sorted(
+    lines = [
+        f"{'room':16}{'tried':>6}{'in process':>12}{'launched':>10}{'%':>5}   95 % interval"
+    ]
+    for group, count in sorted(
         counts(tried).items(),
         key=lambda item: (item[0] == "all drawn", item[0] == "named"),
     ):
-        low, high = wilson(noticed, number)
+        low, high = wilson(count.noticed, count.tried)
         lines.append(
-            f"{group:16}{number:6}{noticed:9}{100 * noticed / number:5.0f}"
+            f"{group:16}{count.tried:6}{count.in_process:12}{count.launched:10}"
+            f"{100 * count.noticed / count.tried:5.0f}"
             f"   {100 * low:.0f} to {100 * high:.0f} %"
         )
     survive = [one.mutation.name for one in tried if one.survives]
