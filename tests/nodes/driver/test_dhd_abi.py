@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from nodes.driver.forcedimension import dhd
 from nodes.driver.forcedimension.dhd import FUNCTIONS, load_library, stub_source
 from nodes.driver.forcedimension.driver import (
     ForceDimensionDevice,
@@ -190,3 +191,14 @@ log.o:
 def test_a_world_is_kept_in_its_file(tmp_path: Path) -> None:
     World(tmp_path / "w").state.mass = 0.5
     assert World(tmp_path / "w").state.mass == 0.5
+
+
+def test_indices_and_codes_are_those_of_dhdc_h() -> None:
+    """DHD_STATUS_* and DHD_ERROR_* of SDK 3.17; the watchdog counts 125 µs."""
+    assert (dhd.STATUS, dhd.RESET, dhd.WATCHDOG_UNIT) == (17, 3, 125e-6)
+    assert sorted(dhd.CONDITIONS) == [1, 2, 3, 4, 5, 6]
+    words = {0: "no error", 3: "busy", 5: "no device", 7: "timed out", 11: "memory"}
+    words |= {15: "index", 18: "redundant", 20: "in use", 22: "regulation"}
+    for code, word in words.items():
+        assert word in dhd.ERRORS[code]
+    assert len(dhd.ERRORS) == 23

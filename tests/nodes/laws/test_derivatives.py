@@ -349,3 +349,19 @@ def test_a_realisation_from_another_package_works_by_being_installed(
         match=r"'forward_of_elsewhere' has a pole on or outside the unit circle",
     ):
         realise("forward_of_elsewhere", 1.5, 2, 0.5)
+
+
+@pytest.mark.parametrize("period", [0.0, -T, math.inf, math.nan])
+def test_a_period_is_positive_and_finite(period: float) -> None:
+    with pytest.raises(ValueError, match="must be positive and finite; give 1/rate"):
+        realise("gl", 0.5, 10, period)
+
+
+def test_orders_and_lengths_are_refused_at_their_ends() -> None:
+    for order in (0.0, 4.0, math.nan):
+        with pytest.raises(ValueError, match=r"must lie in \(0, 4\)"):
+            realise("gl", order, 10, T)
+    for taps in (1, 1_000_001):
+        with pytest.raises(ValueError, match=r"must lie in \[2, 1000000\]"):
+            realise("gl", 0.5, taps, T)
+    assert len(realise("gl", math.nextafter(4.0, 0.0), 2, T).taps) == 2

@@ -459,3 +459,19 @@ def test_every_verb_reads_an_imported_recording(tmp_path: Path) -> None:
     assert summarise(Recording(run)).rate_hz == pytest.approx(1000.0, rel=1e-12)
     plot(Recording(run), tmp_path / "rig.png")
     assert (tmp_path / "rig.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("rate", "agrees"), [(1009.9, True), (990.1, True), (1010.1, False), (989.9, False)]
+)
+def test_a_rate_agrees_with_the_times_to_one_percent(
+    imported: Callable[..., Imported], rate: float, agrees: bool
+) -> None:
+    """The one that is given then holds."""
+    if agrees:
+        assert 1.0 / imported(RIG, rate=rate).samples.period == pytest.approx(
+            rate, rel=1e-12
+        )
+    else:
+        with pytest.raises(RecordError, match=f"--rate {rate:g}, while"):
+            imported(RIG, rate=rate)

@@ -166,3 +166,22 @@ def test_version_7_3_is_told_by_its_name(tmp_path: Path) -> None:
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + bytes(100))
     with pytest.raises(RecordError, match=r"version 7\.3 \(HDF5\); save it with -v7"):
         import_table(path, tmp_path / "r.mcap")
+
+
+@pytest.mark.parametrize("levels", [16, 17])
+def test_sixteen_levels_of_cells_are_read(tmp_path: Path, levels: int) -> None:
+    deep: Any = np.array([[7.0]])
+    for _ in range(levels):
+        cell = np.empty((1, 1), dtype=object)
+        cell[0, 0] = deep
+        deep = cell
+    path = tmp_path / "deep.mat"
+    savemat(path, {"deep": deep})
+    if levels > 16:
+        with pytest.raises(RecordError, match="structures nested deeper than 16"):
+            read_mat(path)
+        return
+    found = read_mat(path)["deep"]
+    for _ in range(levels):
+        (found,) = found
+    assert found.tolist() == [[7.0]]

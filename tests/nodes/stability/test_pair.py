@@ -212,6 +212,29 @@ def test_the_delay_of_a_loop_and_of_its_device_are_told_apart() -> None:
         Plant(T, 0.1, 1.0, 0.5, partner=Counterpart(0.1, later=-1.5))
 
 
+@pytest.mark.parametrize(
+    ("later", "delay"), [(-0.5, 0.0), (-0.5 - 9e-13, 0.0), (-0.25, 0.25), (1.0, 1.5)]
+)
+def test_a_partner_s_delay_is_later_and_not_negative_by_rounding(
+    later: float, delay: float
+) -> None:
+    other = Plant(T, 0.1, 1.0, 0.5, partner=Counterpart(0.1, later=later)).other
+    assert other == Plant(T, 0.1, 0.0, delay)
+    with pytest.raises(ValueError, match="delay"):
+        Plant(T, 0.1, 1.0, 0.5, partner=Counterpart(0.1, later=-0.5 - 2e-12))
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "others", "anchored"),
+    [(0.0, None, False), (1.0, None, True), (0.0, 0.0, False), (0.0, 1.0, True)],
+)
+def test_a_spring_of_either_body_ties_both_to_ground(
+    stiffness: float, others: float | None, anchored: bool
+) -> None:
+    partner = None if others is None else Counterpart(0.1, stiffness=others)
+    assert Plant(T, 0.1, 1.0, 0.5, stiffness, partner).anchored is anchored
+
+
 def test_judgement_tolerance_and_passivity_know_the_partner() -> None:
     law = compile_law(parse_law({"kind": "pd", "stiffness": 400.0, "damping": 0.1}), T)
     device = Plant(T, 0.1, 1.0)

@@ -495,3 +495,24 @@ def test_a_plant_is_made_of_a_rate_or_a_period() -> None:
     with pytest.raises(TypeError, match="period and rate are the same quantity"):
         Plant(0.002, 0.1, 1.0, rate=500)  # type: ignore[call-overload]
     assert type(Plant(0.002, np.float64(0.1), 1).mass) is float
+
+
+@pytest.mark.parametrize("terms", [5, 100, 1000])
+def test_a_transform_errs_by_a_twelfth_of_the_bound_of_its_rounding(terms: int) -> None:
+    """`roots_outside` counts on 2⁻⁵² log₂(n) Σ|c|: against exact sums at some of its points."""
+    chance = np.random.default_rng(terms)
+    c = chance.normal(size=terms) * np.exp(-3.0 * np.arange(terms) / terms)
+    points = 1 << math.ceil(math.log2(16 * terms))
+    values = np.fft.rfft(c, points)
+    for k in [0, 1, points // 7, points // 4, points // 2]:
+        turns = [(k * j) % points / points for j in range(terms)]
+        real = math.fsum(
+            v * math.cos(2.0 * math.pi * t) for v, t in zip(c, turns, strict=True)
+        )
+        imaginary = -math.fsum(
+            v * math.sin(2.0 * math.pi * t) for v, t in zip(c, turns, strict=True)
+        )
+        bound = 2.0**-52 * math.log2(points) * np.abs(c).sum()
+        # The sums themselves err by the rounding of their cosines.
+        own = 2.0**-52 * float(np.abs(c).max()) * math.sqrt(terms)
+        assert abs(values[k] - complex(real, imaginary)) <= bound / 12.0 + own

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from sim.arrays import Array
 from sim.identify.experiment import lockstep
 from sim.identify.identified_motion import MOBILITY, NAMES
 from sim.identify.output_error import Fit
-from sim.identify.suspects import Shapes
+from sim.identify.suspects import Shapes, describe
 
 T = 0.002
 
@@ -133,3 +135,54 @@ def test_a_force_has_no_steps_larger_than_itself(largest: float, steps: int) -> 
         if one.term == "force steps"
     ]
     assert found == [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1][:steps]
+
+
+def test_sizes_are_tried_over_what_a_device_may_have() -> None:
+    """From the smallest to the largest, and so densely that one of them is near."""
+    ticks = np.arange(400)
+    some = shapes(0.01 * np.sin(ticks / 20.0), 2.0 * np.sin(ticks / 20.0))
+    found: dict[str, list[float]] = {}
+    for one in some.all():
+        found.setdefault(one.term, []).append(one.size)
+    ranges = {
+        "presliding": (20e-6, 500e-6, 2.5, 5),
+        "backlash": (50e-6, 800e-6, 2.0, 5),
+        "stribeck": (0.01, 0.03, 3.0, 2),
+        "encoder ripple": (0.4e-3, 30e-3, 75.0 ** (1.0 / 39.0), 40),
+        "cogging": (0.4e-3 * 75.0 ** (9.0 / 39.0), 30e-3, 75.0 ** (1.0 / 39.0), 31),
+    }
+    for term, (smallest, largest, factor, count) in ranges.items():
+        sizes = found[term]
+        assert len(sizes) == count, term
+        assert sizes[0] == pytest.approx(smallest, rel=1e-3), term
+        assert sizes[-1] == pytest.approx(largest), term
+        assert max(b / a for a, b in pairwise(sizes)) == pytest.approx(factor), term
+
+
+@pytest.mark.parametrize(
+    ("term", "size", "words"),
+    [
+        ("flexible mode", 37.4, "at 37 Hz"),
+        ("actuator lag", 4.0, "about 4.0 ms"),
+        ("presliding", 2e-4, "over 200 µm"),
+        ("backlash", 4e-4, "about 0.4 mm"),
+        ("cogging", 0.03, "every 30 mm"),
+        ("encoder ripple", 4e-4, "every 0.4 mm"),
+        ("sensor filter", 0.15, "15 % of the sample before"),
+        ("force steps", 2e-3, "steps of 2 mN"),
+        ("spring", 0.0, "a spring of the device"),
+    ],
+)
+def test_a_suspect_is_described_by_its_size(term: str, size: float, words: str) -> None:
+    assert words in describe(term, size)
+
+
+def test_a_spring_pulls_with_powers_of_the_way_from_the_middle() -> None:
+    """A free mass of 1 kg under a held force: second differences are T²/2 of the two forces."""
+    way = np.tile([0.25, -0.5, 0.0, 0.5, -0.25], 20)
+    (spring,) = shapes(3.0 + way)._springs()
+    for power, (moved,) in enumerate(spring.shapes, 1):
+        force = -(way**power)
+        expected = 0.5 * T * T * (force[1:-1] + force[:-2])
+        # rounding of positions of some 0.01 m
+        assert np.diff(moved, 2) == pytest.approx(expected, abs=1e-16)

@@ -201,7 +201,6 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
         for line in lines:
             child = os.fork()
             if not child:
-                os.setsid()
                 os._exit(_try(session.items, json.loads(line)))
             _, status = os.waitpid(child, 0)
             code = os.waitstatus_to_exitcode(status)
