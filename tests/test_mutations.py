@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,7 @@ from tests.support.mutations.drawn import (
     room_of,
     suite_of,
 )
+from tests.support.mutations.forked import replace, replaced_code
 from tests.support.mutations.mutation import (
     Mutation,
     Stage,
@@ -101,6 +103,64 @@ def test_what_changes_no_behaviour_is_left_out(tmp_path: Path) -> None:
     )
     found = [one.old for one in all_of(file, tmp_path)]
     assert found == ["7", "3", "2", "4", "6", "8"]
+
+
+RULES = """
+BOUND = 3
+
+def outer(x, most=4):
+    def inner(y):
+        return y + BOUND
+    return inner(x) * 2
+
+class Law:
+    TAPS = 5
+    def force(self, x):
+        return [x - tap for tap in range(6)]
+
+KEPT = Law().force
+MADE = outer(1)
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "functions"),
+    [
+        ("y + BOUND", "y - BOUND", ["outer", "outer.<locals>.inner"]),
+        ("* 2", "/ 2", ["outer"]),
+        ("x - tap", "x + tap", ["Law.force", "Law.force.<locals>.<listcomp>"]),
+        ("range(6)", "range(7)", ["Law.force"]),
+        # Other code runs these: of the module, of a class, of a default, of a kernel.
+        ("BOUND = 3", "BOUND = 4", None),
+        ("TAPS = 5", "TAPS = 6", None),
+        ("most=4", "most=5", None),
+        ("outer(1)", "outer(2)", None),
+        ("y + BOUND\n", "y - BOUND  # numba\n", ["outer", "outer.<locals>.inner"]),
+    ],
+)
+def test_code_of_functions_is_replaced_where_they_stand(
+    tmp_path: Path, old: str, new: str, functions: list[str] | None
+) -> None:
+    """A function that somebody keeps runs the new code too; whatever else is tried otherwise."""
+    changed = RULES.replace(old, new)
+    pairs = replaced_code(RULES, changed)
+    assert (functions is None) == (pairs is None)
+    assert replaced_code(f"import numba\n{RULES}", f"import numba\n{changed}") is None
+    if pairs is None:
+        return
+    assert [one.co_qualname for one, _ in pairs] == functions
+    file = str(tmp_path / "rules.py")
+    here: dict[str, Any] = {}
+    wanted: dict[str, Any] = {}
+    exec(compile(RULES, file, "exec", dont_inherit=True), here)  # noqa: S102
+    exec(compile(changed, "other", "exec", dont_inherit=True), wanted)  # noqa: S102
+    assert replace(pairs, file)
+    assert (here["outer"](7), here["KEPT"](7)) == (
+        wanted["outer"](7),
+        wanted["KEPT"](7),
+    )
+    assert here["MADE"] == 8  # computed before
+    assert not replace(pairs, file)
 
 
 @pytest.mark.parametrize("row", EQUIVALENT, ids=lambda row: f"{row.file}: {row.line}")
