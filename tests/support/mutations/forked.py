@@ -152,7 +152,7 @@ class Forks:
         longest : int
             Processor time after which they have failed [s].
         """
-        if replaced_code(*texts) is None:
+        if not file.endswith(".py") or replaced_code(*texts) is None:
             return False, None
         self._written.unlink(missing_ok=True)
         if self._process is None:

@@ -173,7 +173,7 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         '"damping", plant.damping * np.linspace(1.0, 0.0, 41)[1:]',
         "41",
         "42",
-        "steps of 1/40 whose one with the limit is halved 40 times: the same limit to 2e-14 of it",
+        "its step of 1/40 is halved 40 times: the same limit to 2e-14 of the damping",
     ),
     Equivalent(
         "sim/identify/conclude.py",
