@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.nearest import did_you_mean
+from nodes.recording.foreign_clock import clock_times
 from nodes.recording.foreign_text import names_of, read_text
 from nodes.recording.mat_file import read_mat
 from nodes.recording.mcap_walk import TABLES, TEXT_TABLES
@@ -188,12 +189,26 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         ) from error
     if not found.columns or not max(len(column) for column in found.columns.values()):
         raise RecordError(f"{path}: no column with a row")
-    return found
+    return _with_clock(found)
 
 
 def is_export(folder: Path) -> bool:
     """Whether a path is the directory of a CSV export."""
     return (folder / f"{_TICKS}.csv").is_file()
+
+
+def _with_clock(table: ForeignTable) -> ForeignTable:
+    """Return a table whose times of the clock are integers in nanoseconds."""
+    import numpy as np
+
+    read = {
+        name: clock_times(map(str, column))
+        for name, column in table.columns.items()
+        if column.dtype.kind in "UO" and len(column)
+    }
+    times = {name: np.array(found) for name, found in read.items() if found is not None}
+    units = dict.fromkeys(times, "ns")
+    return replace(table, columns=table.columns | times, units={**table.units, **units})
 
 
 def _read_text(path: Path, decimal_comma: bool) -> ForeignTable:

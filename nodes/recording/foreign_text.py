@@ -2,18 +2,18 @@
 
 The rows begin at the first two lines of numbers. Their names are in the line before, in the line
 before a line of units, or in the last comment; what stands above is not read. Blank lines and
-comments are left out. Times of the clock become nanoseconds.
+comments are left out.
 """
 
 from __future__ import annotations
 
 import csv
-import datetime
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from nodes.recording.foreign_clock import is_clock
 from nodes.recording.foreign_units import is_unit, split_unit
 from nodes.recording.import_words import words
 from nodes.recording.writer import RecordError
@@ -24,12 +24,6 @@ if TYPE_CHECKING:
     Column = np.ndarray[Any, Any]
 
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
-_CLOCK = re.compile(
-    r"(?:(\d{4})[-/](\d\d)[-/](\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?"
-    r"(Z|[+-]\d\d:?\d\d)?"
-)
-_EPOCH = datetime.date(1970, 1, 1)
-_DAY = 86_400 * 1_000_000_000  # [ns]
 _COMMENTS = ("#", "%")
 _DELIMITERS = ("\t", ";", "|", ",", None)  # None: white space
 _SEARCHED = 200  # lines in which the first row is searched
@@ -70,7 +64,7 @@ def read_text(path: Path, decimal_comma: bool) -> TextTable:
     Returns
     -------
     TextTable
-        Columns of texts; of times of the clock, integers in nanoseconds.
+        Columns of texts.
 
     Raises
     ------
@@ -98,12 +92,7 @@ def read_text(path: Path, decimal_comma: bool) -> TextTable:
         if is_unit(text.strip("[]() ")) and name not in units
     }
     table = np.array(fields, dtype=object).reshape(-1, len(names))
-    columns: dict[str, Column] = {}
-    for place, name in enumerate(names):
-        columns[name] = table[:, place]
-        if (since := _clock_times(columns[name])) is not None:
-            columns[name] = since
-            units[name] = "ns"
+    columns = {name: table[:, place] for place, name in enumerate(names)}
     return TextTable(columns, units, numbers)
 
 
@@ -164,7 +153,7 @@ def _split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _is_number(text: str) -> bool:
-    if _COMMA.fullmatch(text) or _CLOCK.fullmatch(text):
+    if _COMMA.fullmatch(text) or is_clock(text):
         return True
     try:
         float(text)
@@ -342,37 +331,3 @@ def _with_points(
                     f" it as a number with {words.get().decimal_comma}"
                 )
     return fields
-
-
-def _clock_times(column: Column) -> Column | None:
-    """Return times of the clock since 1970, or midnight [ns]; None if a text is none."""
-    import numpy as np
-
-    found: list[int] = []
-    dated = False
-    days = 0  # midnights that times without a date have passed
-    for text in column:
-        read = _CLOCK.fullmatch(text.strip())
-        if read is None:
-            return None
-        year, month, day, hour, minute, second, part, zone = read.groups()
-        try:
-            day_of = datetime.date(int(year), int(month), int(day)) if year else _EPOCH
-        except ValueError:
-            return None
-        of_zone = 0
-        if zone and zone != "Z":
-            of_zone = 60 * int(zone[1:3]) + int(zone[-2:])
-            of_zone = -of_zone if zone[0] == "-" else of_zone
-        dated |= bool(year)
-        hours = 24 * ((day_of - _EPOCH).days + days) + int(hour)
-        minutes = 60 * hours + int(minute) - of_zone
-        nanoseconds = int((part or "0").ljust(9, "0"))
-        time = (60 * minutes + int(second)) * 1_000_000_000 + nanoseconds
-        if found and not dated and time < found[-1] - _DAY // 2:
-            days += 1
-            time += _DAY
-        found.append(time)
-    if not found or max(map(abs, found)) >= 1 << 63:
-        return None
-    return np.array(found, dtype=np.int64)

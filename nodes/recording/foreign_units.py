@@ -15,7 +15,7 @@ UNITS: dict[str, dict[str, float]] = {
         "in": 0.0254,
     },
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": 86400.0},
 }
 """SI value of each unit that is known by name, by role."""
 
@@ -56,6 +56,9 @@ _OTHER_NAMES: dict[str, dict[str, str | float]] = {
         "microsecond": "us",
         "nsec": "ns",
         "nanosecond": "ns",
+        "day": "day",
+        "minute": 60.0,
+        "hour": 3600.0,
     },
 }
 _IN_NAME = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")

@@ -24,6 +24,11 @@ ROUNDED = 0.45
 RATE_TOLERANCE = 0.01
 LONGEST_GAP = 86400.0  # gap between two rows beyond which a time is damaged [s]
 _ROWS_OF_GAP = 1000.0  # rows that are missing in such a gap
+_BITS = (16, 24, 32)  # of counters that begin again
+_DAY = 86400.0  # [s]
+_CLOCK = 1e-9  # unit of times of the clock [s]
+_FEW = 10.5  # rows between which a counter may begin again [steps]
+_FEW_SAME = 0.1  # share of rows with the stamp before from which stamps lack digits
 _TOLD_BY_ALL = 32  # rows from which times are judged as a whole
 SLOWEST_USUAL = 20.0  # rate below which another unit of time was probably meant [Hz]
 ROUNDING = 1e-9  # a period this near to one of six digits is that one [share]
@@ -81,7 +86,9 @@ def _times(table: ForeignTable, name: str) -> Any:
             f" rows of {len(raw)}); remove these rows, or read each row as a tick with"
             f" {words.get().ticks}"
         )
-    return raw
+    # Differences of short or unsigned integers would begin again at their largest.
+    short = raw.dtype.kind in "iu" and raw.max() < 1 << 63
+    return raw.astype(np.int64) if short else raw.astype(np.float64)
 
 
 def growing(
@@ -95,13 +102,17 @@ def growing(
     # Integers are subtracted as such: nanoseconds since 1970 have more digits than a float.
     since = (raw - raw[0]).astype(np.float64)
     steps = np.diff(since)
+    if whole := _wraps_at(raw, steps, factor):
+        times = int(np.count_nonzero(steps < 0.0))
+        often = "once" if times == 1 else f"{times} times"
+        source += f", a counter that began again at {whole:.10g} {often}"
+        steps = np.where(steps < 0.0, steps + whole, steps)
+        since = np.concatenate(([0.0], np.cumsum(steps)))
     if (back := np.flatnonzero(steps <= 0.0)).size:
-        same = not steps[back].any()
         raise RecordError(
             f"{table.path}: {table.place(int(back[0]) + 1)}, column {name!r}: the time does not"
             f" grow ({raw[back[0]]} to {raw[back[0] + 1]}; {back.size} such rows);"
-            f" {'remove the repeated rows' if same else 'sort the rows'}, or read each row as a"
-            f" tick with {words.get().ticks}"
+            f" {_way_on(raw, steps, factor)}"
         )
     longest = max(LONGEST_GAP / factor, _ROWS_OF_GAP * float(np.median(steps)))
     if (far := np.flatnonzero(steps > longest)).size:
@@ -111,6 +122,50 @@ def growing(
             f" own, or name the unit with {words.get().unit('time', 'UNIT')}"
         )
     return since, factor, source
+
+
+def _wraps_at(raw: Any, steps: Array, factor: float) -> float:
+    """Return where a counter begins again at its least value; 0 for other times.
+
+    Such are counters of 16, 24 or 32 bits, and seconds since midnight. All its steps back must then
+    be steps as the others are.
+    """
+    import numpy as np
+
+    back = steps[steps < 0.0]
+    if not back.size or back.size == len(steps):
+        return 0.0
+    whole = not np.any(raw != np.rint(raw))
+    span = float(raw.max() - raw.min())
+    usual = float(np.median(steps[steps >= 0.0]))
+    sizes = [2.0**bits for bits in _BITS] if whole else []
+    # Nanoseconds are of the clock, whose midnights are read.
+    sizes += [_DAY / factor] if raw.min() >= 0 and factor > _CLOCK else []
+    for size in sizes:
+        steps_on = (back + size) / usual if usual else back
+        near = np.abs(steps_on - np.rint(steps_on)) <= UNEVEN
+        if span < size and np.all(near & (steps_on > 1.0 - UNEVEN) & (steps_on < _FEW)):
+            return size
+    return 0.0
+
+
+def _way_on(raw: Any, steps: Array, factor: float) -> str:
+    """Return the remedy for times that do not grow."""
+    import numpy as np
+
+    ticks = f"read each row as a tick with {words.get().ticks}"
+    same = int(np.count_nonzero(steps == 0.0))
+    if (back := np.flatnonzero(steps < 0.0)).size:
+        far = np.abs(raw[back + 1] - raw[0])
+        after = np.abs(steps[np.minimum(back + 1, len(steps) - 1)])
+        if np.all(np.maximum(far, after) <= _FEW * abs(np.median(steps))):
+            return f"import each of the recordings in this file on its own, or {ticks}"
+        return f"sort the rows, or {ticks}"
+    if same < _FEW_SAME * len(steps):
+        return f"remove the repeated rows, or {ticks}"
+    rate = len(steps) / (float(raw[-1] - raw[0]) * factor) if raw[-1] > raw[0] else 0.0
+    mean = f", about {rate:.4g} Hz on the average" if rate else ""
+    return f"the stamps have too few digits; {ticks}{mean}"
 
 
 def _own_ticks(
