@@ -1,4 +1,4 @@
-"""What a device feels of a law in a region: its forces, and stiffness and damping in words."""
+"""What a device feels of a law in a region: forces; stiffness and damping in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trials in forks of a pytest that has collected its tests: a second of start for all, not each.
+"""Trials in forks of a pytest that has collected its tests: it starts once for all.
 
 A change inside a function replaces the code of that function in a fork, whose tests then run.
 Whatever else runs a changed line (the body of a module or a class, a kernel of numba) needs an

@@ -31,7 +31,7 @@ NOTHING_COLLECTED: Final = 5
 """Exit code of pytest where a file has only tests that are slow or start processes."""
 
 WAITING: Final = 300
-"""Time after which a test that starts processes has failed: it waits for one that is gone [s]."""
+"""Time after which a test that starts processes has failed, waiting for a lost one [s]."""
 
 
 class Stage(IntEnum):
