@@ -23,7 +23,10 @@ def add_import(parser: argparse.ArgumentParser) -> None:
         "-o",
         type=Path,
         metavar="RUN.mcap",
-        help="the recording (default: FILE.mcap, beside the file)",
+        help=(
+            "the recording (default: FILE.mcap beside the file, of an MCAP file"
+            " FILE_imported.mcap)"
+        ),
     )
     parser.add_argument(
         "--columns",
@@ -96,11 +99,14 @@ def run_import(arguments: argparse.Namespace) -> int:
     if not file.exists():
         raise UsageError(f"{file}: no such file")
     # Beside a bag, not in it; a folder may be given as "." or "..".
-    named = bag_of(file) or file
+    named = file if file.is_dir() else bag_of(file) or file
     named = named.resolve() if named.name in ("", "..") else named
     if not (named.name or arguments.out):
         raise UsageError(f"{file}: write the recording elsewhere with --out")
-    out = arguments.out or named.with_suffix(".mcap")
+    # Not the file of a bag itself.
+    is_mcap = named.suffix == ".mcap" and named.is_file()
+    stem = f"{named.stem}_imported" if is_mcap else named.stem
+    out = arguments.out or named.with_name(f"{stem}.mcap")
     if out.exists() and not arguments.force:
         raise UsageError(
             f"{out}: already exists; replace it with --force, or write elsewhere with --out"

@@ -7,6 +7,7 @@ headers, or else of the receipt. Needs rosbags, which reads bags of ROS 2 (MCAP,
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from nodes.parameters.nearest import did_you_mean
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import LARGEST, ForeignTable
 from nodes.recording.import_words import words
+from nodes.recording.mcap_walk import CHANNEL, CHUNK, parse_channel, unpack_chunk, walk
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -43,18 +45,46 @@ _NANO = 1e-9
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is the folder of a ROS 2 bag, or a ROS 1 bag."""
-    return (path / "metadata.yaml").is_file() or (
-        path.suffix == ".bag" and path.is_file()
-    )
+    """Whether a path is the folder of a ROS 2 bag, one of its files alone, or a ROS 1 bag."""
+    if (path / "metadata.yaml").is_file():
+        return True
+    suffix = path.suffix.lower()
+    if not path.is_file() or suffix not in (".bag", ".db3", ".mcap"):
+        return False
+    return suffix != ".mcap" or _begins_with_cdr(path)
 
 
 def bag_of(path: Path) -> Path | None:
-    """Return the bag that a path names: a bag, or the folder around a file of one."""
+    """Return the bag that a path names, or None.
+
+    A bag's file stands for the folder with its ``metadata.yaml``; without one the bag is that file,
+    also where its folder is named and has no other.
+    """
+    stored = path.suffix.lower() in (".db3", ".mcap") and path.is_file()
+    if stored and is_bag(path.parent):
+        return path.parent
     if is_bag(path):
         return path
-    stored = path.suffix.lower() in (".db3", ".mcap") and path.is_file()
-    return path.parent if stored and is_bag(path.parent) else None
+    if path.is_dir():
+        files = (one for suffix in ("mcap", "db3") for one in path.glob(f"*.{suffix}"))
+        found = list(itertools.islice(filter(is_bag, files), 2))
+        return found[0] if len(found) == 1 else None
+    return None
+
+
+def _begins_with_cdr(path: Path) -> bool:
+    """Whether the first channel of an MCAP file is one of ROS 2."""
+    try:
+        for record in walk(path):
+            inner = (
+                unpack_chunk(path, record) if record.opcode == CHUNK else iter([record])
+            )
+            for one in inner:
+                if one.opcode == CHANNEL:
+                    return parse_channel(path, one).encoding == "cdr"
+    except RecordError:
+        return False  # the error is raised by whatever reads the file
+    return False
 
 
 def read_bag(
@@ -65,7 +95,7 @@ def read_bag(
     Parameters
     ----------
     path : Path
-        Folder of a ROS 2 bag, or a ROS 1 bag.
+        Folder of a ROS 2 bag, one of its files, or a ROS 1 bag.
     columns : mapping of str to sequence of str
         For ``position`` and ``force`` a topic, or its fields as ``/topic.field.x``; by default the
         only topic of a kind that has one.

@@ -95,8 +95,10 @@ def file_of(path: Path) -> Path:
     if not path.is_dir():
         return path
     if not (path / "metadata.yaml").is_file():
-        # Also what a table of an export is in: opening it raises the error.
-        return path
+        raise RecordError(
+            f"{path}: is a folder; name the recording in it, or import the table or ROS bag in it:"
+            f" haptic bag import {path}"
+        )
     found = sorted(path.glob("*.mcap"))
     if len(found) == 1:
         return found[0]

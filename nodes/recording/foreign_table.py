@@ -151,11 +151,9 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
     if is_export(path):
         path = path / f"{_TICKS}.csv"
     suffix = path.suffix.lower()
-    if suffix in (".mcap", ".db3"):
-        hint = f"open it with: haptic bag info {path}; " if suffix == ".mcap" else ""
+    if suffix == ".mcap":
         raise RecordError(
-            f"{path}: is no table; {hint}of a ROS bag import the folder, which has a"
-            " metadata.yaml (ros2 bag reindex FOLDER writes one)"
+            f"{path}: is no table and no ROS bag; open it with: haptic bag info {path}"
         )
     if suffix in TEXT_TABLES:
         reader: Callable[[Path], ForeignTable] = functools.partial(
@@ -165,7 +163,8 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         reader = _READERS[suffix]
     elif path.is_dir():
         raise RecordError(
-            f"{path}: is a folder without metadata.yaml, so it is no ROS bag"
+            f"{path}: is a folder without metadata.yaml, so it is no ROS bag; import one of its"
+            " files, or write metadata.yaml with ros2 bag reindex FOLDER"
         )
     else:
         known = ", ".join(TABLES)

@@ -23,6 +23,7 @@ MAGIC = b"\x89MCAP0\r\n"
 # Suffixes of the tables that ``haptic bag import`` reads.
 TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")
 TABLES = (*TEXT_TABLES, ".npz", ".npy", ".mat", ".parquet")
+BAGS = (".db3", ".bag")  # files of ROS bags that it reads beside MCAP
 FOOTER = 0x02
 SCHEMA = 0x03
 CHANNEL = 0x04
@@ -298,10 +299,10 @@ def walk(path: Path) -> Iterator[Record]:
         start = stream.read(len(MAGIC))
         if start != MAGIC:
             what = "is empty" if not start else f"starts with {start!r}"
-            table = path.suffix.lower() in TABLES
+            suffix = path.suffix.lower()
             hint = (
-                f"; make one of the table with: haptic bag import {path}"
-                if table
+                f"; make one of it with: haptic bag import {path}"
+                if suffix in (*TABLES, *BAGS)
                 else ""
             )
             raise RecordError(

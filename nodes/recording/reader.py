@@ -282,8 +282,9 @@ class Recording:
             text += f"; to extract one of its chains ({', '.join(chains)}): {take}"
         if self.foreign:
             text += f"; not read: {described(self.foreign)}"
-            if (folder := self.path.parent / "metadata.yaml").is_file():
-                bag = shlex.quote(str(folder.parent))
+            if any(one.encoding == "cdr" for one in self.foreign.values()):
+                in_bag = (self.path.parent / "metadata.yaml").is_file()
+                bag = shlex.quote(str(self.path.parent if in_bag else self.path))
                 text += f"; topics of a ROS bag are imported: haptic bag import {bag}"
         raise RecordError(text)
 

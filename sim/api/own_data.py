@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from messages.errors import HapticError, RefusedError, UsageError
-from nodes.recording.bag_table import bag_of, is_bag
+from nodes.recording.bag_table import bag_of
 from nodes.recording.facts import FASTEST, SLOWEST
 from nodes.recording.foreign_table import ForeignTable, is_export
 from nodes.recording.import_table import import_table
@@ -64,7 +64,8 @@ def as_recording(
     """
     path = Path(file)
     bag = bag_of(path)
-    if bag is not None and _is_foreign_bag(bag):
+    is_foreign = bag is not None and _is_foreign(bag)
+    if bag is not None and is_foreign:
         path = bag  # of which a file may be named
     of_table = {
         "columns": columns,
@@ -73,13 +74,9 @@ def as_recording(
         "ignore_times": ignore_times,
         "decimal_comma": decimal_comma,
     }
-    is_folder = path.is_dir() and not is_export(path) and not _is_foreign_bag(path)
-    if (
-        is_folder
-        or not path.exists()
-        or path.suffix.lower() == ".mcap"
-        or is_mcap(path)
-    ):
+    is_folder = path.is_dir() and not is_export(path)
+    is_recording = is_folder or path.suffix.lower() == ".mcap" or is_mcap(path)
+    if not path.exists() or (is_recording and not is_foreign):
         given = [name for name, value in of_table.items() if value]
         if given and path.exists():
             raise UsageError(f"{path}: is no table; {', '.join(given)} are of tables")
@@ -112,12 +109,10 @@ def as_recording(
             raise
 
 
-def _is_foreign_bag(path: Path) -> bool:
-    """Whether a path is a ROS bag without any message of ours."""
-    if not is_bag(path):
-        return False
+def _is_foreign(bag: Path) -> bool:
+    """Whether a ROS bag has no message of ours."""
     try:
-        return not Recording(path).topics
+        return not Recording(bag).topics
     except RecordError:
         return True  # SQLite, or several files
 

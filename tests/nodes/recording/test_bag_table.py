@@ -184,7 +184,7 @@ def test_a_folder_that_is_no_bag_and_a_broken_one_are_refused_in_one_line(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(
-        RecordError, match=r"without metadata\.yaml, so it is no ROS bag$"
+        RecordError, match=r"without metadata\.yaml, so it is no ROS bag; [^\n]*$"
     ):
         import_table(tmp_path, tmp_path / "out.mcap")
     (tmp_path / "metadata.yaml").write_text(":\n- [", encoding="utf-8")
@@ -219,14 +219,40 @@ def test_a_file_of_a_bag_is_its_bag_and_is_never_written(
         stored.name,
         "metadata.yaml",
     ]
-    alone = tmp_path / f"alone{stored.suffix}"
-    alone.write_bytes(before)
-    with pytest.raises(RecordError, match=r"import the folder, .*ros2 bag reindex"):
-        import_table(alone, tmp_path / "none.mcap")
     table = tmp_path / "rig.csv"
     table.write_text("t,x\n0.0,0\n0.001,0\n", encoding="utf-8")
     with pytest.raises(RecordError, match="is what is imported"):
         import_table(table, table, overwrite=True)
+
+
+def test_a_bag_without_its_metadata_is_its_file(bag: Bag, tmp_path: Path) -> None:
+    """As of a recording that was killed, or of one file that was sent."""
+    folder = bag()
+    known = import_table(folder, tmp_path / "known.mcap").samples
+    (folder / "metadata.yaml").unlink()
+    (stored,) = folder.iterdir()
+    before = stored.read_bytes()
+    for source in (stored, folder):
+        assert main(["bag", "import", str(source)]) == 0
+        np.testing.assert_array_equal(haptic.read(source)["position"], known.position)
+    written = f"{stored.stem}{'_imported' if stored.suffix == '.mcap' else ''}.mcap"
+    assert {one.name for one in folder.iterdir()} == {stored.name, written}
+    for out in (folder / written, tmp_path / "bag.mcap"):
+        np.testing.assert_array_equal(read(out)["position"], known.position)
+    assert stored.read_bytes() == before
+    with pytest.raises(RecordError, match=r"haptic bag import .*bag/bag"):
+        Recording(stored).require_ticks()
+    # A recording of ours is none of others, and two files are no bag.
+    with pytest.raises(RecordError, match="is no table and no ROS bag; open it with"):
+        import_table(tmp_path / "bag.mcap", tmp_path / "none.mcap")
+    for number in (1, 2):
+        (folder / f"bag_{number}{stored.suffix}").write_bytes(before)
+    with pytest.raises(RecordError, match="import one of its files, or write metadata"):
+        import_table(folder, tmp_path / "none.mcap")
+    # Cut within its only block, as by a crash, it is refused by its name.
+    stored.write_bytes(before[: len(before) // 2])
+    with pytest.raises(RecordError, match=rf"{stored.name}: (is no|cannot be read)"):
+        import_table(stored, tmp_path / "none.mcap")
 
 
 def test_joints_are_columns_by_their_names(tmp_path: Path) -> None:

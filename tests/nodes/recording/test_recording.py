@@ -331,7 +331,7 @@ def test_other_files_are_no_recordings(tmp_path: Path, content: bytes) -> None:
 def test_what_is_not_there_is_told(tmp_path: Path, whole: Whole) -> None:
     with pytest.raises(RecordError, match="cannot be opened: No such file"):
         Recording(tmp_path / "nothing.mcap")
-    with pytest.raises(RecordError, match="cannot be opened: Is a directory"):
+    with pytest.raises(RecordError, match="is a folder; name the recording in it"):
         Recording(tmp_path)
     path = tmp_path / "r.mcap"
     path.write_bytes(whole.data)
