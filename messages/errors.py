@@ -48,6 +48,7 @@ __all__ = [
     "AT_MOST",
     "FORCE",
     "OTHER",
+    "SIDES",
     "TOGETHER",
     "HapticError",
     "RefusedError",
@@ -61,6 +62,8 @@ AT_LEAST: Final = "at_least"  # the smallest one
 TOGETHER: Final = "together"  # values of several parameters that would be accepted
 FORCE: Final = "force"  # repeat the request with ``force: true``
 OTHER: Final = "other"  # what only its text says
+
+SIDES: Final = {AT_MOST: "largest", AT_LEAST: "smallest"}  # in words
 
 _MOST_VALUES: Final = 16384  # values of a remedy; the longest law has 8192 taps
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from messages.errors import HapticError
+from messages.errors import SIDES, HapticError, Remedy
 from nodes.base.node_kinds import drives, load
 from nodes.launcher.plants import has_plant
 from nodes.launcher.runs import RunInfo
@@ -38,6 +38,27 @@ def moved_delay(declared: float, new: float, before: float) -> float:
     What the plant adds to the device's own delay is kept.
     """
     return max(0.0, round(declared + new - before, 9))
+
+
+def _of_driver(
+    one: Remedy, driver: str, named: Mapping[str, str], added: Mapping[str, float]
+) -> Remedy:
+    """Return a way out that names a plant's parameter as one of the driver's.
+
+    `named` has the driver's parameter for each of the plant; `added`, by which the plant's value is
+    larger.
+    """
+    if one.kind not in SIDES or not one.values.keys() <= named.keys():
+        return one
+    values = {
+        f"{driver}.{named[path]}": max(
+            0.0, round(value - added.get(named[path], 0.0), 9)
+        )
+        for path, value in one.values.items()
+    }
+    ((path, value),) = values.items()
+    text = f"the {SIDES[one.kind]} {path} that is accepted is {value:.9g}"
+    return Remedy(one.kind, text, values)
 
 
 def set_moved(
@@ -82,7 +103,19 @@ def set_device(
         wanted[f"plant.{field}"] = max(0.0, round(new, 9))
     declared = {path: plant[path.removeprefix("plant.")] for path in wanted}
     if wanted:
-        ask(coupling, "param.set", values=wanted, **forced)
+        try:
+            ask(coupling, "param.set", values=wanted, **forced)
+        except HapticError as error:
+            named = {f"{coupling}.plant.{FIELDS[name]}": name for name in FIELDS}
+            added = {
+                name: wanted[f"plant.{FIELDS[name]}"] - values[name]
+                for name in values
+                if f"plant.{FIELDS.get(name)}" in wanted
+            }
+            error.remedies = tuple(
+                _of_driver(one, driver, named, added) for one in error.remedies
+            )
+            raise
     try:
         return ask(driver, "param.set", values=values, **forced)
     except HapticError:

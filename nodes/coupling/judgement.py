@@ -21,12 +21,13 @@ from nodes.coupling.field_judgement import (
 )
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
-from nodes.coupling.remedies import Remedies
+from nodes.coupling.remedies import Accepts, Remedies
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
     from nodes.stability.judge import Verdict
+    from nodes.stability.plant import Plant
 
 
 class StartAnyway(enum.Enum):
@@ -281,8 +282,9 @@ class Judgement:
             )
             if verdict is not None and not verdict.stable:
                 complaint = self._complaint(f"laws.{name}", verdict)
-                remedy = self._remedy(None, parameters, name, verdict)
-                warnings.append(complaint.with_remedies(remedy))
+                law = self._book.compile(parameters, name)
+                ways = self._ways_out(None, parameters, name, law, verdict, (delay,))
+                warnings.append(complaint.with_remedies(*ways))
         warnings += self._of_fallback(parameters, delay)
         policy = parameters.stability
         if warnings and refuses_start(policy, reason):
@@ -321,17 +323,20 @@ class Judgement:
         law: CompiledLaw,
         delay: float,
         force: bool,
+        likely: Sequence[float] = (),
     ) -> tuple[Verdict | None, str]:
-        """Judge a law that would render after a change. Return the verdict and a warning."""
+        """Judge a law that would render after a change. Return the verdict and a warning.
+
+        `likely`: delays at which what a refusal suggests may be judged a moment later [ticks].
+        """
         verdict = self.verdict(wanted, law, delay)
         if verdict is None or verdict.stable:
             return verdict, ""
         complaint = self._complaint(f"laws.{name}", verdict)
         if force or wanted.stability == "warn":
             return verdict, str(complaint)
-        remedy = self._remedy(now, wanted, name, verdict)
         raise complaint.continued("; nothing was changed").with_remedies(
-            remedy,
+            *self._ways_out(now, wanted, name, law, verdict, (delay, *likely)),
             Remedy(
                 FORCE,
                 f"to study it anyway, use --force, or set {self._node}.stability to warn",
@@ -366,21 +371,58 @@ class Judgement:
             path=f"{self._node}.{what}",
         )
 
-    def _remedy(
+    def _ways_out(
         self,
         now: CouplingParameters | None,
         wanted: CouplingParameters,
         name: str,
+        law: CompiledLaw,
         verdict: Verdict,
-    ) -> Remedy:
-        """Return what would be accepted instead of an unstable law."""
+        delays: Sequence[float],
+    ) -> list[Remedy]:
+        """Return what would be accepted instead of an unstable law, at each of `delays` [ticks].
+
+        Where nothing is accepted at all of them, what is accepted at the first one.
+        """
         remedies = self._remedies
+
+        def accepts_at(some: Sequence[float]) -> Accepts:
+            # The longest first: it refuses most.
+            ordered = sorted(set(some), reverse=True)
+            return lambda parameters, one: all(
+                self._is_stable(parameters, one, delay) for delay in ordered
+            )
+
+        always = accepts_at(delays)
+        now_only = accepts_at(delays[:1])
+        device = remedies.of_plant(now, wanted, law, always)
+        device = device or remedies.of_plant(now, wanted, law, now_only)
+        found = [] if device is None else [device]
         if verdict.felt.startswith(self._field):
-            felt = self._felt(self._book.compile(wanted, name))
-            return remedies.in_field(felt, verdict.plant, wanted.field, self._axes)
+            plants = [
+                plant
+                for delay in dict.fromkeys(delays)
+                for plant in self._plants(wanted, delay)
+            ]
+            felt = self._felt(law)
+            return [*found, remedies.in_field(felt, plants, wanted.field, self._axes)]
         if verdict.felt:
-            return remedies.felt_at(verdict.felt)
-        return remedies.of_law(now, wanted, name, verdict.plant)
+            return [*found, remedies.felt_at(verdict.felt)]
+        of_law = remedies.of_law(now, wanted, name, always)
+        if not of_law.values and len(set(delays)) > 1:
+            of_law = remedies.of_law(now, wanted, name, now_only)
+        return [*found, of_law]
+
+    def _plants(self, parameters: CouplingParameters, delay: float) -> list[Plant]:
+        """Return the declared device with each of its masses; none if it is not declared."""
+        plant = parameters.plant
+        return [] if plant is None else plant.over_workspace(self._period, delay)
+
+    def _is_stable(
+        self, parameters: CouplingParameters, law: CompiledLaw, delay: float
+    ) -> bool:
+        found = self.verdict(parameters, law, delay)
+        return found is not None and found.stable
 
 
 def _rendering(parameters: CouplingParameters) -> list[str]:

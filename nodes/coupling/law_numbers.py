@@ -1,16 +1,12 @@
-"""Numbers of a law's description: read by path, changed, scaled and rounded."""
+"""Numbers of a law's description: read by path, changed and scaled."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from nodes.laws import CompiledLaw
-
-# significant digits of a suggested value; the measured delay changes the fourth
-_DIGITS = 3
 
 
 def numbers_of(tree: Any) -> dict[str, float]:
@@ -48,12 +44,3 @@ def scaled_law(law: CompiledLaw, factor: float) -> CompiledLaw:
         (factor * b0, factor * b1, a1, a2) for b0, b1, a1, a2 in law.sections
     )
     return replace(law, taps=tuple(factor * tap for tap in law.taps), sections=sections)
-
-
-def rounded_towards(value: float, towards: float) -> float:
-    """Return a value rounded to a few digits towards another value."""
-    if value == 0.0:
-        return value
-    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)
-    rounded = math.floor(value / unit) if towards < value else math.ceil(value / unit)
-    return rounded * unit

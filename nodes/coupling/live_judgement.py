@@ -6,12 +6,14 @@ All of this runs on the control thread, or before the first tick.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING, Any
 
 from nodes.base.events import Events
 from nodes.coupling.judgement import Judgement, StartAnyway
 from nodes.coupling.law_book import LawBook
+from nodes.coupling.likely_delays import LikelyDelays
 from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.laws import CompiledLaw
@@ -31,11 +33,16 @@ class LiveJudgement:
         self._renderer, self._events = renderer, events
         # what was last reported of the law and a world that moves
         self._of_world: list[str] = []
+        self._likely = LikelyDelays()
 
     @property
     def delay(self) -> float:
         """Delay of the loop as measured so far, limited for judging [ticks]; from any thread."""
         return min(float(self._renderer.state.delay), LONGEST_DELAY)
+
+    def note_delay(self) -> None:
+        """Note the measured delay, for what refusals suggest; called a few times a second."""
+        self._likely.add(time.monotonic(), self.delay)
 
     def report_start(self, parameters: CouplingParameters, reason: StartAnyway) -> None:
         """Judge the laws of a start, and report what the world makes of the law of tick 0."""
@@ -121,8 +128,11 @@ class LiveJudgement:
         force: bool,
     ) -> Verdict | None:
         """Return the verdict on a changed law, and report its warning; reject an unstable one."""
+        delay = self.delay
+        self._likely.add(time.monotonic(), delay)
+        likely = [min(one, LONGEST_DELAY) for one in self._likely.around(delay)]
         verdict, warning = self._judgement.of_change(
-            now, wanted, name, law, self.delay, force
+            now, wanted, name, law, delay, force, likely
         )
         if warning:
             self._events.emit_each("stability", warning)

@@ -288,6 +288,10 @@ class Coupling(Node):
 
         return apply
 
+    def check_health(self) -> None:
+        """Note the loop's delay, by which refusals suggest values."""
+        self._live.note_delay()
+
     def operations(self) -> dict[str, Callable[..., Any]]:
         """Return the law operations."""
         return {

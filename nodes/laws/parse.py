@@ -11,10 +11,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
+from messages.errors import AT_LEAST, Remedy
 from nodes.laws import CompiledLaw, Law, law_names, load_law, with_gain
 from nodes.laws.own_code_reads import reads_outside
 from nodes.laws.presets import PRESETS, expand, preset_names
+from nodes.laws.suggested import rounded_towards
 from nodes.parameters.refusals import choices, short
 from nodes.parameters.registry import NotInstalledError
 from nodes.parameters.store import ParameterError, convert
@@ -153,5 +156,22 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             f"renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}),"
             " it would pull into the wall; raise the stiffness, lower the damping or use more taps",
             path=path,
-        )
+        ).with_remedies(*_stiff_enough(law, h1, period, path))
     return compiled
+
+
+def _stiff_enough(law: Law, h1: float, period: float, path: str) -> list[Remedy]:
+    """Return the smallest stiffness at which a law pushes, if it has one to raise."""
+    stiffness = getattr(law, "stiffness", None)
+    if not isinstance(stiffness, float):
+        return []
+    # H(1) grows with K, and by as much, for the laws of this package; another one may differ.
+    wanted = rounded_towards(stiffness - h1, math.inf)
+    for value in (wanted, rounded_towards(1.001 * wanted, math.inf)):
+        try:
+            compile_law(replace(law, stiffness=value), period, path)
+        except ParameterError:
+            continue
+        text = f"the smallest {path}.stiffness that is accepted is {value:.9g}"
+        return [Remedy(AT_LEAST, text, {f"{path}.stiffness": value})]
+    return []

@@ -6,7 +6,6 @@ map. One point costs one pole radius, 0.1 to 1 ms for a law of a few taps.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,30 +59,21 @@ def last_inside(
     return inside
 
 
-def furthest_stable(way: Callable[[float], CompiledLaw], plant: Plant) -> float | None:
-    """Return the largest stable share (0 to 1) of a path to an unstable law, or None."""
+def furthest_accepted(accepts: Callable[[float], bool], taps: int) -> float | None:
+    """Return the largest accepted share (0 to 1) of a path to what is not accepted, or None.
 
-    def stable(share: float) -> bool:
-        try:
-            found = judge(way(share), plant)
-        except ValueError:
-            return False
-        return found is not None and found.stable
-
-    points = _POINTS
-    with contextlib.suppress(ValueError):
-        points = _POINTS_OF_LONG if len(way(1.0).taps) > _LONG else _POINTS
+    `taps`: length of the law; of a long one fewer points are checked.
+    """
+    long = taps > _LONG
+    points = _POINTS_OF_LONG if long else _POINTS
     beyond = 1.0
     for i in range(points - 1, -1, -1):
-        if stable(i / points):
-            inside = i / points
-            break
+        if accepts(i / points):
+            return last_inside(
+                accepts, i / points, beyond, _BISECTIONS // 3 if long else _BISECTIONS
+            )
         beyond = i / points
-    else:
-        return None
-    return last_inside(
-        stable, inside, beyond, _BISECTIONS if points == _POINTS else _BISECTIONS // 3
-    )
+    return None
 
 
 def between(start: float, end: float, share: float) -> float:

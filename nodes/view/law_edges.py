@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 
 from messages.errors import AT_MOST, HapticError, Remedy
-from nodes.coupling.law_numbers import rounded_towards
 from nodes.laws import CompiledLaw, Law
 from nodes.laws.fir import FIR, RecursiveSection
 from nodes.laws.parse import law_to_dict, parse_law
+from nodes.laws.suggested import rounded_towards
 from nodes.parameters.store import ParameterError
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.judge import last_inside

@@ -12,16 +12,21 @@ function within(kind, value) {
   return figure(unit * (kind === "at_most" ? Math.floor(units + 1e-6) : Math.ceil(units - 1e-6)));
 }
 
+const NAMES = { hardness: "H(1)", device_delay: "delay" }, UNITS = { delay: " ticks", device_delay: " ticks" };
+
 // Say which value would be accepted in place of a refused one.
-function accepted({ kind, values }) {
+function accepted({ kind, values }, joint) {
   const [[path, value]] = Object.entries(values), name = path.split(".").at(-1);
-  return `The ${ENDS[kind]} ${name === "hardness" ? "H(1)" : name} that is accepted is ${within(kind, value)}`;
+  return `${ENDS[kind]} ${NAMES[name] ?? name}${joint}${within(kind, value)}${UNITS[name] ?? ""}`;
 }
 
 // A refusal in a sentence, by what would be accepted where that is known.
 export function shortened({ error, remedies = [] }) {
-  const end = remedies.find(({ kind, values }) => Object.hasOwn(ENDS, kind) && Object.keys(values ?? {}).length);
-  return end ? `Refused: the loop would be unstable. ${accepted(end)}.` : unbroken(error);
+  const [first, ...more] = remedies.filter(({ kind, values }) => Object.hasOwn(ENDS, kind) && Object.keys(values ?? {}).length);
+  if (!first) return unbroken(error);
+  const why = error.includes("pull into the wall") ? "it would pull into the wall" : "the loop would be unstable";
+  const other = more.map((one) => `, or the ${accepted(one, " ")} with the rest as asked`).join("");
+  return unbroken(`Refused: ${why}. The ${accepted(first, " that is accepted is ")}${other}.`);
 }
 
 export class Laws {

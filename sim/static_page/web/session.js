@@ -1,6 +1,8 @@
 // A visitor's session: the player A, B beside it, changes, and what `haptic.play` needs to repeat it.
 const LONGEST_SESSION = 60000; // ticks that a copied session may have
 
+const DELAYS_SEARCHED = 64; // between none and a refused one
+
 // A refused change, with what would be accepted, as nodes word it for a page.
 class Refusal extends Error {
   constructor(text, remedies) {
@@ -113,6 +115,7 @@ class Session {
       throw new Error(`${name}.${field}: ${value} is no ${field} of this law.`);
     }
     const law = { ...old, [field]: value };
+    this.refusePulling(name, law);
     if (!beyond && !this.stable(name, law)) throw this.refusal(name, law);
     this.remember(`${name}.${field}`, () => this.use(name, old, 0));
     return this.use(name, law, 0);
@@ -148,6 +151,34 @@ class Session {
     return refused("at_most", "largest", Number((edge * 0.999).toPrecision(4)));
   }
 
+  // A law with H(1) ≤ 0 is no wall, also past the edge: neither a launch nor `haptic.play` renders it.
+  refusePulling(name, law) {
+    const rest = restStiffness(this.numbersOf(name, law));
+    if (this.numbersOf(name, law).own.kind || rest > 0) return;
+    const fault = `${name}: H(1) would be ${rest.toPrecision(3)} N/m: it would pull into the wall; nothing was changed`;
+    const unit = 10 ** Math.floor(Math.log10(law.stiffness - rest) - 2), least = Number((unit * Math.ceil((law.stiffness - rest) / unit + 1e-6)).toPrecision(3));
+    const text = `the smallest ${name}.stiffness that is accepted is ${least}`;
+    throw new Refusal(`${fault}; ${text}`, [{ kind: "at_least", text, values: { [`${name}.stiffness`]: least } }]);
+  }
+
+  refusedDelay(ticks) {
+    const fault = `The loop would be unstable at a delay of ${ticks} ticks; nothing was changed`;
+    const stable = (delay) => this.stable(this.law, this.laws[this.law], delay);
+    let out = ticks, inside = null;
+    for (let n = DELAYS_SEARCHED - 1; n >= 0 && inside === null; n--) {
+      const delay = (n / DELAYS_SEARCHED) * ticks;
+      if (stable(delay)) inside = delay; else out = delay;
+    }
+    if (inside === null) return new Refusal(`${fault}; no delay is stable with this law`, []);
+    for (let n = 0; n < 30; n++) {
+      const middle = 0.5 * (out + inside);
+      if (stable(middle)) inside = middle; else out = middle;
+    }
+    // In hundredths of a tick, as the slider sets it.
+    const most = Math.floor(100 * inside) / 100, text = `the largest delay that is accepted is ${most}`;
+    return new Refusal(`${fault}; ${text}`, [{ kind: "at_most", text, values: { delay: most } }]);
+  }
+
   // Smallest and largest stable stiffness of a law [N/m]; null where there is none.
   interval(name, law = this.laws[name], delay = this.delay) {
     const parts = this.data.parts[name], { period } = this.data.device;
@@ -175,7 +206,7 @@ class Session {
       throw new Error(`a delay of ${ticks} ticks; this page plays 0 to ${LONGEST_DELAY_}`);
     }
     if (!beyond && !this.stable(this.law, this.laws[this.law], ticks)) {
-      throw new Error(`The loop would be unstable at a delay of ${ticks} ticks; nothing was changed.`);
+      throw this.refusedDelay(ticks);
     }
     const from = this.delay;
     this.remember("delay", () => this.delayBy(from));

@@ -6,13 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes.coupling.law_numbers import (
-    numbers_of,
-    rounded_towards,
-    scaled_law,
-    with_numbers,
-)
+from nodes.coupling.law_numbers import numbers_of, scaled_law, with_numbers
 from nodes.laws import CompiledLaw
+from nodes.laws.suggested import rounded_towards
 
 TREE = {
     "kind": "x",

@@ -155,10 +155,18 @@ def test_a_device_that_answers_later_is_judged_first(press: Running) -> None:
     typed(press, "param", "set", "driver", "device.delay", "0.5")
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     # 1000 N/m are stable at half a tick more and not at twenty: refused, and both are as before.
-    assert (
-        "the loop is unstable"
-        in typed(press, "param", "set", "driver", "device.delay", "20", code=1).stderr
+    told = typed(
+        press, "param", "set", "driver", "device.delay", "20", "--json", code=1
     )
+    assert "the loop is unstable" in told.stderr
+    longest = json.loads(told.stdout)["remedies"][0]
+    assert longest["kind"] == AT_MOST
+    # Named where it is set, and accepted when it is typed at once.
+    ((path, ticks),) = longest["values"].items()
+    assert path == "driver.device.delay"
+    assert f"largest {path} that is accepted is {ticks:.9g}" in told.stderr
+    typed(press, "param", "set", "driver", "device.delay", str(ticks))
+    typed(press, "param", "set", "driver", "device.delay", "0.5")
     assert press.call("coupling", "param.get", name="plant.device_delay") == 0.5
     assert press.call("driver", "param.get", name="device.delay") == 0.5
     # What the driver refuses is as before for the judge, too.

@@ -194,6 +194,22 @@ def test_a_refusal_is_told_in_a_sentence_by_what_would_be_accepted(
         {"error": "Unstable.", "remedies": [{"kind": kind, "values": each}]}
         for kind, each in ends
     ]
+    # Both ends of a refused delay, as a node names them, and another reason.
+    refusals += [
+        {
+            "error": "Unstable.",
+            "remedies": [
+                {"kind": "at_most", "values": {"driver.device.delay": 0.3689}},
+                {"kind": "at_most", "values": {"coupling.laws.pd.stiffness": 47.4}},
+            ],
+        },
+        {
+            "error": "coupling.laws.a: H(1) = -5 N/m, it would pull into the wall",
+            "remedies": [
+                {"kind": "at_least", "values": {"coupling.laws.a.stiffness": 16.3}}
+            ],
+        },
+    ]
     # Without a value the sentence is the reason, as from other programs' nodes.
     without: list[dict[str, Any]] = [{"values": {}}, {}]
     refusals += [
@@ -201,6 +217,7 @@ def test_a_refusal_is_told_in_a_sentence_by_what_would_be_accepted(
         for each in without
     ]
     told = run(tmp_path, [], [*refusals, {"error": "There is no connection."}])["told"]
+    assert told[7].startswith("Refused: it would pull into the wall. ")
     assert [each.rpartition("The ")[2] for each in told] == [
         "largest stiffness that is accepted is 5\u202f797.",
         "largest H(1) that is accepted is 9\u202f540.",
@@ -208,6 +225,9 @@ def test_a_refusal_is_told_in_a_sentence_by_what_would_be_accepted(
         "largest damping that is accepted is 3.45.",
         "largest damping that is accepted is 0.300.",
         "smallest stiffness that is accepted is 66.5.",
+        "largest delay that is accepted is 0.368\u00a0ticks, or the largest stiffness 47.4 with the"
+        " rest as asked.",
+        "smallest stiffness that is accepted is 16.3.",
         "Too much.",
         "Too much.",
         "There is no connection.",

@@ -20,7 +20,7 @@ from messages.types import DeviceState, Force, Proxy
 from nodes.driver.force_words import explain
 from nodes.driver.state import SAFETY
 from nodes.launcher import launch_file, scenario_files
-from nodes.laws.parse import parse_law
+from nodes.laws.parse import LawRefusedError, compile_law, parse_law
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, without_spring
 from nodes.stability.plant import Plant
@@ -467,6 +467,11 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
           said.push(error.message);
           ways.push(error.remedies);
         }
+        // What is told is accepted, a hundredth of a tick more is not; then back.
+        const most = ways[1][0].values.delay, taken = [most, most + 0.01].map((ticks) => {
+          try { session.setDelay(ticks, false); return true; } catch { return false; }
+        });
+        session.setDelay(0, false);
         session.setLaw("stiffness", 15000, true);
         session.hand([0.04, 0, 0]);
         for (let n = 0; n < 2000; n++) session.tick();
@@ -478,7 +483,7 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
         try { session.python(); } catch (error) { said.push(error.message); }
         session.begin();
         session.tick();
-        result = { said, ways, stopped, again, seq: session.seq, python: session.python() };
+        result = { said, ways, taken, stopped, again, seq: session.seq, python: session.python() };
         """,
         "touch_wall",
     )
@@ -489,6 +494,7 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
     assert field == "pd.stiffness"
     assert f"{field} that is accepted is {most}" in largest
     assert "unstable at a delay of 6 ticks" in delay
+    assert (found["ways"][1][0]["kind"], found["taken"]) == (AT_MOST, [True, False])
     assert "pd.order is fixed on this page" in fixed
     assert "NaN is no stiffness" in number
     assert (SAFETY[found["stopped"]], SAFETY[found["again"]]) == ("stopped", "active")
@@ -500,7 +506,7 @@ def test_changes_past_the_edge_are_refused_with_the_edge(tmp_path: Path) -> None
 def test_a_law_refused_because_it_is_too_soft_is_told_the_smallest_stiffness(
     tmp_path: Path,
 ) -> None:
-    """One tick late the paper's law needs some spring; told was the largest."""
+    """With less it would pull into the wall, as a launch says, too; told was the largest."""
     found = run(
         tmp_path,
         """
@@ -512,14 +518,17 @@ def test_a_law_refused_because_it_is_too_soft_is_told_the_smallest_stiffness(
           return null;
         };
         for (const value of [10, 1e5]) said.push(tried(value).remedies[0]);
+        let forced = false;
+        try { session.setLaw("stiffness", 10, true); forced = true; } catch { }
         const taken = said.map(({ values }) => tried(Object.values(values)[0]) === null);
-        result = { said, taken, law: session.laws.multi_term, device: session.device() };
+        result = { said, taken, forced, law: session.laws.multi_term, device: session.device() };
         """,
         "touch_wall",
     )
     least, most = (next(iter(one["values"].values())) for one in found["said"])
     assert [one["kind"] for one in found["said"]] == ["at_least", "at_most"]
     assert found["taken"] == [True, True]
+    assert not found["forced"]
     given = {**found["device"]}
     plant = Plant(
         T, given["mass"], given["damping"], given["delay"], given["stiffness"]
@@ -529,10 +538,11 @@ def test_a_law_refused_because_it_is_too_soft_is_told_the_smallest_stiffness(
         law = parse_law({**found["law"], "stiffness": stiffness}, "multi_term")
         return bool(pole_radius(law.compile(T), plant) < 1.0)
 
-    # Both are told a thousandth inside, in four digits.
-    inside = [stable(least), stable(most)]
-    outside = [stable(0.998 * least), stable(1.002 * most)]
-    assert (inside, outside) == ([True, True], [False, False])
+    # The largest is told a thousandth inside, in four digits; the smallest in three.
+    assert [stable(least), stable(most), stable(1.002 * most)] == [True, True, False]
+    compile_law(parse_law({**found["law"], "stiffness": least}), T)
+    with pytest.raises(LawRefusedError, match="pull into the wall"):
+        compile_law(parse_law({**found["law"], "stiffness": 0.989 * least}), T)
 
 
 def test_one_button_lets_a_law_sing_and_a_stiffer_one_rest(tmp_path: Path) -> None:
