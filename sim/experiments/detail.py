@@ -34,6 +34,7 @@ from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
+from sim.filters import filtered
 from sim.play.launched import parameters_of
 from sim.play.touch import Touched, call_times, touch
 from sim.play.trace import ChainTrace
@@ -192,15 +193,13 @@ def _at_rest(found: Touched, stiffness: float) -> Array:
 
 def _moving(found: Touched, law: CompiledLaw | None) -> Array:
     """Return the part of a law's force that is none at rest, without factors [N]."""
-    from scipy.signal import lfilter
-
     way = _deflection(found)
     if law is None:
         return np.zeros_like(way)
-    force = lfilter(law.taps, [1.0], way, axis=0)
+    force = filtered(law.taps, [1.0], way.T)
     for b0, b1, a1, a2 in law.sections:
-        force += lfilter([b0, b1], [1.0, a1, a2], way, axis=0)
-    return np.asarray(force - law.h1 * way)
+        force += filtered([b0, b1], [1.0, a1, a2], way.T)
+    return np.asarray(force.T - law.h1 * way)
 
 
 def places(over: NDArray[np.bool_]) -> int:

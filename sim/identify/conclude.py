@@ -75,13 +75,13 @@ class _Widths:
     """Values of a fit's unknowns with the half-widths of their 95 % intervals."""
 
     def __init__(self, found: Fit, moved: Sequence[float] = ()) -> None:
-        from scipy.stats import t
+        from scipy.special import stdtrit  # scipy.stats takes 0.5 s to load
 
         self._found, self._covariance = found, covariance_of(found)
         # The effect of unmodelled terms on each unknown is not random, so it is added to the width.
         self._moved = np.array(moved) if len(moved) else np.zeros(len(found.free))
         self._quantile = float(
-            t.ppf(0.5 + 0.5 * CONFIDENCE, max(1, len(found.starts) - len(found.free)))
+            stdtrit(max(1, len(found.starts) - len(found.free)), 0.5 + 0.5 * CONFIDENCE)
         )
         self._index = {int(which): i for i, which in enumerate(found.free)}
         self.mobility = float(found.theta[motion.MOBILITY])

@@ -5,13 +5,14 @@ shape is known up to a factor and one or two sizes, which are tried on a grid; `
 the shapes with the residual of a fit.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from nodes.stability.plant import Plant, held_plant
 from sim.arrays import Array
+from sim.filters import filtered
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import (
     DAMPING,
@@ -85,18 +86,6 @@ def describe(term: str, size: float) -> str:
     return words.format(size * factor)
 
 
-def _filtered(
-    numerator: Sequence[float], denominator: Sequence[float], what: Array
-) -> Array:
-    """Filter along the last axis.
-
-    scipy is imported here because its filters take 0.5 s to load and most reports need none.
-    """
-    from scipy.signal import lfilter
-
-    return np.asarray(lfilter(numerator, denominator, what))
-
-
 class Shapes:
     """Shapes of all suspects for one fit."""
 
@@ -142,7 +131,7 @@ class Shapes:
                 float(self._theta[STIFFNESS]),
             )
         )
-        return _filtered([0.0, *plant.numerator[:2]], plant.denominator, force)
+        return filtered([0.0, *plant.numerator[:2]], plant.denominator, force)
 
     def all(self) -> Iterator[Suspect]:
         """Yield every suspect at every size."""
@@ -170,7 +159,7 @@ class Shapes:
                 plant = held_plant(
                     Plant(self._period, 1.0, 2.0 * loss * pulse, 0.0, pulse * pulse)
                 )
-                swing = _filtered(
+                swing = filtered(
                     [0.0, *plant.numerator[:2]], plant.denominator, self._net
                 )
                 yield Suspect(
@@ -184,7 +173,7 @@ class Shapes:
         for lag in LAGS:
             decay = np.exp(-1.0 / lag)
             mean = (1.0 - decay) * lag
-            late = _filtered([1.0 - mean, mean - decay], [1.0, -decay], self._force)
+            late = filtered([1.0 - mean, mean - decay], [1.0, -decay], self._force)
             # `judge_fit` projects out the effect of its mean delay, which the model has.
             shape = self._moved_by((late - self._force)[self._rows])
             yield Suspect("actuator lag", lag * self._period * 1e3, shape[None], (lag,))

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from nodes.arithmetic import fir, push, sections
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds
+from sim.filters import filtered
 from sim.lab.charts.derivative_errors import response
 
 T = 0.002
@@ -29,12 +29,10 @@ LENGTH = {**dict.fromkeys(KINDS, 64), **dict.fromkeys(RECURSIVE, 11)}
 
 
 def apply(law: CompiledLaw, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the output of a law from rest, by scipy's filters instead of the kernels."""
-    output: NDArray[np.float64] = np.asarray(
-        lfilter(law.taps or (0.0,), [1.0], samples), dtype=np.float64
-    )
+    """Return the output of a law from rest, by BLAS instead of the kernels."""
+    output = filtered(law.taps or (0.0,), [1.0], samples)
     for b0, b1, a1, a2 in law.sections:
-        output = output + lfilter([b0, b1], [1.0, a1, a2], samples)
+        output = output + filtered([b0, b1], [1.0, a1, a2], samples)
     return output
 
 
@@ -57,7 +55,7 @@ def loop(law: CompiledLaw, samples: list[float]) -> list[float]:
 def size(law: CompiledLaw) -> float:
     """Return the sum of the magnitudes of all weights of a unit deflection: scale of rounding."""
     return math.fsum(map(abs, law.taps)) + sum(
-        float(np.sum(np.abs(lfilter([b0, b1], [1.0, a1, a2], np.eye(1, 4000)[0]))))
+        float(np.sum(np.abs(filtered([b0, b1], [1.0, a1, a2], np.eye(1, 4000)[0]))))
         for b0, b1, a1, a2 in law.sections
     )
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.linalg import expm
-from scipy.signal import cont2discrete, lfilter
 
 from messages.topics import DEVICE_STATE, FORCE, PROXY
 from nodes.coupling.judgement import Judgement
@@ -29,11 +29,24 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worst_world import worst_world
+from sim.filters import filtered
 from sim.play.player import play
 from tests.support.launching import launch_json
 
 PERIOD = 0.002
 EPS = np.finfo(float).eps
+
+
+def bilinear(polynomial: list[float], *fraction: list[float]) -> NDArray[np.float64]:
+    """Put s = (2/T)(1 − w)/(1 + w) into one side of a fraction, times (1 + w) to its degree."""
+    degree = max(map(len, fraction)) - 1
+    found = np.zeros(degree + 1)
+    for power, weight in enumerate(reversed(polynomial)):
+        term = np.array([weight * (2.0 / PERIOD) ** power])
+        for factor in [[1.0, -1.0]] * power + [[1.0, 1.0]] * (degree - power):
+            term = np.convolve(term, factor)
+        found += term
+    return found
 
 
 def moved(
@@ -66,7 +79,7 @@ def moved(
 def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
     body: tuple[float, float, float],
 ) -> None:
-    """Against scipy's discretisation of the same admittance."""
+    """Against the admittance with both rules put in for s, as a recursive filter."""
     mass, damping, stiffness = body
     forces = np.random.default_rng(1).normal(size=400)
     # Velocity over force, s/(m s² + c s + k); then y = T u/(1 − w) of the bilinear u.
@@ -74,14 +87,7 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
     while below[-1] == 0.0 and len(below) > 1 and top[-1] == 0.0:
         top, below = top[:-1], below[:-1]
     below = np.trim_zeros(np.array(below), "f").tolist()
-    if len(top) <= len(below):
-        tops, belows, _ = cont2discrete(
-            (np.array(top), np.array(below)), PERIOD, "bilinear"
-        )
-        speed = lfilter(np.ravel(tops), belows, -forces)
-    else:  # a damped spring: improper, its rule written out
-        s = np.array([2.0 / PERIOD, -2.0 / PERIOD])
-        speed = lfilter(s, damping * s + stiffness * np.array([1.0, 1.0]), -forces)
+    speed = filtered(*(bilinear(each, top, below) for each in (top, below)), -forces)
     found = moved("lossless", body, forces)
     size = np.abs(found).max()
     # 400 ticks of rounding
@@ -94,7 +100,7 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
         + stiffness * np.array([1.0, 0.0, 0.0])
     )
     assert moved("implicit", body, forces) == pytest.approx(
-        lfilter([1.0], rule, -forces), abs=1e-9 * size
+        filtered([1.0], rule, -forces), abs=1e-9 * size
     )
 
 

@@ -1,4 +1,4 @@
-"""Realisations of D^α in frequency: powers, Padé, zeros and poles by mpmath and scipy."""
+"""Realisations of D^α in frequency: powers, Padé, zeros and poles by mpmath and numpy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from scipy.signal import bilinear_zpk
 
 from nodes.laws.derivatives import realise
 from nodes.laws.derivatives.bdf import lubich
@@ -98,7 +97,8 @@ def test_oustaloup_against_zeros_and_poles(kind: str, order: float) -> None:
     zeros = -low * (high / low) ** (spread - 0.5 * fraction / (2 * half + 1))
     poles = -low * (high / low) ** (spread + 0.5 * fraction / (2 * half + 1))
     if kind == "oustaloup_tustin":
-        zeros, poles, _ = bilinear_zpk(zeros, poles, high**fraction, 1.0 / T)
+        # Tustin's rule of both, z = (2/T + s)/(2/T − s)
+        zeros, poles = ((2.0 / T + s) / (2.0 / T - s) for s in (zeros, poles))
     else:
         zeros, poles = np.exp(zeros * T), np.exp(poles * T)
 

@@ -17,13 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import inspect
 from numpy.typing import NDArray
-from scipy import signal, special
+from scipy import special
 
 from nodes import arithmetic
 from nodes.laws import CompiledLaw, Law, law_kinds
 from nodes.laws.fields import MAX_TAPS
 from nodes.laws.parse import LawRefusedError, compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
+from sim.filters import filtered
 
 T = 0.002
 
@@ -95,10 +96,10 @@ def forces(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def expected(law: CompiledLaw, deflections: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the same by numpy's convolution and scipy's recursive filter."""
+    """Compute the same by numpy's convolution and BLAS's recursive filter."""
     total = np.convolve(deflections, law.taps)[: len(deflections)]
     for b0, b1, a1, a2 in law.sections:
-        total = total + signal.lfilter([b0, b1], [1.0, a1, a2], deflections)
+        total = total + filtered([b0, b1], [1.0, a1, a2], deflections)
     return np.asarray(total)
 
 

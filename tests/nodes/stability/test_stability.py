@@ -10,7 +10,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy import signal
 
 from nodes import arithmetic
 from nodes.laws import CompiledLaw
@@ -27,6 +26,7 @@ from nodes.stability.closed_loop import (
 from nodes.stability.effective_damping import damping_needed, effective_damping, least
 from nodes.stability.plant import Plant, held_plant, held_step
 from sim.device import model
+from sim.filters import filtered
 
 T = 0.002
 
@@ -425,7 +425,7 @@ def test_sections_against_the_long_tap_vector_they_stand_for(delay: float) -> No
     taps = np.zeros(700)
     taps[:2] = law.taps
     for b0, b1, a1, a2 in sections:
-        taps += signal.lfilter([b0, b1], [1.0, a1, a2], impulse)
+        taps += filtered([b0, b1], [1.0, a1, a2], impulse)
     long = CompiledLaw(tuple(taps))
     assert pole_radius(law, Plant(T, 0.05, 2.0, delay)) == pytest.approx(
         pole_radius(long, Plant(T, 0.05, 2.0, delay)), rel=1e-9

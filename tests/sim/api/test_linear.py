@@ -8,12 +8,9 @@ from typing import Any
 import haptic
 import numpy as np
 import pytest
-from scipy import signal
 
 from nodes.laws.parse import parse_law
 from nodes.laws.presets import preset_names
-
-control = pytest.importorskip("control")
 
 PLANT = haptic.Plant(rate=500, mass=0.1, damping=1.0)
 LATE = haptic.Plant(rate=500, mass=0.1, damping=1.0, delay=1.3, stiffness=200.0)
@@ -28,17 +25,31 @@ CASES: list[Any] = [
 every_law = pytest.mark.parametrize("law", CASES, ids=lambda law: law.kind)
 
 
+@pytest.fixture(scope="module")
+def control() -> Any:
+    """Import python-control here: with scipy.signal it takes a second, for every worker."""
+    return pytest.importorskip("control")
+
+
+def dfreqresp(system: Any, w: Any) -> Any:
+    from scipy import signal  # as above
+
+    return signal.dfreqresp(system, w)[1]
+
+
 def response_of(system: Any, z: Any) -> Any:
     """Return a system's response; scipy's own makes a state space an ill-conditioned fraction."""
     if not hasattr(system, "A"):
-        return signal.dfreqresp(system, np.angle(z))[1]
+        return dfreqresp(system, np.angle(z))
     size = len(system.A)
     inner = [np.linalg.solve(at * np.eye(size) - system.A, system.B) for at in z]
     return np.array([(system.C @ one + system.D)[0, 0] for one in inner])
 
 
 @every_law
-def test_a_law_has_the_response_of_its_taps_in_both_libraries(law: Any) -> None:
+def test_a_law_has_the_response_of_its_taps_in_both_libraries(
+    law: Any, control: Any
+) -> None:
     z = np.exp(1j * np.linspace(0.01, np.pi, 50))
     wanted = law.compile(0.002).response(z)
     found = response_of(law.to_scipy(PLANT), z)
@@ -51,7 +62,9 @@ def test_a_law_has_the_response_of_its_taps_in_both_libraries(law: Any) -> None:
 
 @pytest.mark.parametrize("plant", [PLANT, LATE])
 @every_law
-def test_closing_the_loop_elsewhere_gives_our_poles(law: Any, plant: Any) -> None:
+def test_closing_the_loop_elsewhere_gives_our_poles(
+    law: Any, plant: Any, control: Any
+) -> None:
     # Feedback by python-control against the state matrix of the loop; sections are eigenvalues of
     # another matrix of up to 24 states.
     closed = control.feedback(law.loop(plant).to_control(), 1)
@@ -60,7 +73,7 @@ def test_closing_the_loop_elsewhere_gives_our_poles(law: Any, plant: Any) -> Non
     assert theirs == pytest.approx(ours, abs=10 * np.finfo(float).eps ** 0.5)
 
 
-def test_margins_are_those_of_python_control() -> None:
+def test_margins_are_those_of_python_control(control: Any) -> None:
     for law, plant in ((PD, PLANT), (haptic.PD(stiffness=300, damping=0.5), LATE)):
         loop = law.loop(plant)
         with warnings.catch_warnings():
@@ -91,13 +104,13 @@ def test_a_margin_is_the_edge_of_stability() -> None:
 def test_scipy_s_loop_is_law_times_device() -> None:
     loop = PD.loop(LATE)
     w = np.linspace(0.01, 3.0, 40)
-    _, both = signal.dfreqresp(loop.to_scipy(), w)
-    _, law = signal.dfreqresp(PD.to_scipy(LATE), w)
-    _, device = signal.dfreqresp(loop.device_to_scipy(), w)
+    both = dfreqresp(loop.to_scipy(), w)
+    law = dfreqresp(PD.to_scipy(LATE), w)
+    device = dfreqresp(loop.device_to_scipy(), w)
     assert np.allclose(both, law * device, rtol=1e-9)
 
 
-def test_what_has_no_transfer_function_says_so() -> None:
+def test_what_has_no_transfer_function_says_so(control: Any) -> None:
     own = haptic.PDWindowed(stiffness=1000, damping=3, resolution=1e-5)
     for call in (own.to_scipy, own.to_control, own.loop):
         with pytest.raises(ValueError, match="code of its own"):
