@@ -34,7 +34,7 @@ from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
-from sim.filters import filtered
+from sim.device.filters import filtered
 from sim.play.launched import parameters_of
 from sim.play.touch import Touched, call_times, touch
 from sim.play.trace import ChainTrace

@@ -12,7 +12,7 @@ import numpy as np
 
 from nodes.stability.plant import Plant, held_plant
 from sim.arrays import Array
-from sim.filters import filtered
+from sim.device.filters import filtered
 from sim.identify.experiment import Experiment
 from sim.identify.identified_motion import (
     DAMPING,

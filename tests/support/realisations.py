@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nodes.arithmetic import fir, push, sections
 from nodes.laws import CompiledLaw
 from nodes.laws.derivatives import derivative_kinds
-from sim.filters import filtered
+from sim.device.filters import filtered
 from sim.lab.charts.derivative_errors import response
 
 T = 0.002

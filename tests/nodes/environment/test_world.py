@@ -29,7 +29,7 @@ from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import with_spring, without_spring
 from nodes.stability.plant import Plant
 from nodes.stability.worst_world import worst_world
-from sim.filters import filtered
+from sim.device.filters import filtered
 from sim.play.player import play
 from tests.support.launching import launch_json
 

@@ -15,10 +15,10 @@ from nodes.recording.reader import Recording
 from nodes.stability.closed_loop import pole_radius
 from nodes.stability.k_max import k_max, with_spring, without_spring
 from nodes.stability.plant import Plant
+from sim.device.filters import filtered
 from sim.device.model import DeviceModel
 from sim.experiments.drop import drop_scene
 from sim.experiments.settling import Criterion, settles
-from sim.filters import filtered
 from sim.play.one_axis import run
 from tests.support.launching import launch_json
 

@@ -24,7 +24,7 @@ from nodes.laws import CompiledLaw, Law, law_kinds
 from nodes.laws.fields import MAX_TAPS
 from nodes.laws.parse import LawRefusedError, compile_law, law_to_dict, parse_law
 from nodes.laws.presets import preset_names
-from sim.filters import filtered
+from sim.device.filters import filtered
 
 T = 0.002
 

@@ -26,7 +26,7 @@ from nodes.stability.closed_loop import (
 from nodes.stability.effective_damping import damping_needed, effective_damping, least
 from nodes.stability.plant import Plant, held_plant, held_step
 from sim.device import model
-from sim.filters import filtered
+from sim.device.filters import filtered
 
 T = 0.002
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.filters import filtered
+from sim.device.filters import filtered
 
 
 @pytest.mark.parametrize(
