@@ -23,6 +23,7 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.remedies import Remedies
 from nodes.laws import CompiledLaw
+from nodes.parameters.interface_words import COMMAND_LINE
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
@@ -334,7 +335,7 @@ class Judgement:
             remedy,
             Remedy(
                 FORCE,
-                f"to study it anyway, use --force, or set {self._node}.stability to warn",
+                f"to study it anyway, {COMMAND_LINE.force}, or set {self._node}.stability to warn",
             ),
         )
 

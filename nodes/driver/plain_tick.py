@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING
 
 from messages import topics
 from messages.codec import Decoder, encode
@@ -15,6 +15,9 @@ from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
 from nodes.driver.state import PUBLISHED, SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
+
+if TYPE_CHECKING:
+    from nodes.driver.ticked_driver import TickedDriver
 
 _message = message_of(PUBLISHED)
 
@@ -30,7 +33,8 @@ def state_message(s: DriverState, seq: int, stamp: float) -> DeviceState:
 class PlainTicks:
     """Interpreted ticks of one driver."""
 
-    def __init__(self, node: Any, device: Device) -> None:
+    def __init__(self, node: TickedDriver, device: Device) -> None:
+        assert node.inbox is not None  # noqa: S101  # a driver subscribes to forces
         self._node = node
         self._device = device
         self._inbox = node.inbox
