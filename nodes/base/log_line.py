@@ -1,7 +1,7 @@
 """A line of standard error: text for people, or data for programs.
 
-With ``HAPTIC_LOG=json``, `haptic` and all nodes of a launch write one JSON object a line. Lines of other
-origin, such as a traceback or the output of a library, stay as they are.
+With ``HAPTIC_LOG=json``, `haptic` and all nodes of a launch write one JSON object a line. Lines of
+other origin, such as a traceback or the output of a library, stay as they are.
 """
 
 from __future__ import annotations
