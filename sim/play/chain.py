@@ -22,8 +22,8 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment, load_world
 from nodes.environment.meet import Numbers
 from nodes.environment.node import Environment
-from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.shapes.scene import FeltRegion, Solid, new_memory, scene_table
+from nodes.environment.shapes.touchable import Touchable
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
