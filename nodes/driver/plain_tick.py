@@ -96,15 +96,18 @@ class PlainTicks:
                 return NONE
         else:
             wait = inbox.receive_soon if s.patient != 0 else inbox.receive_until
-            frames = wait(until)
-            if frames is None:
+            found = wait(until)
+            if found is None:
                 return NONE
+            frames = found
         s.arrival = self._clock()
         return self._read_force(s, frames)
 
     def take_up(self, s: DriverState) -> int:
         """Process the message that compiled ticks put back. Return the outcome."""
-        return self._read_force(s, self._inbox.receive_until(0.0))
+        frames = self._inbox.receive_until(0.0)
+        assert frames is not None  # noqa: S101  # it was put back just now
+        return self._read_force(s, frames)
 
     def _read_force(self, s: DriverState, frames: tuple[bytes, bytes]) -> int:
         expected = self._expected

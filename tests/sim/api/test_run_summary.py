@@ -22,6 +22,9 @@ from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.sources import nodes_of
 
+# A busy machine adds a warning of its own.
+pytestmark = pytest.mark.filterwarnings("ignore:.*this machine is busy:UserWarning")
+
 STOP = {
     "tick": 432.0,
     "before": "active",
@@ -208,8 +211,6 @@ def test_errors_of_a_launch_file_are_worded_for_python() -> None:
         haptic.play("floor_drop", stiffness=-1)
 
 
-# A busy machine adds warnings of its own.
-@pytest.mark.filterwarnings("ignore::sim.api.run_summary.LaunchWarning")
 @pytest.mark.process
 def test_an_unstable_run_is_told_as_one() -> None:
     # 9000 N/m on 0.145 kg in a hand of 300 N/m: above the limit that the warning itself names,
