@@ -18,6 +18,7 @@ __all__ = [
     "DATA",
     "EVENTS",
     "MARK",
+    "SERIOUS",
     "EventKind",
     "Kind",
     "OtherKind",
@@ -260,6 +261,35 @@ EVENTS: Final[dict[EventKind, Kind]] = {
     "wrench": Kind("a ROS 2 force was refused"),
 }
 """Meaning and numbers of each kind."""
+
+SERIOUS: Final[frozenset[EventKind]] = frozenset(
+    {
+        "axes",
+        "bodies",
+        "budget",
+        "control",
+        "denied",
+        "device",
+        "device_force",
+        "fallback",
+        "hung",
+        "inside",
+        "law",
+        "limit",
+        "mesh",
+        "refused",
+        "refused_future",
+        "refused_not_finite",
+        "refused_replayed",
+        "refused_stale",
+        "restart",
+        "stability",
+        "stale",
+        "stopped",
+        "unanswered",
+    }
+)
+"""Kinds of which a program that starts a launch is warned."""
 
 _KNOWN: Final[Mapping[str, Kind]] = {str(kind): known for kind, known in EVENTS.items()}
 

@@ -18,6 +18,7 @@ from messages.codec import encode
 from messages.event_kinds import MARK, EventKind, OtherKind, checked_data
 from messages.types import Event, Message
 from nodes.base.kept_line import erased
+from nodes.base.log_line import AS_JSON, LogLine
 from nodes.base.setup import Setup
 from nodes.parameters.store import ParameterError
 
@@ -80,12 +81,14 @@ class Events:
         self.quiet = False
         self._counts: dict[str, int] = {}
 
-    def log(self, text: str) -> None:
+    def log(self, text: str, kind: str = "", data: Mapping[str, float] = NONE) -> None:
         """Write one named line to standard error, which queues it (nodes/base/stderr_queue.py)."""
         if self.quiet:
             return
+        line = LogLine(text, self._name, kind, data)
         # the launcher's status line may occupy this line of the terminal
-        sys.stderr.write(f"{erased(sys.stderr)}[{self._name}] {text}\n")
+        shown = line.as_json() if AS_JSON else f"{erased(sys.stderr)}{line}"
+        sys.stderr.write(f"{shown}\n")
 
     def emit(
         self,
@@ -121,7 +124,7 @@ class Events:
         seldom = count & (count - 1) == 0
         if seldom:
             repeat = f" ({count} events of this kind)" if count > 1 else ""
-            self.log(f"{kind}: {reason}{repeat}")
+            self.log(f"{reason}{repeat}", kind, numbers)
         if seldom or always:
             self._publish_event(kind, reason, numbers)
 
@@ -130,7 +133,7 @@ class Events:
     ) -> None:
         """Publish and log every event, for actions of people, which cannot come in every tick."""
         numbers = checked_data(kind, data)
-        self.log(f"{kind}: {reason}")
+        self.log(reason, kind, numbers)
         self._publish_event(kind, reason, numbers)
 
     def mark(self, text: str) -> dict[str, float]:
@@ -156,7 +159,7 @@ class Events:
                 f"mark {str(text)[:40]!r}: expected a text of 1 to {LONGEST_MARK} characters",
                 path=self._name,
             )
-        self.log(f"{MARK}: {text}")
+        self.log(text, MARK)
         seq, stamp = self._publish_event(MARK, text, {})
         return {"tick": seq, "stamp": stamp}
 

@@ -1,10 +1,12 @@
 """Receiving the expected messages; all others are refused, counted and reported."""
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeVar
+from typing import ClassVar, Protocol, TypeVar
 
 from messages.codec import Decoder, MessageRefusedError
+from messages.transport.sockets import Subscription
 from messages.types import Message
+from nodes.base.events import Events
 
 M = TypeVar("M", bound=Message)
 
@@ -22,10 +24,19 @@ class TickTaker(Protocol):
         """Send what was not sent yet."""
 
 
+class Receiver(Protocol):
+    """A node as its intake sees it."""
+
+    answers: ClassVar[bool]
+    events: Events
+    inbox: Subscription | None
+    received: int
+
+
 class Intake:
     """The intake of one node."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Receiver) -> None:
         self._node = node
 
     def take(

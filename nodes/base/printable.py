@@ -6,7 +6,6 @@ import unicodedata
 # colours of `haptic`, as SGR codes
 COLOURS = {"red": 31, "green": 32, "yellow": 33, "bold": 1, "dim": 2}
 
-WARNING = "warning: "  # begins a launcher's line that warns, after its name
 _OURS = re.compile(f"(\x1b\\[(?:0|{'|'.join(map(str, COLOURS.values()))})m)")
 
 

@@ -23,6 +23,7 @@ from messages.transport.sockets import Publisher, Subscription
 from messages.transport.waker import Waker
 from nodes.base import descriptors, realtime
 from nodes.base.control_thread import ControlServer
+from nodes.base.log_line import AS_JSON, LogLine
 from nodes.base.node import Node
 from nodes.base.node_kinds import load
 from nodes.base.saved_parameters import resume
@@ -216,6 +217,7 @@ def start(arguments: list[str], load_kernel: Callable[[Node], None]) -> int:
     try:
         node = load(setup.factory)(setup)
     except ParameterError as error:
-        print(f"[{setup.name}] cannot start: {error}", file=sys.stderr, flush=True)
+        line = LogLine(f"cannot start: {error}", setup.name)
+        print(line.as_json() if AS_JSON else line, file=sys.stderr, flush=True)
         return 1
     return live(node, load_kernel)

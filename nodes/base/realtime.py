@@ -89,17 +89,14 @@ def off(processors: Collection[int]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def awake() -> Iterator[str]:
-    """Prevent processors from sleeping until the block ends; yield why not, or "".
+    """Prevent processors from sleeping until the block ends; yield the refusal, or "".
 
     Sleeping delays each tick by 10 µs; staying awake costs power.
     """
     try:
         held = os.open(WAKE_LATENCY, os.O_WRONLY)
     except OSError as error:
-        yield (
-            f"{WAKE_LATENCY}: {error.strerror}; processors sleep between ticks, and answer later;"
-            " see haptic doctor"
-        )
+        yield f"{WAKE_LATENCY}: {error.strerror}"
         return
     try:
         os.write(held, (0).to_bytes(4, sys.byteorder))

@@ -2,14 +2,16 @@
 
 import os
 import resource
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import msgspec
 
 from messages.types import MAX_COUNT, NodeStatus
 from nodes.base import realtime
+from nodes.base.events import Clock, Events
+from nodes.base.setup import Setup
 
 
 class Counted(NamedTuple):
@@ -29,7 +31,33 @@ class Counters:
         self.ticks = self.gaps = self.skipped = self.outgoing_sent = 0
 
 
-def status_of(node: Any) -> NodeStatus:
+class ReportedNode(Protocol):
+    """A node as its status and its report see it."""
+
+    answers: ClassVar[bool]
+    publishes: ClassVar[tuple[str, ...]]
+    setup: Setup
+    clock: Clock
+    events: Events
+    counters: Any  # `Counters`, or a struct with the same fields
+    kernel: Callable[[int], int] | None
+    state: str
+    stop_reason: str
+    sent: int
+    received: int
+    ticks_compiled: int
+
+    def counted(self) -> Counted:
+        """Return its tick counts."""
+
+    def status(self) -> NodeStatus:
+        """Return its status."""
+
+    def report(self) -> dict[str, Any]:
+        """Return its own figures."""
+
+
+def status_of(node: ReportedNode) -> NodeStatus:
     """Return the status of a node."""
     seq, ticks, gaps, skipped = node.counted()
     sent, received = (ticks, ticks + skipped) if node.answers else (0, 0)
@@ -56,7 +84,7 @@ def status_of(node: Any) -> NodeStatus:
     )
 
 
-def report_of(node: Any, figures: Mapping[str, Any]) -> dict[str, Any]:
+def report_of(node: ReportedNode, figures: Mapping[str, Any]) -> dict[str, Any]:
     """Return a node's report, including its last status."""
     status = msgspec.to_builtins(node.status())
     # empty for a node without ticks
@@ -76,7 +104,7 @@ def write_whole(path: Path, content: Any) -> None:
     draft.replace(path)
 
 
-def write_report(node: Any, figures: Mapping[str, Any] | None = None) -> None:
+def write_report(node: ReportedNode, figures: Mapping[str, Any] | None = None) -> None:
     """Write a node's last status and its report."""
     report = report_of(node, node.report() if figures is None else figures)
     write_whole(Path(node.setup.run_dir) / f"{node.setup.name}.report.json", report)

@@ -150,7 +150,7 @@ def _sleep() -> Diagnosis:
         f"write access to {realtime.WAKE_LATENCY} (a udev rule, or root); without it, answers come"
         " some 10 µs later"
     )
-    return Diagnosis("limited", refused.partition(";")[0], remedy)
+    return Diagnosis("limited", refused, remedy)
 
 
 def _preemption() -> Diagnosis:

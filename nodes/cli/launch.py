@@ -14,7 +14,8 @@ import msgspec
 from messages.errors import UsageError
 from messages.transport.requests import ControlError
 from nodes.base import realtime
-from nodes.base.printable import WARNING, printable
+from nodes.base.log_line import AS_JSON, LAUNCH, WARNS, LogLine
+from nodes.base.printable import printable
 from nodes.base.stderr_queue import drain_stderr, instead_of_stderr
 from nodes.cli.debugging import Debugging
 from nodes.cli.dispatch import refuse_unwritable
@@ -30,6 +31,7 @@ from nodes.launcher.run_end import STOPPED, ended_why
 from nodes.launcher.runs import place_of
 from nodes.launcher.supervisor import LaunchFailedError, Supervisor
 from nodes.launcher.wiring import kernel_modules
+from nodes.parameters.interface_words import interface
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import parse_yaml
 from nodes.recording.logger import LoggerParameters, file_of
@@ -185,7 +187,7 @@ def _check_places(launch: Launch) -> None:
     """Refuse, before the start, unwritable places and one file for two loggers."""
     taken: dict[Path, str] = {}
     for name, path in _places(launch):
-        refuse_unwritable(path, "--out-dir")
+        refuse_unwritable(path, interface.get().out_dir)
         if (other := taken.setdefault(path.absolute(), name)) != name:
             raise UsageError(
                 f"{launch.scenario}: {other} and {name} both record to {path}; set another"
@@ -244,12 +246,17 @@ def _run_once(
     """Run a launch from start to end; return its supervisor and the exit code."""
     status = StatusLine(launch)
 
-    def say(text: str) -> None:
+    def write(line: LogLine) -> None:
         status.clear()
-        sys.stderr.write(f"{coloured('[launch]', 'dim', sys.stderr)} {text}\n")
+        name = f"[{LAUNCH}]"
+        text = str(line).replace(name, coloured(name, "dim", sys.stderr), 1)
+        sys.stderr.write(f"{line.as_json() if AS_JSON else text}\n")
+
+    def say(text: str) -> None:
+        write(LogLine(text, LAUNCH))
 
     def warn(text: str) -> None:
-        say(f"{WARNING}{text}")
+        write(LogLine(text, LAUNCH, WARNS))
 
     debug = Debugging(launch, say) if arguments.debug else None
 

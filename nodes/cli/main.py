@@ -23,6 +23,7 @@ import msgspec
 
 from messages.errors import HapticError, UsageError
 from nodes.base.kept_line import is_smart
+from nodes.base.log_line import AS_JSON, COMMAND, FAILS, LogLine
 from nodes.base.printable import COLOURS, printable
 from nodes.base.stderr_queue import drain_stderr
 from nodes.parameters.installed import OURS, version
@@ -189,9 +190,13 @@ def coloured(text: str, colour: str, stream: TextIO) -> str:
 
 def complain(error: object) -> None:
     """Print an error to standard error."""
-    print(
-        coloured("haptic:", "red", sys.stderr), printable(str(error)), file=sys.stderr
-    )
+    if AS_JSON:
+        ways = error.remedies if isinstance(error, HapticError) else ()
+        line = LogLine(str(error), COMMAND, FAILS, remedies=ways)
+        print(line.as_json(), file=sys.stderr)
+    else:
+        name = coloured(f"{COMMAND}:", "red", sys.stderr)
+        print(name, printable(str(error)), file=sys.stderr)
     # A launch in this process replaced standard error by a queue: write it out before exiting.
     drain_stderr()
 

@@ -13,7 +13,7 @@ import sys
 import threading
 from array import array
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import msgspec
 
@@ -26,30 +26,37 @@ from nodes.compiled.layout import (
     LONGEST_TEXT,
     LONGEST_TOPIC,
     NEVER,
+    LoopState,
+    address_of,
 )
 from nodes.compiled.library import Kernel, functions
 from nodes.compiled.message_fields import key_blocks
 
+if TYPE_CHECKING:
+    from nodes.base.node import Node
+
 M = TypeVar("M")
+S = TypeVar("S", bound=LoopState)
 
 # ticks after which a kernel stops in lockstep; each stop costs a tick or two at 8 kHz
 LOCKSTEP_TICKS: Final = 256
 WAIT_MS: Final = 100  # longest wait for a message between checks [ms]
 
 
-class CompiledTicks:
+class CompiledTicks(Generic[S]):
     """Compiled ticks of a node that listens to one topic of the chain and answers on another."""
 
-    def __init__(self, node: Any, kernel: Kernel, expected: str, topic: str) -> None:
+    def __init__(self, node: Node, kernel: Kernel, expected: str, topic: str) -> None:
         assert node.inbox is not None  # noqa: S101  # every answering kind has one
         self._node = node
         self._kernel = kernel
         self._inbox = node.inbox
         # the node's state, in which the kernel ticks
-        self.state = state = node.counters
+        self.state: S = node.counters
+        state = self.state
         self.inside = False  # whether the kernel runs
         self._posting = threading.Lock()
-        self._at = state.here = ctypes.addressof(state)
+        self._at = state.here = address_of(state)
         realtime = node.setup.pace == "realtime"
         self._most = NEVER if realtime else LOCKSTEP_TICKS
         for name, address in functions().items():

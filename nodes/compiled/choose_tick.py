@@ -15,6 +15,7 @@ from nodes.compiled.build import (
 )
 from nodes.compiled.cache import CacheRefusedError
 from nodes.compiled.message_fields import NotCompilableError
+from nodes.parameters.interface_words import interface
 
 WantedTick: TypeAlias = Literal["auto", "compiled", "plain"]
 
@@ -55,8 +56,8 @@ def choose(
             warn(f"using the plain tick; the compiled one is not available: {failed}")
         elif scarce and missing:
             warn(
-                "using the plain tick; the compiled one is not built yet (--tick compiled builds it"
-                " once)"
+                "using the plain tick; the compiled one is not built yet"
+                f" ({interface.get().tick('compiled')} builds it once)"
             )
         return "plain" if failed or missing else "compiled"
     if missing:

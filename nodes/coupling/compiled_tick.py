@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from messages import topics
 from nodes.compiled.answering import CompiledTicks
 from nodes.compiled.library import Kernel
 from nodes.coupling.renderer import Renderer
+from nodes.coupling.state import CouplingState
 from nodes.coupling.swap_schedule import SwapSchedule
+
+if TYPE_CHECKING:
+    from nodes.base.node import Node
 
 # ticks after which the kernel stops for standby laws, which must catch up before the history
 # forgets
 STANDBY_TICKS = 64
 
 
-class CouplingTicks(CompiledTicks):
+class CouplingTicks(CompiledTicks[CouplingState]):
     """Compiled ticks of a coupling; a law with own code uses the plain tick."""
 
     def __init__(
-        self, node: Any, kernel: Kernel, renderer: Renderer, schedule: SwapSchedule
+        self, node: Node, kernel: Kernel, renderer: Renderer, schedule: SwapSchedule
     ) -> None:
         super().__init__(node, kernel, topics.PROXY, topics.FORCE)
         self._renderer, self._schedule = renderer, schedule

@@ -23,6 +23,7 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.remedies import Accepts, Remedies
 from nodes.laws import CompiledLaw
+from nodes.parameters.interface_words import COMMAND_LINE
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
@@ -339,7 +340,7 @@ class Judgement:
             *self._ways_out(now, wanted, name, law, verdict, (delay, *likely)),
             Remedy(
                 FORCE,
-                f"to study it anyway, use --force, or set {self._node}.stability to warn",
+                f"to study it anyway, {COMMAND_LINE.force}, or set {self._node}.stability to warn",
             ),
         )
 

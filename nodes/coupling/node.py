@@ -65,6 +65,8 @@ class Coupling(Node):
     answers: ClassVar[bool] = True
     kernel_module: ClassVar[str] = "nodes.coupling.kernel"
 
+    counters: CouplingState
+
     @classmethod
     def check(cls, setup: Setup) -> None:
         """Parse every law, and compile those that will render, before the launch."""
@@ -98,7 +100,7 @@ class Coupling(Node):
 
     # -- off the hot path --
 
-    def make_counters(self) -> Any:
+    def make_counters(self) -> CouplingState:
         """Return the state."""
         return state_of(
             CouplingState, self.setup.tick == "compiled", seq=-1, answered=-1
@@ -315,7 +317,7 @@ class Coupling(Node):
         """What renders, and what it remembers."""
         return self._renderer
 
-    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
+    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks[CouplingState]:
         """Return the compiled ticks."""
         from nodes.coupling.compiled_tick import CouplingTicks
 

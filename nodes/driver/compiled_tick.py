@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from array import array
-from typing import Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -16,12 +16,17 @@ from nodes.driver.device import Device
 from nodes.driver.state import SAFETY, DriverState
 from nodes.driver.tick import SILENT, UNREAD
 
+if TYPE_CHECKING:
+    from nodes.driver.ticked_driver import TickedDriver
 
-class DriverTicks(CompiledTicks):
+
+class DriverTicks(CompiledTicks[DriverState]):
     """Compiled ticks of one driver."""
 
-    def __init__(self, node: Any, kernel: Kernel, device: Device, jumps: Jumps) -> None:
-        s: DriverState = node.driving
+    def __init__(
+        self, node: TickedDriver, kernel: Kernel, device: Device, jumps: Jumps
+    ) -> None:
+        s = node.driving
         super().__init__(node, kernel, topics.FORCE, topics.DEVICE_STATE)
         self._driver = node
         self._device = DeviceCalls(device, lambda: node.target, jumps)

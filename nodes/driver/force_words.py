@@ -15,6 +15,7 @@ from messages.event_kinds import EventKind
 from messages.types import DeviceState, Event, Force, Proxy, Vector
 from nodes.driver import notes
 from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
+from nodes.parameters.interface_words import interface
 
 # time without a state after which a driver counts as silent [s]
 SILENT_AFTER: Final = 0.5
@@ -26,7 +27,7 @@ class StateWords(NamedTuple):
     """Action of the driver in one state of its safety."""
 
     text: str
-    remedy: str  # remedy for the user; empty if none is needed
+    remedy: str  # for the user, in words of the interface; empty if none is needed
 
 
 STATES: Final[Mapping[str, StateWords]] = {
@@ -49,7 +50,7 @@ STATES: Final[Mapping[str, StateWords]] = {
     ),
     "stopped": StateWords(
         "the loop was unstable, and the driver stopped it",
-        "choose a softer law, then haptic node rearm",
+        "choose a softer law, then {rearm}",
     ),
 }
 
@@ -62,7 +63,7 @@ class Note(NamedTuple):
     fields: tuple[str, ...]
     text: str  # sentence, filled by name
     short: str = ""  # short form for the page, if different
-    remedy: str = ""  # what to do about it on the command line; empty if nothing
+    remedy: str = ""  # what to do about it, in words of the interface; empty if nothing
 
 
 NOTES: Final[Mapping[int, Note]] = {
@@ -103,7 +104,7 @@ NOTES: Final[Mapping[int, Note]] = {
         " rearmed",
         "{strokes:.0f} strokes to the limit of {limit_n:g} N within {span_s:.2g} s, {energy_j:.3g}"
         " J generated",
-        "choose a softer law, then run haptic node rearm, or launch again",
+        "choose a softer law, then {rearm}, or launch again",
     ),
     notes.CONTINUOUS: Note(
         "limit",
@@ -165,6 +166,11 @@ def _filled(text: str, data: Mapping[str, float]) -> str:
     return text.format_map(shown)
 
 
+def _worded(remedy: str) -> str:
+    """Return a remedy in the words of the reader's interface."""
+    return remedy.format(rearm=interface.get().rearm)
+
+
 def take_notes(s: DriverState) -> list[Noted]:
     """Return and clear the notes of the rules since the last call."""
     found = []
@@ -178,7 +184,7 @@ def take_notes(s: DriverState) -> list[Noted]:
         }
         reason = _filled(note.text, data)
         if note.remedy:
-            reason = f"{reason}: {note.remedy}"
+            reason = f"{reason}: {_worded(note.remedy)}"
         if change >= 0.0:
             before, after = divmod(int(change), 8)
             data |= {"before": float(before), "after": float(after)}
@@ -216,11 +222,10 @@ def why_no_force(s: DriverState, condition: str = "") -> str:
             f"{s.workspace[2 * i]:.3g} to {s.workspace[2 * i + 1]:.3g}"
             for i in range(3)
         )
-        return (
-            f"{state.text}: position ({place}) m, workspace ({ends}) m; {state.remedy}"
-        )
+        remedy = _worded(state.remedy)
+        return f"{state.text}: position ({place}) m, workspace ({ends}) m; {remedy}"
     if name not in ("active", "ramp"):
-        return f"{state.text}: {state.remedy}"
+        return f"{state.text}: {_worded(state.remedy)}"
     force = ", ".join(f"{x:.3g}" for x in s.force)
     if not any(s.force):
         left = ["xyz"[i] for i in range(3) if i not in list(s.axis[: s.axes])]

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from messages import topics
-from messages.types import ZERO, Vector
 from nodes.base import realtime
 from nodes.base.hang_watchdog import LastResort
-from nodes.base.node import IDLE_MS, Node
+from nodes.base.node import IDLE_MS
 from nodes.base.setup import AXIS_INDEX, Setup
 from nodes.base.status_report import Counted
 from nodes.compiled.layout import NEVER, state_of
@@ -40,6 +39,7 @@ from nodes.driver.safety_setup import set_safety
 from nodes.driver.soft_stop import SOFT_STOP, stop_softly
 from nodes.driver.state import DriverState
 from nodes.driver.tick_loop import TickLoop
+from nodes.driver.ticked_driver import TickedDriver
 from nodes.driver.watch import Watch
 from nodes.parameters.store import ParameterError, convert
 
@@ -69,7 +69,7 @@ def state_property(name: str) -> Any:
     )
 
 
-class Driver(Node):
+class Driver(TickedDriver):
     """Base of the drivers: a kind of device defines `make_device` and adds its own parameters.
 
     Attributes
@@ -81,8 +81,6 @@ class Driver(Node):
         Python, or in C.
     movable : str
         Names of the parameters that may change while it runs, for errors.
-    driving : DriverState
-        State between ticks.
     """
 
     Parameters: ClassVar[type[msgspec.Struct]] = DriverParameters
@@ -104,14 +102,13 @@ class Driver(Node):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.driving = self.counters
         self._virtual = self.is_virtual(setup.parameters, setup.name)
         self._report = DriverReport(self.driving)
         self._condition = Condition(self, self.condition)
         self._operations = DriverOperations(self, self.driving, self._virtual)
         self.events.interrupt = self._interrupt
 
-    def make_counters(self) -> Any:
+    def make_counters(self) -> DriverState:
         """Return the state."""
         return state_of(DriverState, self.setup.tick == "compiled")
 
@@ -135,11 +132,6 @@ class Driver(Node):
         """Return whether the device lives in simulated time: here for every device of the kind."""
         del parameters, name
         return cls.virtual
-
-    @property
-    def target(self) -> Vector:
-        """Point to which a simulated hand pulls the device in this tick [m]; zero without one."""
-        return ZERO
 
     def make_device(self) -> Device:
         """Return the device, created from the parameters but not opened.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING
 
 from messages import topics
 from messages.codec import Decoder, encode
@@ -15,6 +15,9 @@ from nodes.driver.calls import Jumps, numbers_of
 from nodes.driver.device import Device
 from nodes.driver.state import PUBLISHED, SAFETY, DriverState
 from nodes.driver.tick import GOT, NONE, REFUSED, Port, make_ticks
+
+if TYPE_CHECKING:
+    from nodes.driver.ticked_driver import TickedDriver
 
 _message = message_of(PUBLISHED)
 
@@ -30,7 +33,8 @@ def state_message(s: DriverState, seq: int, stamp: float) -> DeviceState:
 class PlainTicks:
     """Interpreted ticks of one driver."""
 
-    def __init__(self, node: Any, device: Device) -> None:
+    def __init__(self, node: TickedDriver, device: Device) -> None:
+        assert node.inbox is not None  # noqa: S101  # a driver subscribes to forces
         self._node = node
         self._device = device
         self._inbox = node.inbox
@@ -92,15 +96,18 @@ class PlainTicks:
                 return NONE
         else:
             wait = inbox.receive_soon if s.patient != 0 else inbox.receive_until
-            frames = wait(until)
-            if frames is None:
+            found = wait(until)
+            if found is None:
                 return NONE
+            frames = found
         s.arrival = self._clock()
         return self._read_force(s, frames)
 
     def take_up(self, s: DriverState) -> int:
         """Process the message that compiled ticks put back. Return the outcome."""
-        return self._read_force(s, self._inbox.receive_until(0.0))
+        frames = self._inbox.receive_until(0.0)
+        assert frames is not None  # noqa: S101  # it was put back just now
+        return self._read_force(s, frames)
 
     def _read_force(self, s: DriverState, frames: tuple[bytes, bytes]) -> int:
         expected = self._expected

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from messages import topics
 from messages.types import ZERO
@@ -16,6 +16,7 @@ from nodes.driver.tick import BROKEN, SILENT, UNREAD, take_sample
 
 if TYPE_CHECKING:
     from nodes.driver.compiled_tick import DriverTicks
+    from nodes.driver.ticked_driver import TickedDriver
 
 # time after which an unanswered tick is published again in lockstep [s]: a node lost its answer
 ASK_AGAIN = 0.5
@@ -27,7 +28,7 @@ class TickLoop:
 
     Parameters
     ----------
-    driver : Driver
+    driver : TickedDriver
         The node, for its events, its target and its work between ticks.
     device : Device
         Its device, which is open.
@@ -41,7 +42,7 @@ class TickLoop:
 
     def __init__(
         self,
-        driver: Any,
+        driver: TickedDriver,
         device: Device,
         plain: PlainTicks,
         compiled: DriverTicks | None,

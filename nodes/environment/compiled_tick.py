@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from messages import topics
 from nodes.compiled.answering import CompiledTicks
 from nodes.compiled.library import Kernel
-from nodes.environment.state import SHAPES, UNKNOWN
+from nodes.environment.state import SHAPES, UNKNOWN, EnvironmentState
+
+if TYPE_CHECKING:
+    from nodes.base.node import Node
 
 
-class EnvironmentTicks(CompiledTicks):
-    """Compiled ticks of an environment, with a kernel that includes shapes or not."""
+class EnvironmentTicks(CompiledTicks[EnvironmentState]):
+    """Compiled ticks of an environment, with a kernel that includes shapes or not.
 
-    def __init__(self, node: Any, kernel: Kernel, shapes: bool) -> None:
+    After each run of them `report_found` reports what they found.
+    """
+
+    def __init__(
+        self, node: Node, kernel: Kernel, shapes: bool, report_found: Callable[[], None]
+    ) -> None:
         super().__init__(node, kernel, topics.DEVICE_STATE, topics.PROXY)
-        self._environment = node
+        self._report_found = report_found
         self._unmet = {UNKNOWN} if shapes else {UNKNOWN, SHAPES}
 
     def load_state(self) -> bool:
@@ -24,4 +33,4 @@ class EnvironmentTicks(CompiledTicks):
 
     def store_state(self) -> None:
         """Report what the ticks found."""
-        self._environment.note_inside()
+        self._report_found()

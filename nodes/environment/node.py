@@ -73,6 +73,8 @@ class Environment(Node):
     answers: ClassVar[bool] = True
     kernel_module: ClassVar[str] = "nodes.environment.kernel"
 
+    counters: EnvironmentState
+
     @classmethod
     def kernel_of(cls, parameters: Mapping[str, Any]) -> str:
         """Return the module of compiled ticks. Shapes have their own: they compile slowly."""
@@ -121,7 +123,7 @@ class Environment(Node):
         self._place = place
         self._touch(place.meet if meet is None else meet)
 
-    def make_counters(self) -> Any:
+    def make_counters(self) -> EnvironmentState:
         """Return the state."""
         return state_of(
             EnvironmentState,
@@ -237,13 +239,12 @@ class Environment(Node):
                 path=where,
             )
 
-    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks:
+    def compiled_ticks(self, kernel: Kernel) -> CompiledTicks[EnvironmentState]:
         """Return the compiled ticks."""
         from nodes.environment.compiled_tick import EnvironmentTicks
 
-        return EnvironmentTicks(
-            self, kernel, self.kernel_of(self.setup.parameters) != self.kernel_module
-        )
+        shapes = self.kernel_of(self.setup.parameters) != self.kernel_module
+        return EnvironmentTicks(self, kernel, shapes, self._note_inside)
 
     def respond(self, state: DeviceState) -> bytes | None:
         """Answer a tick's state with a proxy."""
@@ -262,7 +263,7 @@ class Environment(Node):
             if self._place.jumped:
                 s.rebased = state.seq
                 s.ease = 0
-            self.note_inside()
+            self._note_inside()
         if not simulated:
             note_spent(s.spent, time.monotonic() - begin)
         s.stamp = state.stamp if simulated else self.clock.now()
@@ -286,7 +287,7 @@ class Environment(Node):
             s.ease = 0
         s.driver_rebased = state.rebased
 
-    def note_inside(self) -> None:
+    def _note_inside(self) -> None:
         """Report a change in the number of solids not felt because the tool began inside."""
         inside = self._place.inside
         if inside > self.counters.inside:

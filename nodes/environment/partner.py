@@ -23,6 +23,7 @@ from nodes.base.node import Node
 from nodes.base.setup import Axis, Setup
 from nodes.environment.spent import note_spent, spent_us
 from nodes.environment.spent_counters import SpentCounters
+from nodes.parameters.interface_words import interface
 from nodes.parameters.store import ParameterError
 
 UNHEARD, HEARD, SILENT = range(3)
@@ -145,7 +146,8 @@ class PartnerEnvironment(Node):
         if setup.pace == "lockstep":
             raise ParameterError(
                 "a partner is heard in real time, but run.pace is lockstep; "
-                "use pace:=realtime, or haptic study hands, which plays both in one process",
+                f"use {interface.get().argument('pace', 'realtime')}, or"
+                f" {interface.get().study('hands')}, which plays both in one process",
                 path=setup.name,
             )
 

@@ -20,6 +20,7 @@ from messages import topics
 from nodes.base.node_kinds import load, node_kinds
 from nodes.compiled.cache import folder
 from nodes.launcher.launch_spec import Launch
+from nodes.parameters.interface_words import interface
 
 # Share of a processor that chains may take; above it they delay each other and miss ticks.
 CARRIED: Final = 0.75
@@ -72,7 +73,7 @@ class Load(msgspec.Struct, frozen=True, kw_only=True):
             return (
                 f"{chains}: they took {self.busy:.0%} of {of}, {self.tick_cost_us:.0f} µs a tick;"
                 f" this machine carries about {_counted(self.carried)} of that kind: start fewer,"
-                " lower run.rate, or use --tick compiled"
+                f" lower run.rate, or use {interface.get().tick('compiled')}"
             )
         return (
             f"{chains}: they took {self.busy:.0%} of {of}, and waited for other processes"
@@ -173,11 +174,12 @@ def warning(launch: Launch, chains: list[str], tick: str, processors: int) -> st
         return ""
     rate = launch.run.rate
     limit = carried(mean / rate, rate, processors)
+    faster = f", or use {interface.get().tick('compiled')}"
     return (
         f"overload ahead: {_counted(len(chains))} at {rate:g} Hz will take {whole:.0%} of one"
         f" processor, as measured here ({mean / rate * 1e6:.0f} µs a tick), and there are"
         f" {processors}; this machine carries about {_counted(limit)} of that kind: start fewer,"
-        f" lower run.rate{'' if tick == 'compiled' else ', or use --tick compiled'}"
+        f" lower run.rate{'' if tick == 'compiled' else faster}"
     )
 
 

@@ -41,6 +41,7 @@ from nodes.launcher.scenario_files import (
     substitute,
 )
 from nodes.launcher.usual_arguments import with_gain, with_usual
+from nodes.parameters.interface_words import interface
 from nodes.parameters.refusals import choices
 from nodes.parameters.store import ParameterError, convert, merge, of_node
 from nodes.parameters.yaml_io import read_yaml
@@ -171,7 +172,8 @@ def _with_device(
             found[name] = msgspec.structs.replace(spec, parameters=parameters)
     if not plants:
         raise ParameterError(
-            f"{DEVICE}:={device}: no node of it has a virtual device; leave it out",
+            f"{interface.get().argument(DEVICE, device)}: no node of it has a virtual device; leave"
+            " it out",
             path=where,
         )
     for name, spec in found.items():

@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from nodes.parameters.interface_words import interface
 from nodes.parameters.store import ParameterError
 from nodes.parameters.yaml_io import lines_of
 
@@ -69,7 +70,7 @@ class Origins:
         if argument is not None:
             given = argument in self._given
             behind = (
-                f" (given as {argument}:={self._given[argument]})"
+                f" (given as {interface.get().argument(argument, self._given[argument])})"
                 if given
                 else f" (the default of {argument})"
             )

@@ -25,6 +25,7 @@ from messages import topics
 from messages.errors import UsageError
 from nodes.base.setup import Setup
 from nodes.base.status_report import write_whole
+from nodes.parameters.interface_words import interface
 
 MAX_IPC_PATH = 107  # length limit of a Unix socket's path [bytes]
 LONGEST_NAME = 32  # length limit of a node's name [letters]
@@ -104,8 +105,8 @@ class RunInfo(msgspec.Struct, frozen=True, kw_only=True):
         chains = self.chains()
         if len(chains) > 1:
             raise RunError(
-                f"{self.run}: several chains: {', '.join(chains)}; choose one with --run"
-                f" {self.scenario}/{chains[-1]}"
+                f"{self.run}: several chains: {', '.join(chains)}; choose one with"
+                f" {interface.get().run(f'{self.scenario}/{chains[-1]}')}"
             )
         return self.within(chains[0]) if chains and chains[0] else self
 
@@ -350,7 +351,8 @@ def find_run(name: str | None = None) -> RunInfo:
     if not fits:
         raise RunError(f"no run is named {name!r}; running: {', '.join(live)}")
     raise RunError(
-        f"several runs: {', '.join(info.run for info in fits)}; choose one with --run NAME"
+        f"several runs: {', '.join(info.run for info in fits)}; choose one with"
+        f" {interface.get().run('NAME')}"
     )
 
 

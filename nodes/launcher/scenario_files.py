@@ -14,6 +14,7 @@ from nodes.base.node_kinds import load, node_kinds
 from nodes.launcher.launch_spec import Argument, Including, LaunchText, RunSpec
 from nodes.launcher.origins import Origins
 from nodes.launcher.usual_arguments import with_usual
+from nodes.parameters.interface_words import interface
 from nodes.parameters.refusals import choices, find_misfit
 from nodes.parameters.registry import Registry
 from nodes.parameters.store import ParameterError, convert
@@ -169,9 +170,11 @@ def fill_in(
     values: dict[str, Any] = {}
     for name in given:
         if name not in arguments:
-            remedy = f"{RUN}{name}:={given[name]} sets it in any launch file"
+            setting = interface.get().argument(f"{RUN}{name}", given[name])
+            remedy = f"{setting} sets it in any launch file"
             if name not in RunSpec.__struct_fields__:
-                remedy = f"{choices(name, arguments)} (haptic launch --show-args {path.stem})"
+                listed = interface.get().arguments(path.stem)
+                remedy = f"{choices(name, arguments)} ({listed})"
             raise ParameterError(f"no argument {name!r}; {remedy}", path=path.name)
     for name, argument in arguments.items():
         value = given.get(name, argument.default)

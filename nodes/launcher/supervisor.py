@@ -100,7 +100,10 @@ class Supervisor:
             if self._launch.run.stays_awake and (
                 refused := held.enter_context(realtime.awake())
             ):
-                self._warn(refused)
+                self._warn(
+                    f"{refused}; processors sleep between ticks, and answer later; see haptic"
+                    " doctor"
+                )
             self._supervise(progress, held)
 
     def _supervise(

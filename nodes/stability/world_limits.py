@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from nodes.laws import CompiledLaw
 from nodes.stability.needed import (
@@ -65,6 +65,8 @@ class WorldLimits:
     k_max_n_per_m: Mapping[str, float | None]
     about: Mapping[str, str]  # worlds and hands of each figure
     worst_world: WorstWorld | None = None  # at the edge of ``any_world``
+    # of `about` the worlds alone
+    worlds: Mapping[str, str] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, object]:
         """Return the figures with units in their keys; null: none certified, or unlimited."""
@@ -120,16 +122,15 @@ def world_limits(
         For a law with own code, which has no transfer function.
     """
     found = {}
-    about = {}
+    about, worlds = {}, {}
     for name, (world, any_hand) in (moving or Moving()).asked().items():
         one = world_k_max(derivative, plant, world, any_hand)
         found[name] = one.k_max_n_per_m
-        about[name] = (
-            one.about
-            if world is not _WALL
-            else f"{Wall().about}; {hand_text(plant, any_hand)}"
-        )
-    return WorldLimits(found, about, worst_world(derivative, plant) if worst else None)
+        # A wall is a spring without an end, and named as what it is.
+        worlds[name] = (Wall() if world is _WALL else world).about
+        about[name] = f"{worlds[name]}; {hand_text(plant, any_hand)}"
+    built = worst_world(derivative, plant) if worst else None
+    return WorldLimits(found, about, built, worlds)
 
 
 def world_needs(law: CompiledLaw, plant: Plant) -> dict[str, float | None]:

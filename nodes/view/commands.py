@@ -23,6 +23,7 @@ import zmq
 from messages.errors import HapticError
 from messages.transport.context import new_context
 from messages.transport.requests import Connection, call
+from nodes.base.log_line import read_lines
 from nodes.base.node_kinds import load
 from nodes.client.launches import roles
 from nodes.client.moved_device import set_device
@@ -371,7 +372,7 @@ class Commander:
         elif recorder.returncode not in (0, 130):
             why = (
                 _error_of(answered)
-                or " ".join(said.decode(errors="replace").split())[-500:]
+                or " ".join(map(str, read_lines(said.decode(errors="replace"))))[-500:]
             )
             why = why or f"it ended with exit code {recorder.returncode}"
             self._failure = f"recording failed: {why}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nodes.base.setup import AXIS_INDEX
-from nodes.environment.shapes.kinds import Touchable
+from nodes.environment.shapes.touchable import Touchable
 from nodes.environment.surfaces import Surface, parse_surface
 from nodes.view.tessellation import Patch, geom_patch, patch_of, plane_patch
 

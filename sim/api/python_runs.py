@@ -22,9 +22,9 @@ from sim.api.controls import Laws, Parameters
 from sim.api.launch_arguments import launch_arguments, left_out
 from sim.api.live_data import Live
 from sim.api.progress import progress
-from sim.api.python_words import in_python, speaking_python
+from sim.api.python_words import launch_environment, speaking_python
 from sim.api.recordings import Recorded, read
-from sim.api.run_summary import LaunchWarning, RunSummary, summary_of, warnings_in
+from sim.api.run_summary import RunSummary, summary_of, warnings_in
 from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
 from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
@@ -254,10 +254,10 @@ class Run(Live):
         """Issue the launch's new warnings as LaunchWarning, at the caller's caller."""
         if self._started is None:
             return
-        found = warnings_in(self._started.errors)
+        found = warnings_in(self._started.log)
         fresh, self._warned = found[self._warned :], len(found)
-        for text in fresh:
-            warnings.warn(text, LaunchWarning, stacklevel=3)
+        for one in fresh:
+            warnings.warn(one, stacklevel=3)
 
     def rearm(self, driver: str = "") -> dict[str, Any]:
         """Enable forces again after the driver has stopped the loop; return the receipt.
@@ -319,8 +319,8 @@ class Run(Live):
             printed = started.figures
             # A killed launch may have printed only the URL of its page.
             if started.exit_code == 1 or "exit_reason" not in printed:
-                raise LaunchError(in_python(started.failure()))
-            self._summary = summary_of(printed, started.errors, self._ended_here)
+                raise LaunchError(started.failure())
+            self._summary = summary_of(printed, started.log, self._ended_here)
         return self._summary
 
     @property
@@ -362,7 +362,8 @@ def connect(name: str | None = None) -> Run:
     ...     connect().law.switch("multi_term", ramp=50)["to"]
     'multi_term'
     """
-    return Run(launches.find(name))
+    with speaking_python():
+        return Run(launches.find(name))
 
 
 def launch(
@@ -424,7 +425,7 @@ def launch(
         words.append("--view")
     if out_dir is not None:
         words += ["--out-dir", str(out_dir)]
-    started = StartedLaunch(scenario, *words)
+    started = StartedLaunch(scenario, *words, environment=launch_environment())
     try:
         with deferred() as came:
             compiles = arguments.get("tick") == "compiled"
@@ -442,7 +443,7 @@ def launch(
         run = Run(info, started)
     except MeasurementError as error:
         started.close()
-        raise LaunchError(in_python(str(error))) from error
+        raise LaunchError(str(error)) from error
     except BaseException:
         started.close()
         raise

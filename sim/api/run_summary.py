@@ -2,42 +2,49 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nodes.base.printable import WARNING
-from sim.api.python_words import in_python
+from messages.event_kinds import SERIOUS
+from nodes.base.log_line import LAUNCH, WARNS, LogLine
 from sim.api.recordings import read
 from sim.studies.notebook_results import Result, bars
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Events that a program must not overlook; the rest are in the recording.
-_SERIOUS = (
-    "axes|bodies|budget|control|denied|device|device_force|fallback|hung|inside|law|limit|mesh"
-    "|refused|refused_future|refused_not_finite|refused_replayed|refused_stale|restart|stability"
-    "|stale|stopped|unanswered"
-)
-_EVENT = re.compile(rf"^\[(?P<node>[\w/]+)\] (?:{_SERIOUS}): ")
-_LAUNCHER = re.compile(rf"^\[launch\] {WARNING}")
-
 
 class LaunchWarning(UserWarning):
-    """What a launch warns of: an unstable law, a refused force, a node that was lost."""
+    """What a launch warns of: an unstable law, a refused force, a node that was lost.
+
+    Attributes
+    ----------
+    node : str
+        Node that warns; ``launch`` for the launcher.
+    kind : str
+        Kind of its event (messages/event_kinds.py), or ``warning`` of the launcher.
+    reason : str
+        The sentence for people.
+    data : dict of str to float
+        Numbers of the event, e.g. ``tick``.
+    """
+
+    def __init__(self, line: LogLine) -> None:
+        super().__init__(str(line))
+        self.node, self.kind, self.reason = line.node, line.kind, line.text
+        self.data = dict(line.data)
 
 
-def warnings_in(errors: str) -> list[str]:
-    """Return the lines of a launch's standard error that warn, in the words of Python."""
+def warnings_in(log: Iterable[LogLine]) -> list[LaunchWarning]:
+    """Return the lines of a launch that warn."""
     return [
-        in_python(line)
-        for line in errors.splitlines()
-        if _EVENT.match(line) or _LAUNCHER.match(line)
+        LaunchWarning(line)
+        for line in log
+        if (line.kind == WARNS if line.node == LAUNCH else line.kind in SERIOUS)
     ]
 
 
@@ -62,7 +69,7 @@ class RunSummary(Result):
     limited: dict[str, int]  # forces that it lowered, by limit
     failures: tuple[str, ...]  # nodes that failed, and why
     not_judged: dict[str, str]  # couplings whose stability was not judged, and why
-    warnings: tuple[str, ...]  # all warnings of the launch
+    warnings: tuple[LaunchWarning, ...]  # all warnings of the launch
     all: dict[str, Any]  # all figures of the report
 
     def figures(self) -> dict[str, Any]:
@@ -83,15 +90,17 @@ class RunSummary(Result):
         return bars(self.response_us, "response time [µs]", self.scenario)
 
 
-def summary_of(printed: dict[str, Any], errors: str, ended_here: bool) -> RunSummary:
+def summary_of(
+    printed: dict[str, Any], log: Iterable[LogLine], ended_here: bool
+) -> RunSummary:
     """Return the report of an ended launch.
 
     Parameters
     ----------
     printed : dict
         Figures of ``haptic launch --json``.
-    errors : str
-        What it wrote to standard error.
+    log : iterable of LogLine
+        Its lines of standard error.
     ended_here : bool
         Whether this program ended it, which Ctrl-C also does.
 
@@ -118,14 +127,14 @@ def summary_of(printed: dict[str, Any], errors: str, ended_here: bool) -> RunSum
     )
     return RunSummary(
         **{key: printed[key] for key in same},
-        exit_reason=in_python(exit_reason),
+        exit_reason=exit_reason,
         stopped_at_tick=at,
-        stopped_why=in_python(why),
+        stopped_why=why,
         refused=_counts(chains, "refused"),
         limited=_counts(chains, "limited"),
-        failures=tuple(map(in_python, printed["failures"])),
+        failures=tuple(printed["failures"]),
         not_judged=dict(printed["not_judged"]),
-        warnings=tuple(warnings_in(errors)),
+        warnings=tuple(warnings_in(log)),
         all=printed,
     )
 

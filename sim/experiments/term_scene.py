@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from nodes.driver.limits import SafetyParameters
-from nodes.environment.shapes.kinds import TOOL_RADIUS, Touchable
 from nodes.environment.shapes.scene import FeltRegion, Solid, plane
+from nodes.environment.shapes.touchable import TOOL_RADIUS, Touchable
 from nodes.environment.surfaces import parse_surface
 from nodes.launcher.launch_spec import Launch, NodeSpec
 from nodes.laws import CompiledLaw

@@ -24,13 +24,13 @@ import numpy as np
 
 from messages.errors import UsageError
 from nodes.environment.shapes import tables as t
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import PreparedMesh, prepare_mesh
 from nodes.environment.shapes.mesh_edges import Flags
 from nodes.environment.shapes.mesh_file import MOST_EDGES, MOST_WIDTH, read_triangles
 from nodes.environment.shapes.mesh_repair import repair
 from nodes.environment.shapes.mesh_shells import winding_number
 from nodes.environment.shapes.scene import mesh, new_memory, scene_table
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from nodes.parameters.store import ParameterError
 from sim.arrays import Array
 from sim.play.touch import meet

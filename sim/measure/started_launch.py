@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import IO, Any, Self
 
 from messages.errors import HapticError
+from nodes.base.log_line import COMMAND, LogLine, read_lines
 from nodes.client.launches import ask
 from nodes.launcher.runs import RunInfo, runs
 from sim.measure.haptic_commands import DEADLINE, MeasurementError, end, start_command
@@ -104,11 +105,17 @@ class StartedLaunch:
         return found
 
     @property
-    def errors(self) -> str:
-        """What launcher and nodes wrote to standard error so far."""
-        return (self.output / "stderr.txt").read_text(
+    def log(self) -> list[LogLine]:
+        """Lines that launcher and nodes wrote to standard error so far."""
+        written = (self.output / "stderr.txt").read_text(
             encoding="utf-8", errors="replace"
         )
+        return read_lines(written)
+
+    @property
+    def errors(self) -> str:
+        """The same as text."""
+        return "\n".join(map(str, self.log))
 
     def info(self) -> RunInfo | None:
         """Find the run; None until its launcher has written it down."""
@@ -171,9 +178,12 @@ class StartedLaunch:
 
     def failure(self) -> str:
         """Describe a failed launch: its refusal, or its exit code and output."""
-        said = self.errors.strip()[-2000:]
         if self.exit_code == 2:
-            return said.removeprefix("haptic: ")
+            # A refusal is the command's own line, without its name.
+            log = self.log
+            own = [line.text for line in log if line.node == COMMAND]
+            return "\n".join(own or map(str, log))[-2000:]
+        said = self.errors.strip()[-2000:]
         return (
             f"haptic launch {' '.join(self.words)}: exit code {self.exit_code}: {said}"
         )

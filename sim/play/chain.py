@@ -9,12 +9,15 @@ compiled loop of one axis instead where it gives the same bits.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from messages import topics
 from messages.codec import Decoder
-from messages.types import ZERO, DeviceState, Event, Force, Proxy
+from messages.types import ZERO, DeviceState, Event, Force, Message, Proxy
+from nodes.base.node import Node
 from nodes.base.node_kinds import load
+from nodes.coupling.node import Coupling
+from nodes.driver.node import Driver
 from nodes.driver.plain_tick import state_message
 from nodes.driver.state import DriverState
 from nodes.driver.tick import GOT, Port, make_ticks
@@ -22,8 +25,8 @@ from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment, load_world
 from nodes.environment.meet import Numbers
 from nodes.environment.node import Environment
-from nodes.environment.shapes.kinds import Touchable
 from nodes.environment.shapes.scene import FeltRegion, Solid, new_memory, scene_table
+from nodes.environment.shapes.touchable import Touchable
 from nodes.environment.state import SHAPES
 from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
@@ -61,10 +64,18 @@ class Instead:
         )
 
 
-def _made(launch: Launch, name: str) -> Any:
-    """Build a node without output on standard error."""
+N = TypeVar("N", bound=Node)
+
+
+def _made(launch: Launch, name: str, kind: type[N]) -> N:
+    """Build a node of a class without output on standard error."""
     setup = setup_of(launch, name)
     node = load(setup.factory)(setup)
+    if not isinstance(node, kind):
+        raise ParameterError(
+            f"kind {setup.kind} is no {kind.__name__}, which one process plays; launch it",
+            path=name,
+        )
     node.events.quiet = True
     return node
 
@@ -75,9 +86,9 @@ class ChainNodes:
     def __init__(
         self, launch: Launch, hops: Hops, ticks: int, instead: Instead, given: Given
     ):
-        self.driver = _made(launch, hops.driver)
-        self.environment = _made(launch, hops.environment)
-        self.coupling = _made(launch, hops.coupling)
+        self.driver = _made(launch, hops.driver, Driver)
+        self.environment = _made(launch, hops.environment, Node)
+        self.coupling = _made(launch, hops.coupling, Coupling)
         self.driver.configure()
         _begin_environment(self.environment, instead)
         self.coupling.configure()
@@ -173,7 +184,7 @@ class ChainNodes:
         return tuple(sorted(found, key=lambda event: event.seq))
 
 
-def answer(node: Any, message: Any) -> bytes:
+def answer(node: Node, message: Message) -> bytes:
     """Return a node's answer to a message, as nodes/base/follow.py does."""
     counters = node.counters
     counters.seq = message.seq
@@ -185,7 +196,7 @@ def answer(node: Any, message: Any) -> bytes:
     return payload
 
 
-def _begin_environment(node: Any, instead: Instead) -> None:
+def _begin_environment(node: Node, instead: Instead) -> None:
     """Build the environment, as the node does or from `instead`."""
     if isinstance(node, MujocoEnvironment):
         parameters = node.store.current
@@ -243,7 +254,7 @@ def play_chain(
     """
     hops = hops_of(launch, namespace)
     wire = ChainNodes(launch, hops, ticks, instead, given)
-    s: DriverState = wire.driver.driving
+    s = wire.driver.driving
     s.until, s.most = ticks, ticks
     port = Port(
         clock=lambda _: 0.0,

@@ -1,10 +1,14 @@
 """Records of a played chain: positions, contacts, forces, and other moving things."""
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from messages.types import DeviceState, Event, Force, Proxy, Vector
+from nodes.base.node import Node
+from nodes.coupling.node import Coupling
+from nodes.driver.device import Device
+from nodes.driver.node import Driver
 from nodes.driver.paired.paired_device import PairedDevice
 from nodes.environment.bodies.moving_scene import MovingScene
 from nodes.environment.bodies.node import MujocoEnvironment
@@ -17,10 +21,10 @@ from sim.play.trace import BodyTrace, ChainTrace
 class PlayedNodes(Protocol):
     """The nodes of a played chain."""
 
-    driver: Any
-    environment: Any
-    coupling: Any
-    device: Any
+    driver: Driver
+    environment: Node
+    coupling: Coupling
+    device: Device
     parts: dict[str, list[AxisState]]  # virtual devices, by name
     axes: tuple[int, ...]
 
@@ -29,7 +33,7 @@ class PlayedNodes(Protocol):
         ...
 
 
-def parts_of_device(device: Any) -> dict[str, list[AxisState]]:
+def parts_of_device(device: Device) -> dict[str, list[AxisState]]:
     """Return the virtual devices of a device by name: one without a name, or two."""
     if isinstance(device, SimDevice):
         return {"": [part.state for part in device.parts]}

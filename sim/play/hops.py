@@ -11,6 +11,7 @@ from nodes.base.setup import Setup
 from nodes.driver.node import Driver
 from nodes.launcher.launch_spec import Launch
 from nodes.launcher.plants import has_plant, known_effects, known_peak, known_plant
+from nodes.parameters.interface_words import interface
 from nodes.parameters.store import ParameterError
 
 HOPS = (topics.DEVICE_STATE, topics.PROXY, topics.FORCE)
@@ -70,7 +71,8 @@ def hops_of(launch: Launch, namespace: str) -> Hops:
     if topics.PARTNER in classes[environment].listens_to:
         raise ParameterError(
             "hears a partner over a network in real time, which one process does"
-            " not play; haptic study hands plays two hands and a network, or launch it",
+            f" not play; {interface.get().study('hands')} plays two hands and a network, or"
+            " launch it",
             path=environment,
         )
     for name in (environment, coupling):

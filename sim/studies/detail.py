@@ -111,7 +111,7 @@ def _shapes(
     resolution: float,
 ) -> Detail:
     """Compare the levels of a shape along the proxy's path of a launch in lockstep."""
-    from nodes.environment.shapes.kinds import Touchable
+    from nodes.environment.shapes.touchable import Touchable
     from nodes.environment.surfaces import parse_surface
     from sim.experiments.detail import detail
     from sim.play.player import play

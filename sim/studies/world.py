@@ -104,7 +104,8 @@ def text(limits: WorldLimits) -> list[str]:
             if name in limits.unlimited
             else f"{k:.6g} N/m"
         )
-        kinds = limits.about[name].partition(";")[0]
-        lines.append(f"  {name.replace('_', ' '):24} {shown:>16}  {kinds}")
+        lines.append(
+            f"  {name.replace('_', ' '):24} {shown:>16}  {limits.worlds[name]}"
+        )
     worst = limits.worst_world
     return [*lines, f"worst world: {'none to build' if worst is None else worst.text}"]

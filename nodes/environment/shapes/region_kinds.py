@@ -10,9 +10,10 @@ import msgspec
 from messages.types import Vector
 from nodes.base.setup import Effect
 from nodes.environment.shapes import scene
-from nodes.environment.shapes.kinds import Factor, Mesh, Shape, Size, Touchable
+from nodes.environment.shapes.kinds import Mesh, Size
 from nodes.environment.shapes.scene import FeltRegion, Solid
 from nodes.environment.shapes.tables import LINE, VISCOSITY
+from nodes.environment.shapes.touchable import Factor, Shape, Touchable
 from nodes.environment.surfaces import parse_surface
 from nodes.parameters.store import ParameterError
 

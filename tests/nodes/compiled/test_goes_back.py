@@ -21,7 +21,7 @@ from nodes.coupling.node import Coupling
 from nodes.driver.device import DeviceLimits
 from nodes.driver.node import Driver
 from nodes.environment.node import Environment
-from nodes.environment.shapes.kinds import Touchable
+from nodes.environment.shapes.touchable import Touchable
 from nodes.environment.surfaces import Meeting, Plane
 from sim.measure.haptic_commands import wait_for
 from tests.support import ROOT

@@ -19,8 +19,8 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.law_on_axis import History, LawOnAxis
 from nodes.coupling.node import Coupling
 from nodes.coupling.parameters import CouplingParameters
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.tables import SKIN
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from nodes.launcher import launch_file
 from nodes.launcher.launch_spec import Launch
 from nodes.laws import CompiledLaw

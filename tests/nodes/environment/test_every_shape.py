@@ -9,8 +9,8 @@ import pytest
 
 from nodes.environment.shapes import tables as t
 from nodes.environment.shapes.convex import gap
-from nodes.environment.shapes.kinds import Shape
 from nodes.environment.shapes.scene import scene_table
+from nodes.environment.shapes.touchable import Shape
 from nodes.environment.surfaces import SURFACES, parse_surface
 from nodes.view.shape import patches_of
 from nodes.view.tessellation import ACROSS, AROUND

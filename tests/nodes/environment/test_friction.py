@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from nodes.environment.node import Environment
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import (
     Friction,
@@ -21,6 +20,7 @@ from nodes.environment.shapes.scene import (
     sphere,
 )
 from nodes.environment.shapes.tables import SKIN
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from sim.lab.proxy_shapes import icosphere
 from sim.play.touch import Touched, touch
 from tests.support.setups import setup_of

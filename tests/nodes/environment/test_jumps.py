@@ -14,7 +14,6 @@ from messages.codec import Decoder
 from messages.topics import DEVICE_STATE, FORCE, PROXY, event
 from messages.types import DeviceState, Proxy, Vector
 from nodes.environment.node import Environment
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.scene import (
     Friction,
@@ -25,6 +24,7 @@ from nodes.environment.shapes.scene import (
     mesh,
     scene_table,
 )
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from nodes.environment.surfaces import parse_surface
 from nodes.environment.touched_surface import TouchedSurface
 from nodes.launcher import launch_file

@@ -14,11 +14,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nodes.environment.shapes import tables as t
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import PreparedMesh, _normals, prepare_mesh
 from nodes.environment.shapes.polygons import cut_faces
 from nodes.environment.shapes.proxy import meet
 from nodes.environment.shapes.scene import mesh, new_memory, scene_table
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from sim.lab.proxy_shapes import icosphere
 from tests.support.shapes import (
     Array,

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import read_triangles
 from nodes.environment.shapes.scene import Friction, Solid, box, mesh, rotation
 from nodes.environment.shapes.tables import SKIN, TOLERANCE
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from nodes.environment.shapes.triangle import triangle_hit
 from sim.lab.proxy_shapes import nearest_on
 from sim.play.touch import touch

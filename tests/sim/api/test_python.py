@@ -31,6 +31,9 @@ from tests.support.launching import (
     wait_for,
 )
 
+# A busy machine adds a warning of its own.
+pytestmark = pytest.mark.filterwarnings("ignore:.*this machine is busy:UserWarning")
+
 
 @pytest.fixture(scope="module")
 def place() -> Iterator[Path]:

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import haptic
 import pytest
 
+from messages.errors import AT_MOST, FORCE, HapticError, Remedy
+from nodes.base.log_line import LogLine, read_lines
+from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
 from nodes.parameters.store import ParameterError
-from sim.api.python_words import in_python
+from sim.api.python_words import launch_environment, speaking_python
 from sim.api.run_summary import RunSummary, summary_of, warnings_in
 from tests.support import ROOT
 from tests.support.launching import private_runtime_dir
 from tests.support.sources import nodes_of
 
+# A busy machine adds a warning of its own.
+pytestmark = pytest.mark.filterwarnings("ignore:.*this machine is busy:UserWarning")
+
 STOP = {
     "tick": 432.0,
     "before": "active",
     "after": "stopped",
-    "reason": "run haptic node rearm",
+    "reason": "call run.rearm()",
 }
 START = {
     "tick": 0.0,
@@ -72,7 +80,7 @@ def printed(safety: dict[str, Any], **more: Any) -> dict[str, Any]:
 def test_a_stopped_loop_is_not_done(
     safety: dict[str, Any], reason: str, at: int | None
 ) -> None:
-    found = summary_of(printed(safety), "", ended_here=False)
+    found = summary_of(printed(safety), (), ended_here=False)
     assert (found.exit_reason, found.stopped_at_tick) == (reason, at)
     assert found.stopped_why == ("" if at is None else "call run.rearm()")
     # What happened is on the screen, and nothing of what did not.
@@ -85,7 +93,7 @@ def test_a_stopped_loop_is_not_done(
 
 def test_a_stop_of_any_chain_counts() -> None:
     chains = {"left": printed(QUIET), "right": printed(STOPPED)}
-    found = summary_of(printed(QUIET, chains=chains), "", ended_here=False)
+    found = summary_of(printed(QUIET, chains=chains), (), ended_here=False)
     assert found.exit_reason == "loop stopped at tick 432"
     assert found.stopped_why.startswith("right: ")
     assert found.refused == {"stale": 2}
@@ -96,14 +104,14 @@ def test_failures_and_what_is_not_judged_are_shown() -> None:
         "failures": ["logger ended with exit code 3"],
         "not_judged": {"coupling": "no plant"},
     }
-    found = summary_of(printed(QUIET, **more), "", ended_here=False)
+    found = summary_of(printed(QUIET, **more), (), ended_here=False)
     for text in ("logger ended with exit code 3", "no plant"):
         assert text in str(found)
 
 
 def test_a_launch_ended_by_this_program_is_stopped() -> None:
     def reason(text: str, ended_here: bool) -> str:
-        return summary_of(printed(QUIET, exit_reason=text), "", ended_here).exit_reason
+        return summary_of(printed(QUIET, exit_reason=text), (), ended_here).exit_reason
 
     assert reason("SIGINT", True) == "stopped"
     assert reason("SIGINT", False) == "SIGINT"  # Ctrl-C elsewhere
@@ -111,19 +119,62 @@ def test_a_launch_ended_by_this_program_is_stopped() -> None:
 
 
 def test_warnings_are_what_a_program_must_not_overlook() -> None:
-    errors = """[launch] the plain tick ran; the compiled one is being made in the background
-[coupling] stability: coupling.laws.pd: pole radius 1.02; to study it anyway, use --force
-[driver] safety: waiting → active at tick 0: the first force
-[left/driver] stopped: active → stopped at tick 432: then run haptic node rearm
-[launch] warning: stability not judged: coupling.plant, the device, is not declared
-[logger] recording: floor_drop.mcap
-"""
-    assert warnings_in(errors) == [
-        "[coupling] stability: coupling.laws.pd: pole radius 1.02; to study it anyway, pass"
-        " force=True",
-        "[left/driver] stopped: active → stopped at tick 432: then call run.rearm()",
-        "[launch] warning: stability not judged: coupling.plant, the device, is not declared",
+    lines = (
+        LogLine("using the plain tick", "launch"),
+        LogLine("pole radius 1.02", "coupling", "stability"),
+        LogLine("waiting → active", "driver", "safety", {"tick": 0.0}),
+        LogLine("active → stopped", "left/driver", "stopped", {"tick": 432.0}),
+        LogLine("stability not judged: no plant", "launch", "warning"),
+        LogLine("a kind that is not ours", "driver", "warning"),
+        LogLine("floor_drop.mcap", "logger", "recording"),
+        LogLine("[driver] stopped: as text, of a library"),
+    )
+    # as the processes write them, between lines of other origin
+    written = "\n".join(["{", *(line.as_json() for line in lines), "Traceback:"])
+    found = warnings_in(read_lines(written))
+    assert [str(one) for one in found] == [
+        "[coupling] stability: pole radius 1.02",
+        "[left/driver] stopped: active → stopped",
+        "[launch] warning: stability not judged: no plant",
     ]
+    assert [(one.node, one.kind, one.data.get("tick")) for one in found] == [
+        ("coupling", "stability", None),
+        ("left/driver", "stopped", 432.0),
+        ("launch", "warning", None),
+    ]
+
+
+def test_a_refusal_is_worded_for_python_by_its_kind() -> None:
+    way = Remedy(AT_MOST, "at most 9 would be accepted", {"k": 9.0})
+    force = Remedy(FORCE, f"to study it anyway, {COMMAND_LINE.force}")
+    with pytest.raises(HapticError) as raised, speaking_python():
+        raise HapticError(f"{interface.get().rearm}: --force").with_remedies(way, force)
+    assert interface.get() is COMMAND_LINE
+    # What is not ours to word stays as it is.
+    assert raised.value.fault == f"{PYTHON.rearm}: --force"
+    assert raised.value.remedies[0] == way
+    assert "force=True" in raised.value.remedies[1].text
+
+
+@pytest.mark.process
+def test_a_command_for_a_program_fails_in_data_and_in_its_words() -> None:
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "nodes.cli.command",
+            "launch",
+            "floor_drop",
+            "stifness:=3",
+        ],
+        env=launch_environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    (line,) = read_lines(done.stderr)
+    assert (done.returncode, line.node, line.kind) == (2, "haptic", "error")
+    assert 'haptic.scenarios()["floor_drop"]' in line.text
 
 
 def texts(folder: Path) -> set[str]:
@@ -146,16 +197,11 @@ def texts(folder: Path) -> set[str]:
 @pytest.mark.parametrize(
     "room", ["coupling", "driver", "laws", "environment", "parameters"]
 )
-def test_no_error_of_a_loop_speaks_of_options_in_python(room: str) -> None:
-    options = [
-        text
-        for text in texts(ROOT / "nodes" / room)
-        if re.search(r"(^|\s)--[a-z]", text)
-    ]
-    assert not [
-        text for text in map(in_python, options) if re.search(r"(^|\s)--force", text)
-    ]
-    assert not [text for text in texts(ROOT / "nodes" / room) if "rearm()" in text]
+def test_no_error_of_a_loop_speaks_of_one_interface(room: str) -> None:
+    """Only interface_words.py writes what differs between command line and Python."""
+    own = {*COMMAND_LINE, *PYTHON}
+    for text in texts(ROOT / "nodes" / room) - own:
+        assert not re.search(r"--force\b|node rearm|rearm\(\)|force=True", text), text
 
 
 def test_errors_of_a_launch_file_are_worded_for_python() -> None:
@@ -174,7 +220,9 @@ def test_an_unstable_run_is_told_as_one() -> None:
         patch.chdir(folder)
         with (
             pytest.warns(haptic.LaunchWarning, match="the loop is unstable"),
-            pytest.warns(haptic.LaunchWarning, match="the loop generates energy"),
+            pytest.warns(
+                haptic.LaunchWarning, match="the loop generates energy"
+            ) as told,
             haptic.launch("wall_press", stiffness=9000, pace="lockstep") as run,
         ):
             summary: RunSummary = run.wait()
@@ -182,3 +230,7 @@ def test_an_unstable_run_is_told_as_one() -> None:
         assert summary.stopped_at_tick == played.stopped_at_tick
         assert summary.exit_reason == f"loop stopped at tick {played.stopped_at_tick}"
         assert "generates energy" in summary.stopped_why
+        assert "then call run.rearm(), or launch again" in summary.stopped_why
+        stop = next(one for one in summary.warnings if one.kind == "stopped")
+        assert stop.data["tick"] == summary.stopped_at_tick
+        assert str(stop) in {str(one.message) for one in told}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nodes.environment.shapes.kinds import Touchable
+from nodes.environment.shapes.touchable import Touchable
 from nodes.environment.surfaces import parse_surface
 from nodes.launcher import launch_file
 from sim.play.player import play
