@@ -1,4 +1,4 @@
-"""What every shape has: solids and regions, a proxy with memory, factors, friction and motion."""
+"""What shapes share: solids and regions, proxies with memory, factors, friction, motion."""
 
 from __future__ import annotations
 
