@@ -179,6 +179,28 @@ def test_an_equal_program_is_a_change_of_a_line_that_stands_there(
     )
 
 
+@pytest.mark.parametrize(
+    ("test", "changed"),
+    [
+        ("x > 1.0 + 1e-6", False),
+        ("abs(x - 1.0) <= 1e-9 * y", False),
+        ("x > 2e-6", True),
+        ("x >= 0.0", True),
+        ("x == 1e-9", True),
+        ("x < 1", True),
+    ],
+)
+def test_a_margin_for_rounding_has_no_sides(
+    tmp_path: Path, test: str, changed: bool
+) -> None:
+    """Its numbers are changed all the same."""
+    file = tmp_path / "rule.py"
+    file.write_text(f"is_so = {test}\n", encoding="utf-8")
+    found = [one.old for one in all_of(file, tmp_path)]
+    assert any(one in ("<", "<=", ">", ">=", "==") for one in found) is changed
+    assert len(found) > int(changed)
+
+
 def test_files_are_tried_before_the_rest_of_their_folders() -> None:
     (law,) = (one for one in draw(400, "one", ["nodes/laws"])[:1])
     tests = (*("tests/test_house.py", "tests/test_imports.py"), "tests/a", "tests/c")

@@ -98,7 +98,8 @@ def test_slow_motion_feels_a_spring_and_a_damper(law: CompiledLaw) -> None:
     """On a ramp of 1 m/s, long after its start, the force is K t + B."""
     stiffness, damping = slow(law, T)
     ticks = 400  # 0.9⁴⁰⁰ is 5e-19
-    ramp = rendered(law, np.arange(ticks) * T)
+    times: Array = np.arange(ticks, dtype=np.float64) * T
+    ramp = rendered(law, times)
     size = sum(map(abs, law.taps)) + sum(
         (abs(b0) + abs(b1)) / (1.0 + a1 + a2) ** 2 for b0, b1, a1, a2 in law.sections
     )

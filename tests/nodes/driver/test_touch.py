@@ -36,6 +36,14 @@ def connected(path: Path | str, **parameters: Any) -> TouchDevice:
     return device
 
 
+def test_what_is_waited_for_is_said_once() -> None:
+    device, said = TouchDevice(TouchDriverParameters()), list[str]()
+    device.say = said.append
+    for what in ("the service", "the service", "calibration", "the service"):
+        device.wait_for(what)
+    assert said == ["Touch: the service", "Touch: calibration", "Touch: the service"]
+
+
 @needs_cc
 def test_calibration_comes_before_forces(fake: Bench) -> None:
     fake.world.state.forces = 1  # on by default in the vendor's library

@@ -126,7 +126,10 @@ def test_drops_are_counted_law_by_law(capsys: pytest.CaptureFixture[str]) -> Non
     assert exit_code("study", "edge", "--drops", "0") == 2
 
 
-@pytest.mark.parametrize(("theta", "decay"), [(0.2, 0.98), (1.0, 0.999), (0.4, 1.01)])
+@pytest.mark.parametrize(
+    ("theta", "decay"),
+    [(0.2, 0.98), (1.0, 0.999), (0.4, 1.01), (1.5, 0.5), (2.5, 0.35), (0.6, 1.045)],
+)
 def test_a_swing_is_fitted_exactly(theta: float, decay: float) -> None:
     k = np.arange(120)
     fit = ringing(-1e-3 + 1e-4 * decay**k * np.cos(theta * k + 0.3))

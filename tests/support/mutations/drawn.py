@@ -16,7 +16,7 @@ from typing import Final
 
 from tests.support import ROOT
 from tests.support.mutations.mutation import Mutation
-from tests.support.mutations.unnoticed import children, is_equivalent
+from tests.support.mutations.unnoticed import children, is_equivalent, is_margin
 
 ROOMS: Final = {
     room: (f"tests/{room}",)
@@ -86,7 +86,8 @@ class _Places:
             and type(node.ops[0]) in _COMPARED
         ):
             old, new = _COMPARED[type(node.ops[0])]
-            yield from self._between(node.left, node.comparators[0], old, new)
+            if old in ("==", "!=") or not is_margin(node):
+                yield from self._between(node.left, node.comparators[0], old, new)
         elif isinstance(node, ast.BinOp) and type(node.op) in _COMPUTED:
             if not isinstance(node.left, (ast.JoinedStr,)) and not _is_text(node):
                 yield from self._between(

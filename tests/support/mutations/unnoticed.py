@@ -19,6 +19,8 @@ LOOKS: Final = frozenset(
     (
         *(
             "alpha",
+            "bbox_to_anchor",
+            "borderaxespad",
             "dpi",
             "figsize",
             "fontsize",
@@ -200,6 +202,23 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         for name in "abcde"
     ),
 )
+
+
+MARGIN: Final = 1e-6
+"""Largest number that a comparison adds or multiplies for rounding."""
+
+
+def is_margin(node: ast.Compare) -> bool:
+    """Return whether a comparison has a margin for rounding.
+
+    A value that lies on such a bound to the last bit is on neither side of it.
+    """
+    return any(
+        isinstance(one, ast.Constant)
+        and type(one.value) is float
+        and 0.0 < one.value <= MARGIN
+        for one in ast.walk(node)
+    )
 
 
 def is_left_out(node: ast.AST) -> bool:
