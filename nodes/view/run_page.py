@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
@@ -15,6 +16,8 @@ DRAIN_PERIOD = 1.0 / 60.0
 REST_PERIOD = 0.05  # the same while nothing has moved for REST_AFTER [s]
 REST_AFTER = 1.0  # [s]
 STILL_PERIOD: Final = 0.2  # time between two frames while nothing moves [s]
+# Time after the last request of a page, or its hand's last movement, after which it rests [s].
+RESTED: Final = 1.0
 _NEAR, _WEAK = 1e-5, 5e-3  # differences that a page does not show [m], [N]
 
 
@@ -34,6 +37,22 @@ class Wakes:
         return REST_PERIOD if now - self._moved_at > REST_AFTER else DRAIN_PERIOD
 
 
+class Demand:
+    """What pages ask for now: heavy work that they do not wait for comes after it."""
+
+    def __init__(self) -> None:
+        self._busy_at = -math.inf
+
+    def note(self) -> None:
+        """Note a request, a movement of the hand, or a page that opens."""
+        self._busy_at = time.monotonic()
+
+    @property
+    def rests(self) -> bool:
+        """Whether no page asked for anything in the last `RESTED` seconds."""
+        return time.monotonic() - self._busy_at > RESTED
+
+
 class RunPage:
     """An open page of a running launch."""
 
@@ -42,8 +61,11 @@ class RunPage:
         live: LiveRun,
         hand: SharedHand,
         command: Callable[[dict[str, Any]], Awaitable[Any]],
+        demand: Demand,
     ) -> None:
         self._live, self._hand, self._command = live, hand, command
+        self._demand = demand
+        demand.note()
         self._feed = live.feed
         self._version = self._logged = 0
         self._cursor = self._feed.oldest(HISTORY)
@@ -87,6 +109,7 @@ class RunPage:
 
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; report repeated refusals once, until the page lets go."""
+        self._demand.note()
         refused = self._hand.move(id(self), target)
         document = self._refused
         self._refused = bool(refused)
@@ -94,6 +117,7 @@ class RunPage:
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Execute a request of the page."""
+        self._demand.note()
         return await self._command(request)
 
     def close(self) -> None:

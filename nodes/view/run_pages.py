@@ -24,7 +24,7 @@ from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.page_words import in_page_words
-from nodes.view.run_page import DRAIN_PERIOD, RunPage, Wakes
+from nodes.view.run_page import DRAIN_PERIOD, Demand, RunPage, Wakes
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 from nodes.view.shown_surface import ShownSurface
@@ -89,6 +89,7 @@ class RunPages:
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
         self._pace = Wakes()
+        self._demand = Demand()
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -127,7 +128,7 @@ class RunPages:
         )
 
     def _open_page(self) -> RunPage:
-        return RunPage(self.live, self.hand, self.command)
+        return RunPage(self.live, self.hand, self.command, self._demand)
 
     async def command(self, request: dict[str, Any]) -> Any:
         """Execute a page's request off the pages' thread; refusals are in its own terms."""
@@ -284,7 +285,9 @@ class RunPages:
         if live.changed:
             self._start("laws", self._read_laws)
         delay = live.steady_delay.median(live.delay)
-        self._maps.step(self._laws, delay, bool(self.server.pages))
+        if not self.server.draws_first:
+            is_seen = bool(self.server.pages)
+            self._maps.step(self._laws, delay, is_seen, is_seen and self._demand.rests)
         # A virtual device is exactly the declared one; a real loop may ring all the same.
         live.rests = self._is_exact and self._maps.says_stable(self._laws, delay)
 

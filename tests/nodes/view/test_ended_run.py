@@ -18,7 +18,7 @@ from nodes.cli.page import is_demo, with_view
 from nodes.launcher import launch_file
 from nodes.view.ended_run import wait_for_page
 from nodes.view.live import Facts, LiveRun
-from nodes.view.run_page import STILL_PERIOD, RunPage
+from nodes.view.run_page import STILL_PERIOD, Demand, RunPage
 from tests.support.live_page import live, texts
 
 
@@ -89,7 +89,7 @@ def test_frames_are_seldom_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) 
     facts = Facts("r", "s", "", 0.002, "realtime", "on_arrival", ["x"], "driver")
     run, now = LiveRun(facts), [100.0]
     monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
-    page = RunPage(run, None, None)  # type: ignore[arg-type]
+    page = RunPage(run, None, None, Demand())  # type: ignore[arg-type]
     sent = []
     for k in range(100):
         now[0] += 0.02
