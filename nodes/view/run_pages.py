@@ -101,6 +101,7 @@ class RunPages:
             "compares": self._comparison.there,
             "sings": self._sings(),
             "opens": True,
+            "hides": True,
             "delays": self._commander.delays,
             "shape": self._shown.shape(stopping),
         }
@@ -206,7 +207,9 @@ class RunPages:
                 if self._commander.records:
                     self._start("recorder", self._look_at_recorder)
                 between()
-                await asyncio.sleep(self._pace.pause(self.live.feed.state))
+                self._demand.was_read()
+                pause = self._pace.pause(self.live.feed.state, self._demand.rests)
+                await self._demand.pause(pause)
             await self._finish()
         finally:
             loop = asyncio.get_running_loop()
@@ -231,7 +234,8 @@ class RunPages:
         if state is None or self.live.ended:
             return
         self.hand.step(state.target)
-        self._comparison.step(time.monotonic(), self.live.delay)
+        if self._demand.viewers:
+            self._comparison.step(time.monotonic(), self.live.delay)
         if self.server.pages:
             self._show_bodies()
             side = proxy.normal[axis] if proxy is not None else 0.0
@@ -271,6 +275,7 @@ class RunPages:
         # The environment has ended, so these poses are final.
         self._show_bodies()
         self.live.tick(time.monotonic())
+        self._demand.was_read()
         self.seen_to_the_end = self.server.pages
         if self.server.pages:
             await asyncio.sleep(FINAL)
@@ -286,7 +291,7 @@ class RunPages:
             self._start("laws", self._read_laws)
         delay = live.steady_delay.median(live.delay)
         if not self.server.draws_first:
-            is_seen = bool(self.server.pages)
+            is_seen = bool(self._demand.viewers)
             self._maps.step(self._laws, delay, is_seen, is_seen and self._demand.rests)
         # A virtual device is exactly the declared one; a real loop may ring all the same.
         live.rests = self._is_exact and self._maps.says_stable(self._laws, delay)

@@ -55,6 +55,9 @@ class Page(Protocol):
     def news(self) -> list[str | bytes]:
         """Return everything not sent yet."""
 
+    async def due(self) -> None:
+        """Wait until there may be news; at least `SEND_PERIOD` if nothing tells."""
+
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; return an error or an empty string."""
 
@@ -254,7 +257,7 @@ class PageServer:
                     await connection.send(item)
                     if isinstance(item, bytes):
                         self._first_until = 0.0
-                await asyncio.sleep(SEND_PERIOD)
+                await shown.page.due()
 
 
 class Shown:

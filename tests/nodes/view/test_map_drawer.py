@@ -12,8 +12,9 @@ from websockets.asyncio.client import connect
 from nodes.view import map_drawer
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.run_page import RESTED, Demand
-from nodes.view.server import PageServer
+from nodes.view.server import SEND_PERIOD, PageServer
 from nodes.view.stability_map import map_in_steps
+from tests.support.coroutines import complete
 
 T = 0.002
 PD = {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}
@@ -86,7 +87,7 @@ def test_limits_for_moving_worlds_wait_until_the_page_rests(
         drawn.step(rests=True, stiffness=900.0)
         await drawn.job()
 
-    asyncio.run(play())
+    complete(play())
     drawn.drawer.close()
     assert ["any_world" in one for one in drawn.maps] == [False, False, True]
     assert drawn.points == sum(1 for _ in map_in_steps(PD, T, PLANT, {}, 1.0)) - 1
@@ -113,6 +114,10 @@ class OnePicture:
     def news(self) -> list[str | bytes]:
         """Return a document, or a frame."""
         return [b"frame"] if self.allowed else ["hello"]
+
+    async def due(self) -> None:
+        """Wait for nothing but the next look."""
+        await asyncio.sleep(SEND_PERIOD)
 
     def hand(self, target: list[float] | None) -> str:
         """Accept any target."""
@@ -159,4 +164,4 @@ def test_a_first_picture_is_sent_before_heavy_work(
             assert not server.draws_first
         await server.stop()
 
-    asyncio.run(play())
+    complete(play())
