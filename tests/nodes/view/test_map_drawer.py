@@ -9,11 +9,15 @@ from urllib.request import urlopen
 import pytest
 from websockets.asyncio.client import connect
 
+from nodes.launcher import launch_file
+from nodes.launcher.runs import RunInfo
 from nodes.view import map_drawer
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.run_page import RESTED, Demand
+from nodes.view.run_pages import RunPages
 from nodes.view.server import SEND_PERIOD, PageServer
-from nodes.view.stability_map import map_in_steps
+from nodes.view.stability_map import ANY_DELAYS, ANY_NEAR, map_in_steps
+from sim.play.hops import setup_of
 from tests.support.coroutines import complete
 
 T = 0.002
@@ -90,7 +94,8 @@ def test_limits_for_moving_worlds_wait_until_the_page_rests(
     complete(play())
     drawn.drawer.close()
     assert ["any_world" in one for one in drawn.maps] == [False, False, True]
-    assert drawn.points == sum(1 for _ in map_in_steps(PD, T, PLANT, {}, 1.0)) - 1
+    # One step per point, and one with the map.
+    assert drawn.points == ANY_NEAR + ANY_DELAYS + 1
 
 
 def test_a_page_rests_once_it_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,5 +168,53 @@ def test_a_first_picture_is_sent_before_heavy_work(
         with await asyncio.to_thread(urlopen, server.url):
             assert not server.draws_first
         await server.stop()
+
+    complete(play())
+
+
+class NoMessages:
+    """A subscription to a run that sends nothing."""
+
+    def receive(self, timeout_ms: int) -> None:
+        """Return None."""
+
+
+def test_pages_start_no_map_before_the_first_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("nodes.view.server.PICTURE_FIRST", 3600.0)
+    launch = launch_file.read("floor_drop", {})
+    nodes = {name: setup_of(launch, name) for name in launch.nodes}
+    run = RunInfo(run="r", scenario="s", launcher=0, nodes=nodes)
+    page = OnePicture()
+
+    async def play() -> None:
+        pages = RunPages(run, NoMessages())  # type: ignore[arg-type]
+        pages._laws = {"active": "pd", "laws": {"pd": PD}, "plant": PLANT}
+        pages.live.changed = pages.live.reshaped = False
+        stepped: list[tuple[bool, bool]] = []
+
+        def step(laws: Any, delay: float, is_seen: bool, rests: bool) -> None:
+            del laws, delay
+            stepped.append((is_seen, rests))
+
+        pages._maps.step = step  # type: ignore[method-assign]
+        await pages.server.start()
+        pages._refresh()
+        assert stepped == []
+        pages.server._open_page = lambda: page
+        page.allowed = True
+        async with connect(pages.server.url.replace("http:", "ws:") + "live") as socket:
+            while not isinstance(await socket.recv(), bytes):
+                pass
+            pages._refresh()
+        assert stepped == [(False, False)]
+        # A page that somebody sees, and that asks for nothing any more.
+        pages._demand.viewers.add(1)
+        pages._refresh()
+        pages._demand.note()
+        pages._refresh()
+        assert stepped[1:] == [(True, True), (True, False)]
+        await pages.run(lambda: True, lambda: None)
 
     complete(play())
