@@ -108,9 +108,12 @@ def _static(arguments: argparse.Namespace) -> int:
 
 
 def _beside(found: RunInfo, arguments: argparse.Namespace, ended: list[int]) -> int:
+    from nodes.base.realtime import quiet_interpreter
     from nodes.recording.logger import QUEUE
     from nodes.view.run_pages import RunPages
 
+    # A map that is being computed must not delay an answer by 5 ms at each of its steps.
+    quiet_interpreter()
     # Threads started here inherit a processor set without the loop's.
     with listening(found, set(found.publishers().values()), [""], QUEUE) as (
         inbox,

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from nodes.view.commands import CommandError
-from nodes.view.server import PageServer
+from nodes.view.server import SEND_PERIOD, PageServer
 
 # Time without a page after which nobody is waited for; a page tries again every 2 s [s].
 ABSENCE = 5.0
@@ -32,6 +32,10 @@ class EndedPage:
         news = self._news
         self._news = []
         return news
+
+    async def due(self) -> None:
+        """Wait for nothing but the next look."""
+        await asyncio.sleep(SEND_PERIOD)
 
     def hand(self, target: list[float] | None) -> str:
         """Ignore the hand, which has nothing to move."""

@@ -1,27 +1,29 @@
 """Map and edges of a running launch, computed on a thread when something changed.
 
 First the plane of the active law and the edges of all laws (0.1 s); the limits for moving worlds
-follow when nothing newer is wanted.
+(0.4 s) follow point by point while the page rests, so that neither a page's first picture nor an
+answer to it waits for them.
 """
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
 from messages.errors import HapticError
 from nodes.view.law_edges import edges_of_laws, rests_of_laws
-from nodes.view.stability_map import drawn_map, plant_of, with_inertia
+from nodes.view.stability_map import map_in_steps, plant_of, with_inertia
 
 MAP_PERIOD = 0.25  # shortest time between two maps [s]
 # Changes of the delay below this do not redraw the map [ticks], and as a part of the delay.
 STEADY, STEADY_SHARE = 0.02, 0.05
+_NO_MORE: Final[dict[str, Any]] = {}  # after the last step of a map
 
 
 class _Inputs(NamedTuple):
@@ -67,8 +69,9 @@ class MapDrawer:
         self._thread = ThreadPoolExecutor(1, "map")
         self._drawn: _Inputs | None = None  # what the present map shows
         self._map: dict[str, Any] = {}
-        self._seen: Any = None  # masses that the device reported for it
-        self._is_whole = False  # whether the limits for moving worlds are in it
+        # The rest of its computation: the limits for moving worlds; None once they are in it.
+        self._steps: Iterator[dict[str, Any] | None] | None = None
+        self._rests = False  # whether the page rests
         self._begun_at = 0.0
         self._edges: dict[str, float | None] = {}  # by description and device
         self._job: asyncio.Task[None] | None = None
@@ -82,8 +85,14 @@ class MapDrawer:
             and bool(self._map.get("stable"))
         )
 
-    def step(self, laws: Mapping[str, Any], delay: float, is_seen: bool) -> None:
-        """Start what is due; after the first map only while a page `is_seen`."""
+    def step(
+        self, laws: Mapping[str, Any], delay: float, is_seen: bool, rests: bool
+    ) -> None:
+        """Start what is due; after the first map only while a page `is_seen`.
+
+        The limits for moving worlds are computed while the page `rests`.
+        """
+        self._rests = rests
         wanted = _inputs(laws, delay)
         now = time.monotonic()
         if wanted is None or (self._job is not None and not self._job.done()):
@@ -95,40 +104,40 @@ class MapDrawer:
                 return
             self._begun_at = now
             job = self._draw(wanted)
-        elif is_seen and not self._is_whole:
-            job = self._add_moving(wanted)
+        elif rests and self._steps is not None:
+            job = self._add_moving(wanted, self._steps)
         else:
             return
         self._job = asyncio.get_running_loop().create_task(job)
 
     async def _draw(self, wanted: _Inputs) -> None:
         self._drawn = wanted
-        self._is_whole = False
+        self._steps = None
         self._map = {}
-        self._seen = await self._inertia()
-        edges = await self._on_thread(
-            self._edges_of, wanted, self._driver_with(wanted.own)
-        )
+        seen = await self._inertia()
+        driver = self._driver_with(wanted.own)
+        edges = await self._on_thread(self._edges_of, wanted, driver, seen)
         self._put("edges", {"device_delay": wanted.own, **edges})
-        self._map = await self._on_thread(self._plane(wanted), moving=False)
+        described = wanted.laws[wanted.active]
+        self._steps = map_in_steps(
+            described, self._period, wanted.plant, driver, wanted.delay, seen
+        )
+        self._map = await self._on_thread(next, self._steps)
         self._show(wanted)
 
-    async def _add_moving(self, wanted: _Inputs) -> None:
-        self._is_whole = True
-        if "edge" in self._map:
-            self._map = await self._on_thread(self._plane(wanted), begun=self._map)
-            self._show(wanted)
-
-    def _plane(self, wanted: _Inputs) -> partial[dict[str, Any]]:
-        return partial(
-            drawn_map,
-            wanted.laws[wanted.active],
-            self._period,
-            wanted.plant,
-            self._driver_with(wanted.own),
-            wanted.delay,
-            self._seen,
-        )
+    async def _add_moving(
+        self, wanted: _Inputs, steps: Iterator[dict[str, Any] | None]
+    ) -> None:
+        """Compute point by point; what is left when the page no longer rests stays for later."""
+        while self._rests:
+            found = await self._on_thread(next, steps, _NO_MORE)
+            if found is None:
+                continue
+            self._steps = None
+            if found is not _NO_MORE:
+                self._map = found
+                self._show(wanted)
+            return
 
     def _show(self, wanted: _Inputs) -> None:
         self._put(
@@ -147,11 +156,13 @@ class MapDrawer:
         job = partial(work, *words, **more)
         return await asyncio.get_running_loop().run_in_executor(self._thread, job)
 
-    def _edges_of(self, wanted: _Inputs, driver: Mapping[str, Any]) -> dict[str, Any]:
+    def _edges_of(
+        self, wanted: _Inputs, driver: Mapping[str, Any], seen: Mapping[str, Any] | None
+    ) -> dict[str, Any]:
         """Return edge and H(1) of each law; those that did not change are kept."""
         rest = rests_of_laws(wanted.laws, self._period)
         try:
-            plant = with_inertia(plant_of(wanted.plant, driver), self._seen)
+            plant = with_inertia(plant_of(wanted.plant, driver), seen)
         except (HapticError, ValueError, msgspec.ValidationError):
             plant = None
         if plant is None:

@@ -40,7 +40,7 @@ from nodes.recording.writer import RecordError
 from nodes.view.commands import CommandError
 from nodes.view.feed import Feed
 from nodes.view.live import HISTORY, Facts, LiveRun
-from nodes.view.server import Page, PageServer
+from nodes.view.server import SEND_PERIOD, Page, PageServer
 from nodes.view.stability_map import drawn_map
 
 if TYPE_CHECKING:
@@ -558,6 +558,10 @@ class ReplayPage:
             self._void = False
             self._shown = at
         return found
+
+    async def due(self) -> None:
+        """Wait until its time has gone on."""
+        await asyncio.sleep(SEND_PERIOD)
 
     def hand(self, target: list[float] | None) -> str:
         """Refuse the hand: this is a recording."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import math
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
@@ -15,23 +18,77 @@ DRAIN_PERIOD = 1.0 / 60.0
 REST_PERIOD = 0.05  # the same while nothing has moved for REST_AFTER [s]
 REST_AFTER = 1.0  # [s]
 STILL_PERIOD: Final = 0.2  # time between two frames while nothing moves [s]
+# Time after the last request of a page, or its hand's last movement, after which it rests [s].
+RESTED: Final = 1.0
 _NEAR, _WEAK = 1e-5, 5e-3  # differences that a page does not show [m], [N]
 
 
+def _visible(state: DeviceState) -> tuple[float, ...]:
+    """Return lengths and forces of a state, scaled so that a difference of 1 can be seen."""
+    lengths = (*state.position, *state.target)
+    return (*(x / _NEAR for x in lengths), *(f / _WEAK for f in state.force))
+
+
+def _differs(values: tuple[float, ...], before: tuple[float, ...]) -> bool:
+    """Whether a difference can be seen; a loop at rest still changes in the last digits."""
+    return not before or any(
+        abs(new - old) > 1.0 for new, old in zip(values, before, strict=True)
+    )
+
+
 class Wakes:
-    """How often messages are read: less often while nothing moves."""
+    """How often messages are read: less often while nothing visible moves."""
 
     def __init__(self) -> None:
-        self._place: Any = None  # position, force and target at the last look
+        self._shown: tuple[float, ...] = ()
         self._moved_at = 0.0
 
-    def pause(self, state: DeviceState | None) -> float:
-        """Return the time until the next messages are read [s]."""
+    def pause(self, state: DeviceState | None, rests: bool) -> float:
+        """Return the time until the next messages are read [s]; short unless the page `rests`."""
         now = time.monotonic()
-        place = (state.position, state.force, state.target) if state else None
-        if place != self._place:
-            self._place, self._moved_at = place, now
-        return REST_PERIOD if now - self._moved_at > REST_AFTER else DRAIN_PERIOD
+        if state is not None and _differs(values := _visible(state), self._shown):
+            self._shown = values
+            self._moved_at = now
+        slow = rests and now - self._moved_at > REST_AFTER
+        return REST_PERIOD if slow else DRAIN_PERIOD
+
+
+class Demand:
+    """What pages ask for now: heavy work that they do not wait for comes after it."""
+
+    def __init__(self) -> None:
+        self._busy_at = -math.inf
+        self._asked = asyncio.Event()
+        self._read = asyncio.Event()
+        self.viewers: set[int] = set()  # pages that somebody can see
+
+    def note(self) -> None:
+        """Note a request, a movement of the hand, or a page that opens."""
+        self._busy_at = time.monotonic()
+        self._asked.set()
+
+    @property
+    def rests(self) -> bool:
+        """Whether no page asked for anything in the last `RESTED` seconds."""
+        return time.monotonic() - self._busy_at > RESTED
+
+    async def pause(self, seconds: float) -> None:
+        """Pause; a long pause ends when a page asks for something."""
+        if seconds <= DRAIN_PERIOD:
+            await asyncio.sleep(seconds)
+            return
+        self._asked.clear()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._asked.wait(), seconds)
+
+    def was_read(self) -> None:
+        """Wake the pages: messages were read."""
+        self._read.set()
+        self._read = asyncio.Event()
+
+    async def news(self) -> None:
+        """Wait until messages were read."""
+        await self._read.wait()
 
 
 class RunPage:
@@ -42,8 +99,12 @@ class RunPage:
         live: LiveRun,
         hand: SharedHand,
         command: Callable[[dict[str, Any]], Awaitable[Any]],
+        demand: Demand,
     ) -> None:
         self._live, self._hand, self._command = live, hand, command
+        self._demand = demand
+        demand.viewers.add(id(self))
+        demand.note()
         self._feed = live.feed
         self._version = self._logged = 0
         self._cursor = self._feed.oldest(HISTORY)
@@ -54,7 +115,12 @@ class RunPage:
         self._sent_at = 0.0
 
     def news(self) -> list[str | bytes]:
-        """Return everything not sent yet; frames seldom while nothing moves."""
+        """Return everything not sent yet; frames seldom while nothing moves.
+
+        A page that nobody sees gets nothing until it is seen again, or the run has ended.
+        """
+        if id(self) not in self._demand.viewers and not self._live.ended:
+            return []
         texts, self._version, self._logged = self._live.board.since(
             self._version, self._logged
         )
@@ -73,11 +139,8 @@ class RunPage:
 
     def _may_wait(self, state: DeviceState, now: float) -> bool:
         """Whether nothing moved since the last frame, which is `STILL_PERIOD` old at most."""
-        lengths = (*state.position, *state.target)
-        values = (*(x / _NEAR for x in lengths), *(f / _WEAK for f in state.force))
-        moved = not self._shown or any(
-            abs(new - old) > 1.0 for new, old in zip(values, self._shown, strict=True)
-        )
+        values = _visible(state)
+        moved = _differs(values, self._shown)
         if not moved and now - self._sent_at < STILL_PERIOD and not self._live.ended:
             return True
         if moved:
@@ -87,6 +150,7 @@ class RunPage:
 
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; report repeated refusals once, until the page lets go."""
+        self._demand.note()
         refused = self._hand.move(id(self), target)
         document = self._refused
         self._refused = bool(refused)
@@ -94,8 +158,28 @@ class RunPage:
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Execute a request of the page."""
+        self._demand.note()
+        if request.get("op") == "seen":
+            self._see(request.get("on") is not False)
+            return {}
         return await self._command(request)
+
+    def _see(self, on: bool) -> None:
+        if not on:
+            self._demand.viewers.discard(id(self))
+            return
+        self._demand.viewers.add(id(self))
+        oldest = self._feed.oldest(HISTORY)
+        if self._cursor < oldest:
+            # Earlier bins that it has would not join these.
+            self._cursor = oldest
+            self._void = True
+
+    async def due(self) -> None:
+        """Wait until there may be news."""
+        await self._demand.news()
 
     def close(self) -> None:
         """Release the hand."""
+        self._demand.viewers.discard(id(self))
         self._hand.move(id(self), None)

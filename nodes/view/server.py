@@ -12,6 +12,7 @@ import contextlib
 import logging
 import mimetypes
 import secrets
+import time
 from collections.abc import Callable
 from http import HTTPStatus
 from pathlib import Path
@@ -35,6 +36,9 @@ FAR = 1e6  # limit of a hand's target [m]
 MAX_REQUEST = 1 << 18  # limit of a request: a law of thousands of taps fits [bytes]
 MAX_PAGES = 16  # limit of open pages
 MAX_WAITING = 8  # limit of pending requests per page
+# Longest time that a first picture has for itself, from the start of the server or the request of
+# a page [s].
+PICTURE_FIRST = 0.5
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -50,6 +54,9 @@ class Page(Protocol):
 
     def news(self) -> list[str | bytes]:
         """Return everything not sent yet."""
+
+    async def due(self) -> None:
+        """Wait until there may be news; at least `SEND_PERIOD` if nothing tells."""
 
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; return an error or an empty string."""
@@ -122,6 +129,7 @@ class PageServer:
         self.port = 0  # port once started
         self.pages = 0  # open pages
         self.turned_away = 0  # requests without the token, or from another origin
+        self._first_until = 0.0  # until when a first picture is awaited
         self._open_page = open_page
         # The page of a file that a page sent, by path and name; None if it accepts none.
         self._opened = opened
@@ -132,6 +140,11 @@ class PageServer:
     def url(self) -> str:
         """Return the URL of the page."""
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
+
+    @property
+    def draws_first(self) -> bool:
+        """Whether a page is coming that has no picture yet; heavy work waits for it."""
+        return time.monotonic() < self._first_until
 
     async def start(self, port: int = 0) -> None:
         """Start serving."""
@@ -154,6 +167,7 @@ class PageServer:
             logger=quiet,
         )
         self.port = next(iter(self._server.sockets)).getsockname()[1]
+        self._first_until = time.monotonic() + PICTURE_FIRST
 
     async def stop(self) -> None:
         """Close all pages and stop serving."""
@@ -194,6 +208,8 @@ class PageServer:
         found = self._files.get(name or "index.html")
         if found is None:
             return _text(HTTPStatus.NOT_FOUND, f"There is no {name[:100]}.\n")
+        if not name:
+            self._first_until = time.monotonic() + PICTURE_FIRST
         return _response(HTTPStatus.OK, *found)
 
     async def _page(self, connection: ServerConnection) -> None:
@@ -239,7 +255,9 @@ class PageServer:
             while True:
                 for item in shown.page.news():
                     await connection.send(item)
-                await asyncio.sleep(SEND_PERIOD)
+                    if isinstance(item, bytes):
+                        self._first_until = 0.0
+                await shown.page.due()
 
 
 class Shown:

@@ -2,13 +2,14 @@
 
 Computed with the project's exact methods (sim/THEORY.md §3), for the declared device and the
 measured delay. It runs in the view's process, off the chain's core: a map takes 0.1 s, the limits
-for moving worlds 0.4 s more, so they are added when the page rests (`with_moving_worlds`).
+for moving worlds 0.4 s more, so they are added point by point when the page rests
+(`moving_worlds`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -246,6 +247,19 @@ def with_moving_worlds(
     found: dict[str, Any], law: Law, period: float, plant: PlantParameters, delay: float
 ) -> dict[str, Any]:
     """Return a map with the limits for moving worlds; the same map where it has no plane."""
+    points = moving_worlds(found, law, period, plant, delay)
+    while True:
+        try:
+            next(points)
+        except StopIteration as done:
+            whole: dict[str, Any] = done.value
+            return whole
+
+
+def moving_worlds(
+    found: dict[str, Any], law: Law, period: float, plant: PlantParameters, delay: float
+) -> Generator[None, None, dict[str, Any]]:
+    """Compute `with_moving_worlds` a point at a time (16 ms each); the map is what it returns."""
     world = _moving(plant)
     if world is None or "edge" not in found:
         return found
@@ -262,50 +276,59 @@ def with_moving_worlds(
     delays = ((over[-1][0] or 0.0) * np.linspace(0.0, 1.0, ANY_DELAYS) ** 2).tolist()
     heavy = _heavy(plant, some[0]) if isinstance(world, SteppedTool) else None
     about = world.about if heavy is None else f"{world.about}, or {heavy.about}"
+    here = _certified(law, some, world, plant)
+    over_gains: list[list[float | None]] = []
+    for gain in gains:
+        yield
+        over_gains.append([gain, _certified(_at(law, gain), some, world, plant)])
+    over_delays: list[list[float | None]] = []
+    for later in delays:
+        yield
+        late = [replace(device, delay=later) for device in some]
+        over_delays.append([later, _certified(law, late, world, plant)])
     return found | {
         "world": about,
         "stepped": isinstance(world, SteppedTool),
-        "k_max_any_world_n_per_m": _certified(law, some, world, plant),
-        "any_world": [
-            [gain, _certified(_at(law, gain), some, world, plant)] for gain in gains
-        ],
-        "any_world_over_delay": [
-            [
-                later,
-                _certified(
-                    law, [replace(device, delay=later) for device in some], world, plant
-                ),
-            ]
-            for later in delays
-        ],
+        "k_max_any_world_n_per_m": here,
+        "any_world": over_gains,
+        "any_world_over_delay": over_delays,
     }
 
 
-def drawn_map(
+def map_in_steps(
     described: Mapping[str, Any],
     period: float,
     declared: Any,
     driver: Mapping[str, Any],
     delay: float,
     inertia: Mapping[str, Any] | None = None,
-    moving: bool = True,
-    begun: dict[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Return the map for a page, or why there is none; `inertia` holds the device's masses.
+) -> Iterator[dict[str, Any] | None]:
+    """Compute the map for a page in steps, or why there is none.
 
-    `moving` adds the limits for moving worlds, to the map `begun` if it is given.
+    First comes the plane of the law (0.1 s), then None per further point (16 ms), at last the map
+    with the limits for moving worlds. `inertia` holds the device's masses.
     """
     try:
         plant = with_inertia(plant_of(declared, driver), inertia)
         if plant is None:
-            return {
+            yield {
                 "why": (
                     "No map: the device is not declared. Set plant of the coupling in the launch"
                     " file, for example plant: {mass: 0.1, damping: 1.0}."
                 )
             }
+            return
         law = parse_law(described, "law")
-        found = begun or stability_map(law, period, plant, delay)
-        return with_moving_worlds(found, law, period, plant, delay) if moving else found
+        found = stability_map(law, period, plant, delay)
+        yield found
+        whole = yield from moving_worlds(found, law, period, plant, delay)
+        if whole is not found:
+            yield whole
     except (HapticError, ValueError, ArithmeticError, msgspec.ValidationError) as error:
-        return {"why": f"No map: {error}"}
+        yield {"why": f"No map: {error}"}
+
+
+def drawn_map(*inputs: Any) -> dict[str, Any]:
+    """Return the map of `map_in_steps` at once."""
+    *_, found = filter(None, map_in_steps(*inputs))
+    return found

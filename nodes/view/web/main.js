@@ -129,6 +129,7 @@ const link = new Link({
     replay.start(found);
     if (found.replay && wanted) goToLink();
     if (found.notice) status.tell(found.notice);
+    if (document.hidden) seen();
     document.body.dataset.ready = found.run;
   },
   reset() { log.clear(); plots.marks.length = 0; plots.dirty = true; },
@@ -461,13 +462,17 @@ for (const event of ["pointerdown", "pointermove", "wheel", "keydown", "click", 
 }
 onTheme(() => { touched = performance.now(); });
 
+function rests(time) { return time - changedAt > RESTING && time - touched > RESTING && !$("lab").open && !slow.on; }
+// At rest without a frame of the screen, which would be composed though nothing is drawn.
+function glance() { if (rests(performance.now())) setTimeout(glance, GLANCE); else requestAnimationFrame(draw); }
+
 function draw(time) {
-  const rests = time - changedAt > RESTING && time - touched > RESTING && !$("lab").open && !slow.on;
-  if (rests) setTimeout(() => requestAnimationFrame(draw), GLANCE); else requestAnimationFrame(draw);
+  if (rests(time)) { setTimeout(glance, GLANCE); return; }
+  requestAnimationFrame(draw);
   const past = slow.window(), held = scene.held !== null || space.held !== null;
   const lively = held || (past && past.at < past.sight[1]) || time - touched < LIVELY;
   // Also while the hand is kept where it is.
-  if (rests || (!lively && (time - link.heard > LIVELY || time - drawn < HALF))) return;
+  if (!lively && (time - link.heard > LIVELY || time - drawn < HALF)) return;
   drawn = time;
   if (past) { const then = slow.now(past.at); scene.show(then); space.show(then); }
   if ($("space").hidden) scene.draw();
@@ -486,6 +491,10 @@ function draw(time) {
 }
 requestAnimationFrame(draw);
 setInterval(() => { scene.tell(); space.tell(); }, 100);
+
+// Nothing is sent to a page that nobody sees or hears.
+function seen() { if (hello?.hides) link.ask({ op: "seen", on: !document.hidden || sound.on }); }
+document.addEventListener("visibilitychange", seen);
 
 // For the console and the tests.
 Object.assign(globalThis, { haptic: { lag, scene, space, section, strip, plots, dial, delay, map, laws, slow, beside, sound, sing, tour } });

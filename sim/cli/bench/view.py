@@ -49,10 +49,11 @@ WITH_WEBGL = [
 ]
 
 COMPILED = 180.0  # longest wait until another law plays beside the launch [s]
-# In the page: time from navigation until scene, plots and laws are shown [ms].
+# In the page: time from navigation until scene, plots and laws, and until the map are shown [ms].
 FIRST = """function look() {
   if (document.body?.dataset.bins > 0 && document.querySelector("#laws input"))\
- window.shown = performance.now();
+ window.shown ??= performance.now();
+  if (window.shown && globalThis.haptic?.map.map) window.mapped = performance.now();
   else requestAnimationFrame(look);
 }
 look();"""
@@ -150,6 +151,17 @@ def _with_page(
         delays["first_picture_s"].append(
             page.wait_for_function("window.shown").json_value() / 1e3
         )
+        delays["map_s"].append(
+            page.wait_for_function("window.mapped").json_value() / 1e3
+        )
+        # As somebody finds it who opens the page again: the last map was kept.
+        again = browser.new_page(bypass_csp=True)
+        again.add_init_script(FIRST)
+        again.goto(url)
+        delays["kept_map_s"].append(
+            again.wait_for_function("window.mapped").json_value() / 1e3
+        )
+        again.close()
         # The full load of a page: dragging, sound, and another law played beside the launch.
         page.locator("#sound").click()
         page.evaluate("haptic.beside.choose('multi_term')")
@@ -189,6 +201,8 @@ def loop_cost(
     halves: dict[str, list[tuple[float, float]]] = {"without": [], "with": []}
     delays: dict[str, list[float]] = {
         "first_picture_s": [],
+        "map_s": [],
+        "kept_map_s": [],
         "switch_s": [],
         "hand_to_picture_s": [],
         "hand_to_force_s": [],
@@ -337,7 +351,9 @@ def _text(figures: dict[str, Any], minutes: float) -> list[str]:
         for name in ("switch_s", "hand_to_picture_s", "hand_to_force_s")
     )
     lines.append(
-        f"first picture {figures['first_picture_s']:.2f} s after the URL; from the hand to the"
+        f"first picture {figures['first_picture_s']:.2f} s after the URL, the map after"
+        f" {figures['map_s']:.2f} s, in a page opened later after"
+        f" {figures['kept_map_s']:.2f} s; from the hand to the"
         f" force {force:.0f} ms, to the picture {hand:.0f} ms; a switch is shown in {switch:.0f}"
         f" ms; memory {kept['after_one_minute_mb']:.1f} MB after one minute,"
         f" {kept['at_the_end_mb']:.1f} MB after {minutes:g}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import struct
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -17,8 +18,17 @@ from messages.types import ZERO, DeviceState
 from nodes.cli.page import is_demo, with_view
 from nodes.launcher import launch_file
 from nodes.view.ended_run import wait_for_page
-from nodes.view.live import Facts, LiveRun
-from nodes.view.run_page import STILL_PERIOD, RunPage
+from nodes.view.live import HISTORY, Facts, LiveRun
+from nodes.view.run_page import (
+    DRAIN_PERIOD,
+    REST_AFTER,
+    REST_PERIOD,
+    STILL_PERIOD,
+    Demand,
+    RunPage,
+    Wakes,
+)
+from tests.support.coroutines import complete
 from tests.support.live_page import live, texts
 
 
@@ -89,7 +99,7 @@ def test_frames_are_seldom_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) 
     facts = Facts("r", "s", "", 0.002, "realtime", "on_arrival", ["x"], "driver")
     run, now = LiveRun(facts), [100.0]
     monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
-    page = RunPage(run, None, None)  # type: ignore[arg-type]
+    page = RunPage(run, None, None, Demand())  # type: ignore[arg-type]
     sent = []
     for k in range(100):
         now[0] += 0.02
@@ -100,3 +110,69 @@ def test_frames_are_seldom_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) 
     # At rest one frame in STILL_PERIOD, and one more at each end; then all of them.
     assert sum(sent[:50]) <= 50 * 0.02 / STILL_PERIOD + 2
     assert sum(sent[50:]) == 50
+
+
+def test_what_changes_in_the_last_digits_rests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop at rest never repeats a position to the bit, so that it was read at full rate."""
+    now = [100.0]
+    monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
+    wakes = Wakes()
+
+    def pause(x: float, rests: bool = True) -> float:
+        now[0] += 0.6 * REST_AFTER
+        place = (x, 0.0, 0.0)
+        state = DeviceState(seq=1, stamp=0.0, position=place, target=place, force=ZERO)
+        return wakes.pause(state, rests)
+
+    assert [pause(1e-9 * k) for k in range(3)] == [DRAIN_PERIOD] * 2 + [REST_PERIOD]
+    # A page that asks is answered at once, and a movement is seen at once.
+    assert pause(0.0, rests=False) == DRAIN_PERIOD
+    assert pause(0.0) == REST_PERIOD
+    assert pause(1e-3) == DRAIN_PERIOD
+    # What creeps moves, too: it is compared with what was last seen.
+    assert [pause(1e-3 + 6e-6 * k) for k in range(6)][2:] == [DRAIN_PERIOD] * 4
+
+
+def test_a_page_that_nobody_sees_gets_nothing_until_it_is_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    facts = Facts("r", "s", "", 0.002, "realtime", "on_arrival", ["x"], "driver")
+    run, now = LiveRun(facts), [100.0]
+    monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
+    demand = Demand()
+    hidden, other = (RunPage(run, None, None, demand) for _ in range(2))  # type: ignore[arg-type]
+
+    def play(ticks: range) -> list[int]:
+        sent = [0, 0]
+        for seq in ticks:
+            place = (1e-3 * seq, 0.0, 0.0)
+            state = DeviceState(seq=seq, stamp=0.0, position=place, force=ZERO)
+            run.keep("/device/state", state, now[0])
+            if seq % 50 == 0:
+                now[0] += 0.1
+                run.tick(now[0])
+                sent = [
+                    many + len(page.news())
+                    for many, page in zip(sent, (hidden, other), strict=True)
+                ]
+        return sent
+
+    def see(on: bool) -> None:
+        complete(hidden.ask({"op": "seen", "on": on}))
+
+    assert all(play(range(200)))
+    see(False)
+    assert len(demand.viewers) == 1
+    nothing, all_of_it = play(range(200, 200 + round(1.2 * HISTORY / 0.002)))
+    assert nothing == 0 < all_of_it
+    see(True)
+    assert len(demand.viewers) == 2
+    *_, frame = hidden.news()
+    kind, count, _, void = struct.unpack_from("<4I", frame)  # type: ignore[arg-type]
+    # It begins anew with what a page that opens now would get.
+    assert (kind, void) == (1, 1)
+    assert count == round(HISTORY / 0.002)
+    see(False)
+    run.end("a test")
+    run.tick(now[0])
+    assert any("a test" in text for text in hidden.news() if isinstance(text, str))

@@ -15,7 +15,7 @@ from messages.types import DeviceState, Force, Proxy
 from nodes.laws.law_fields import all_law_fields
 from nodes.view.feed import Feed
 from nodes.view.live import Facts, LiveRun
-from nodes.view.server import PageServer
+from nodes.view.server import SEND_PERIOD, PageServer
 from tests.support.browser import OpenPage, needs_browser, shown
 from tests.support.launching import wait_for
 
@@ -135,6 +135,10 @@ class ScriptedPage:
         """Return everything not sent yet."""
         found, self.outbox = self.outbox, []
         return found
+
+    async def due(self) -> None:
+        """Wait for nothing but the next look."""
+        await asyncio.sleep(SEND_PERIOD)
 
     def hand(self, target: list[float] | None) -> str:
         """Grant the hand."""
