@@ -53,13 +53,14 @@ class Wakes:
         return REST_PERIOD if slow else DRAIN_PERIOD
 
 
-class Demand:
+class Attention:
     """What pages ask for now: heavy work that they do not wait for comes after it."""
 
     def __init__(self) -> None:
         self._busy_at = -math.inf
         self._asked = asyncio.Event()
         self._read = asyncio.Event()
+        self._wakes = Wakes()
         self.viewers: set[int] = set()  # pages that somebody can see
 
     def note(self) -> None:
@@ -72,8 +73,9 @@ class Demand:
         """Whether no page asked for anything in the last `RESTED` seconds."""
         return time.monotonic() - self._busy_at > RESTED
 
-    async def pause(self, seconds: float) -> None:
-        """Pause; a long pause ends when a page asks for something."""
+    async def pause(self, state: DeviceState | None) -> None:
+        """Pause until messages are to be read; a page that asks ends a long pause."""
+        seconds = self._wakes.pause(state, self.rests)
         if seconds <= DRAIN_PERIOD:
             await asyncio.sleep(seconds)
             return
@@ -99,12 +101,12 @@ class RunPage:
         live: LiveRun,
         hand: SharedHand,
         command: Callable[[dict[str, Any]], Awaitable[Any]],
-        demand: Demand,
+        attention: Attention,
     ) -> None:
         self._live, self._hand, self._command = live, hand, command
-        self._demand = demand
-        demand.viewers.add(id(self))
-        demand.note()
+        self._attention = attention
+        attention.viewers.add(id(self))
+        attention.note()
         self._feed = live.feed
         self._version = self._logged = 0
         self._cursor = self._feed.oldest(HISTORY)
@@ -119,7 +121,7 @@ class RunPage:
 
         A page that nobody sees gets nothing until it is seen again, or the run has ended.
         """
-        if id(self) not in self._demand.viewers and not self._live.ended:
+        if id(self) not in self._attention.viewers and not self._live.ended:
             return []
         texts, self._version, self._logged = self._live.board.since(
             self._version, self._logged
@@ -150,7 +152,7 @@ class RunPage:
 
     def hand(self, target: list[float] | None) -> str:
         """Move the hand's target; report repeated refusals once, until the page lets go."""
-        self._demand.note()
+        self._attention.note()
         refused = self._hand.move(id(self), target)
         document = self._refused
         self._refused = bool(refused)
@@ -158,7 +160,7 @@ class RunPage:
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Execute a request of the page."""
-        self._demand.note()
+        self._attention.note()
         if request.get("op") == "seen":
             self._see(request.get("on") is not False)
             return {}
@@ -166,9 +168,9 @@ class RunPage:
 
     def _see(self, on: bool) -> None:
         if not on:
-            self._demand.viewers.discard(id(self))
+            self._attention.viewers.discard(id(self))
             return
-        self._demand.viewers.add(id(self))
+        self._attention.viewers.add(id(self))
         oldest = self._feed.oldest(HISTORY)
         if self._cursor < oldest:
             # Earlier bins that it has would not join these.
@@ -177,9 +179,9 @@ class RunPage:
 
     async def due(self) -> None:
         """Wait until there may be news."""
-        await self._demand.news()
+        await self._attention.news()
 
     def close(self) -> None:
         """Release the hand."""
-        self._demand.viewers.discard(id(self))
+        self._attention.viewers.discard(id(self))
         self._hand.move(id(self), None)

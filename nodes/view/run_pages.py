@@ -24,7 +24,7 @@ from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.page_words import in_page_words
-from nodes.view.run_page import DRAIN_PERIOD, Demand, RunPage, Wakes
+from nodes.view.run_page import DRAIN_PERIOD, Attention, RunPage
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
 from nodes.view.shown_surface import ShownSurface
@@ -88,8 +88,7 @@ class RunPages:
         self._shown = ShownSurface(run)
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
-        self._pace = Wakes()
-        self._demand = Demand()
+        self._attention = Attention()
         feed = self.live.feed
         document = {
             "series": feed.names,
@@ -129,7 +128,7 @@ class RunPages:
         )
 
     def _open_page(self) -> RunPage:
-        return RunPage(self.live, self.hand, self.command, self._demand)
+        return RunPage(self.live, self.hand, self.command, self._attention)
 
     async def command(self, request: dict[str, Any]) -> Any:
         """Execute a page's request off the pages' thread; refusals are in its own terms."""
@@ -207,9 +206,8 @@ class RunPages:
                 if self._commander.records:
                     self._start("recorder", self._look_at_recorder)
                 between()
-                self._demand.was_read()
-                pause = self._pace.pause(self.live.feed.state, self._demand.rests)
-                await self._demand.pause(pause)
+                self._attention.was_read()
+                await self._attention.pause(self.live.feed.state)
             await self._finish()
         finally:
             loop = asyncio.get_running_loop()
@@ -234,7 +232,7 @@ class RunPages:
         if state is None or self.live.ended:
             return
         self.hand.step(state.target)
-        if self._demand.viewers:
+        if self._attention.viewers:
             self._comparison.step(time.monotonic(), self.live.delay)
         if self.server.pages:
             self._show_bodies()
@@ -275,7 +273,7 @@ class RunPages:
         # The environment has ended, so these poses are final.
         self._show_bodies()
         self.live.tick(time.monotonic())
-        self._demand.was_read()
+        self._attention.was_read()
         self.seen_to_the_end = self.server.pages
         if self.server.pages:
             await asyncio.sleep(FINAL)
@@ -291,8 +289,10 @@ class RunPages:
             self._start("laws", self._read_laws)
         delay = live.steady_delay.median(live.delay)
         if not self.server.draws_first:
-            is_seen = bool(self._demand.viewers)
-            self._maps.step(self._laws, delay, is_seen, is_seen and self._demand.rests)
+            is_seen = bool(self._attention.viewers)
+            self._maps.step(
+                self._laws, delay, is_seen, is_seen and self._attention.rests
+            )
         # A virtual device is exactly the declared one; a real loop may ring all the same.
         live.rests = self._is_exact and self._maps.says_stable(self._laws, delay)
 

@@ -125,6 +125,22 @@ def _drag(page: Any, seconds: float, picture: Path | None = None) -> None:
     page.mouse.up()
 
 
+FIRST_S = {"shown": "first_picture_s", "mapped": "map_s"}
+
+
+def _opened(browser: Any, url: str) -> Any:
+    """Open a page that notes when its first picture and its map are shown."""
+    page = browser.new_page(viewport={"width": 1280, "height": 960}, bypass_csp=True)
+    page.add_init_script(FIRST)
+    page.goto(url)
+    return page
+
+
+def _since_navigation(page: Any, name: str) -> float:
+    """Wait for what the page notes; return when it was, from the navigation [s]."""
+    return float(page.wait_for_function(f"window.{name}").json_value()) / 1e3
+
+
 def _with_page(
     launch: Running,
     browser: Any,
@@ -143,24 +159,12 @@ def _with_page(
     try:
         assert view.stdout is not None  # noqa: S101  # it is a pipe
         url = json.loads(view.stdout.readline())["url"]
-        page = browser.new_page(
-            viewport={"width": 1280, "height": 960}, bypass_csp=True
-        )
-        page.add_init_script(FIRST)
-        page.goto(url)
-        delays["first_picture_s"].append(
-            page.wait_for_function("window.shown").json_value() / 1e3
-        )
-        delays["map_s"].append(
-            page.wait_for_function("window.mapped").json_value() / 1e3
-        )
+        page = _opened(browser, url)
+        for name in ("shown", "mapped"):
+            delays[FIRST_S[name]].append(_since_navigation(page, name))
         # As somebody finds it who opens the page again: the last map was kept.
-        again = browser.new_page(bypass_csp=True)
-        again.add_init_script(FIRST)
-        again.goto(url)
-        delays["kept_map_s"].append(
-            again.wait_for_function("window.mapped").json_value() / 1e3
-        )
+        again = _opened(browser, url)
+        delays["kept_map_s"].append(_since_navigation(again, "mapped"))
         again.close()
         # The full load of a page: dragging, sound, and another law played beside the launch.
         page.locator("#sound").click()

@@ -24,7 +24,7 @@ from nodes.view.run_page import (
     REST_AFTER,
     REST_PERIOD,
     STILL_PERIOD,
-    Demand,
+    Attention,
     RunPage,
     Wakes,
 )
@@ -99,7 +99,7 @@ def test_frames_are_seldom_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) 
     facts = Facts("r", "s", "", 0.002, "realtime", "on_arrival", ["x"], "driver")
     run, now = LiveRun(facts), [100.0]
     monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
-    page = RunPage(run, None, None, Demand())  # type: ignore[arg-type]
+    page = RunPage(run, None, None, Attention())  # type: ignore[arg-type]
     sent = []
     for k in range(100):
         now[0] += 0.02
@@ -139,8 +139,8 @@ def test_a_page_that_nobody_sees_gets_nothing_until_it_is_seen(
     facts = Facts("r", "s", "", 0.002, "realtime", "on_arrival", ["x"], "driver")
     run, now = LiveRun(facts), [100.0]
     monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
-    demand = Demand()
-    hidden, other = (RunPage(run, None, None, demand) for _ in range(2))  # type: ignore[arg-type]
+    attention = Attention()
+    hidden, other = (RunPage(run, None, None, attention) for _ in range(2))  # type: ignore[arg-type]
 
     def play(ticks: range) -> list[int]:
         sent = [0, 0]
@@ -162,11 +162,11 @@ def test_a_page_that_nobody_sees_gets_nothing_until_it_is_seen(
 
     assert all(play(range(200)))
     see(False)
-    assert len(demand.viewers) == 1
+    assert len(attention.viewers) == 1
     nothing, all_of_it = play(range(200, 200 + round(1.2 * HISTORY / 0.002)))
     assert nothing == 0 < all_of_it
     see(True)
-    assert len(demand.viewers) == 2
+    assert len(attention.viewers) == 2
     *_, frame = hidden.news()
     kind, count, _, void = struct.unpack_from("<4I", frame)  # type: ignore[arg-type]
     # It begins anew with what a page that opens now would get.

@@ -13,7 +13,7 @@ from nodes.launcher import launch_file
 from nodes.launcher.runs import RunInfo
 from nodes.view import map_drawer
 from nodes.view.map_drawer import MapDrawer
-from nodes.view.run_page import RESTED, Demand
+from nodes.view.run_page import RESTED, Attention
 from nodes.view.run_pages import RunPages
 from nodes.view.server import SEND_PERIOD, PageServer
 from nodes.view.stability_map import ANY_DELAYS, ANY_NEAR, map_in_steps
@@ -101,13 +101,13 @@ def test_limits_for_moving_worlds_wait_until_the_page_rests(
 def test_a_page_rests_once_it_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [50.0]
     monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
-    demand = Demand()
-    assert demand.rests
-    demand.note()
+    attention = Attention()
+    assert attention.rests
+    attention.note()
     now[0] += RESTED
-    assert not demand.rests
+    assert not attention.rests
     now[0] += 1e-6
-    assert demand.rests
+    assert attention.rests
 
 
 class OnePicture:
@@ -210,9 +210,9 @@ def test_pages_start_no_map_before_the_first_picture(
             pages._refresh()
         assert stepped == [(False, False)]
         # A page that somebody sees, and that asks for nothing any more.
-        pages._demand.viewers.add(1)
+        pages._attention.viewers.add(1)
         pages._refresh()
-        pages._demand.note()
+        pages._attention.note()
         pages._refresh()
         assert stepped[1:] == [(True, True), (True, False)]
         await pages.run(lambda: True, lambda: None)
