@@ -20,7 +20,7 @@ from nodes.recording.bag_table import bag_of, read_bag
 from nodes.recording.foreign_table import ForeignTable, read_foreign
 from nodes.recording.imported_columns import is_own
 from nodes.recording.imported_samples import ImportedSamples, samples_of
-from nodes.recording.writer import RecordError, RecordWriter, discard
+from nodes.recording.writer import IMPORTED_COLUMNS, RecordError, RecordWriter, discard
 
 _NOW = ("lateness", "energy", "guard")  # numbers of a tick that its own state reports
 _LATER = ("changed_at", "response", "delay")  # numbers that the next state reports
@@ -140,7 +140,7 @@ def _manifest(table: ForeignTable, samples: ImportedSamples) -> dict[str, str]:
         "axes": ",".join(samples.axes),
         "imported": str(path),
         "imported_sha256": _digest(path),
-        "imported_columns": json.dumps(samples.sources, ensure_ascii=False),
+        IMPORTED_COLUMNS: json.dumps(samples.sources, ensure_ascii=False),
     }
 
 

@@ -29,7 +29,7 @@ from nodes.recording.plot_panels import (
 from nodes.recording.reader import Recording
 from nodes.recording.series import Lines
 from nodes.recording.summary import Summary, summarise
-from nodes.recording.writer import RecordError, save
+from nodes.recording.writer import IMPORTED_COLUMNS, MANIFEST, RecordError, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,24 +130,32 @@ def figure_of(
         bool((abs(whole.energy.arrays()[1][:, column]) > 0.0).any())
         for column in (0, 1)
     )
-    heights = [1.25, 1.0, *([0.7] if energy else []), 0.9]
+    imported = recording.facts(MANIFEST, IMPORTED_COLUMNS, dict[str, str])
+    # A table may have no forces, and those of other programs have no response times.
+    force = not imported or "force" in imported
+    response = not imported or bool(summary.response_us)
+    heights = [1.25, *([1.0] * force), *([0.7] * energy), *([0.9] * response)]
     figure = new_figure(1.0 + 2.1 * sum(heights))
-    panels = list(figure.subplots(len(heights), 1, height_ratios=heights))
-    shared = panels if lines is whole else panels[:-1]
+    grid = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)
+    panels = list(grid[:, 0])
+    left = iter(panels)
+    shared = panels[:-1] if response and lines is not whole else panels
     for axes in shared[1:]:
         axes.sharex(shared[0])
     for axes in shared[:-1]:
         axes.tick_params(labelbottom=False)
     if len(drawn := whole.axes) > 1:
-        draw_positions(panels[0], lines, drawn)
+        draw_positions(next(left), lines, drawn)
     else:
-        draw_position(panels[0], lines, axis)
+        draw_position(next(left), lines, axis)
         drawn = [axis]
-    draw_force(panels[1], lines, drawn)
+    if force:
+        draw_force(next(left), lines, drawn)
     if energy:
-        draw_energy(panels[2], lines, guard)
+        draw_energy(next(left), lines, guard)
     realtime = recording.manifest.get("pace") != "lockstep"
-    draw_response(panels[-1], whole, summary, realtime)
+    if response:
+        draw_response(next(left), whole, summary, realtime)
     for axes in panels:
         style(axes)
         if not axes.get_legend_handles_labels()[0]:

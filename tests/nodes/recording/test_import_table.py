@@ -15,7 +15,7 @@ from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
 from nodes.recording.export import FORMATS
 from nodes.recording.import_table import Imported, import_table
-from nodes.recording.plot import plot
+from nodes.recording.plot import figure_of, plot
 from nodes.recording.reader import Recording
 from nodes.recording.summary import summarise
 from nodes.recording.table import read
@@ -459,6 +459,26 @@ def test_every_verb_reads_an_imported_recording(tmp_path: Path) -> None:
     assert summarise(Recording(run)).rate_hz == pytest.approx(1000.0, rel=1e-12)
     plot(Recording(run), tmp_path / "rig.png")
     assert (tmp_path / "rig.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("columns", "panels"),
+    [
+        ((TIME, POSITION, FORCE), ["position x [mm]", "force x [N]", "energy [mJ]"]),
+        ((TIME, POSITION), ["position x [mm]"]),
+    ],
+)
+def test_a_plot_of_a_table_has_the_panels_of_its_columns(
+    imported: Callable[..., Imported],
+    columns: tuple[NDArray[Any], ...],
+    panels: list[str],
+) -> None:
+    """Before, an empty response time, and a force of zero that nobody measured."""
+    recording = Recording(imported(lines(*columns)).path)
+    for start in (None, 0.0):
+        figure = figure_of(recording, start)
+        assert [axes.get_ylabel() for axes in figure.axes] == panels
+        assert figure.axes[-1].get_xlabel() == "time [s]"
 
 
 @pytest.mark.parametrize(
