@@ -27,9 +27,8 @@ from nodes.recording import wall_clock
 
 CHUNK_SIZE = 65536  # uncompressed size at which a chunk is finished [bytes]
 MANIFEST = "manifest"
-IMPORTED_COLUMNS = (
-    "imported_columns"  # of the manifest of a table: sources by role, as JSON
-)
+# Of the manifest of a table: sources by role, as JSON.
+IMPORTED_COLUMNS = "imported_columns"
 LAUNCH_FILE = "launch_file"
 PARAMETERS = "parameters"
 VERSIONS = "versions"
