@@ -11,7 +11,7 @@ of this machine could connect to the port. Therefore it is read-only.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -108,6 +108,11 @@ class Bridge:
         # Runs on the library's thread; `_draw` resets the flag before it sends.
         if topic == SCENE:
             self._asked = True
+
+    def replace(self, node: str, parameters: Mapping[str, Any]) -> None:
+        """Draw another surface of environment `node` from the next message on."""
+        self._scene.replace(node, parameters)
+        self._asked = True
 
     def _draw(self, topic: str, message: DeviceState | Proxy) -> None:
         at = self._wall(message)

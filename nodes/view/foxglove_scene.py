@@ -7,6 +7,7 @@ their scene is stepped again as the node did, if MuJoCo and the scene file are a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from messages.topics import DEVICE_STATE, PROXY
-from messages.types import DeviceState, Proxy, Vector
+from messages.topics import DEVICE_STATE, PROXY, message_type
+from messages.types import DeviceState, Event, Proxy, Vector
 from nodes.parameters.store import ParameterError
 from nodes.recording.facts import parameters_of, period_of, refuse_foreign_files
 from nodes.recording.reader import Recording
@@ -33,6 +34,7 @@ LATE = 50
 DEFAULT_PERIOD = 0.002  # sampling period if the manifest has none [s]
 PER_NEWTON = 0.01  # drawn length of a force [m/N]
 _SMALLEST = 0.001
+_UNSEEN = "surface.friction"  # parameters of a surface that change no picture
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
 _LISTS = (
     "arrows",
@@ -73,6 +75,7 @@ SCHEMA: dict[str, Any] = {  # the part of Foxglove's schema that is used here
 }
 
 _STATE: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(DeviceState)
+_EVENT: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 _PROXY: msgspec.json.Decoder[DeviceState | Proxy] = msgspec.json.Decoder(Proxy)
 
 # Okabe and Ito's sky blue, orange, green, and grey: colour-blind safe, as in the figures.
@@ -195,6 +198,7 @@ class DrawnScene:
         recording: Recording | None = None,
     ) -> None:
         self.left_out: list[str] = []  # what cannot be drawn, and why
+        self._replaced: set[str] = set()  # environments whose surface was replaced
         self._surfaces: dict[str, list[Patch]] = {}
         self._radius: dict[str, float] = {}
         self._bodies: dict[str, _Bodies] = {}
@@ -225,9 +229,32 @@ class DrawnScene:
     def still(self, at: int) -> list[dict[str, Any]]:
         """Return the static entities and the text about omissions, at a time [ns]."""
         drawn = [
-            _surface(at, node, found) for node, found in self._surfaces.items() if found
+            _surface(at, node, found)
+            for node, found in self._surfaces.items()
+            if found or node in self._replaced
         ]
         return [*drawn, *self._words(at)]
+
+    def replace(self, node: str, parameters: Mapping[str, Any]) -> None:
+        """Replace the surface of environment `node`; `still` draws it from then on."""
+        self._replaced.add(node)
+        self._surfaces[node] = patches_of(parameters)
+        self._radius[node.rpartition("/")[0]] = tool_radius_of(parameters)
+
+    def forget(self, event: Event, at: int) -> list[dict[str, Any]]:
+        """Return the entities after a recorded replacement, whose surface is not recorded."""
+        node = event.node
+        paths = re.findall(r"surface[.\w\[\]]*", event.reason)
+        looks_the_same = paths and all(path.startswith(_UNSEEN) for path in paths)
+        if node not in self._surfaces or looks_the_same:
+            return []
+        self._replaced.add(node)
+        self._surfaces[node] = []
+        self.left_out.append(
+            f"{node}: its surface was replaced at {event.stamp:.1f} s; a recording has only the"
+            " first one"
+        )
+        return self.still(at)
 
     def _words(self, at: int) -> list[dict[str, Any]]:
         return (
@@ -350,6 +377,10 @@ def export_foxglove(
                 entities += scene.moving(
                     topic, recording.decode(decoder, raw, offset), raw.publish_time
                 )
+            if message_type(topic) is Event:
+                change = recording.decode(_EVENT, raw, offset)
+                if change.kind == "surface":
+                    entities += scene.forget(change, raw.publish_time)
             if entities:
                 update = msgspec.json.encode({"deletions": [], "entities": entities})
                 writer.add_message(channel, raw.log_time, update, raw.publish_time)

@@ -2,7 +2,8 @@
 
 A stroke ends where the force turns back. What the loop generated in a whole cycle, less the work of
 the steady push meanwhile, is positive for every cycle of a loop that sings, at any frequency; a
-surface that is tapped, or a contact that settles, absorbs energy.
+surface that is tapped, or a contact that settles, absorbs energy. A loop that bounces may have two
+unequal pulses, of which one absorbs: then it is positive for two cycles.
 
 `observe_stroke` and `is_ringing` are plain rules: the static page plays them as JavaScript.
 """
@@ -22,7 +23,9 @@ SPAN: Final = 0.1  # shortest ringing that is reported [s]
 SMALLEST_STROKE: Final = 0.1
 STROKE_SHARE: Final = 0.25
 LATELY: Final = 0.3  # time in which the largest force lately is forgotten [s]
-FADING: Final = 0.7  # a stroke below this part of the last one of its direction settles
+# a stroke below this part of the last two of its direction settles
+FADING: Final = 0.7
+TURNS: Final = 4  # turns stored: two cycles
 SMOOTHING: Final = 0.25  # weight of the newest cycle in the frequency
 
 
@@ -38,22 +41,25 @@ class Strokes:
         # Furthest force of this stroke, and time, energy, position and push where it was.
         self.furthest = 0.0
         self.at = [0.0] * 8
-        # The same for the two newest turns.
+        # The same for the newest turns, their forces, and the sizes of the strokes before them [N].
         self.turns = 0
         self.turned_at = 0.0  # force at the newest turn [N]
-        self.turned = [0.0] * 16
-        self.size = 0.0  # size of the newest stroke, and of the one before it [N]
-        self.size_before = 0.0
+        self.turned = [0.0] * 32
+        self.forces = [0.0] * 4
+        self.sizes = [0.0] * 4
         self.strokes = 0  # strokes in a row that generated energy
         self.since = 0.0  # when the first of them began [s]
         self.cycle = 0.0  # smoothed duration of a cycle [s]
-        self.most = 0.0  # larger force of the two newest turns [N]
+        self.most = 0.0  # largest force of the newest turns [N]
 
 
 def forget_strokes(s: Strokes, time: float) -> None:
     """Begin anew, as after a jump of time."""
     s.time = time
-    s.peak = s.furthest = s.turned_at = s.size = s.size_before = 0.0
+    s.peak = s.furthest = s.turned_at = 0.0
+    for i in range(TURNS):
+        s.sizes[i] = 0.0
+        s.forces[i] = 0.0
     s.turns = s.strokes = 0
     s.rising = 1
 
@@ -95,36 +101,61 @@ def observe_stroke(
         mark_furthest(s, time, position, now, energy)
 
 
+def energy_since(s: Strokes, turn: int) -> float:
+    """Return what was generated since a turn, less the work of the steady push meanwhile [J]."""
+    first = 8 * (turn % TURNS)
+    past = s.at[0] - s.turned[first]
+    if past <= 0.0:
+        return 0.0
+    gained = s.at[1] - s.turned[first + 1]
+    for i in range(3):
+        moved = s.at[2 + i] - s.turned[first + 2 + i]
+        gained -= (s.at[5 + i] - s.turned[first + 5 + i]) / past * moved
+    return gained
+
+
 def end_stroke(s: Strokes) -> None:
     """End a stroke where the force was furthest."""
-    # of the turn before the last: the beginning of this cycle
-    first = 8 * (s.turns % 2)
-    cycle = s.at[0] - s.turned[first]
-    gained = s.at[1] - s.turned[first + 1]
-    if s.turns >= 2 and cycle > 0.0:
-        for i in range(3):
-            moved = s.at[2 + i] - s.turned[first + 2 + i]
-            gained -= (s.at[5 + i] - s.turned[first + 5 + i]) / cycle * moved
+    cycle = 0.0
+    period = 0.0
+    gained = 0.0
+    before = 0.0
     size = abs(s.furthest - s.turned_at)
-    lasts = size >= FADING * s.size_before
-    if s.turns >= 2 and 0.0 < cycle <= SLOWEST and gained > 0.0 and lasts:
+    lasts = False
+    if s.turns >= 2:
+        # A cycle began at the turn before the last.
+        cycle = s.at[0] - s.turned[8 * ((s.turns - 2) % TURNS)]
+        period = cycle
+        gained = energy_since(s, s.turns - 2)
+        before = s.sizes[(s.turns - 2) % TURNS]
+        lasts = size >= FADING * before
+    if s.turns >= TURNS:
+        gained = max(gained, energy_since(s, s.turns - TURNS))
+        lasts = lasts or size >= FADING * s.sizes[s.turns % TURNS]
+        if min(size, before) < FADING * max(size, before):
+            # Unequal pulses come back every other cycle.
+            period = s.at[0] - s.turned[8 * (s.turns % TURNS)]
+    if 0.0 < cycle <= SLOWEST and gained > 0.0 and lasts:
         s.strokes += 1
-        s.cycle += (cycle - s.cycle) * (SMOOTHING if s.strokes > 1 else 1.0)
+        s.cycle += (period - s.cycle) * (SMOOTHING if s.strokes > 1 else 1.0)
     else:
         s.strokes = 0
         s.since = s.at[0]
-    s.size_before = s.size
-    s.size = size
-    s.most = max(abs(s.furthest), abs(s.turned_at))
     s.turned_at = s.furthest
+    newest = s.turns % TURNS
+    s.sizes[newest] = size
+    s.forces[newest] = s.furthest
+    s.most = 0.0
+    for i in range(TURNS):
+        s.most = max(s.most, abs(s.forces[i]))
     for i in range(8):
-        s.turned[first + i] = s.at[i]
+        s.turned[8 * newest + i] = s.at[i]
     s.turns += 1
 
 
 def is_ringing(s: Strokes) -> bool:
     """Whether the force rings at the newest tick."""
-    last = s.turned[8 * ((s.turns + 1) % 2)]
+    last = s.turned[8 * ((s.turns + TURNS - 1) % TURNS)]
     return s.strokes >= STROKES and last - s.since >= SPAN and s.time - last <= SLOWEST
 
 

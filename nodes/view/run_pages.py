@@ -367,6 +367,8 @@ class RunPages:
             return
         shape = await run(None, shown.replaced, parameters)
         self._comparison.touch(shown.name, shown.surface)
+        if self._bridge is not None:
+            self._bridge.replace(shown.name, parameters)
         if shape is not None:
             self.live.board.put("shape", {"shape": shape})
 

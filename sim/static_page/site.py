@@ -32,6 +32,7 @@ from nodes.parameters.store import ParameterError, convert
 from nodes.view.bundle import bundle
 from nodes.view.feed import BINS_PER_SECOND, Feed
 from nodes.view.live import HISTORY
+from nodes.view.ringing import Strokes
 from nodes.view.shape import shape_of
 from nodes.view.stability_map import plant_of, same_tick_worlds
 from sim.device.driver import SimDriverParameters, along
@@ -178,6 +179,7 @@ def session_script() -> str:
         "SAFETY_": list(SAFETY),
         "LONGEST_DELAY_": LONGEST_DELAY,
         "ROOM_": LONGEST_DELAY + 2,
+        "STROKES_": vars(Strokes(0)),
     }
     constants = "".join(constant(name, one) for name, one in tables.items())
     return player() + constants + "".join(map(script, _SCRIPTS))

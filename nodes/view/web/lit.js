@@ -7,7 +7,7 @@ import { axesOf, dot, minus } from "./camera.js";
 
 const SHADOW = 1024; // side of the shadow's picture [pixels]
 const SHADED = 0.72; // brightness in a shadow
-const SAMPLES = 4; // per pixel; 1 where a processor draws
+const SAMPLES = 4; // per pixel; 1 where a processor draws what moves
 const QUICK = 16000; // triangles of a part that a processor draws while the camera turns
 const INPUTS = ["point", "normal"], POINT = 0, NORMAL = 1;
 const BY_PROCESSOR = /swiftshader|llvmpipe|softpipe|software|basic render/i;
@@ -184,7 +184,7 @@ export class Lit {
       kept.take(this.read(into));
       if (turning) kept.pace(performance.now() - began);
     }
-    return turning && (this.coarse || share < 1);
+    return turning && (this.coarse || this.slow);
   }
 
   // Read colours and depths of the solids.
@@ -319,7 +319,8 @@ export class Lit {
     return [low[0], low[1], Math.max(0, high[0] - low[0]), Math.max(0, high[1] - low[1])];
   }
 
-  // Where solids are drawn, of a size [pixels]: one sample a pixel, and several on a graphics card.
+  // Where solids are drawn, of a size [pixels]: several samples a pixel, but one where a processor
+  // draws what moves.
   target(turning, [width, height]) {
     const old = this.targets.get(turning);
     if (old?.width === width && old.height === height) return old;
@@ -331,7 +332,8 @@ export class Lit {
       bytes = gl.createFramebuffer();
       frames.push(bytes);
       buffers.push(buffered(gl, bytes, gl.COLOR_ATTACHMENT0, gl.RGBA8, width, height, 0));
-    } else {
+    }
+    if (!this.slow || !turning) {
       many = gl.createFramebuffer();
       frames.push(many);
       for (const [format, place] of [[gl.RGBA8, gl.COLOR_ATTACHMENT0], [gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT]]) {

@@ -64,10 +64,7 @@ const explained = ({ safety, force, asked, age, contact, normal, distance, law }
 // A force that generates energy at every stroke, by the rules of nodes/view/ringing.py.
 class Ringing {
   constructor(axis = 0) {
-    Object.assign(this, {
-      axis, time: 0, rising: 1, peak: 0, pushed: [0, 0, 0], furthest: 0, at: new Array(8).fill(0),
-      turns: 0, turned_at: 0, turned: new Array(16).fill(0), size: 0, size_before: 0, strokes: 0, since: 0, cycle: 0, most: 0,
-    });
+    Object.assign(this, structuredClone(STROKES_), { axis });
   }
 
   take(time, { position, force, energy }) { observe_stroke(this, time, position, force, energy); }

@@ -138,6 +138,27 @@ def test_the_picture_is_the_one_that_a_ray_through_each_pixel_gives(
     assert checked > 200
 
 
+def test_an_edge_at_rest_is_smooth_where_a_processor_draws_it(page: Page) -> None:
+    """Seen along the ground, nothing is behind the ball: its edge covers pixels in part."""
+    level = {"yaw": YAW, "pitch": 0.0}
+    camera = Camera(YAW, 0.0, WIDTH, HEIGHT)
+    (u, v), reach = camera.seen(CENTRE), camera.pixels * RADIUS
+    around = math.ceil(reach) + 3
+    box = [
+        (u + x, v + y)
+        for x in range(-around, around + 1)
+        for y in range(-around, around + 1)
+        if abs(math.hypot(x, y) - reach) < 3.0
+    ]
+
+    def covered_in_part() -> int:
+        alphas = [each[3] for each in seen(page, level, box)]
+        return sum(0 < alpha < 255 for alpha in alphas)
+
+    # A circle crosses about 8 r pixels; of those, samples at four places see a part in most.
+    wait_for(lambda: covered_in_part() > 4.0 * reach, "a smooth edge")
+
+
 def test_a_device_behind_the_ball_shines_through_it(page: Page) -> None:
     """In front it hides the ball; behind, four tenths of its colour are seen."""
     camera = Camera(YAW, PITCH, WIDTH, HEIGHT)

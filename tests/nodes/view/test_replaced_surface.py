@@ -8,13 +8,16 @@ from typing import Any
 
 import msgspec
 import pytest
+from mcap.reader import make_reader
 
 from messages.topics import DEVICE_STATE, event
 from messages.types import DeviceState, Event
 from nodes.base.setup import Setup
 from nodes.launcher.runs import RunInfo
+from nodes.recording.reader import Recording
 from nodes.recording.writer import RecordWriter
 from nodes.view.comparison import Comparison
+from nodes.view.foxglove_scene import DrawnScene, export_foxglove
 from nodes.view.live import Facts, LiveRun
 from nodes.view.replay import ReplayPages
 from nodes.view.shown_surface import ShownSurface
@@ -99,7 +102,16 @@ def test_an_event_of_the_environment_has_it_read_again() -> None:
 def test_a_replay_says_that_it_draws_the_one_of_the_launch(
     tmp_path: Path, replaced: bool
 ) -> None:
-    path = tmp_path / "run.mcap"
+    pages = ReplayPages(recorded(tmp_path, REPLACED if replaced else None))
+    hello = json.loads(pages.hello)
+    assert len(hello["shape"]["parts"]) == 1
+    told = "The surface was replaced at 0.1 s: drawn is the one of the launch."
+    assert hello["notice"] == (told if replaced else "")
+
+
+def recorded(folder: Path, change: Event | None) -> Path:
+    """Record 100 ticks beside a ball, which is replaced."""
+    path = folder / "run.mcap"
     known = {"environment": json.dumps({"surface": BALL})}
     facts = {"rate_hz": "500", "axes": "x,y,z"}
     with RecordWriter(path, facts, parameters=known) as writer:
@@ -108,10 +120,55 @@ def test_a_replay_says_that_it_draws_the_one_of_the_launch(
                 seq=seq, stamp=0.002 * seq, position=(0.0, 0.0, 0.0), force_seq=seq - 1
             )
             writer.write(DEVICE_STATE, state, state.stamp)
-            if seq == REPLACED.seq and replaced:
-                writer.write(event("environment"), REPLACED, REPLACED.stamp)
-    pages = ReplayPages(path)
-    hello = json.loads(pages.hello)
-    assert len(hello["shape"]["parts"]) == 1
-    told = "The surface was replaced at 0.1 s: drawn is the one of the launch."
-    assert hello["notice"] == (told if replaced else "")
+            if change is not None and seq == change.seq:
+                writer.write(event("environment"), change, change.stamp)
+    return path
+
+
+def test_foxglove_draws_the_one_that_replaced_it() -> None:
+    """Also one of nothing, which takes the old one away."""
+    scene = DrawnScene({"environment": {"surface": PLANE}}, 0.002)
+    (plane,) = scene.still(0)
+    scene.replace("environment", {"surface": BALL})
+    (ball,) = scene.still(1)
+    assert ball["id"] == plane["id"] == "environment"
+    corners = len(ball["triangles"][0]["points"])
+    assert corners > len(plane["triangles"][0]["points"])
+    scene.replace("environment", {"surface": {"kind": "free"}})
+    (nothing,) = scene.still(2)
+    assert (nothing["id"], nothing["triangles"]) == ("environment", [])
+    assert (
+        DrawnScene({"environment": {"surface": {"kind": "free"}}}, 0.002).still(0) == []
+    )
+
+
+@pytest.mark.parametrize(
+    ("reason", "goes"),
+    [
+        ("surface.radius 0.03 → 0.02, surface.friction.static none → 0.4", True),
+        ("surface.friction.static none → 0.4", False),
+    ],
+)
+def test_an_export_for_foxglove_draws_no_surface_that_was_replaced(
+    tmp_path: Path, reason: str, goes: bool
+) -> None:
+    """A recording has only the launch's; friction alone is not seen."""
+    change = msgspec.structs.replace(REPLACED, reason=reason)
+    recording = Recording(recorded(tmp_path, change))
+    (out,) = export_foxglove(recording, tmp_path / "scene.mcap")
+    with out.open("rb") as stream:
+        updates = [
+            json.loads(message.data)["entities"]
+            for *_, message in make_reader(stream).iter_messages(topics=["/scene"])
+        ]
+    drawn = [one for update in updates for one in update if one["id"] == "environment"]
+    assert len(drawn[0]["triangles"]) == 1
+    assert [len(one["triangles"]) for one in drawn[1:]] == ([0] if goes else [])
+    told = [one["texts"][0]["text"] for each in updates for one in each if one["texts"]]
+    assert told == (
+        [
+            "environment: its surface was replaced at 0.1 s; a recording has only the first one"
+        ]
+        if goes
+        else []
+    )
