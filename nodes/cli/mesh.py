@@ -13,6 +13,7 @@ from nodes.environment.shapes.mesh_file import MOST_EDGES, MOST_WIDTH
 from nodes.parameters.quantities import above_zero
 
 if TYPE_CHECKING:
+    from nodes.environment.shapes.mesh_flaws import Counts
     from nodes.environment.shapes.mesh_holes import Hole
     from nodes.environment.shapes.mesh_report import MeshReport
 
@@ -30,10 +31,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="OUT",
         help=(
-            "write the repaired mesh to OUT (.stl or .obj), in the file's unit, with holes of at"
-            f" most {MOST_EDGES} edges and {MOST_WIDTH:.0%} of its width filled".replace(
-                "%", "%%"
-            )
+            "write the repaired mesh to OUT (.stl or .obj), in the file's unit, with holes filled"
+            f" that have at most {MOST_EDGES} edges and are at most {MOST_WIDTH:.0%} of its width"
+            " broad".replace("%", "%%")
         ),
     )
     add_json(parser)
@@ -57,44 +57,48 @@ def _run(arguments: argparse.Namespace) -> int:
     lines = _lines(found)
     code = 0
     if out is not None:
-        left, filled, refusal = _close(found, out)
+        left, counts, refusal = _close(found, out)
+        filled, pieces = counts["holes"] + counts["narrow"], counts["pieces"]
         figures["close"] = {
             "file": str(out),
             "filled": filled,
+            "pieces_left_out": pieces,
             "holes_left": _holes(left),
             "refusal": refusal,
         }
-        limit = f"more than {MOST_EDGES} edges or {MOST_WIDTH:.0%} of the width"
+        limit = f"more than {MOST_EDGES} edges or broader than {MOST_WIDTH:.0%} of the width"
         rest = (
-            f"{len(left)} left ({limit}, or crossing itself): {_hole(left[0])}"
+            f"{len(left)} left ({limit}, or around a sheet): {_hole(left[0])}"
             if left
             else "the mesh is closed" + (f", but {refusal}" if refusal else "")
         )
-        lines.append(f"close     {filled} holes filled, {rest}\n{out}")
+        loose = f", {pieces} loose pieces of sheets left out" if pieces else ""
+        lines.append(f"close     {filled} holes filled{loose}, {rest}\n{out}")
         code = 1 if refusal else 0
     answer(arguments.json, figures, "\n".join([str(arguments.file), *lines]))
     return code
 
 
-def _close(found: MeshReport, out: Path) -> tuple[list[Hole], int, str]:
+def _close(found: MeshReport, out: Path) -> tuple[list[Hole], Counts, str]:
     """Write the closed mesh.
 
-    Returns the holes that are left, how many were filled, and why it is no solid then.
+    Returns the holes that are left, what was repaired, and why it is no solid then.
     """
     from nodes.environment.shapes.mesh_edges import rims
     from nodes.environment.shapes.mesh_holes import holes
-    from nodes.environment.shapes.mesh_repair import SLIVER, repair
+    from nodes.environment.shapes.mesh_repair import NARROW, SLIVER, repair
     from nodes.environment.shapes.mesh_report import refusal_of, write_mesh
 
     closed = repair(
         found.read.corners,
         height=SLIVER / found.scale,
+        narrow=NARROW / found.scale,
         widest=MOST_EDGES,
         part=MOST_WIDTH,
     )
     write_mesh(out, closed.points, closed.ids)
     left = holes(closed.points, closed.ids, rims(closed.partner))
-    return left, closed.counts["holes"], refusal_of(closed, found.scale)
+    return left, closed.counts, refusal_of(closed, found.scale)
 
 
 def _holes(found: list[Hole]) -> list[dict[str, float]]:

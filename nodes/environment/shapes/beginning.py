@@ -28,7 +28,9 @@ def shape_gap(
     """
     row = t.ROWS + t.ROW * n
     if scene[row + t.KIND] == t.MESH:
-        return mesh_gap(scene, row, memory, t.LAST + n, near, x, y, z)
+        shapes = int(scene[t.SHAPES])
+        ball = t.LAST + 2 * shapes + t.FREE * n
+        return mesh_gap(scene, row, memory, t.LAST + n, ball, near, x, y, z)
     return gap(scene, row, x, y, z)
 
 

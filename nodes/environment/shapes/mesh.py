@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_holes import holes
 from nodes.environment.shapes.mesh_lobes import inside_out
-from nodes.environment.shapes.mesh_repair import SLIVER, Repaired, repair
+from nodes.environment.shapes.mesh_repair import NARROW, SLIVER, Repaired, repair
 from nodes.environment.shapes.tables import NODE
 from nodes.environment.shapes.triangle_sets import lowest_heights
 from nodes.parameters.store import ParameterError
@@ -20,8 +20,6 @@ Corners = NDArray[np.float64]  # triangles, corners, coordinates [m], shape (n, 
 LARGEST = 2.0
 SMALLEST = 1e-3
 
-# a part that is inside out and shorter has no room for the default tool [m]
-_THINNEST = 2e-5
 _FLAT_ROUNDS = 20  # steps from a flat triangle to one that has a normal
 _LEAF = 4  # largest number of triangles in a leaf of the tree
 
@@ -149,7 +147,7 @@ def refuse_no_solid(found: Repaired, where: str, notes: tuple[str, ...]) -> None
 
 def _refuse_inside_out(found: Repaired, where: str) -> None:
     lobe = inside_out(found.points[found.ids])
-    if lobe is None or lobe.length <= _THINNEST:
+    if lobe is None or lobe.length <= NARROW:
         return
     x, y, z = lobe.place
     raise ParameterError(

@@ -32,7 +32,9 @@ RepairKind: TypeAlias = Literal[
     "shared_edges",
     "slits",
     "turned_shells",
+    "narrow",
     "holes",
+    "pieces",
 ]
 Counts: TypeAlias = Counter[RepairKind]
 

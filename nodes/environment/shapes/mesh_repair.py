@@ -1,7 +1,7 @@
 """Repair of meshes of other programs: the order of the steps, and what was done as text.
 
 Nothing is guessed: corners are joined within rounding only, and only where that closes an edge.
-Holes are filled on request only.
+Holes are filled on request only, except where all of them are too narrow for a tool.
 """
 
 from __future__ import annotations
@@ -29,12 +29,15 @@ from nodes.environment.shapes.mesh_flaws import (
     remove_flat,
     split_t_joints,
 )
-from nodes.environment.shapes.mesh_holes import lids
+from nodes.environment.shapes.mesh_holes import lids, loops, shell_areas
 from nodes.environment.shapes.mesh_shells import shell_turns
 from nodes.environment.shapes.polygons import Coordinates, Ids
 from nodes.environment.shapes.triangle_sets import lowest_heights
 
 SLIVER = 1e-9  # height up to which a triangle is flat [m]
+NARROW = 2e-5  # breadth up to which a hole has no room for the default tool [m]
+_NARROW_EDGES = 100  # of such a hole
+_ROUNDS = 4  # in which holes are filled: a lid may divide the next one
 JOINS = (
     1e-8,
     1e-7,
@@ -52,7 +55,9 @@ TEXTS: dict[RepairKind, str] = {
     "shared_edges": "{} edges of more than two triangles divided by angle",
     "slits": "{} slits of two edges closed",
     "turned_shells": "{} of {} shells pointed inwards and were flipped",
+    "narrow": f"{{}} holes filled that are narrower than {NARROW:.0e} m",
     "holes": "{} holes filled",
+    "pieces": "{} small loose pieces of sheets left out",
 }
 
 
@@ -87,7 +92,12 @@ class Repaired(NamedTuple):
 
 
 def repair(
-    corners: Coordinates, *, height: float = SLIVER, widest: int = 0, part: float = 0.1
+    corners: Coordinates,
+    *,
+    height: float = SLIVER,
+    narrow: float = NARROW,
+    widest: int = 0,
+    part: float = 0.1,
 ) -> Repaired:
     """Repair triangles and return them with their edges paired.
 
@@ -97,30 +107,55 @@ def repair(
         Corners of the triangles [m], finite.
     height : float
         Height up to which a triangle is flat [m].
+    narrow : float
+        Fill all holes if none is broader [m].
     widest : int
         Fill holes of at most that many edges; 0 fills none.
     part : float
-        Fill holes of at most that part of the width.
+        Fill holes of at most that breadth [of the width], and leave out loose pieces of sheets
+        of at most that breadth whose area is at most that part of all.
 
     Returns
     -------
     Repaired
         Without triangles if none has an area.
     """
-    found = _repaired(corners, height, widest, part, False)
+    limits = _Limits(height, narrow, widest, part)
+    found = _repaired(corners, limits, False)
     pairs = found.counts["repeated"] or found.counts["t_joints"]
     if len(found.ids) and not found.is_solid and pairs:
         # One of two faces back to back may be of a seam, whose T-joint opened its edges.
-        other = _repaired(corners, height, widest, part, True)
+        other = _repaired(corners, limits, True)
         if len(other.ids) and (other.partner < 0).sum() < (found.partner < 0).sum():
             return other
     return found
 
 
-def _repaired(
-    corners: Coordinates, height: float, widest: int, part: float, no_pairs: bool
-) -> Repaired:
+class _Limits(NamedTuple):
+    """What is repaired: the parameters of `repair`."""
+
+    height: float
+    narrow: float
+    widest: int
+    part: float
+
+
+class _Knitted(NamedTuple):
+    """Triangles whose edges are paired."""
+
+    ids: Ids
+    partner: Ids
+    disagreeing: int  # patches whose faces cannot agree about outside
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether every edge has a partner."""
+        return bool((self.partner >= 0).all())
+
+
+def _repaired(corners: Coordinates, limits: _Limits, no_pairs: bool) -> Repaired:
     """Repair triangles, without faces back to back, or with one of each where it closes."""
+    height = limits.height
     counts: Counts = Counter()
     places = corners.reshape(-1, 3) + 0.0  # −0.0 is 0.0
     first, which = first_of_equal(places)
@@ -151,20 +186,81 @@ def _repaired(
         none = np.zeros(0, dtype=np.int64)
         flags = np.zeros(0, dtype=bool)
         return Repaired(points, ids, none, none, flags, flags, 0, moved, counts)
-    ids, partner, disagreeing = _knit(points, ids, counts)
-    if widest and (partner < 0).any():
-        added = lids(points, ids, rims(partner), widest, part * width)
-        if added:
-            counts["holes"] += len(added)
-            ids = drop_copies(np.concatenate([ids, *added]), counts, no_pairs)
-            ids = remove_flat(points, ids, height, counts)
-            counts["shared_edges"] = 0
-            ids, partner, disagreeing = _knit(points, ids, counts)
-    return _with_shells(points, ids, partner, disagreeing, moved, counts)
+    mesh = _knit(points, ids, counts)
+    if not mesh.is_closed:
+        trial = counts.copy()
+        full = _fill_narrow(points, mesh, limits.narrow, trial)
+        if full.is_closed:
+            mesh, counts = full, trial
+        elif limits.widest:
+            mesh = _fill_small(points, mesh, limits, width, counts)
+    return _with_shells(points, *mesh, moved, counts)
 
 
-def _knit(points: Coordinates, ids: Ids, counts: Counts) -> tuple[Ids, Ids, int]:
-    """Orient and pair triangles; the triangles, partners and patches that cannot agree."""
+def _fill_narrow(
+    points: Coordinates, mesh: _Knitted, broadest: float, counts: Counts
+) -> _Knitted:
+    """Fill all holes if none is broader than that [m]; else return the mesh as it is."""
+    full = mesh
+    for _ in range(_ROUNDS):
+        _, shell = shells_of(len(full.ids), full.partner)
+        rim = loops(full.ids, rims(full.partner))
+        found: list[Ids] = []
+        for lid in lids(points, full.ids, shell, rim, _NARROW_EDGES):
+            if lid.breadth > broadest or lid.is_piece:
+                return mesh
+            found.append(lid.ids)
+        counts["narrow"] += len(found)
+        full = _with_lids(points, full.ids, found, counts)
+        if full.is_closed:
+            return full
+    return mesh
+
+
+def _fill_small(
+    points: Coordinates, mesh: _Knitted, limits: _Limits, width: float, counts: Counts
+) -> _Knitted:
+    """Fill small holes, and leave out small loose pieces of sheets."""
+    broadest = limits.part * width
+    for _ in range(_ROUNDS):
+        _, shell = shells_of(len(mesh.ids), mesh.partner)
+        rim = loops(mesh.ids, rims(mesh.partner))
+        found = [
+            lid
+            for lid in lids(points, mesh.ids, shell, rim, limits.widest)
+            if lid.breadth <= broadest
+        ]
+        pieces = np.unique([lid.shell for lid in found if lid.is_piece]).astype(int)
+        areas = shell_areas(points, mesh.ids, shell)
+        if areas[pieces].sum() > limits.part * areas.sum():
+            pieces = pieces[:0]  # no loose pieces, but most of the mesh
+        full = [
+            lid.ids for lid in found if not lid.is_piece and lid.shell not in pieces
+        ]
+        if not full and not len(pieces):
+            break
+        counts["holes"] += len(full)
+        counts["pieces"] += len(pieces)
+        ids = mesh.ids[~np.isin(shell, pieces)]
+        mesh = _with_lids(points, ids, full, counts)
+        if mesh.is_closed:
+            break
+    return mesh
+
+
+def _with_lids(
+    points: Coordinates, ids: Ids, found: list[Ids], counts: Counts
+) -> _Knitted:
+    """Add lids to triangles and pair the edges again.
+
+    A lid stays though its corners may be those of a face: at edges of four it is a wedge's.
+    """
+    counts["shared_edges"] = counts["slits"] = 0
+    return _knit(points, np.concatenate([ids, *found]), counts)
+
+
+def _knit(points: Coordinates, ids: Ids, counts: Counts) -> _Knitted:
+    """Orient and pair triangles."""
     ids, turned, disagreeing = orient(ids)
     partner, shared = pair(points, ids)
     if turned:
@@ -177,7 +273,7 @@ def _knit(points: Coordinates, ids: Ids, counts: Counts) -> tuple[Ids, Ids, int]
             partner[one], partner[other] = other, one
         if slits:
             counts["slits"] += len(slits)
-    return ids, partner, disagreeing
+    return _Knitted(ids, partner, disagreeing)
 
 
 def _is_slit(ids: Ids, rim: list[int]) -> bool:

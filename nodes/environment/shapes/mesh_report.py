@@ -12,7 +12,7 @@ from nodes.environment.shapes.mesh import refuse_no_solid, repaired_triangles
 from nodes.environment.shapes.mesh_edges import rims
 from nodes.environment.shapes.mesh_file import ReadMesh, read_mesh
 from nodes.environment.shapes.mesh_holes import Hole, holes
-from nodes.environment.shapes.mesh_repair import SLIVER, Repaired, repair
+from nodes.environment.shapes.mesh_repair import NARROW, SLIVER, Repaired, repair
 from nodes.environment.shapes.mesh_shells import winding_number
 from nodes.environment.shapes.mesh_units import UnitCandidate, unit_candidates
 from nodes.environment.shapes.polygons import Coordinates, Ids
@@ -77,7 +77,7 @@ def examine(path: Path, where: str, scale: float | None = None) -> MeshReport:
         ]
         scale = likely[0] if likely else _WIDTH / max(width, 1e-300)
     try:
-        repaired = repair(read.corners, height=SLIVER / scale)
+        repaired = repair(read.corners, height=SLIVER / scale, narrow=NARROW / scale)
     except ValueError as error:
         raise ParameterError(f"{path}: {error}", path=where) from error
     if not len(repaired.ids):

@@ -278,7 +278,7 @@ def matched(before: KnownShapes, after: KnownShapes) -> dict[int, int]:
 
 def new_memory(solids: int) -> array[float]:
     """Return the memory of a proxy that has not touched anything yet."""
-    memory = array("d", [0.0]) * (t.LAST + 2 * solids)
+    memory = array("d", [0.0]) * (t.LAST + (2 + t.FREE) * solids)
     memory[t.FELT_AS] = memory[t.FELT_AS + 1] = 1.0
     return memory
 

@@ -31,7 +31,7 @@ Less than SKIN, or a hidden side would protrude from a flush top.
 """
 # in free air: distance up to which that of a mesh is exact [m], and error beyond [of it]
 NEAR: Final = 5e-3
-FAR_ERROR: Final = 0.1
+FAR_ERROR: Final = 0.2
 
 # -- scene table --
 
@@ -118,7 +118,9 @@ ENERGY: Final = NOW + 14  # energy that moving shapes have put into the device [
 MOST_POWER: Final = NOW + 15  # largest power of it in a tick [W]
 # 1 if a shape that moves went past a proxy that something held
 PASSED: Final = NOW + 16
-# nearest triangle of the last call for each shape; behind them the mode of each shape
+# nearest triangle of the last call for each shape; behind them the mode of each shape, and behind
+# those a ball of each without a triangle of its mesh
 LAST: Final = NOW + 17
+FREE: Final = 4  # floats of such a ball: centre (3), radius [m]
 # felt; not felt until the tool is outside; kept in contact during a jump (before placing)
 FELT, UNFELT, HELD = 0.0, 1.0, 2.0

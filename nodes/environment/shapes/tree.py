@@ -20,6 +20,8 @@ from nodes.environment.shapes.triangle import (
 # far above the rounding of coordinates up to 1 km [m]
 _ROUNDING = 1e-12
 _FAR_PART = 1.0 / (1.0 + t.FAR_ERROR)
+# the same of a search: what it finds then holds for some way [of the distance]
+_SEARCHED = 1.0 / (1.0 + 0.5 * t.FAR_ERROR)
 
 
 def mesh_hit(
@@ -90,6 +92,7 @@ def mesh_gap(
     row: int,
     memory: Memory,
     last: int,
+    ball: int,
     near: float,
     x: float,
     y: float,
@@ -97,10 +100,11 @@ def mesh_gap(
 ) -> Vector4:
     """Return the signed distance of the tool's centre from contact [m], and the normal.
 
-    `last` is the place in memory of the triangle that was nearest before. Of a mesh farther than
-    `near` [m] any triangle may be returned whose distance from contact is larger than the
-    nearest one's by `FAR_ERROR` at most: where many are nearly as near, as on the axis of a torus,
-    the nearest is found only by asking all of them.
+    `last` is the place in memory of the triangle that was nearest before, `ball` that of a ball
+    without triangles that the last search left. Of a mesh farther than `near` [m] any triangle may
+    be returned whose distance from contact is larger than the nearest one's by `FAR_ERROR` at
+    most: where many are nearly as near, as on the axis of a torus, the nearest is found only by
+    asking all of them. While the ball shows that of the last triangle, nothing is searched.
     """
     count = int(scene[row + t.COUNT])
     leaves = int(scene[row + t.LEAVES])
@@ -115,6 +119,10 @@ def mesh_gap(
     qx, qy, qz, _ = nearest_on_triangle(scene, triangles + t.TRIANGLE * face, x, y, z)
     best = (x - qx) * (x - qx) + (y - qy) * (y - qy) + (z - qz) * (z - qz)
     side = height_above(scene, triangles + t.TRIANGLE * face, x, y, z)
+    fx, fy, fz = x - memory[ball], y - memory[ball + 1], z - memory[ball + 2]
+    free = memory[ball + 3] - sqrt(fx * fx + fy * fy + fz * fz) - scene[t.RADIUS]
+    if free > near and (sqrt(best) - scene[t.RADIUS]) * _FAR_PART <= free:
+        return _answer(scene, row, face, side, best, x, y, z, x - qx, y - qy, z - qz)
     reach, ux, uy, uz = _towards(x - qx, y - qy, z - qz)
     limit = _limit(best, near, scene[t.RADIUS])
     k = 1
@@ -150,6 +158,8 @@ def mesh_gap(
             break
         k += 1
     memory[last] = float(face)
+    memory[ball], memory[ball + 1], memory[ball + 2] = x, y, z
+    memory[ball + 3] = sqrt(limit) - _ROUNDING
     return _answer(scene, row, face, side, best, x, y, z, x - qx, y - qy, z - qz)
 
 
@@ -201,7 +211,7 @@ def _limit(best: float, near: float, radius: float) -> float:
     `best` is that of the nearest one found [m²], `near` the distance from contact up to which the
     nearest one is needed [m].
     """
-    gap = max((sqrt(best) - radius) * _FAR_PART, near)
+    gap = max((sqrt(best) - radius) * _SEARCHED, near)
     return min(best, (radius + gap) * (radius + gap))
 
 

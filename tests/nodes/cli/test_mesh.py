@@ -82,8 +82,13 @@ def test_small_holes_are_closed_on_request(
     for name, precision in (("closed.obj", 1e-15), ("closed.stl", 1e-8)):
         out = tmp_path / name
         made = described(capsys, str(path), "--close", str(out))
-        done = {"file": str(out), "filled": 1, "holes_left": [], "refusal": ""}
-        assert made["close"] == done
+        assert made["close"] == {
+            "file": str(out),
+            "filled": 1,
+            "pieces_left_out": 0,
+            "holes_left": [],
+            "refusal": "",
+        }
         closed = read_triangles(out, "file")
         ids = np.arange(closed.size // 3, dtype=np.int64).reshape(-1, 3)
         places = np.array([[0.0, 0.0, 0.0], 1.1 * hub, 0.9 * hub])

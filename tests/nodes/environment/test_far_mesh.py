@@ -86,14 +86,26 @@ PATHS = [
     (BALL, ON_BALL + 0.1 * OUTWARD),
     (TORUS, np.sin(TURN) * [1e-5, 1e-5, 0.01]),
     (TORUS, np.sin(TURN) * [1e-5, 1e-5, 0.01] + [0.01, 0.0, 0.0]),
-    (HOLLOW, 1e-3 * np.sin(TURN[:8])),
+    (HOLLOW, 1e-3 * np.sin(TURN)),
+    (HOLLOW, np.linspace([-2e-3, 0.0, 0.0], [4e-3, 1e-3, 0.0], 60)),
 ]
-NAMES = ["1 mm above", "30 mm above", "100 mm above", "axis", "beside it", "middle"]
+NAMES = [
+    "1 mm above",
+    "30 mm above",
+    "100 mm above",
+    "axis",
+    "beside it",
+    "middle",
+    "through it at 0.1 m/s",
+]
 
 
 @pytest.mark.parametrize(("corners", "path"), PATHS, ids=NAMES)
 def test_a_far_mesh_costs_no_more_than_contact(corners: Array, path: Array) -> None:
-    """The distance is libigl's nearby and within a tenth beyond, in the time of contact."""
+    """The distance is libigl's nearby, beyond within its limit, in the time of contact.
+
+    It is that of a place of the mesh, which plots draw as the surface.
+    """
     below = 4e-3 * np.minimum(np.arange(TICKS) / 10.0, 1.0) - 1e-4
     outer = np.array([1.0, 0.0, 0.0]) if corners is TORUS else OUTWARD
     start = 0.065 * outer if corners is TORUS else ON_BALL
@@ -107,8 +119,14 @@ def test_a_far_mesh_costs_no_more_than_contact(corners: Array, path: Array) -> N
     assert held[10:, 4].all()
     found, reads, true = played(corners, path)
     # In the middle of a hollow ball all triangles are equally far, and boxes of oblique parts
-    # bound them loosely; asking all of them took 180 times as much.
-    assert reads.max() <= pressing.max() * (20 if corners is HOLLOW else 1)
+    # bound them loosely: a search takes 20 times as much, and then holds for 1.6 mm.
+    if corners is HOLLOW:
+        assert reads.mean() <= 1.1 * pressing.mean()
+    assert reads.max() <= pressing.max() * (20 if len(path) > TICKS else 1)
+    drawn = path - found[:, :1] * found[:, 1:4]
+    ids = np.arange(3 * len(corners)).reshape(-1, 3)
+    off: Any = igl.point_mesh_squared_distance(drawn, corners.reshape(-1, 3), ids)[0]
+    assert np.abs(np.sqrt(off) - SKIN).max() < EXACT
     away = found[:, 0] + SKIN
     assert not found[:, 4].any()
     assert np.abs(np.linalg.norm(found[:, 1:4], axis=1) - 1.0).max() < EXACT
@@ -146,7 +164,7 @@ def test_a_tool_in_the_middle_of_a_solid_waits_at_low_cost() -> None:
         assert k == 0 or table.reads < 1000
 
 
-def test_a_large_tool_errs_by_a_tenth_of_its_own_distance() -> None:
+def test_a_large_tool_errs_by_that_part_of_its_own_distance() -> None:
     """Not of that of its centre, which lies a radius farther."""
     radius = 20.0 * NEAR
     way = np.linspace([2.3e-3, 5e-3, 0.0], [17.1e-3, 6.4e-3, 0.0], TICKS)

@@ -313,7 +313,9 @@ def test_a_tool_that_begins_in_overlapping_shells_is_inside() -> None:
         for place, inside in zip(places.tolist(), truth.tolist(), strict=True):
             assert mesh_winding(table, t.ROWS, *place) == inside
             memory = new_memory(1)
-            face, _, _, _ = mesh_gap(table, t.ROWS, memory, t.LAST, np.inf, *place)
+            face, _, _, _ = mesh_gap(
+                table, t.ROWS, memory, t.LAST, t.LAST + 2, np.inf, *place
+            )
             wrong_by_face += (face < 0.0) != (inside != 0)
             meet(table, memory, *place)
             if abs(face) > 1e-3:
