@@ -1,4 +1,4 @@
-"""Holes of a mesh: which are filled, with and without a request, on both sides of each limit."""
+"""Holes of a mesh: which are filled, unasked and on request, on both sides of limits."""
 
 from __future__ import annotations
 
