@@ -142,7 +142,7 @@ def test_results_show_themselves() -> None:
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0, stiffness=5.0))
     with pytest.raises(ValueError, match="the floor is at 0"):
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0), height=-0.01)
-    with pytest.raises(haptic.HapticError, match="Is a directory"):
+    with pytest.raises(haptic.HapticError, match="is a folder"):
         haptic.read(".")
 
 
