@@ -16,6 +16,7 @@ from pathlib import Path
 
 from nodes.parameters.quantities import QUANTITIES
 from tests.support import ROOT
+from tests.support.growth import CAPABILITIES
 from tests.support.sources import nodes_of, sources_of, tree_of
 
 FLOORS = ("messages", "nodes", "sim")
@@ -510,6 +511,17 @@ def test_state_is_typed() -> None:
         and argument.annotation.id == "Any"
     ]
     assert untyped == []
+
+
+def test_a_capability_names_modules_that_are_there() -> None:
+    """The table of tests/support/growth.py counts nothing that has another name by now."""
+    paths = [str(path.relative_to(ROOT)) for path in MODULES.values()]
+    assert [
+        name
+        for names in CAPABILITIES.values()
+        for name in names
+        if not any(path.startswith(name) for path in paths)
+    ] == []
 
 
 WORDED = (*FLOORS, "tests")

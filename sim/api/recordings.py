@@ -123,7 +123,7 @@ def read(recording: str | Path, **options: Any) -> Recorded:
 
     Examples
     --------
-    >>> from sim.api.python_runs import launch
+    >>> from sim.api.launching import launch
     >>> with launch("floor_drop", pace="lockstep", duration=0.4) as run:
     ...     path = run.wait().recording
     >>> read(path)["position"].shape

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from nodes.laws.pd_windowed import PDWindowed
     from nodes.stability.plant import Plant
     from sim.api.compared_laws import LawTable, compare
+    from sim.api.launching import connect, launch
     from sim.api.laws import law, laws, scenarios
     from sim.api.linear import OpenLoop, loop
     from sim.api.loops import k_max, poles
     from sim.api.own_data import hand_path
     from sim.api.played import drop, play
-    from sim.api.python_runs import LaunchError, Run, connect, launch
+    from sim.api.python_runs import LaunchError, Run
     from sim.api.recordings import plot, read
     from sim.api.responses import bode, response, z_width
     from sim.api.run_summary import LaunchWarning, RunSummary
@@ -103,7 +104,8 @@ _NAMES = {
     "sim.api.loops": ("k_max", "poles"),
     "sim.api.own_data": ("hand_path",),
     "sim.api.played": ("drop", "play"),
-    "sim.api.python_runs": ("LaunchError", "Run", "connect", "launch"),
+    "sim.api.launching": ("connect", "launch"),
+    "sim.api.python_runs": ("LaunchError", "Run"),
     "sim.api.recordings": ("plot", "read"),
     "sim.api.run_summary": ("LaunchWarning", "RunSummary"),
     "sim.api.responses": ("bode", "response", "z_width"),

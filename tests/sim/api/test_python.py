@@ -142,7 +142,7 @@ def test_results_show_themselves() -> None:
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0, stiffness=5.0))
     with pytest.raises(ValueError, match="the floor is at 0"):
         haptic.drop([1000.0], haptic.Plant(0.002, 0.1, 1.0), height=-0.01)
-    with pytest.raises(haptic.HapticError, match="Is a directory"):
+    with pytest.raises(haptic.HapticError, match="is a folder"):
         haptic.read(".")
 
 
@@ -307,6 +307,7 @@ def test_a_launcher_that_is_killed_leaves_no_summary(place: Path, view: bool) ->
 PROGRAM = """
 import haptic, os, signal, weakref
 from sim.api import python_runs
+from sim.measure import started_launch
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
 
 class Thing: pass
@@ -326,12 +327,20 @@ run = haptic.launch("wall_press", duration=0)
 print(run.ticks, flush=True)
 run.wait()
 """
-FINALISED = "python_runs.{0} = interrupted_in_a_finaliser(python_runs.{0})".format
+FINALISED = "{0} = interrupted_in_a_finaliser({0})".format
 ENDS = {
     "interrupted": (signal.SIGINT, "", ""),
     "killed": (signal.SIGKILL, "", ""),
-    "interrupted in a finaliser while it starts": (0, FINALISED("runs"), ""),
-    "interrupted in a finaliser while it waits": (0, "", FINALISED("progress")),
+    "interrupted in a finaliser while it starts": (
+        0,
+        FINALISED("started_launch.runs"),
+        "",
+    ),
+    "interrupted in a finaliser while it waits": (
+        0,
+        "",
+        FINALISED("python_runs.progress"),
+    ),
 }
 
 
@@ -353,7 +362,8 @@ def test_a_program_that_ends_leaves_nothing(place: Path, end: str) -> None:
             assert before or int(program.stdout.readline()) > 0
             if number:
                 program.send_signal(number)
-            program.wait(DEADLINE)
+            # an uncaught KeyboardInterrupt ends a program as the signal would
+            assert program.wait(DEADLINE) == -(number or signal.SIGINT)
         finally:
             program.kill()
             program.wait()
