@@ -45,11 +45,13 @@ def _typed(info: inspect.Type, meaning: str) -> dict[str, Any] | None:
         usual = [kind for kind in info.types if not isinstance(kind, inspect.NoneType)]
         return _typed(usual[0], meaning) if len(usual) == 1 else None
     if isinstance(info, inspect.ListType | inspect.VarTupleType | inspect.TupleType):
-        item = (
-            info.item_types[0]
+        item, *others = (
+            info.item_types
             if isinstance(info, inspect.TupleType)
-            else info.item_type
+            else (info.item_type,)
         )
+        if any(other != item for other in others):
+            return None
         if isinstance(item, inspect.StructType):
             return {"type": "list", "fields": _fields(item)}
         inner = _typed(item, meaning)

@@ -515,3 +515,21 @@ def test_a_law_that_is_scheduled_follows_a_change_before_its_time() -> None:
     assert changed.law is not second
     assert changed.law.compiled.h1 == pytest.approx(650.0)
     assert (changed.tick, same.tick) == (50, 100)
+
+
+@pytest.mark.parametrize("pushed", [1, 2, 5])
+def test_a_law_on_standby_catches_up_from_the_first_deflection_on(pushed: int) -> None:
+    """Its sections have seen all that one has seen tick by tick, to the bit."""
+    law = CompiledLaw((100.0, -100.0), ((5.0, -4.0, -0.5, 0.25),))
+    history = History(8)
+    waiting, seeing = LawOnAxis(law, history), LawOnAxis(law, history)
+    for k in range(pushed):
+        history.push(1e-3 * (k + 1))
+        seeing.see(history.head)
+    waiting.catch_up()
+    assert list(waiting.state) == list(seeing.state) != [0.0, 0.0]
+    # Filled, it rests under what all deflections are now, as one that settles does.
+    history.fill(2e-3)
+    waiting.catch_up()
+    seeing.settle(2e-3)
+    assert list(waiting.state) == list(seeing.state)

@@ -14,12 +14,16 @@ import pytest
 
 from messages.errors import AT_LEAST, AT_MOST, FORCE, TOGETHER
 from messages.transport.requests import Reply, decode_reply
+from nodes.base.setup import Effect
+from nodes.coupling.felt_law import felt_laws
 from nodes.coupling.judgement import Judgement, StartAnyway
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
+from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, parse_law
 from nodes.parameters.store import ParameterError, convert
 from nodes.stability.closed_loop import pole_radius
+from nodes.stability.judge import MARGINAL
 from nodes.stability.plant import Plant
 
 T = 0.002
@@ -255,3 +259,36 @@ def test_two_devices_on_one_law_are_judged_for_any_two_hands() -> None:
         judgement.of_moving_world(parameters(plant={"mass": 0.1, "damping": 1.0}), 0.0)
         == []
     )
+
+
+@pytest.mark.parametrize(("lag", "refused"), [(0.0, True), (0.01, False)])
+def test_only_a_law_that_trails_may_keep_the_pole_of_a_free_device(
+    lag: float, refused: bool
+) -> None:
+    """A pole outside the unit circle by less than rounding is refused unless nothing pulls."""
+    slime = Effect(name="slime", stiffness=2.0, lag=lag)
+    plant = Plant(T, 0.1, 1.0)
+
+    def law(stiffness: float) -> CompiledLaw:
+        return compile_law(
+            parse_law({"kind": "pd", "stiffness": stiffness, "damping": 3.0}), T
+        )
+
+    def radius(stiffness: float) -> float:
+        (felt, *_) = felt_laws(law(stiffness), slime, T)
+        return float(pole_radius(felt, plant))
+
+    low, high = 100.0, 100_000.0
+    edge = 1.0 + 0.5 * MARGINAL
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if radius(middle) < edge else (low, middle)
+    chosen = high if refused else 100.0
+    judgement = Judgement("coupling", T, LawBook("coupling", T), [slime])
+    verdict = judgement.verdict(
+        parameters(plant={"mass": 0.1, "damping": 1.0}), law(chosen), 0.0
+    )
+    assert verdict is not None
+    assert 1.0 < radius(chosen) < 1.0 + MARGINAL or not refused
+    assert verdict.stable is not refused
+    assert verdict.felt == ("slime" if refused else "")

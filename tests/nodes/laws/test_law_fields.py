@@ -72,3 +72,29 @@ def test_a_new_law_gets_its_sliders_by_existing() -> None:
     assert mode["default"] == "up"
     assert on["choices"] == [False, True]
     assert spare["type"] == "number"
+
+
+def test_a_tuple_has_a_control_if_its_items_are_numbers_of_one_kind() -> None:
+    class Pairs(Law, frozen=True, kw_only=True):
+        """A law with pairs.
+
+        Attributes
+        ----------
+        ends : tuple of float
+            Both ends [m].
+        named : tuple
+            A number and its name.
+        names : tuple of str
+            Names.
+        more : tuple of int
+            As many as there are.
+        """
+
+        kind: ClassVar[str] = "pairs"
+        ends: tuple[float, float]
+        named: tuple[float, str]
+        names: tuple[str, str]
+        more: tuple[int, ...]
+
+    found = {field["name"]: field["type"] for field in law_fields(Pairs)}
+    assert found == {"ends": "numbers", "more": "numbers"}
