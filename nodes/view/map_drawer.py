@@ -21,6 +21,9 @@ from nodes.view.law_edges import edges_of_laws, rests_of_laws
 from nodes.view.stability_map import map_in_steps, plant_of, with_inertia
 
 MAP_PERIOD = 0.25  # shortest time between two maps [s]
+# Between maps that differ in the measured delay only it doubles up to this, because the delay may
+# tremble for ever [s].
+DELAY_PERIOD = 10.0
 # Changes of the delay below this do not redraw the map [ticks], and as a part of the delay.
 STEADY, STEADY_SHARE = 0.02, 0.05
 _NO_MORE: Final[dict[str, Any]] = {}  # after the last step of a map
@@ -35,9 +38,13 @@ class _Inputs(NamedTuple):
     own: float | None  # delay of a virtual device [ticks]
     delay: float  # delay of the loop without it [ticks]
 
+    def differs_in_delay_only(self, other: _Inputs | None) -> bool:
+        """Whether another map shows the same but for the measured delay."""
+        return other is not None and self[:4] == other[:4]
+
     def is_of(self, other: _Inputs | None) -> bool:
         """Whether another map shows the same, but for an unsteady delay."""
-        if other is None or self[:4] != other[:4]:
+        if other is None or not self.differs_in_delay_only(other):
             return False
         return abs(self.delay - other.delay) <= STEADY + STEADY_SHARE * other.delay
 
@@ -73,6 +80,7 @@ class MapDrawer:
         self._steps: Iterator[dict[str, Any] | None] | None = None
         self._rests = False  # whether the page rests
         self._begun_at = 0.0
+        self._patience = MAP_PERIOD  # until the next map of another delay [s]
         self._edges: dict[str, float | None] = {}  # by description and device
         self._job: asyncio.Task[None] | None = None
 
@@ -100,9 +108,12 @@ class MapDrawer:
         if self._drawn is not None and not is_seen:
             return
         if not wanted.is_of(self._drawn):
-            if now - self._begun_at < MAP_PERIOD:
+            later = wanted.differs_in_delay_only(self._drawn)
+            pause = self._patience if later else MAP_PERIOD
+            if now - self._begun_at < pause:
                 return
             self._begun_at = now
+            self._patience = min(2.0 * pause, DELAY_PERIOD) if later else MAP_PERIOD
             job = self._draw(wanted)
         elif rests and self._steps is not None:
             job = self._add_moving(wanted, self._steps)

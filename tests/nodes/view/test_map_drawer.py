@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 from urllib.request import urlopen
 
@@ -12,7 +13,7 @@ from websockets.asyncio.client import connect
 from nodes.launcher import launch_file
 from nodes.launcher.runs import RunInfo
 from nodes.view import map_drawer
-from nodes.view.map_drawer import MapDrawer
+from nodes.view.map_drawer import DELAY_PERIOD, MapDrawer
 from nodes.view.run_page import RESTED, Attention
 from nodes.view.run_pages import RunPages
 from nodes.view.server import SEND_PERIOD, PageServer
@@ -53,10 +54,10 @@ class Drawn:
         if kind == "map":
             self.maps.append(content)
 
-    def step(self, rests: bool, **law: Any) -> None:
-        """Step with a changed law, a page being open."""
+    def step(self, rests: bool, delay: float = 1.0, **law: Any) -> None:
+        """Step with a changed law or delay [ticks], a page being open."""
         laws = {"active": "pd", "laws": {"pd": PD | law}, "plant": PLANT}
-        self.drawer.step(laws, 1.0, is_seen=True, rests=rests)
+        self.drawer.step(laws, delay, is_seen=True, rests=rests)
 
     async def job(self) -> None:
         """Wait until what was started is done."""
@@ -96,6 +97,34 @@ def test_limits_for_moving_worlds_wait_until_the_page_rests(
     assert ["any_world" in one for one in drawn.maps] == [False, False, True]
     # One step per point, and one with the map.
     assert drawn.points == ANY_NEAR + ANY_DELAYS + 1
+
+
+def test_a_trembling_delay_draws_a_map_seldom_and_a_law_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = Drawn(monkeypatch)
+
+    monkeypatch.setattr(map_drawer, "MAP_PERIOD", DELAY_PERIOD / 4.0)
+
+    async def step(periods: float, delay: float, stiffness: float) -> int:
+        """Step so many of the shortest periods after the last map began."""
+        after = periods * map_drawer.MAP_PERIOD
+        drawn.drawer._begun_at = time.monotonic() - after
+        drawn.step(rests=False, delay=delay, stiffness=stiffness)
+        await drawn.job()
+        return len(drawn.maps)
+
+    async def play() -> None:
+        assert await step(1.1, 1.0, 1000.0) == 1
+        # The next delay counts soon, as after the start; then at twice the pause, up to a limit.
+        waits = ((0.5, 1), (1.1, 2), (1.5, 2), (2.1, 3), (3.5, 3), (4.1, 4), (4.1, 5))
+        for k, (periods, maps) in enumerate(waits):
+            assert await step(periods, 1.2 + 0.2 * k, 1000.0) == maps
+        for periods, maps in ((0.5, 5), (1.1, 6)):
+            assert await step(periods, 2.4, 900.0) == maps
+
+    complete(play())
+    drawn.drawer.close()
 
 
 def test_a_page_rests_once_it_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
