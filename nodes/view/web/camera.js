@@ -8,6 +8,7 @@ export const size = (a) => Math.sqrt(dot(a, a));
 // What a drag moves along, by its letter on the keyboard.
 export const MODES = { v: "view", g: "ground", s: "surface" };
 const UP = [0, 0, 1];
+const ROOM = 1.15; // half of a picture, of the farthest point in it
 // A plane seen from its edge: a drag moves no farther than so many times its way on the screen.
 const STEEPEST = 4;
 
@@ -45,4 +46,10 @@ export function depthOf(mode, { away }, normal) {
 // A target that was dragged along a surface, brought back to its depth below the proxy [m].
 export function atDepth(target, proxy, normal, depth) {
   return plus(target, normal, -depth - dot(minus(target, proxy), normal));
+}
+
+// Half of the smaller side [m] of a picture across two axes that contains some points.
+export function reachOf(points, middle, axes, sides) {
+  const least = Math.min(...sides), far = points.flatMap((point) => axes.map((axis, k) => (Math.abs(point[axis] - middle[axis]) * least) / sides[k]));
+  return ROOM * Math.max(0, ...far.filter(Number.isFinite));
 }

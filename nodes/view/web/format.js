@@ -20,7 +20,12 @@ export function figure(value) {
 }
 
 // Format with two significant digits, as what is measured deserves.
-export function rough(value) { return Number.isFinite(value) ? figure(Number(value.toPrecision(2))).replace(/(\.\d)0+$/, "$1") : "–"; }
+export function rough(value) {
+  if (!Number.isFinite(value)) return "–";
+  const near = Number(value.toPrecision(2));
+  if (near === 0 || Math.abs(near) < 1e-6) return figure(near);
+  return fixed(near, Math.max(0, 1 - Math.floor(Math.log10(Math.abs(near)))));
+}
 
 // Join a number and its unit with a non-breaking space.
 export function unbroken(text) { return text.replace(/(\d) (?=(N|N\/m|N s\/m|mJ|mm|ms|µs|s|kg|Hz|ticks?|times|strokes)\b)/g, "$1\u00a0"); }

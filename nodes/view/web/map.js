@@ -122,10 +122,11 @@ export class StabilityMap {
     const most = Math.max(map.k_n_per_m * 1.25, ...rows.map(([, , high]) => (high ?? 0) * 1.12));
     const right = this.whole ? Math.max(...rows.map(([b]) => b)) : map.near;
     // Two panels with a common K axis: limit over damping, and limit over delay.
-    const left = 50, bottom = height - 30, top = 8, end = left + Math.round((width - left) * 0.58), begin = end + 20, last = width - 10;
+    g.font = "12px system-ui, sans-serif";
+    // The longest figure beside the axis of K is seen whole.
+    const left = Math.ceil(Math.max(50, ...nice(most, 4).map(([, text]) => g.measureText(text).width + 12))), bottom = height - 30, top = 8, end = left + Math.round((width - left) * 0.58), begin = end + 20, last = width - 10;
     const over = map.over_delay, far = over.at(-1)[0], u = (delay) => begin + (delay / far) * (last - begin);
     const x = (b) => left + (b / right) * (end - left), y = (k) => bottom - (k / most) * (bottom - top);
-    g.font = "12px system-ui, sans-serif";
     this.axes(g, x, y, right, most, { left, bottom, top, end });
     const stable = rows.filter(([, low]) => low !== null);
     g.beginPath();

@@ -1,5 +1,6 @@
 // Plane of section through the device: the cut, and device, proxy and force projected onto it;
 // plots use its axes.
+import { reachOf } from "./camera.js";
 import { fixed, step } from "./format.js";
 import { colour } from "./theme.js";
 import { blank, dotAt, line, ring, zigzag } from "./strokes.js";
@@ -9,13 +10,14 @@ const LETTERS = "xyz", ARROW = 0.01;
 export class Section {
   // `turned` is called with the letters of the plane's two axes.
   constructor(canvas, picker, turned) {
-    Object.assign(this, { canvas, picker, plane: "", solids: null });
-    picker.addEventListener("change", () => { this.plane = picker.value; turned([...this.plane]); });
+    Object.assign(this, { canvas, picker, plane: "", solids: null, far: 0 });
+    picker.addEventListener("change", () => { this.plane = picker.value; this.far = 0; turned([...this.plane]); });
   }
 
   // Planes of the scene's axes; upright ones first, as most objects lie below.
   start(solids, axes) {
     this.solids = solids;
+    this.far = 0;
     const planes = ["xz", "yz", "xy"].filter((plane) => [...plane].every((letter) => axes.includes(letter)));
     this.picker.replaceChildren(...planes.map((plane) => new Option(plane)));
     this.picker.parentElement.hidden = !solids;
@@ -31,10 +33,13 @@ export class Section {
   // `reach`: half of the visible size [m], about the scene's middle; a close view follows the
   // device.
   draw(now, { reach: whole, scale, middle: centre }) {
-    const reach = (0.8 * whole) / scale;
     const { canvas } = this, width = canvas.clientWidth, height = canvas.clientHeight;
     if (!width || !this.solids || !now?.position.every(Number.isFinite)) return;
-    const g = blank(canvas), [across, up] = this.axes, pixels = Math.min(width, height) / (2 * reach), middle = scale > 1.2 ? now.position : centre;
+    const close = scale > 1.2, middle = close ? now.position : centre, least = Math.min(width, height);
+    // A picture that stays contains device and target wherever they were so far.
+    if (!close) this.far = Math.max(this.far, reachOf([now.position, now.target], centre, this.axes, [width, height]));
+    const reach = close ? (0.8 * whole) / scale : Math.max((0.8 * whole) / scale, this.far);
+    const g = blank(canvas), [across, up] = this.axes, pixels = least / (2 * reach);
     const at = (point) => [(point[across] - middle[across]) * pixels, -(point[up] - middle[up]) * pixels];
     g.translate(width / 2, height / 2);
     for (const [from, to] of this.lines(now)) line(g, "wall-edge", 2, [at(from), at(to)]);

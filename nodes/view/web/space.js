@@ -296,7 +296,7 @@ export class Space {
       line(g, "force", 3.5, [device, tip]);
       g.fillStyle = colour("force");
       g.font = "600 12px system-ui, sans-serif";
-      g.fillText(`${fixed(force, 1)} N`, tip[0] + 6, tip[1] - 4);
+      g.fillText(`${fixed(force, force < 0.1 ? 2 : 1)} N`, tip[0] + 6, tip[1] - 4);
     }
   }
 

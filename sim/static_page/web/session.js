@@ -203,7 +203,7 @@ class Session {
 
   setDelay(ticks, beyond) {
     if (!(ticks >= 0 && ticks <= LONGEST_DELAY_)) {
-      throw new Error(`a delay of ${ticks} ticks; this page plays 0 to ${LONGEST_DELAY_}`);
+      throw new Error(`A delay of ${ticks} ticks is not played here; this page plays 0 to ${LONGEST_DELAY_} ticks.`);
     }
     if (!beyond && !this.stable(this.law, this.laws[this.law], ticks)) {
       throw this.refusedDelay(ticks);

@@ -146,9 +146,12 @@ def test_scene_and_force_share_the_first_screen(page: Page) -> None:
 @pytest.mark.process
 def test_numbers_and_names_are_written_one_way(page: Page) -> None:
     found = page.evaluate(
-        """async () => { const { fixed, figure, count, digits } = await import("./format.js");
+        """async () => {
+      const { fixed, figure, rough, count, digits } = await import("./format.js");
       return [fixed(-0.001, 2), fixed(-1.25, 1), figure(4470.4), figure(0.0123),
-        figure(3.5e-130), count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2))]; }"""
+        figure(3.5e-130), count(1, "tick"), count(2, "tick"), fixed(0.2, digits(0.2)),
+        rough(40), rough(39.6), rough(4.04), rough(1), rough(0.05), rough(4893),
+        rough(null)]; }"""
     )
     assert found == [
         "0.00",
@@ -159,6 +162,13 @@ def test_numbers_and_names_are_written_one_way(page: Page) -> None:
         "1\u00a0tick",
         "2\u00a0ticks",
         "0.2",
+        "40",
+        "40",
+        "4.0",
+        "1.0",
+        "0.050",
+        "4\u202f900",
+        "–",
     ]
     # Number and unit stay on one line, here as in every sentence.
     broken = r"/\d (N|mJ|mm|ms|ticks?|s|µs|Hz)\b/.test(document.body.innerText)"

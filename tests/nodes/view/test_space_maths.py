@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.process, pytest.mark.smoke]
 CASES, STEEPEST = 400, 4.0
 _RUN = """
 import { readFileSync } from "node:fs";
-import { atDepth, axesOf, depthOf, planeOf, stepOf } from "./camera.js";
+import { atDepth, axesOf, depthOf, planeOf, reachOf, stepOf } from "./camera.js";
 import { coarser, Solids } from "./solids.js";
 const { drags, shape, cuts, points } = JSON.parse(readFileSync(process.argv[2], "utf8"));
 const solids = new Solids(shape);
@@ -40,6 +40,7 @@ console.log(JSON.stringify({
     planes: ["view", "ground", "surface"].map((mode) => planeOf(mode, normal)),
   })),
   cuts: cuts.map(([axis, at]) => solids.cut(axis, at)),
+  reach: points.map((point) => reachOf([point, [NaN, NaN, NaN]], [0.01, 0, 0], [0, 2], [300, 200])),
   below: points.map((point) => solids.below(point, -1)),
   coarse: [[...coarse.points], [...coarse.faces]],
 }));
@@ -207,3 +208,11 @@ def test_a_coarser_mesh_is_closed_and_near(found: dict[str, Any]) -> None:
     # A corner is the mean of those in a cell: below the ball by half a cell's diagonal at most.
     assert np.linalg.norm(points, axis=1).max() <= 0.03 + 1e-8
     assert np.linalg.norm(points, axis=1).min() >= 0.85 * 0.03
+
+
+def test_a_section_is_as_large_as_what_moves_in_it(found: dict[str, Any]) -> None:
+    """A device beside its scene was cut off by the picture's edge."""
+    for point, reach in zip(found["points"], found["told"]["reach"], strict=True):
+        # Sides of 300 and 200 pixels: half of the wider one is 1.5 times the reach.
+        inside = max(abs(point[0] - 0.01) / (1.5 * reach), abs(point[2]) / reach)
+        assert inside == pytest.approx(1.0 / 1.15)

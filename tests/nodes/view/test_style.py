@@ -69,3 +69,16 @@ def test_all_text_is_readable_in_both_themes(theme: str) -> None:
         if contrast(given[pair[0]], given[pair[1]]) < LEAST
     }
     assert not short
+
+
+def test_the_focus_of_what_fills_a_clipped_card_is_drawn_inside() -> None:
+    """An outline outside of the scene is cut off, but for a corner."""
+    page = (Path(nodes.view.__file__).parent / "web" / "index.html").read_text(
+        encoding="utf-8"
+    )
+    scene = page.partition('<section class="card scene"')[2].partition("</section>")[0]
+    assert re.search(r"\.scene \{[^}]*overflow: hidden", _STYLE)
+    inset = r"([^{}\n]*):focus-visible \{[^}]*outline-offset: -"
+    inside = re.findall(inset, _STYLE)
+    for canvas in re.findall(r'<canvas id="(\w+)" tabindex', scene):
+        assert any(re.search(rf"#{canvas}\b", each) for each in inside), canvas
