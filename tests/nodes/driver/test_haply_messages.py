@@ -6,11 +6,13 @@ import json
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
 from websockets.sync.client import ClientConnection
 
+from nodes.driver.haply import surplus
 from nodes.driver.haply.service import MAX_BUTTONS, PROFILE, ask, buttons, command, read
 from nodes.driver.haply.surplus import SurplusAnswers, SurplusError
 
@@ -67,15 +69,37 @@ class Socket:
 
 def test_a_hundred_surplus_answers_are_tolerated_at_once_and_ten_a_second() -> None:
     counted: list[int] = []
-    surplus = SurplusAnswers(counted.append)
-    surplus.begin()
+    tolerated = SurplusAnswers(counted.append)
+    tolerated.begin()
     began = time.monotonic()
-    assert surplus.newest(cast(ClientConnection, Socket(0)), "asked") == "asked"
-    assert surplus.newest(cast(ClientConnection, Socket(100)), "asked") == "0"
+    assert tolerated.newest(cast(ClientConnection, Socket(0)), "asked") == "asked"
+    assert tolerated.newest(cast(ClientConnection, Socket(100)), "asked") == "0"
     assert counted == list(range(1, 101))
     with pytest.raises(SurplusError):
-        surplus.newest(cast(ClientConnection, Socket(10**6)), "asked")
+        tolerated.newest(cast(ClientConnection, Socket(10**6)), "asked")
     assert 101 <= len(counted) <= 101 + 10.0 * (time.monotonic() - began)
+
+
+def test_tolerance_comes_back_by_ten_answers_a_second_up_to_a_hundred(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 50.0
+    monkeypatch.setattr(surplus, "time", SimpleNamespace(monotonic=lambda: now))
+    tolerated = SurplusAnswers(str)
+
+    def more(answers: int) -> None:
+        tolerated.newest(cast(ClientConnection, Socket(answers)), "asked")
+
+    tolerated.begin()
+    more(100)
+    now += 3.0
+    more(30)
+    with pytest.raises(SurplusError):
+        more(1)
+    now += 60.0
+    more(100)
+    with pytest.raises(SurplusError):
+        more(1)
 
 
 @pytest.mark.parametrize(

@@ -561,3 +561,16 @@ def test_two_hands_that_start_apart_feel_no_step(tmp_path: Path) -> None:
     assert max(abs(b - a) for a, b in pairwise(forces)) < 2.0 * (
         500.0 * 0.05 * 0.002 + 1.0 * 0.05
     )
+
+
+@pytest.mark.parametrize(
+    ("scales", "plant"), [((2.0, 2.0), {"scale": 2.0}), ((2.0, 1.0), {})]
+)
+def test_two_real_devices_have_a_scale_if_it_is_one(
+    scales: tuple[float, float], plant: dict[str, float]
+) -> None:
+    members = {
+        which: {"kind": "touch_driver", "parameters": {"mapping": {"scale": scale}}}
+        for which, scale in zip(("first", "second"), scales, strict=True)
+    }
+    assert PairedDriver.plant(members, "driver", ("x",)) == plant

@@ -516,3 +516,8 @@ def test_a_transform_errs_by_a_twelfth_of_the_bound_of_its_rounding(terms: int) 
         # The sums themselves err by the rounding of their cosines.
         own = 2.0**-52 * float(np.abs(c).max()) * math.sqrt(terms)
         assert abs(values[k] - complex(real, imaginary)) <= bound / 12.0 + own
+
+
+def test_newton_stops_where_the_slope_is_zero() -> None:
+    """(1 − w)² has a double root at w = 1, where it starts; its slope there is exactly 0."""
+    assert roots._newton(np.array([1.0, -2.0, 1.0]), 0.5, 2.0) == 1.0

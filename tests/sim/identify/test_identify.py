@@ -53,6 +53,8 @@ def test_a_known_device_comes_back(delay: float) -> None:
     assert found.damping.value == pytest.approx(1.0, rel=1e-2)
     assert found.friction.value == pytest.approx(0.03, rel=2e-2)
     assert found.delay.value == pytest.approx(delay, abs=0.01)
+    # The loop itself answers at once, always: the range is what is not known of the device.
+    assert found.delay_range == pytest.approx(found.delay.known()[1:], abs=1e-12)
     assert found.encoder.value == pytest.approx(23e-6, rel=1e-9)
     assert not found.held
     assert found.steps(found.residual) == pytest.approx(ROUNDING, rel=0.05)

@@ -139,6 +139,7 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         for line in (
             "laws = 1 + s.leaving if s.fade_ramp > 0 else 1",
             "if s.fade_ramp > 0:",
+            "fading = s.fade_ramp > 0",
         )
     ),
     Equivalent(
@@ -176,6 +177,20 @@ EQUIVALENT: Final[tuple[Equivalent, ...]] = (
         "41",
         "42",
         "its step of 1/40 is halved 40 times: the same limit to 2e-14 of the damping",
+    ),
+    Equivalent(
+        "nodes/stability/effective_damping.py",
+        "theta = np.linspace(0.0, np.pi, max(256, 8 * len(law.taps)) + 1)",
+        "8",
+        "9",
+        "a finer grid of the same function, whose dips are zoomed in on: the same minimum",
+    ),
+    Equivalent(
+        "sim/identify/identify.py",
+        'return np.asarray(np.convolve(signal, kernel[::-1], "valid")[::5] * period)',
+        "*",
+        "/",
+        "a scale that all equations have, the force's among them: the same solution and choice",
     ),
     Equivalent(
         "sim/identify/conclude.py",
