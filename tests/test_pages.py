@@ -386,6 +386,18 @@ def constants(words: Sequence[ast.expr]) -> Iterator[tuple[str, ...]]:
         yield tuple(" ".join(str(one.value) for one in found).split()[:3])  # type: ignore[attr-defined]
 
 
+def argument_lists(path: Path) -> Iterator[tuple[str, ...]]:
+    """Yield the runs of constants in all calls, lists and tuples of a file."""
+    for node in nodes_of(path):
+        if isinstance(node, ast.Call):
+            yield from constants(node.args)
+        elif isinstance(node, ast.List | ast.Tuple):
+            yield from constants(node.elts)
+        elif isinstance(node, ast.Dict):
+            # Tables of short runs, by the study's name.
+            yield from constants([key for key in node.keys if key is not None])
+
+
 def test_every_verb_is_run_by_a_page_or_a_test() -> None:
     """The words of each command of our own stand on a page or in an argument list of a test."""
     typed = {
@@ -394,15 +406,6 @@ def test_every_verb_is_run_by_a_page_or_a_test() -> None:
         for block in blocks(text)
         for line in block.lines
     }
-    for path in (ROOT / "tests").rglob("test_*.py"):
-        for node in nodes_of(path):
-            if isinstance(node, ast.Call):
-                typed.update(constants(node.args))
-            elif isinstance(node, ast.List | ast.Tuple):
-                typed.update(constants(node.elts))
-            elif isinstance(node, ast.Dict):
-                # Tables of short runs, by the study's name.
-                typed.update(constants([key for key in node.keys if key is not None]))
     ours = {
         words
         for verb in verbs()
@@ -419,7 +422,17 @@ def test_every_verb_is_run_by_a_page_or_a_test() -> None:
         starts = {words, words[1:]} if words[0] in ("study", "lab") else {words}
         return any(one[: len(start)] == start for one in typed for start in starts)
 
-    assert [words for words in sorted(ours) if not run(words)] == []
+    missing = [words for words in sorted(ours) if not run(words)]
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        text = path.read_text(encoding="utf-8")
+        # A file is parsed only if the words of a missing command stand in it.
+        if any(
+            all(word in text for word in words[words[0] in ("study", "lab") :])
+            for words in missing
+        ):
+            typed = set(argument_lists(path))
+            missing = [words for words in missing if not run(words)]
+    assert missing == []
 
 
 def test_every_study_is_explained() -> None:

@@ -370,14 +370,17 @@ def over_delay(
     for delay in delays:
         check()
         tried = [plant.damping * i / (dampers - 1) for i in range(dampers)]
-        bears = [(each(delay, damper) or 0.0, damper) for damper in tried]
-        stiffest, damper = max(bears)
+        bears = [each(delay, damper) for damper in tried]
+        stiffest, damper = max(
+            (stiffness or 0.0, damper)
+            for stiffness, damper in zip(bears, tried, strict=True)
+        )
         network = Network(delay, delay)
         rows.append(
             HandsAtDelay(
                 delay_ticks=delay,
                 one_law_n_per_m=one(delay),
-                law_each_n_per_m=each(delay, 0.0),
+                law_each_n_per_m=bears[0],
                 damped_n_per_m=stiffest or None,
                 damper_n_s_per_m=damper if stiffest else None,
                 linear=felt(plant, pd(stiffest, damper), network) if stiffest else None,

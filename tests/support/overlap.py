@@ -30,10 +30,9 @@ def drawn_texts(figure: Figure) -> list[Text]:
     list of Text
         Visible, not blank.
     """
-    # matplotlib's own types leave it out.
-    canvas: Any = FigureCanvasAgg(figure)
-    # Once for the layout, once for the places that it gives.
-    canvas.draw()
+    FigureCanvasAgg(figure)
+    # Once for the layout, once for the places that it gives; nothing is painted.
+    figure.draw_without_rendering()
     found: dict[int, Text] = {}
     draw = Text.draw
 
@@ -43,7 +42,7 @@ def drawn_texts(figure: Figure) -> list[Text]:
         draw(self, *args, **kwargs)
 
     with mock.patch.object(Text, "draw", note):
-        canvas.draw()
+        figure.draw_without_rendering()
     return list(found.values())
 
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import igl
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from nodes.environment.shapes.scene import Solid, rotation
 from nodes.environment.shapes.tables import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE
@@ -114,6 +112,8 @@ def out_of_balance(
     deflection = proxy - device
     if not pushes:
         return float(np.linalg.norm(deflection))
+    from scipy.optimize import nnls  # 0.3 s, for every worker
+
     return float(nnls(np.array(pushes).T, deflection)[1])
 
 
@@ -124,10 +124,23 @@ def turned(triangles: Array, roll: float, pitch: float, yaw: float) -> Array:
 
 def winding(corners: Array, places: Array) -> Array:
     """Return libigl's winding number of triangles about places."""
+    import igl  # 0.1 s, for every worker
+
     ids = np.arange(3 * len(corners), dtype=np.int64).reshape(-1, 3)
     found: Any = igl.winding_number(
         corners.reshape(-1, 3), ids, np.ascontiguousarray(places)
     )
+    return np.asarray(found, dtype=np.float64)
+
+
+def squared_distance(corners: Array, places: Array) -> Array:
+    """Return libigl's squared distance of places from triangles [m²]."""
+    import igl  # as above
+
+    ids = np.arange(3 * len(corners)).reshape(-1, 3)
+    found: Any = igl.point_mesh_squared_distance(
+        places, np.ascontiguousarray(corners.reshape(-1, 3)), ids
+    )[0]
     return np.asarray(found, dtype=np.float64)
 
 

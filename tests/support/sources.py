@@ -37,8 +37,19 @@ def tree_of(path: Path) -> ast.Module:
 
 @cache
 def nodes_of(path: Path) -> tuple[ast.AST, ...]:
-    """Return all nodes of a file's tree, walked once."""
-    return tuple(ast.walk(tree_of(path)))
+    """Return all nodes of a file's tree but contexts (``ast.Load``), walked once.
+
+    The order is that of `ast.walk`, whose generators take three times as long.
+    """
+    found: list[ast.AST] = [tree_of(path)]
+    for node in found:  # which grows meanwhile
+        for name in node._fields:
+            value = getattr(node, name, None)
+            if type(value) is list:
+                found += [one for one in value if isinstance(one, ast.AST)]
+            elif isinstance(value, ast.AST) and not isinstance(value, ast.expr_context):
+                found.append(value)
+    return tuple(found)
 
 
 def nodes_if_named(path: Path, *names: str) -> tuple[ast.AST, ...]:

@@ -39,8 +39,9 @@ class Whole:
     """
 
     def __init__(self, path: Path) -> None:
-        self.sent = list(drop(200, switch=50))
-        write(path, self.sent)
+        # Five chunks suffice, as short ones as still hold each kind of message.
+        self.sent = list(drop(100, switch=50))
+        write(path, self.sent, flush_every=60)
         self.data = path.read_bytes()
         with path.open("rb") as stream:
             summary = make_reader(stream, validate_crcs=True).get_summary()

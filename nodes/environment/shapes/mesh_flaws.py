@@ -9,7 +9,6 @@ from collections import Counter
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from nodes.environment.shapes.mesh_edges import (
     components,
@@ -85,6 +84,8 @@ def join_open(points: Coordinates, ids: Ids, distance: float) -> tuple[Ids, int,
     Returns the corner that each becomes, how many were joined, and the largest distance
     between them.
     """
+    from scipy.spatial import cKDTree  # 0.2 s, for meshes that need it
+
     half = open_edges(ids)
     start, end, _ = half_edges(ids)
     rim = np.unique(np.concatenate([start[half], end[half]]))
@@ -108,6 +109,8 @@ def split_t_joints(
     no_pairs: bool = False,
 ) -> Ids:
     """Split triangles at corners that lie on the middle of their unmatched edges."""
+    from scipy.spatial import cKDTree  # as above
+
     for _ in range(20):
         half = unmatched_edges(ids, MOST_OPEN)
         if not 0 < len(half) <= MOST_OPEN:

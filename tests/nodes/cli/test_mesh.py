@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import igl
 import numpy as np
 import pytest
 
@@ -14,7 +13,7 @@ from nodes.cli.main import main
 from nodes.environment.shapes.mesh_file import read_triangles
 from sim.lab.proxy_shapes import icosphere
 from tests.support import ROOT
-from tests.support.shapes import box_triangles
+from tests.support.shapes import box_triangles, winding
 
 FIXTURES = ROOT / "tests/fixtures/begin"
 
@@ -90,9 +89,8 @@ def test_small_holes_are_closed_on_request(
             "refusal": "",
         }
         closed = read_triangles(out, "file")
-        ids = np.arange(closed.size // 3, dtype=np.int64).reshape(-1, 3)
         places = np.array([[0.0, 0.0, 0.0], 1.1 * hub, 0.9 * hub])
-        within: Any = igl.winding_number(closed.reshape(-1, 3), ids, places)
+        within = winding(closed, places)
         assert np.rint(within).tolist() == [1.0, 0.0, 1.0]
         assert np.abs(within - np.rint(within)).max() < 1e-6
         # What was there is there still.

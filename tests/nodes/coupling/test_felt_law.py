@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 
 from nodes.base.setup import Effect
 from nodes.coupling.felt_law import added, effective, factored, slow, trailing
 from nodes.laws import CompiledLaw
 from nodes.laws.parse import compile_law, parse_law
 from sim.arrays import Array
+from sim.device.filters import filtered
 
 T = 0.002
 
@@ -44,7 +44,7 @@ def rendered(law: CompiledLaw, deflection: Array) -> Array:
     """Return the forces of a law from rest at zero."""
     forces = np.convolve(law.taps, deflection)[: len(deflection)]
     for b0, b1, a1, a2 in law.sections:
-        forces = forces + lfilter([b0, b1], [1.0, a1, a2], deflection)
+        forces = forces + filtered([b0, b1], [1.0, a1, a2], deflection)
     return forces
 
 
@@ -67,7 +67,7 @@ def test_a_trailing_proxy_is_a_low_pass_of_the_device(
     """The law gets what is left of the motion by a lag [ticks]; so it does as one law."""
     rho = ticks / (ticks + 1.0)
     assume(all(abs(rho * rho + a1 * rho + a2) > 1e-3 for *_, a1, a2 in law.sections))
-    wanted = rendered(law, MOTION - lfilter([1.0 - rho], [1.0, -rho], MOTION))
+    wanted = rendered(law, MOTION - filtered([1.0 - rho], [1.0, -rho], MOTION))
     size = sum(map(abs, law.taps)) + sum(
         (abs(b0) + abs(b1)) / (1.0 + a1 + a2) for b0, b1, a1, a2 in law.sections
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import igl
 import numpy as np
 import pytest
 
@@ -21,7 +20,7 @@ from nodes.environment.shapes.tables import (
     SKIN,
 )
 from sim.lab.proxy_shapes import icosphere, ring
-from tests.support.shapes import Array
+from tests.support.shapes import Array, squared_distance
 
 EXACT = 1e-12  # rounding of a few hundred operations on coordinates below 1 m [m]
 TICKS = 24
@@ -68,9 +67,7 @@ def played(
             (memory[DISTANCE], *memory[NORMAL : NORMAL + 3], memory[IN_CONTACT])
         )
         assert memory[INSIDE] == 0.0
-    flat = np.ascontiguousarray(made.corners.reshape(-1, 3))
-    ids = np.arange(len(flat)).reshape(-1, 3)
-    squared: Any = igl.point_mesh_squared_distance(path, flat, ids)[0]
+    squared = squared_distance(made.corners, path)
     # The first tick has no nearest triangle of a tick before.
     return np.array(answers), np.array(reads[1:]), np.sqrt(squared)
 
@@ -124,8 +121,7 @@ def test_a_far_mesh_costs_no_more_than_contact(corners: Array, path: Array) -> N
         assert reads.mean() <= 1.1 * pressing.mean()
     assert reads.max() <= pressing.max() * (20 if len(path) > TICKS else 1)
     drawn = path - found[:, :1] * found[:, 1:4]
-    ids = np.arange(3 * len(corners)).reshape(-1, 3)
-    off: Any = igl.point_mesh_squared_distance(drawn, corners.reshape(-1, 3), ids)[0]
+    off = squared_distance(corners, drawn)
     assert np.abs(np.sqrt(off) - SKIN).max() < EXACT
     away = found[:, 0] + SKIN
     assert not found[:, 4].any()

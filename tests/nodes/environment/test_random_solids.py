@@ -5,9 +5,6 @@ The truth is libigl's winding number of the parts before they are damaged.
 
 from __future__ import annotations
 
-from typing import Any
-
-import igl
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -25,6 +22,7 @@ from tests.support.shapes import (
     box_triangles,
     crossing_prism,
     prism,
+    squared_distance,
     turned,
     winding,
 )
@@ -102,11 +100,7 @@ def near_faces(rng: np.random.Generator, corners: Array, count: int) -> Array:
     way = rng.normal(size=(count, 3))
     off = np.exp(rng.uniform(np.log(2e-5), np.log(1e-2), (count, 1)))
     places = np.asarray(on + off * way / np.linalg.norm(way, axis=1)[:, None])
-    ids = np.arange(3 * len(corners)).reshape(-1, 3)
-    squared: Any = igl.point_mesh_squared_distance(places, corners.reshape(-1, 3), ids)[
-        0
-    ]
-    return np.asarray(places[squared > 4e-10])
+    return np.asarray(places[squared_distance(corners, places) > 4e-10])
 
 
 @example(291)  # a T-joint beside a seam, of whose faces back to back none is left
@@ -181,11 +175,7 @@ def test_a_tool_begins_where_the_winding_number_says(
         [near_faces(rng, prepared.corners, 60), rng.normal(lead, 5e-4, (20, 3))]
     )
     places = places[np.abs(winding(prepared.corners, places)) > -1.0]
-    ids = np.arange(3 * len(corners)).reshape(-1, 3)
-    squared: Any = igl.point_mesh_squared_distance(places, corners.reshape(-1, 3), ids)[
-        0
-    ]
-    places = places[squared > 4e-10]
+    places = places[squared_distance(corners, places) > 4e-10]
     truth = np.rint(winding(prepared.corners, places)) != 0.0
     assert 0 < truth.sum() < len(truth)
     assert felt_inside(prepared, places) == truth.tolist()

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from scipy import stats
+from scipy.special import bdtr
 
 from messages.topics import DEVICE_STATE
 from messages.types import DeviceState
@@ -101,7 +101,8 @@ def test_intervals_hold_the_truth() -> None:
             holds(found.delay, model.delay),
             holds(found.encoder, model.resolution or 0.0),
         ]
-    assert stats.binom.cdf(0.85 * len(kept), len(kept), 0.95) < 0.01
+    # The binomial distribution up to 85 % of the fits; scipy.stats takes 0.4 s to load.
+    assert bdtr(0.85 * len(kept), len(kept), 0.95) < 0.01
     assert np.mean(kept) >= 0.85
 
 

@@ -26,7 +26,7 @@ def test_the_study_tells_exact_shapes_from_meshes(
         "lab",
         "proxies",
         "--finest",
-        "4",
+        "3",
         "--ticks",
         "600",
         "--steps",
@@ -42,7 +42,7 @@ def test_the_study_tells_exact_shapes_from_meshes(
         assert rows[name]["max_n"] == pytest.approx(500.0 * SKIN, rel=1e-3)
         assert rows[name]["rounds"] <= 5
     meshes = [row for row in figures["rows"] if row["triangles"]]
-    assert [row["triangles"] for row in meshes] == [320, 1280, 5120]
+    assert [row["triangles"] for row in meshes] == [320, 1280]
     # On the flat triangles it is exact, to rounding; that these are not the sphere is the mesh's
     # doing.
     assert all(row["polyhedron_um"] < 1e-6 for row in meshes)
