@@ -126,7 +126,7 @@ def test_a_far_mesh_costs_no_more_than_contact(corners: Array, path: Array) -> N
     drawn = path - found[:, :1] * found[:, 1:4]
     ids = np.arange(3 * len(corners)).reshape(-1, 3)
     off: Any = igl.point_mesh_squared_distance(drawn, corners.reshape(-1, 3), ids)[0]
-    assert np.abs(np.sqrt(off) - SKIN).max() < EXACT
+    assert np.sqrt(off).max() < SKIN + EXACT
     away = found[:, 0] + SKIN
     assert not found[:, 4].any()
     assert np.abs(np.linalg.norm(found[:, 1:4], axis=1) - 1.0).max() < EXACT
