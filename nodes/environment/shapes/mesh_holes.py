@@ -72,7 +72,7 @@ def loops(ids: Ids, found: Iterable[list[int]]) -> Iterator[list[int]]:
 def lids(
     points: Coordinates, ids: Ids, shell: Ids, found: Iterable[list[int]], most: int
 ) -> Iterator[Lid]:
-    """Yield a lid over each loop of half-edges; infinitely broad over more than `most` edges."""
+    """Yield a lid over each loop of half-edges; an infinitely broad one over too many."""
     flat = ids.ravel()
     areas = shell_areas(points, ids, shell)
     for loop in found:

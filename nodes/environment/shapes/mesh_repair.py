@@ -211,7 +211,8 @@ def _fill_narrow(
                 return mesh
             found.append(lid.ids)
         counts["narrow"] += len(found)
-        full = _with_lids(points, full.ids, found, counts)
+        # A lid stays though its corners may be those of a face: it is another wedge's.
+        full = _knit_again(points, np.concatenate([full.ids, *found]), counts)
         if full.is_closed:
             return full
     return mesh
@@ -239,24 +240,26 @@ def _fill_small(
         ]
         if not full and not len(pieces):
             break
-        counts["holes"] += len(full)
-        counts["pieces"] += len(pieces)
-        ids = mesh.ids[~np.isin(shell, pieces)]
-        mesh = _with_lids(points, ids, full, counts)
+        trial = counts.copy()
+        trial["holes"] += len(full)
+        trial["pieces"] += len(pieces)
+        ids = np.concatenate([mesh.ids[~np.isin(shell, pieces)], *full])
+        # Copies are left out, as they will be when the closed mesh is read from its file.
+        closer = _knit_again(points, drop_copies(ids, Counter()), trial)
+        if (closer.partner < 0).sum() >= (mesh.partner < 0).sum():
+            break
+        mesh = closer
+        counts.clear()
+        counts.update(trial)
         if mesh.is_closed:
             break
     return mesh
 
 
-def _with_lids(
-    points: Coordinates, ids: Ids, found: list[Ids], counts: Counts
-) -> _Knitted:
-    """Add lids to triangles and pair the edges again.
-
-    A lid stays though its corners may be those of a face: at edges of four it is a wedge's.
-    """
+def _knit_again(points: Coordinates, ids: Ids, counts: Counts) -> _Knitted:
+    """Orient and pair triangles anew, with their lids."""
     counts["shared_edges"] = counts["slits"] = 0
-    return _knit(points, np.concatenate([ids, *found]), counts)
+    return _knit(points, ids, counts)
 
 
 def _knit(points: Coordinates, ids: Ids, counts: Counts) -> _Knitted:

@@ -1,4 +1,4 @@
-"""Holes of a mesh: which are filled, unasked and on request, on both sides of limits."""
+"""Holes of a mesh: which are filled, and which on request, around each limit."""
 
 from __future__ import annotations
 
@@ -105,3 +105,15 @@ def test_the_breadth_of_a_hole_is_that_of_its_largest_disc(
     outline = np.column_stack([np.array(rim), np.zeros(len(rim))])
     found = breadth(outline, lid(outline))
     assert expected * 0.9 < found < expected * 1.0001
+
+
+def test_what_is_closed_is_closed_when_it_is_read_again() -> None:
+    """The copy that `--close` writes is a solid: it keeps no face that reading leaves out."""
+    rng = np.random.default_rng(11)
+    for _ in range(6):
+        left = np.delete(BALL, rng.choice(len(BALL), 40, replace=False), axis=0)
+        found = closed(np.concatenate([left, left[:3, ::-1] * 1.0]))
+        again = repair(found.points[found.ids])
+        assert found.is_solid
+        assert again.is_solid
+        enclosed(again, BALL, 0.05)
