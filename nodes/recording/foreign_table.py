@@ -27,6 +27,20 @@ if TYPE_CHECKING:
     Column = np.ndarray[Any, Any]
 
 LARGEST = 1 << 30  # largest file, unpacked, that is read [bytes]
+# ways out of formats that other programs turn into a table
+_WAYS = {
+    ".tdms": "nptdms.TdmsFile(FILE).as_dataframe().to_csv(…) writes one",
+    ".mf4": "asammdf.MDF(FILE).to_dataframe().to_csv(…) writes one",
+    ".c3d": "ezc3d.c3d(FILE)['data']['points'] has its points, as an array [mm]",
+    ".xlsx": "save the sheet as CSV",
+    ".gz": "unpack it with gunzip",
+    ".zip": "unpack it with unzip",
+    ".json": "pandas.read_json(FILE).to_csv(…) writes one",
+    ".feather": "pandas.read_feather(FILE).to_parquet(…) writes one",
+    ".arrow": "pandas.read_feather(FILE).to_parquet(…) writes one",
+    ".h5": "numpy.savez(…) of its arrays writes one",
+    ".hdf5": "numpy.savez(…) of its arrays writes one",
+}
 _TICKS = "ticks"  # table of our own exports with one row per tick
 _SHOWN = 20  # columns that an error names
 _WIDEST = 64  # columns of an array that become columns of their own
@@ -168,8 +182,9 @@ def read_foreign(path: Path, *, decimal_comma: bool = False) -> ForeignTable:
         )
     else:
         known = ", ".join(TABLES)
+        way = f"; {_WAYS[suffix]}" if suffix in _WAYS else ""
         raise RecordError(
-            f"{path}: the suffix {suffix!r} is no table read here; read are {known}"
+            f"{path}: the suffix {suffix!r} is no table read here; read are {known}{way}"
         )
     try:
         if path.stat().st_size > LARGEST:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from nodes.recording.foreign_clock import is_clock
 from nodes.recording.foreign_units import is_unit, split_unit
 from nodes.recording.import_words import words
+from nodes.recording.lvm_file import is_lvm, read_lvm
 from nodes.recording.writer import RecordError
 
 if TYPE_CHECKING:
@@ -73,7 +74,10 @@ def read_text(path: Path, decimal_comma: bool) -> TextTable:
     """
     import numpy as np
 
-    lines, comments = _lines(_decoded(path))
+    text = _decoded(path)
+    if is_lvm(text):
+        return TextTable(*read_lvm(path, text))
+    lines, comments = _lines(text)
     if not lines:
         raise RecordError(f"{path}: is empty")
     layout = _layout(lines, comments)

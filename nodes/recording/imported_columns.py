@@ -33,7 +33,7 @@ OWN_COLUMNS = (
 _WHOLE = {
     "position": ("position", "pos", "displacement"),
     "force": ("force", "f"),
-    "time": ("time", "t", "stamp", "timestamp"),
+    "time": ("time", "t", "stamp", "timestamp", "timestamps"),
 }
 _PARTS = {"position": ("position", "pos", "p", ""), "force": ("force", "f")}
 

@@ -21,7 +21,7 @@ from nodes.recording.writer import RecordError
 
 MAGIC = b"\x89MCAP0\r\n"
 # Suffixes of the tables that ``haptic bag import`` reads.
-TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat")
+TEXT_TABLES = (".csv", ".tsv", ".txt", ".dat", ".lvm")
 TABLES = (*TEXT_TABLES, ".npz", ".npy", ".mat", ".parquet")
 BAGS = (".db3", ".bag")  # files of ROS bags that it reads beside MCAP
 FOOTER = 0x02

@@ -27,6 +27,10 @@ ROWS = (
 )
 
 
+USUAL_MASS = (0.001, 10.0)
+"""Moving mass of haptic devices, beyond which other units were probably meant [kg]."""
+
+
 def _estimate(estimate: Estimate) -> dict[str, Any]:
     record: dict[str, Any] = {
         "value": estimate.value,
@@ -117,6 +121,7 @@ def verdict(found: Identified) -> str:
         return f"REFUTED, nothing to design on: {found.why}"
     if found.mass.value is None:
         return f"unknown: {found.mass.why}"
+    unit = unit_doubt(found.mass.value)
     model = " with ".join(
         ["a rigid device", *(" and ".join(found.terms) for _ in found.terms[:1])]
     )
@@ -124,9 +129,23 @@ def verdict(found: Identified) -> str:
         return (
             f"holds for a design: {model}; the recording also shows {found.remainder}, which the"
             " model does not have and which may change K_max by"
-            f" {100.0 * found.remainder_k_max:.2g} %"
+            f" {100.0 * found.remainder_k_max:.2g} %{unit}"
         )
-    return f"holds: {model} leaves only noise in held-out windows"
+    return f"holds: {model} leaves only noise in held-out windows{unit}"
+
+
+def unit_doubt(mass: float) -> str:
+    """Return a question about units for a mass [kg] that no haptic device has, or nothing.
+
+    Another unit changes every figure alike, so that the model holds all the same.
+    """
+    low, high = USUAL_MASS
+    if low <= mass <= high:
+        return ""
+    return (
+        f"; but its mass of {mass:.3g} kg is none of a haptic device ({low:g} to {high:g} kg): are"
+        " the positions in metres, the forces in newtons, and the rate right?"
+    )
 
 
 def text(found: Identified) -> str:

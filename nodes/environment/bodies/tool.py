@@ -18,6 +18,12 @@ from nodes.parameters.checked import NonNegative
 from nodes.parameters.store import ParameterError
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+# Numbers of a joint that a scene's defaults may set.
+_OF_DEFAULTS = (
+    *("actfrclimited", "actfrcrange", "actgravcomp", "armature", "damping", "limited"),
+    *("frictionloss", "margin", "range", "ref", "springdamper", "springref"),
+    *("stiffness", "solref_friction", "solimp_friction"),
+)
 _TICKS = 40  # ticks after the push over which mass and damping are fitted
 _SPEED = 1e-3  # speed that the push gives the tool [m/s]
 
@@ -77,19 +83,43 @@ def add_tool(mujoco: Any, spec: Any, tool: ToolParameters, where: str) -> None:
                 f" it, or give another {where}.body",
                 path=f"{where}.mass",
             )
+        weight = tool.mass / _mass_scale(spec, tool.mass)
         body = spec.worldbody.add_body(
             name=tool.body, pos=list(tool.position), gravcomp=1.0
         )
         for axis in AXES:
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis))
+            slide = body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=list(axis))
+            _set_fresh(mujoco, slide)
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[tool.radius, 0.0, 0.0],
-            mass=tool.mass,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[tool.radius, 0.0, 0.0], mass=weight
         )
+        # Some scenes take no inertia from shapes; a ball's is 2/5 m r².
+        body.mass = weight
+        body.inertia = [0.4 * weight * tool.radius**2] * 3
+        body.explicitinertial = True
     if tool.damping is not None and body is not None:
         for joint in body.joints:
             joint.damping[0] = tool.damping
+
+
+def _set_fresh(mujoco: Any, slide: Any) -> None:
+    """Free a joint of the scene's defaults: limits, springs and dampers of another mechanism."""
+    fresh = mujoco.MjSpec().worldbody.add_body().add_joint(type=slide.type)
+    for name in _OF_DEFAULTS:
+        if hasattr(fresh, name):
+            setattr(slide, name, getattr(fresh, name))
+
+
+def _mass_scale(spec: Any, mass: float) -> float:
+    """Return by what a scene scales all masses; its own total then grows by that of the tool."""
+    total = float(spec.compiler.settotalmass)
+    if total <= 0.0:
+        return 1.0
+    unscaled = spec.copy()
+    unscaled.compiler.settotalmass = -1.0
+    model = unscaled.compile()
+    spec.compiler.settotalmass = total + mass
+    return total / float(model.body_mass.sum())
 
 
 def measure_response(

@@ -15,7 +15,11 @@ from nodes.coupling.parameters import CouplingParameters
 from nodes.environment.bodies import contacts
 from nodes.environment.bodies.implicit import passive_within
 from nodes.environment.bodies.moving_scene import MovingScene
-from nodes.environment.bodies.node import MujocoEnvironment, MujocoParameters
+from nodes.environment.bodies.node import (
+    MujocoEnvironment,
+    MujocoParameters,
+    load_world,
+)
 from nodes.environment.bodies.start import controls_of
 from nodes.environment.bodies.tool import ToolParameters, response_text
 from nodes.launcher import launch_file
@@ -561,3 +565,48 @@ def test_every_divergence_is_found(tmp_path: Path) -> None:
         assert ("diverged" in why) == (tick in (2, 4))
         if tick in (2, 4):
             assert found.data.qpos[7] == 0.3  # at the keyframe again
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<default><joint limited='true' damping='7' stiffness='50' armature='0.3'/></default>",
+        "<default><joint frictionloss='2' actuatorfrclimited='true'"
+        " actuatorfrcrange='-1 1' springdamper='0.1 1'/></default>",
+        "<default><geom mass='0'/></default>",
+        "<default><geom density='0'/></default>",
+        "<compiler inertiafromgeom='false'/>",
+        # MuJoCo 4 calls this one deprecated.
+        pytest.param(
+            "<compiler settotalmass='14'/>",
+            marks=pytest.mark.filterwarnings("ignore:compiler attribute"),
+        ),
+    ],
+)
+def test_an_added_tool_is_free_of_the_defaults_of_the_scene(
+    tmp_path: Path, text: str
+) -> None:
+    """As scenes of other people have them: before, refused, or with another mass and damping."""
+    path = tmp_path / "scene.xml"
+    inertial = "<inertial mass='3' pos='0 0 0' diaginertia='1 1 1'/>"
+    path.write_text(
+        f"<mujoco>{text}<option timestep='0.001' integrator='implicitfast'/><worldbody>"
+        f"<body name='arm' pos='5 0 0'>{inertial}<joint type='slide' range='0 1'/>"
+        "<geom size='0.1' mass='3'/></body></worldbody></mujoco>",
+        encoding="ascii",
+    )
+    tool = ToolParameters(mass=0.05, radius=0.006, damping=3.0)
+    model = load_world(MujocoParameters(scene=str(path), tool=tool), T, "world").model
+    body = model.body("tool")
+    assert body.mass[0] == pytest.approx(0.05, rel=1e-12)
+    # 2/5 m r² of a ball; the arm has the mass that its scene gives it.
+    assert body.inertia == pytest.approx([0.4 * 0.05 * 0.006**2] * 3, rel=1e-12)
+    asked = 14.0 if "settotalmass" in text else 3.0
+    assert model.body("arm").mass[0] == pytest.approx(asked, rel=1e-12)
+    joints = slice(int(body.jntadr[0]), int(body.jntadr[0]) + 3)
+    dofs = slice(int(body.dofadr[0]), int(body.dofadr[0]) + 3)
+    assert not model.jnt_limited[joints].any()
+    assert not np.any(model.jnt_stiffness[joints])
+    assert not model.dof_armature[dofs].any()
+    assert not model.dof_frictionloss[dofs].any()
+    assert np.ravel(model.dof_damping[dofs])[0] == 3.0

@@ -133,6 +133,24 @@ def test_arrays_that_cannot_be_are_refused(rig: Rig) -> None:
         haptic.identify(position=position[:few], force=force[:few], rate=500)
 
 
+@pytest.mark.parametrize(
+    ("stage", "load", "asked"),
+    [(1.0, 1.0, False), (1.0, 1.0 / 9.80665e-3, True), (1e-3, 1.0, True)],
+    ids=("si", "gram", "km"),
+)
+def test_a_mass_of_no_device_asks_about_units(
+    rig: Rig, stage: float, load: float, asked: bool
+) -> None:
+    """Another unit scales mass and damping alike, so that the model holds all the same."""
+    found = haptic.identify(
+        position=stage * rig[0], force=load * rig[1], rate=1.0 / PERIOD, held=False
+    )
+    verdict = found.text.partition("\n")[0]
+    assert verdict.startswith("holds")
+    assert found["mass_kg"]["value"] == pytest.approx(MASS * load / stage, rel=0.01)
+    assert ("the positions in metres, the forces in newtons" in verdict) is asked
+
+
 def test_a_refused_identification_names_the_file_that_was_given(
     csv: Path, tmp_path: Path
 ) -> None:
