@@ -13,14 +13,14 @@ from nodes.parameters.yaml_io import WatchedFile
 LISTED_CHANGES: Final = 4
 SHOWN_CHARACTERS: Final = 60
 
-Change = Callable[[Callable[[], Any]], dict[str, Any]]
-"""Applies the parameters that a function returns between two ticks, and returns the receipt."""
+ApplyChange = Callable[[Callable[[], Any]], dict[str, Any]]
+"""Applies the parameters of a function between two ticks; returns the receipt."""
 
 
 class WatchedParameters:
     """The watched file of one node (control thread)."""
 
-    def __init__(self, node: Node, change: Change) -> None:
+    def __init__(self, node: Node, change: ApplyChange) -> None:
         self._node, self._change = node, change
         self._file = WatchedFile(node.setup.watch, node.watched)
 
