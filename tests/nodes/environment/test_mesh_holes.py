@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nodes.environment.shapes.kinds import TOOL_RADIUS
 from nodes.environment.shapes.mesh import prepare_mesh
 from nodes.environment.shapes.mesh_file import MOST_EDGES, MOST_WIDTH
 from nodes.environment.shapes.mesh_holes import breadth, lid
 from nodes.environment.shapes.mesh_repair import NARROW, Repaired, repair
+from nodes.environment.shapes.touchable import TOOL_RADIUS
 from nodes.parameters.store import ParameterError
 from sim.lab.proxy_shapes import icosphere
 from tests.support.shapes import Array, box_triangles, winding
