@@ -37,7 +37,7 @@ from nodes.base.status_report import report_of
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
-    from nodes.parameters.yaml_io import WatchedFile
+    from nodes.base.watched_parameters import WatchedParameters
 
 STATUS_PERIOD = 0.5
 # memory growth taken as unbounded requests, after which all requesting peers are disconnected
@@ -53,8 +53,6 @@ END_TIMEOUT = 10.0  # longest duration of a request at the node's end [s]
 GIVEN_BACK = 1.0
 
 WATCH_PERIOD = 0.1
-# limits of the change log: names listed, characters per value
-LISTED_CHANGES, SHOWN_CHARACTERS = 4, 60
 
 
 class ControlServer(threading.Thread):
@@ -76,12 +74,12 @@ class ControlServer(threading.Thread):
         self._fetched = threading.Event()
         self._next_status = self._next_watch = 0.0
         self._links = links
-        self._watched: WatchedFile | None = None
+        self._watched: WatchedParameters | None = None
         if node.setup.watch:
             # few nodes need it, and YAML is a tenth of a node's import time
-            from nodes.parameters.yaml_io import WatchedFile
+            from nodes.base.watched_parameters import WatchedParameters
 
-            self._watched = WatchedFile(node.setup.watch, node.watched)
+            self._watched = WatchedParameters(node, self._change)
         self._operations: dict[str, Callable[..., Any]] = {
             "status": lambda: msgspec.to_builtins(node.status()),
             "info": self._info,
@@ -346,7 +344,7 @@ class ControlServer(threading.Thread):
         now = time.monotonic()
         if self._watched is not None and now >= self._next_watch:
             self._next_watch = now + WATCH_PERIOD
-            self._poll_file(self._watched)
+            self._watched.poll()
         if now >= self._next_status:
             self._next_status = now + STATUS_PERIOD
             self._watch_descriptors()
@@ -372,27 +370,6 @@ class ControlServer(threading.Thread):
             node.failing = True
             node.stop(reason)
 
-    def _poll_file(self, watched: WatchedFile) -> None:
-        node, where = self._node, ""  # errors of the file itself name it already
-        try:
-            values = watched.poll()
-            where = f"{watched.path}: "
-            if values is not None and node.store.merged(values) != node.store.current:
-                receipt = self._change(lambda: node.store.merged(values))
-                node.events.log(f"applied {watched.path}: {_change_log(receipt)}")
-        except Exception as error:  # noqa: BLE001  # as for requests: refuse, report, keep serving
-            known = isinstance(error, ParameterError)
-            reason = (
-                f"{where}{error}"
-                if known
-                else f"{watched.path}: {type(error).__name__}: {error}"
-            )
-            node.events.emit_each(
-                "refused", f"{reason}; the running parameters are untouched"
-            )
-        finally:
-            node.watched = watched.applied
-
     def stop(self) -> bool:
         """Stop serving and wait for the thread, but not for ever."""
         self._ending.set()
@@ -412,17 +389,3 @@ class ControlServer(threading.Thread):
             self._links.close()
             self._socket.close(linger=0)
         return True
-
-
-def _change_log(receipt: dict[str, Any]) -> str:
-    """Return the changes of a file in one line; the receipt itself is published and recorded."""
-    changed = [
-        f"{path} {str(old)[:SHOWN_CHARACTERS]} → {str(new)[:SHOWN_CHARACTERS]}"
-        for path, (old, new) in receipt["changed"].items()
-    ]
-    more = (
-        f", {len(changed) - LISTED_CHANGES} more"
-        if len(changed) > LISTED_CHANGES
-        else ""
-    )
-    return f"{', '.join(changed[:LISTED_CHANGES])}{more} from tick {receipt['seq']} on"

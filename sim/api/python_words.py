@@ -7,7 +7,6 @@ import os
 from collections.abc import Iterator
 
 from messages.errors import FORCE, HapticError, Remedy
-from nodes.base import log_line
 from nodes.parameters.interface_words import PYTHON, VARIABLE, interface
 
 _BY_FORCE = Remedy(
@@ -17,8 +16,8 @@ _BY_FORCE = Remedy(
 
 
 def launch_environment() -> dict[str, str]:
-    """Return the environment of a launch that writes for a program, in the words of Python."""
-    return {**os.environ, VARIABLE: "python", log_line.VARIABLE: "json"}
+    """Return the environment of a launch that words its errors for Python."""
+    return {**os.environ, VARIABLE: "python"}
 
 
 @contextlib.contextmanager

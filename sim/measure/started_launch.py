@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import subprocess
 import tempfile
@@ -14,7 +15,7 @@ from types import TracebackType
 from typing import IO, Any, Self
 
 from messages.errors import HapticError
-from nodes.base.log_line import COMMAND, LogLine, read_lines
+from nodes.base.log_line import COMMAND, VARIABLE, LogLine, read_lines
 from nodes.client.launches import ask
 from nodes.launcher.runs import RunInfo, runs
 from sim.measure.haptic_commands import DEADLINE, MeasurementError, end, start_command
@@ -64,7 +65,11 @@ class StartedLaunch:
                 "--json",
                 "--no-plot",
                 cwd=folder,
-                env=None if environment is None else dict(environment),
+                env={
+                    **(os.environ if environment is None else environment),
+                    # read here, where nobody else reads it
+                    **({VARIABLE: "json"} if stderr is None else {}),
+                },
                 stdout=out,
                 stderr=errors if stderr is None else stderr,
             )

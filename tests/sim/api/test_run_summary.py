@@ -13,7 +13,7 @@ import haptic
 import pytest
 
 from messages.errors import AT_MOST, FORCE, HapticError, Remedy
-from nodes.base.log_line import LogLine, read_lines
+from nodes.base.log_line import VARIABLE, LogLine, read_lines
 from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
 from nodes.parameters.store import ParameterError
 from sim.api.python_words import launch_environment, speaking_python
@@ -167,7 +167,7 @@ def test_a_command_for_a_program_fails_in_data_and_in_its_words() -> None:
             "floor_drop",
             "stifness:=3",
         ],
-        env=launch_environment(),
+        env={**launch_environment(), VARIABLE: "json"},
         capture_output=True,
         text=True,
         check=False,
