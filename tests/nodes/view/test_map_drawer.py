@@ -81,12 +81,12 @@ def test_limits_for_moving_worlds_wait_until_the_page_rests(
 
         drawn.step(rests=True, stiffness=900.0)
         while drawn.points < 2:
-            await asyncio.sleep(0)
+            await asyncio.sleep(1e-3)
         # The page is used again: the present point is the last one, and none is lost.
         drawn.step(rests=False, stiffness=900.0)
         await drawn.job()
         begun = drawn.points
-        assert begun <= 4
+        assert begun < ANY_NEAR + ANY_DELAYS
         drawn.step(rests=True, stiffness=900.0)
         await drawn.job()
         drawn.step(rests=True, stiffness=900.0)
