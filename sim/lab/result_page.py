@@ -151,9 +151,15 @@ SECTIONS: Final[dict[str, ResultSection]] = {
     ),
     "mutations": ResultSection(
         "Mutations",
-        "How many changes of a line, drawn from each room, its tests without processes notice.",
-        "python -m tests.support.mutations --only-drawn --near --drawn 180 --seed 5",
+        "How many changes of a line, drawn from each room, its tests notice, some by a launch.",
+        "python -m tests.support.mutations --only-drawn --near --drawn 180 --seed 7",
         90.0,
+    ),
+    "named_mutations": ResultSection(
+        "Named mutations",
+        "Changes of rules that a test must notice, those of safety among them.",
+        "python -m tests.support.mutations",
+        15.0,
     ),
 }
 

@@ -85,7 +85,7 @@ def test_tolerance_comes_back_by_ten_answers_a_second_up_to_a_hundred(
 ) -> None:
     now = 50.0
     monkeypatch.setattr(surplus, "time", SimpleNamespace(monotonic=lambda: now))
-    tolerated = SurplusAnswers(str)
+    tolerated = SurplusAnswers(lambda _: None)
 
     def more(answers: int) -> None:
         tolerated.newest(cast(ClientConnection, Socket(answers)), "asked")
