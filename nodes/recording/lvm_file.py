@@ -22,6 +22,7 @@ TIME = "time"
 _END = "***End_of_Header***"
 _DELIMITERS = ("\t", ",", ";")
 _UNITS = "Y_Unit_Label"
+_LONGEST = 1e12  # start or step that a file may have [s]
 
 
 class LvmTable(NamedTuple):
@@ -158,6 +159,10 @@ def _times(
             raise RecordError(
                 f"{path}: has no X values, and its header no {key} of all channels"
             ) from None
+        if not abs(value) <= _LONGEST:
+            raise RecordError(
+                f"{path}: {key} is {value:g} s, expected at most {_LONGEST:g} s"
+            )
         return value
 
     return number("X0") + number("Delta_X") * np.arange(count)

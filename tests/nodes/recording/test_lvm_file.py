@@ -97,6 +97,8 @@ def test_a_file_of_labview_gives_its_channels(
         (lvm().partition("Channels")[0], "0 segments"),
         (lvm("Multi", late=1e-3), "times of their own; write it in LabVIEW with one X"),
         (lvm("No", step="0.001"), "its header no Delta_X of all channels"),
+        (lvm("No").replace("\t0.002", "\tinf"), "Delta_X is inf s, expected at most"),
+        (lvm("No").replace("\t0.002", "\tnan"), "Delta_X is nan s, expected at most"),
         (lvm("No").replace("Delta_X", "Delta_Y"), "no X values, .* no Delta_X"),
         (lvm(dimension="Frequency"), "its X values are Frequency, not times"),
         (lvm().rpartition(END)[0] + END, "no rows below its last header"),
