@@ -94,6 +94,32 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
     Raises LawRefusedError if the law cannot be realised, is not finite, has an unstable section or
     H(1) ≤ 0.
     """
+    compiled = _realised(law, period, path)
+    if _pushes(compiled):
+        return compiled
+    raise LawRefusedError(
+        f"renders H(1) = {compiled.h1:.6g} N/m to a held deflection"
+        f" (limit: > {_rounding(compiled):.2g}),"
+        " it would pull into the wall; raise the stiffness, lower the damping or use more taps",
+        path=path,
+    ).with_remedies(*_stiff_enough(law, compiled.h1, period, path))
+
+
+def _rounding(compiled: CompiledLaw) -> float:
+    """Return how exact the sum of the taps is; the sign of less than that is undefined."""
+    return 2.0**-52 * sum(map(abs, compiled.taps))
+
+
+def _pushes(compiled: CompiledLaw) -> bool:
+    """Return whether a held deflection is pushed out, as far as the taps tell.
+
+    A force of its own code appears in no transfer function; the coupling monitors it at run time.
+    """
+    return compiled.evaluate is not None or compiled.h1 > _rounding(compiled)
+
+
+def _realised(law: Law, period: float, path: str) -> CompiledLaw:
+    """Compile a law that may pull into the wall."""
     if not (math.isfinite(period) and period > 0.0):
         raise LawRefusedError(
             f"sampling period {period!r} s is not a positive number", path=path
@@ -119,9 +145,7 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
             f"compiles to {type(compiled).__name__}, expected CompiledLaw (law kind {law.kind})",
             path=path,
         )
-    # The sum of the taps is exact to rounding only; below that its sign is undefined.
-    rounding = 2.0**-52 * sum(map(abs, compiled.taps))
-    if not (compiled.finite and math.isfinite(rounding)):
+    if not (compiled.finite and math.isfinite(_rounding(compiled))):
         raise LawRefusedError(
             f"taps or their sum are not finite at T = {period:g} s (limit: below 1.8e308);"
             " lower the gains or the order",
@@ -148,15 +172,6 @@ def compile_law(law: Law, period: float, path: str = "law") -> CompiledLaw:
                 f" may read ring[head] to ring[head + {count - 1}]; fill up the taps with zeros",
                 path=path,
             )
-        # its force appears in no transfer function; the coupling monitors it at run time
-        return compiled
-    h1 = compiled.h1
-    if not h1 > rounding:
-        raise LawRefusedError(
-            f"renders H(1) = {h1:.6g} N/m to a held deflection (limit: > {rounding:.2g}),"
-            " it would pull into the wall; raise the stiffness, lower the damping or use more taps",
-            path=path,
-        ).with_remedies(*_stiff_enough(law, h1, period, path))
     return compiled
 
 
@@ -169,8 +184,10 @@ def _stiff_enough(law: Law, h1: float, period: float, path: str) -> list[Remedy]
     wanted = rounded_towards(stiffness - h1, math.inf)
     for value in (wanted, rounded_towards(1.001 * wanted, math.inf)):
         try:
-            compile_law(replace(law, stiffness=value), period, path)
+            raised = _realised(replace(law, stiffness=value), period, path)
         except ParameterError:
+            continue
+        if not _pushes(raised):
             continue
         text = f"the smallest {path}.stiffness that is accepted is {value:.9g}"
         return [Remedy(AT_LEAST, text, {f"{path}.stiffness": value})]
