@@ -87,7 +87,8 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
     while below[-1] == 0.0 and len(below) > 1 and top[-1] == 0.0:
         top, below = top[:-1], below[:-1]
     below = np.trim_zeros(np.array(below), "f").tolist()
-    speed = filtered(*(bilinear(each, top, below) for each in (top, below)), -forces)
+    numerator, denominator = (bilinear(each, top, below) for each in (top, below))
+    speed = filtered(numerator, denominator, -forces)
     found = moved("lossless", body, forces)
     size = np.abs(found).max()
     # 400 ticks of rounding
@@ -100,7 +101,7 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
         + stiffness * np.array([1.0, 0.0, 0.0])
     )
     assert moved("implicit", body, forces) == pytest.approx(
-        filtered([1.0], rule, -forces), abs=1e-9 * size
+        filtered([1.0], rule.tolist(), -forces), abs=1e-9 * size
     )
 
 
