@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sim.arrays import Array
 
 
-def filtered(
-    numerator: Sequence[float], denominator: Sequence[float], what: ArrayLike
-) -> Array:
+def filtered(numerator: ArrayLike, denominator: ArrayLike, what: ArrayLike) -> Array:
     """Return what a recursive filter makes of a signal, from rest, along its last axis.
 
     The recursion is the forward substitution of a triangular system with as many bands as the
@@ -20,9 +16,9 @@ def filtered(
 
     Parameters
     ----------
-    numerator : sequence of float
+    numerator : array_like of float
         Weights of a sample and of those before it, newest first.
-    denominator : sequence of float
+    denominator : array_like of float
         Weights of an output and of those before it; the first is not 0.
     what : array_like of float, shape (..., n)
         The signal.
@@ -35,9 +31,10 @@ def filtered(
     from scipy.linalg.blas import dtbsv
 
     signal = np.asarray(what, dtype=np.float64)
-    length, order = signal.shape[-1], len(denominator) - 1
-    weights = np.asarray(numerator, dtype=np.float64) / denominator[0]
-    recursion = np.asarray(denominator, dtype=np.float64) / denominator[0]
+    recursion = np.asarray(denominator, dtype=np.float64)
+    weights = np.asarray(numerator, dtype=np.float64) / recursion[0]
+    recursion = recursion / recursion[0]
+    length, order = signal.shape[-1], recursion.size - 1
     bands = np.repeat(recursion[:, None], length, axis=1)
     found = np.empty_like(signal)
     for index in np.ndindex(signal.shape[:-1]):

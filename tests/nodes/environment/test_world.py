@@ -101,7 +101,7 @@ def test_implicit_and_trapezoidal_are_the_rules_of_these_names(
         + stiffness * np.array([1.0, 0.0, 0.0])
     )
     assert moved("implicit", body, forces) == pytest.approx(
-        filtered([1.0], rule.tolist(), -forces), abs=1e-9 * size
+        filtered([1.0], rule, -forces), abs=1e-9 * size
     )
 
 
