@@ -12,6 +12,8 @@ const TRACE_SECONDS = 2;
 const STEP = 0.0005;
 const REST = 200; // time after which the camera rests [ms]
 const UNSEEN = 0.25; // motion of a body that no picture shows [pixels]
+const REACH = 40; // how far from the handle a press still takes it [pixels]
+const CATCH_SECONDS = 0.5; // a handle that moves is taken where it was this long ago, too
 const BALL = 8; // smallest radius of the device's ball [pixels]
 
 export class Space {
@@ -108,10 +110,19 @@ export class Space {
     this.finger = event.pointerId;
     this.canvas.setPointerCapture(event.pointerId);
     this.last = [event.offsetX, event.offsetY];
-    const [u, v] = this.now ? this.seen(this.now.target) : [1e9, 0], { clientWidth: width, clientHeight: height } = this.canvas;
-    const near = Math.hypot(event.offsetX - width / 2 - u, event.offsetY - height / 2 - v) < 40;
-    this.by = this.ready && near ? "hand" : "camera";
+    this.by = this.ready && this.catches(event) ? "hand" : "camera";
     if (this.by === "hand") this.take();
+  }
+
+  // Whether a press is near the handle or the device, as they are or were when it was aimed.
+  catches({ offsetX, offsetY }) {
+    if (!this.now) return false;
+    const x = offsetX - this.canvas.clientWidth / 2, y = offsetY - this.canvas.clientHeight / 2;
+    const late = this.trace.filter(([t]) => t > this.now.t - CATCH_SECONDS).map(([, position]) => position);
+    return [this.now.target, ...late].some((point) => {
+      const [u, v] = this.seen(point);
+      return Math.hypot(x - u, y - v) < REACH;
+    });
   }
 
   // The handle moves along what was chosen; dragging anywhere else turns the camera.

@@ -544,3 +544,29 @@ def test_a_real_mouse_drags_along_what_was_chosen(page: Page, key: str) -> None:
     assert step == pytest.approx([100.0 * 2e-5 * w for w in way], abs=1e-9)
     page.mouse.up()
     assert page.evaluate("space.held") is None
+
+
+@pytest.mark.process
+def test_a_handle_that_moves_is_taken_where_it_was_seen(page: Page) -> None:
+    """Half a second ago at most; a press elsewhere, or later, turns the camera."""
+    page.evaluate(
+        """() => {
+      space.letGo();
+      globalThis.fed = (t, position) =>
+        shown({ yaw: -0.4, pitch: 0.6, t, position, target: position });
+    }"""
+    )
+    camera, start, on = Camera(YAW, PITCH, WIDTH, HEIGHT), CENTRE, [0.03, 0.0, 0.0]
+    gone = [c + step for c, step in zip(start, on, strict=True)]
+    u, v = camera.seen(start)
+    assert math.dist((u, v), camera.seen(gone)) > 40.0
+    for late, taken in ((0.499, "hand"), (0.501, "camera")):
+        page.evaluate("from => fed(10, from)", start)
+        page.evaluate("([late, to]) => fed(10 + late, to)", [late, gone])
+        page.mouse.move(WIDTH / 2 + u, HEIGHT / 2 + v)
+        page.mouse.down()
+        assert page.evaluate("space.by") == taken
+        # It is held where it is, not where it was.
+        assert page.evaluate("space.held") == (gone if taken == "hand" else None)
+        page.mouse.up()
+        page.evaluate("space.trace.length = 0")
