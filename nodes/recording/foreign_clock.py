@@ -36,11 +36,17 @@ class _Time(NamedTuple):
 
     days: dict[str, int]  # days since 1970 by the order of the date's parts
     of_day: int  # time of the day, with its zone [ns]
+    marks: tuple[bool, bool] = (False, False)  # whether it has AM or PM, and a zone
+
+
+def is_date(text: str) -> bool:
+    """Whether a text is a date without a time."""
+    return bool(_ALONE.fullmatch(text) and _days(text))
 
 
 def is_clock(text: str) -> bool:
     """Whether a text is a time of the clock, a date, or both."""
-    return _read(text) is not None or bool(_ALONE.fullmatch(text) and _days(text))
+    return _read(text) is not None or is_date(text)
 
 
 def clock_times(texts: Iterable[str]) -> list[int] | None:
@@ -57,13 +63,13 @@ def clock_times(texts: Iterable[str]) -> list[int] | None:
     list of int or None
         Times since 1970, or since the first midnight without a date, or with one of which day and
         month are not told apart [ns]; times without a date go on after midnight. None if a text is
-        no time of the clock.
+        no time of the clock, or has another form than the first.
     """
     read: list[_Time] = []
     orders: set[str] | None = None
     for text in texts:
         time = _read(text.strip())
-        if time is None:
+        if time is None or (read and time.marks != read[0].marks):
             return None
         orders = set(time.days) if orders is None else orders & set(time.days)
         if not orders:
@@ -123,7 +129,7 @@ def _read(text: str) -> _Time | None:
         minute -= east if zone[0] == "+" else -east
     part = int((found["part"] or "0").ljust(9, "0"))
     of_day = (3600 * hour + 60 * minute + second) * 1_000_000_000 + part
-    return _Time(days, of_day)
+    return _Time(days, of_day, (bool(found["half"]), bool(zone)))
 
 
 @functools.lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodes.parameters.nearest import did_you_mean
-from nodes.recording.foreign_clock import clock_times
+from nodes.recording.foreign_clock import clock_times, is_clock, is_date
 from nodes.recording.foreign_text import names_of, read_text
 from nodes.recording.mat_file import read_mat
 from nodes.recording.mcap_walk import TABLES, TEXT_TABLES
@@ -136,8 +136,13 @@ class ForeignTable:
             try:
                 found[row] = float(value.replace("_", "?")) if value else np.nan
             except ValueError:
+                why = "is no number"
+                if is_date(value):
+                    why = "is a date without a time of the day"
+                elif is_clock(value):
+                    why = "is a time, but other rows are empty or have another form"
                 raise RecordError(
-                    f"{self.path}: {self.place(row)}, column {name!r}: {value[:40]!r} is no number"
+                    f"{self.path}: {self.place(row)}, column {name!r}: {value[:40]!r} {why}"
                 ) from None
         return found
 
@@ -221,8 +226,35 @@ def _with_clock(table: ForeignTable) -> ForeignTable:
         if column.dtype.kind in "UO" and len(column)
     }
     times = {name: np.array(found) for name, found in read.items() if found is not None}
+    times |= _with_dates(table, times)
     units = dict.fromkeys(times, "ns")
     return replace(table, columns=table.columns | times, units={**table.units, **units})
+
+
+def _with_dates(table: ForeignTable, times: Iterable[str]) -> dict[str, Column]:
+    """Return times of the day with the date that the only other column of dates has.
+
+    Only where that date changes: without it, days between two rows would be lost.
+    """
+    import numpy as np
+
+    dates = [
+        [str(date).strip() for date in column]
+        for name, column in table.columns.items()
+        if name not in times and column.dtype.kind in "UO" and len(column)
+    ]
+    dates = [column for column in dates if all(map(is_date, column))]
+    if len(dates) != 1 or len(set(dates[0])) == 1:
+        return {}
+    found = {}
+    for name in times:
+        texts = [str(time).strip() for time in table.columns[name]]
+        if len(texts) == len(dates[0]):
+            # A time that has a date has no place for another.
+            joined = map(" ".join, zip(dates[0], texts, strict=True))
+            if (stamps := clock_times(joined)) is not None:
+                found[name] = np.array(stamps)
+    return found
 
 
 def _read_text(path: Path, decimal_comma: bool) -> ForeignTable:

@@ -27,6 +27,7 @@ _ROWS_OF_GAP = 1000.0  # rows that are missing in such a gap
 _BITS = (16, 24, 32)  # of counters that begin again
 _DAY = 86400.0  # [s]
 _CLOCK = 1e-9  # unit of times of the clock [s]
+_EVEN = 1e-3  # tolerated rounding of times that are no whole numbers [steps]
 _FEW = 10.5  # rows between which a counter may begin again [steps]
 _FEW_SAME = 0.1  # share of rows with the stamp before from which stamps lack digits
 _TOLD_BY_ALL = 32  # rows from which times are judged as a whole
@@ -128,7 +129,7 @@ def _wraps_at(raw: Any, steps: Array, factor: float) -> float:
     """Return where a counter begins again at its least value; 0 for other times.
 
     Such are counters of 16, 24 or 32 bits, and seconds since midnight. All its steps back must then
-    be steps as the others are.
+    be steps as the others are, and as even: another recording in the file may begin anywhere.
     """
     import numpy as np
 
@@ -137,13 +138,18 @@ def _wraps_at(raw: Any, steps: Array, factor: float) -> float:
         return 0.0
     whole = not np.any(raw != np.rint(raw))
     span = float(raw.max() - raw.min())
-    usual = float(np.median(steps[steps >= 0.0]))
+    on = steps[steps >= 0.0]
+    usual = float(np.median(on))
+    if usual == 0.0:
+        return 0.0
+    stray = float(np.abs(on / usual - np.rint(on / usual)).max())
+    even = min(UNEVEN, 2.0 * stray + (1.5 / usual if whole else _EVEN))
     sizes = [2.0**bits for bits in _BITS] if whole else []
     # Nanoseconds are of the clock, whose midnights are read.
     sizes += [_DAY / factor] if raw.min() >= 0 and factor > _CLOCK else []
     for size in sizes:
-        steps_on = (back + size) / usual if usual else back
-        near = np.abs(steps_on - np.rint(steps_on)) <= UNEVEN
+        steps_on = (back + size) / usual
+        near = np.abs(steps_on - np.rint(steps_on)) <= even
         if span < size and np.all(near & (steps_on > 1.0 - UNEVEN) & (steps_on < _FEW)):
             return size
     return 0.0

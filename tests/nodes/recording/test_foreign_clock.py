@@ -87,3 +87,19 @@ def test_noon_and_midnight_of_twelve_hours() -> None:
     texts = ["12:00:00 AM", "1:00:00 a.m.", "12:00:00 PM", "11:00:00 pm", "12:30:00 AM"]
     found = clock_times(texts)
     assert found == [round(h * 3600e9) for h in (0, 1, 12, 23, 24.5)]
+
+
+@pytest.mark.parametrize(
+    ("first", "other"),
+    [
+        ("12:00:00 AM", "12:00:01"),
+        ("2026-10-25T02:00:00+02:00", "2026-10-25T02:00:01"),
+        ("01.02.2026 10:00:00", "2026-02-01 10:00:01"),
+        ("2026-02-01 10:00:00", "10:00:01"),
+    ],
+)
+def test_times_of_two_forms_are_no_column_of_times(first: str, other: str) -> None:
+    """What one form leaves out, the half of the day or the zone, shifts its rows."""
+    assert clock_times([first, first]) is not None
+    assert clock_times([other, other]) is not None
+    assert clock_times([first, other]) is None

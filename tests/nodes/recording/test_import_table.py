@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -495,3 +496,26 @@ def test_a_rate_agrees_with_the_times_to_one_percent(
     else:
         with pytest.raises(RecordError, match=f"--rate {rate:g}, while"):
             imported(RIG, rate=rate)
+
+
+@pytest.mark.parametrize("days", [0, 1, 2])
+def test_a_column_of_dates_belongs_to_the_times_beside_it(
+    imported: Callable[..., Imported], days: int
+) -> None:
+    """Without it, days between two rows would be lost."""
+    second = np.arange(TICKS) >= TICKS // 2
+    start = datetime.datetime(2026, 2, 28, 23, 59, 59, 970_000)
+    rows = [
+        (start + datetime.timedelta(days=days * int(late), milliseconds=n)).strftime(
+            f"%m/%d/%Y,%I:%M:%S.%f %p,{POSITION[n]}"
+        )
+        for n, late in enumerate(second)
+    ]
+    text = "\n".join(["Date,Time,x", *rows])
+    if days:
+        with pytest.raises(RecordError, match=f"line {TICKS // 2 + 2}.*than a day"):
+            imported(text)
+    else:
+        found = imported(text)
+        assert found.samples.seq.tolist() == list(range(TICKS))
+        assert found.samples.period == 1e-3

@@ -61,6 +61,8 @@ def test_a_counter_that_begins_again_goes_on(
         ((STEPS * 2000 + 65_536 * 40) % 1_000_000, "sort the rows"),
         ((STEPS * 2000)[::-1], "sort the rows"),
         ((STEPS * 2000).astype(np.uint32)[::-1], "sort the rows"),
+        # a second recording, which begins 1.11 steps after the end of 16 bits
+        (np.arange(23) % 13 * 5000, "import each of the recordings"),
         # a whole number of rows that is a power of two, but three times the step
         (np.where(STEPS < 400, STEPS * 100, STEPS * 100 - 80_000), "sort the rows"),
         ((STEPS % 500) * 2000, "import each of the recordings in this file on its own"),
