@@ -69,10 +69,11 @@ class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def _encodable(line: LogLine) -> LogLine:
-    """Return the line without lone surrogates, which names of files may have."""
+    """Return the line in types of JSON, without lone surrogates, which file names may have."""
     return msgspec.structs.replace(
         line,
         text=_valid(line.text),
+        data=dict(line.data),
         remedies=tuple(
             msgspec.structs.replace(one, text=_valid(one.text)) for one in line.remedies
         ),

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import haptic
@@ -17,6 +18,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from messages.errors import AT_MOST, FORCE, HapticError, Remedy
+from nodes.base.events import Clock, Events
 from nodes.base.log_line import VARIABLE, LogLine, read_lines
 from nodes.base.stderr_queue import MAX_TEXT, StderrQueue
 from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
@@ -158,6 +160,21 @@ def test_a_line_of_data_is_one_line_whatever_its_text(text: str, node: str) -> N
     lines = [LogLine(text, node, "mark"), LogLine("the next", node)]
     assert read_lines("".join(f"{one.as_json()}\n" for one in lines)) == lines
     assert read_lines("") == []
+
+
+def test_a_line_without_numbers_is_written_as_data(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nodes log what is no event, such as a mark, without any numbers."""
+    setup: Any = SimpleNamespace(name="driver", period=1e-3, pace="lockstep")
+    events = Events("driver", Clock(setup, lambda: 7), lambda: 7)
+    monkeypatch.setattr("nodes.base.events.AS_JSON", True)
+    events.log("no event")
+    events.mark("a mark")
+    assert read_lines(capsys.readouterr().err) == [
+        LogLine("no event", "driver"),
+        LogLine("a mark", "driver", "mark"),
+    ]
 
 
 def test_a_name_that_is_no_unicode_is_written() -> None:
