@@ -13,6 +13,7 @@ from typing import Final
 import msgspec
 
 from messages.errors import Remedy
+from nodes.base.stderr_queue import MAX_TEXT
 
 VARIABLE: Final = "HAPTIC_LOG"
 LAUNCH: Final = "launch"  # writer of the launcher's lines
@@ -56,8 +57,31 @@ class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
         return f"[{self.node}] {kind}{self.text}" if self.node else self.text
 
     def as_json(self) -> str:
-        """Return the line as data, without its end."""
-        return msgspec.json.encode(self).decode()
+        """Return the line as data, without its end; cut a text too long for the queue."""
+        line = msgspec.json.encode(_encodable(self))
+        if len(line) >= MAX_TEXT:
+            # an escaped character takes up to six
+            text = f"{self.text[: MAX_TEXT // 8]}…"
+            line = msgspec.json.encode(
+                _encodable(msgspec.structs.replace(self, text=text))
+            )
+        return line.decode()
+
+
+def _encodable(line: LogLine) -> LogLine:
+    """Return the line in types of JSON, without lone surrogates, which file names may have."""
+    return msgspec.structs.replace(
+        line,
+        text=_valid(line.text),
+        data=dict(line.data),
+        remedies=tuple(
+            msgspec.structs.replace(one, text=_valid(one.text)) for one in line.remedies
+        ),
+    )
+
+
+def _valid(text: str) -> str:
+    return text.encode(errors="replace").decode()
 
 
 _line = msgspec.json.Decoder(LogLine)
@@ -66,7 +90,8 @@ _line = msgspec.json.Decoder(LogLine)
 def read_lines(errors: str) -> list[LogLine]:
     """Return the lines of a process that ran with ``HAPTIC_LOG=json``."""
     found = []
-    for line in errors.splitlines():
+    # A text may contain other separators of lines, such as U+2028.
+    for line in errors.removesuffix("\n").split("\n") if errors else ():
         try:
             found.append(_line.decode(line))
         except msgspec.DecodeError:

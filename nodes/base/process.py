@@ -218,6 +218,8 @@ def start(arguments: list[str], load_kernel: Callable[[Node], None]) -> int:
         node = load(setup.factory)(setup)
     except ParameterError as error:
         line = LogLine(f"cannot start: {error}", setup.name)
-        print(line.as_json() if AS_JSON else line, file=sys.stderr, flush=True)
+        # in one piece: other nodes write there, too
+        sys.stderr.write(f"{line.as_json() if AS_JSON else line}\n")
+        sys.stderr.flush()
         return 1
     return live(node, load_kernel)

@@ -51,7 +51,9 @@ class StderrQueue(io.TextIOBase):
             self.dropped += 1
         elif text:
             self._put += 1
-            self._queue.put(text[:MAX_TEXT])
+            # A cut line still ends, so that the next one does not follow it in its line.
+            end = "\n" if len(text) > MAX_TEXT and text.endswith("\n") else ""
+            self._queue.put(text[:MAX_TEXT] + end)
         return len(text)
 
     def writable(self) -> bool:

@@ -193,7 +193,7 @@ def complain(error: object) -> None:
     if AS_JSON:
         ways = error.remedies if isinstance(error, HapticError) else ()
         line = LogLine(str(error), COMMAND, FAILS, remedies=ways)
-        print(line.as_json(), file=sys.stderr)
+        sys.stderr.write(f"{line.as_json()}\n")
     else:
         name = coloured(f"{COMMAND}:", "red", sys.stderr)
         print(name, printable(str(error)), file=sys.stderr)

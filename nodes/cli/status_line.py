@@ -13,6 +13,7 @@ from messages.topics import DEVICE_STATE, FORCE, PROXY
 from messages.transport.requests import ControlError, call
 from messages.types import ZERO, Vector
 from nodes.base.kept_line import columns, erased, is_smart, rewrite
+from nodes.base.log_line import AS_JSON
 from nodes.base.node_kinds import load
 from nodes.cli.main import coloured
 from nodes.environment.surfaces import Meeting, parse_surface
@@ -81,7 +82,8 @@ class StatusLine:
         self._launch = launch
         self._axis = "xyz".index(launch.run.axes[0])
         self._before = (time.monotonic(), 0)
-        self._live = is_smart(sys.stderr)
+        # lines of data stand alone
+        self._live = is_smart(sys.stderr) and not AS_JSON
         self._asked = 0
         self._law = ""
         self._meet: Callable[[Vector], Meeting] | None = None
@@ -171,4 +173,5 @@ class StatusLine:
 
     def clear(self) -> None:
         """Erase the line before other output."""
-        sys.stderr.write(erased(sys.stderr))
+        if self._live:
+            sys.stderr.write(erased(sys.stderr))

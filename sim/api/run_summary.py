@@ -38,6 +38,11 @@ class LaunchWarning(UserWarning):
         self.node, self.kind, self.reason = line.node, line.kind, line.text
         self.data = dict(line.data)
 
+    def __reduce__(self) -> tuple[type[LaunchWarning], tuple[LogLine]]:
+        """Return what copies it, e.g. into another process."""
+        line = LogLine(self.reason, self.node, self.kind, self.data)
+        return LaunchWarning, (line,)
+
 
 def warnings_in(log: Iterable[LogLine]) -> list[LaunchWarning]:
     """Return the lines of a launch that warn."""

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import ast
+import os
+import pickle
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import haptic
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from messages.errors import AT_MOST, FORCE, HapticError, Remedy
+from nodes.base.events import Clock, Events
 from nodes.base.log_line import VARIABLE, LogLine, read_lines
+from nodes.base.stderr_queue import MAX_TEXT, StderrQueue
 from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
 from nodes.parameters.store import ParameterError
 from sim.api.python_words import launch_environment, speaking_python
@@ -142,6 +149,69 @@ def test_warnings_are_what_a_program_must_not_overlook() -> None:
         ("left/driver", "stopped", 432.0),
         ("launch", "warning", None),
     ]
+
+
+@given(
+    text=st.text(st.characters(exclude_categories=["Cs"])),
+    node=st.sampled_from(["", "driver", "launch"]),
+)
+@example(text="two\u2028lines\x85of\x0bothers\n", node="driver")
+def test_a_line_of_data_is_one_line_whatever_its_text(text: str, node: str) -> None:
+    lines = [LogLine(text, node, "mark"), LogLine("the next", node)]
+    assert read_lines("".join(f"{one.as_json()}\n" for one in lines)) == lines
+    assert read_lines("") == []
+
+
+def test_a_line_without_numbers_is_written_as_data(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nodes log what is no event, such as a mark, without any numbers."""
+    setup: Any = SimpleNamespace(name="driver", period=1e-3, pace="lockstep")
+    events = Events("driver", Clock(setup, lambda: 7), lambda: 7)
+    monkeypatch.setattr("nodes.base.events.AS_JSON", True)
+    events.log("no event")
+    events.mark("a mark")
+    assert read_lines(capsys.readouterr().err) == [
+        LogLine("no event", "driver"),
+        LogLine("a mark", "driver", "mark"),
+    ]
+
+
+def test_a_name_that_is_no_unicode_is_written() -> None:
+    (line,) = read_lines(LogLine(os.fsdecode(b"no \xff.yaml"), "haptic").as_json())
+    assert line.text == "no ?.yaml"
+
+
+@pytest.mark.parametrize("sign", ["a", "\x01", "\u2028", "ö"])
+def test_a_long_line_ends_and_is_data(sign: str) -> None:
+    """The queue to standard error cuts: neither a line's end nor its last brace."""
+    data = {"tick": 432.0}
+    long = LogLine(sign * 2 * MAX_TEXT, "driver", "stopped", data)
+    received, sent = os.pipe()
+    with open(received, encoding="utf-8") as pipe:
+        with open(sent, "wb"):
+            queue = StderrQueue(sent)
+            queue.write(f"{long.as_json()}\n")
+            queue.write(f"{long}\n")
+            queue.write("the next\n")
+            queue.drain(10.0)
+        first, second, third = pipe.read().removesuffix("\n").split("\n")
+    (warning,) = warnings_in(read_lines(first))
+    assert (warning.node, warning.data) == ("driver", data)
+    assert warning.reason.startswith(sign * 1000)
+    assert len(second) == MAX_TEXT
+    assert third == "the next"
+
+
+def test_a_warning_goes_into_other_processes() -> None:
+    lines = [LogLine("active → stopped", "left/driver", "stopped", {"tick": 432.0})]
+    found = summary_of(printed(QUIET), lines, ended_here=False)
+    again: RunSummary = pickle.loads(pickle.dumps(found))  # noqa: S301 - its own
+    (warning,) = again.warnings
+    assert (str(warning), vars(warning)) == (
+        str(found.warnings[0]),
+        vars(found.warnings[0]),
+    )
 
 
 def test_a_refusal_is_worded_for_python_by_its_kind() -> None:

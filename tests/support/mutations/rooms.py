@@ -181,6 +181,13 @@ NAMED_RULES: Final = (
         ("tests/sim/identify/test_left.py",),
     ),
     Mutation(
+        "an interval has a negative width",
+        "sim/identify/conclude.py",
+        "0.5 + 0.5 * CONFIDENCE",
+        "0.5 * CONFIDENCE",
+        ("tests/sim/identify/test_half_widths.py",),
+    ),
+    Mutation(
         "windows that differ are as sure as those that agree",
         "sim/identify/conclude.py",
         "between = inverse @ (scores.T @ scores) @ inverse * (windows - 1) / windows",
