@@ -99,8 +99,8 @@ NAMED_RULES: Final = (
     Mutation(
         "a sum of taps that is rounding is a stiffness",
         "nodes/laws/parse.py",
-        "if not h1 > rounding:",
-        "if not h1 > 0.0:",
+        "or compiled.h1 > _rounding(compiled)",
+        "or compiled.h1 > 0.0",
         (LAWS, GAINS),
     ),
     Mutation(
