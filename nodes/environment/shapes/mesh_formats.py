@@ -132,6 +132,10 @@ def _ascii_row(words: list[bytes], element: _Element) -> list[Any]:
     row: list[Any] = []
     k = 0
     for one in element.properties:
+        if k >= len(words):
+            raise ValueError(
+                f"has a {element.name} without {one.name}, as its header says"
+            )
         if one.counted_by:
             count = int(words[k])
             values = [float(word) for word in words[k + 1 : k + 1 + count]]

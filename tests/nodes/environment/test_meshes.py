@@ -96,6 +96,12 @@ def test_an_obj_face_of_four_corners_is_two_triangles(tmp_path: Path) -> None:
             b"property list int int vertex_indices\nend_header\n3 inf nan 0\n",
             "cannot convert float infinity",
         ),
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n"
+            b"property list int int vertex_indices\nend_header\n0.5\n",
+            "has a vertex without vertex_indices",
+        ),
         ("a.off", b"OFF\n3 1 0\n0 0 0\n", "is cut off: 1 of 3 corners, 0 of 1 faces"),
         ("a.stl", binary_stl(CUBE)[:-7], "cut off"),
         ("a.stl", text_stl(CUBE).rpartition(b"vertex")[0], "cut off"),
