@@ -23,6 +23,7 @@ from nodes.coupling.law_book import LawBook
 from nodes.coupling.parameters import CouplingParameters
 from nodes.coupling.remedies import Accepts, Remedies
 from nodes.laws import CompiledLaw
+from nodes.laws.parse import LawRefusedError
 from nodes.parameters.interface_words import COMMAND_LINE
 from nodes.parameters.store import ParameterError
 
@@ -343,6 +344,30 @@ class Judgement:
                 f"to study it anyway, {COMMAND_LINE.force}, or set {self._node}.stability to warn",
             ),
         )
+
+    def replace_remedies(
+        self,
+        error: LawRefusedError,
+        now: CouplingParameters,
+        wanted: CouplingParameters,
+        name: str,
+        force: bool,
+        delays: Sequence[float],
+    ) -> None:
+        """Suggest the last accepted value of what was changed to a law that cannot render.
+
+        The error of the law itself names a stiffness, at which the loop may be unstable.
+        """
+        if not error.remedies:
+            return
+        judged = [] if force or wanted.stability == "warn" else sorted(delays)[::-1]
+
+        def accepts(parameters: CouplingParameters, law: CompiledLaw) -> bool:
+            found = (self.verdict(parameters, law, delay) for delay in judged)
+            return all(one is None or one.stable for one in found)
+
+        way = self._remedies.of_law(now, wanted, name, accepts)
+        error.remedies = (way,) if way.values else ()
 
     def refuse_fallback(
         self,

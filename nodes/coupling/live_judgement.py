@@ -17,6 +17,7 @@ from nodes.coupling.likely_delays import LikelyDelays
 from nodes.coupling.parameters import LONGEST_DELAY, CouplingParameters
 from nodes.coupling.renderer import ActiveLaw, Renderer
 from nodes.laws import CompiledLaw
+from nodes.laws.parse import LawRefusedError
 from nodes.parameters.store import ParameterError
 
 if TYPE_CHECKING:
@@ -112,12 +113,34 @@ class LiveJudgement:
         for name, description in wanted.laws.items():
             if description == now.laws.get(name):
                 continue
-            compiled = self._book.compile(wanted, name)
+            compiled = self._compiled(now, wanted, name, force)
             if name == wanted.law or name in scheduled:
                 continue
             verdict = self._verdict(now, wanted, name, compiled, force)
             figures = self._figures(name, wanted, verdict, self._before(now, name))
         return figures
+
+    def _compiled(
+        self,
+        now: CouplingParameters,
+        wanted: CouplingParameters,
+        name: str,
+        force: bool,
+    ) -> CompiledLaw:
+        """Return a changed law, compiled; a refusal suggests what is accepted at once."""
+        try:
+            return self._book.compile(wanted, name)
+        except LawRefusedError as error:
+            self._judgement.replace_remedies(
+                error, now, wanted, name, force, self._likely_delays()
+            )
+            raise
+
+    def _likely_delays(self) -> list[float]:
+        """Return delays at which a suggested value may be judged a moment later [ticks]."""
+        delay = self.delay
+        self._likely.add(time.monotonic(), delay)
+        return [min(one, LONGEST_DELAY) for one in self._likely.around(delay)]
 
     def _verdict(
         self,
@@ -128,11 +151,8 @@ class LiveJudgement:
         force: bool,
     ) -> Verdict | None:
         """Return the verdict on a changed law, and report its warning; reject an unstable one."""
-        delay = self.delay
-        self._likely.add(time.monotonic(), delay)
-        likely = [min(one, LONGEST_DELAY) for one in self._likely.around(delay)]
         verdict, warning = self._judgement.of_change(
-            now, wanted, name, law, delay, force, likely
+            now, wanted, name, law, self.delay, force, self._likely_delays()
         )
         if warning:
             self._events.emit_each("stability", warning)

@@ -152,7 +152,8 @@ class Remedies:
         """Return the last accepted values on the way from the law of before to the wanted one."""
         asked = self._book.description(wanted, name)
         where = f"{self._node}.laws.{name}" if name in wanted.laws else name
-        whole = self._compiled(asked)
+        # Not checked: a law that would pull is asked for, too.
+        whole = parse_law(asked).compile(self._period)
         start = self._start(now, name, asked)
         if not start:
             return self._largest_factor(whole, where, wanted, accepts)

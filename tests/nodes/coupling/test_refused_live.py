@@ -87,6 +87,21 @@ def test_an_unstable_change_is_refused_where_it_is_typed(press: Running) -> None
 
 
 @pytest.mark.process
+def test_a_damping_that_would_pull_is_told_one_that_is_accepted(press: Running) -> None:
+    """Told was a stiffness, which was refused when it was typed."""
+    words = ("param", "set", "coupling", "laws.multi_term.damping")
+    told = typed(press, *words, "1000", "--json", code=1)
+    assert "pull into the wall" in told.stderr
+    (way,) = json.loads(told.stdout)["remedies"]
+    assert way["kind"] == AT_MOST
+    (most,) = way["values"].values()
+    assert way["values"] == {"coupling.laws.multi_term.damping": most}
+    # A loop that wanders more than in the last seconds may refuse its very end.
+    typed(press, *words, str(0.9 * most))
+    typed(press, *words, "3.0")
+
+
+@pytest.mark.process
 def test_a_file_and_a_switch_are_refused_as_well(press: Running) -> None:
     (press.folder / "hard.yaml").write_text(
         write_yaml({"coupling": {"laws": {"pd": {"stiffness": 1e7}}}})

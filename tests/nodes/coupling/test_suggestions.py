@@ -13,6 +13,7 @@ from nodes.coupling.judgement import Judgement
 from nodes.coupling.law_book import LawBook
 from nodes.coupling.likely_delays import BIN, SPAN, LikelyDelays
 from nodes.coupling.parameters import CouplingParameters
+from nodes.laws.parse import LawRefusedError
 from nodes.parameters.store import ParameterError, convert
 
 T = 0.002
@@ -140,3 +141,30 @@ def test_a_law_that_would_pull_is_told_the_smallest_stiffness(
     assert accepted(now, of({**law, "stiffness": least}), 0.5)
     with pytest.raises(ParameterError, match="pull into the wall"):
         BOOK.compile(of({**law, "stiffness": 0.989 * least}), "own")
+
+
+@pytest.mark.parametrize("law", [ALPHA, {"kind": "paper_optimum"}])
+@pytest.mark.parametrize("likely", [(0.5,), (0.3, 0.7)])
+def test_a_damping_at_which_a_law_would_pull_is_told_the_largest_one(
+    law: dict[str, Any], likely: tuple[float, ...]
+) -> None:
+    """Told was a stiffness for it, at which the loop is unstable with either damping."""
+    made = {**law, "stiffness": 1000.0, "damping": 3.0}
+    now, wanted = of(made), of({**made, "damping": 1000.0})
+
+    def told(force: bool) -> tuple[str, float]:
+        with pytest.raises(LawRefusedError, match="pull into the wall") as raised:
+            BOOK.compile(wanted, "own")
+        error = raised.value
+        JUDGEMENT.replace_remedies(error, now, wanted, "own", force, likely)
+        (way,) = error.remedies
+        ((path, value),) = way.values.items()
+        assert path == "coupling.laws.own.damping"
+        return way.kind, value
+
+    kind, most = told(force=False)
+    assert kind == AT_MOST
+    assert all(accepted(now, of({**made, "damping": most}), one) for one in likely)
+    # Three digits, so a hundredth more is past the edge.
+    assert not accepted(now, of({**made, "damping": 1.011 * most}), max(likely))
+    assert told(force=True)[1] >= most
