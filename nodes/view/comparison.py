@@ -25,7 +25,7 @@ from nodes.launcher.runs import RunInfo
 from nodes.laws.parse import law_to_dict, parse_law
 from nodes.parameters.registry import Registry
 from nodes.view.law_edges import with_hardness
-from nodes.view.ringing import ring_of
+from nodes.view.ringing import Ring, ring_of
 
 PLAYERS = Registry(
     "haptic.beside",
@@ -92,7 +92,7 @@ class Comparison:
         )
         self._pool: Workers | None = None
         self._chosen = _Chosen({}, Changed())
-        self.rings = ""  # how B rings, in words; empty if it does not
+        self.rings: Ring | None = None  # how B rings
         self._restart()
         self._before: DeviceState | None = None
         self._job: asyncio.Task[None] | None = None
@@ -109,7 +109,7 @@ class Comparison:
         if law:
             described = changed.law(described, self._period)
         self.law, self._chosen = law, _Chosen(described, changed)
-        self.rings = ""
+        self.rings = None
         self._restart()
         self._put("beside", {"law": law, "at": self._at})
 
@@ -276,7 +276,9 @@ def _moves(surface: Any) -> bool:
     return any("motion" in one for one in [surface, *surface.get("shapes", [])])
 
 
-def _play(kind: str, period: float, delay: float, *words: Any) -> tuple[Any, Any, str]:
+def _play(
+    kind: str, period: float, delay: float, *words: Any
+) -> tuple[Any, Any, Ring | None]:
     """Return position, force and ringing of B; the player is imported in the worker only."""
     position, force = PLAYERS.load(kind)(*words)
     last = round(SHOWN / period)
@@ -284,4 +286,4 @@ def _play(kind: str, period: float, delay: float, *words: Any) -> tuple[Any, Any
         ring_of(x[-last:], f[-last:], period, delay)
         for x, f in zip(np.atleast_2d(position.T), np.atleast_2d(force.T), strict=True)
     )
-    return position, force, str(next(filter(None, rings), None) or "")
+    return position, force, next(filter(None, rings), None)

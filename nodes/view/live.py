@@ -151,8 +151,8 @@ class LiveRun:
         self.delay = least_delay(facts.apply)
         self.steady_delay = SteadyDelay()  # its median, for maps
         self.rests = False  # whether the map says that this loop cannot ring
-        # Returns what A and B do, in words; None where nothing is compared.
-        self.sings: Callable[[], dict[str, str] | None] | None = None
+        # Returns how A and B ring; None where nothing is compared.
+        self.sings: Callable[[], dict[str, Ring | None] | None] | None = None
         # Whether the laws must be read again after a receipt; reset by the reader.
         self.changed = True
         # Whether the surface may differ from the launch's; reset by the reader.
@@ -311,14 +311,10 @@ class LiveRun:
         gone = [name for name, found in nodes.items() if found["silent_s"]]
         if gone:
             why = f"{' and '.join(gone)} silent"
+        ring = None if self.rests else self.rings()
+        sings = self.sings() if self.sings is not None else None
         level, text = explain(
-            state,
-            self.feed.proxy,
-            force,
-            silent,
-            why,
-            "" if self.rests else str(self.rings() or ""),
-            self._device,
+            state, self.feed.proxy, force, silent, why, str(ring or ""), self._device
         )
         if self.ended:
             level = "rest"
@@ -357,10 +353,16 @@ class LiveRun:
             "law": force.law if force else "",
             "revision": force.revision if force else 0,
             "nodes": nodes,
-            # What both laws do, where they are compared.
-            "sings": self.sings() if self.sings is not None else None,
+            "rings": _figures(ring),
+            # The same of both laws, where they are compared.
+            "sings": sings and {name: _figures(one) for name, one in sings.items()},
             "ended": self.ended,
         }
+
+
+def _figures(ring: Ring | None) -> dict[str, float] | None:
+    """Return frequency [Hz] and force [N] of ringing by name; None if there is none."""
+    return None if ring is None else ring._asdict()
 
 
 def _receipt_facts(receipt: Receipt) -> dict[str, Any]:

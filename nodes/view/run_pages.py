@@ -24,6 +24,7 @@ from nodes.view.comparison import Changed, Comparison
 from nodes.view.live import LiveRun, facts_of
 from nodes.view.map_drawer import MapDrawer
 from nodes.view.page_words import in_page_words
+from nodes.view.ringing import Ring
 from nodes.view.run_page import DRAIN_PERIOD, Attention, RunPage
 from nodes.view.server import Page, PageServer
 from nodes.view.shared_hand import SharedHand
@@ -108,11 +109,11 @@ class RunPages:
             "hello", {**facts.hello(), **document, "fields": all_law_fields()}
         )
 
-    def _what_both_do(self) -> dict[str, str] | None:
-        """Return how A and B ring, in words (empty: not); None where nothing is compared."""
+    def _what_both_do(self) -> dict[str, Ring | None] | None:
+        """Return how A and B ring; None where nothing is compared."""
         if not self._comparison.law:
             return None
-        return {"a": str(self.live.rings() or ""), "b": self._comparison.rings}
+        return {"a": self.live.rings(), "b": self._comparison.rings}
 
     def _sings(self) -> bool:
         """Whether a law can be made to ring beside another one: against a plane, by a hand."""

@@ -69,6 +69,7 @@ const delay = new Delay({ row: $("delay-row"), slider: $("delay"), told: $("dela
 
 const beside = scene.beside = space.beside = new Beside({ other: $("other"), told: $("b-told") }, ask);
 let overlaid = null;
+let rings = false; // whether the present force rings
 let asked = false; // whether this page requested a recording
 plots.over = () => overlaid ?? (beside.on ? beside : null);
 const sound = new Sound($("sound"));
@@ -146,6 +147,7 @@ const link = new Link({
   },
   status(found) {
     status.show(found);
+    rings = Boolean(found.rings);
     sing.status(found, laws.state?.active, dial.stiffness, beside.law);
     if (lag.median !== null) status.row("hand → picture", `${Math.round(lag.median)} ms`);
     if (lag.force !== null && status.measures) status.row("hand → force", `${Math.round(lag.force)} ms`);
@@ -365,7 +367,7 @@ const tour = new Tour({ tour: $("tour"), sentence: $("sentence"), act: $("tour-a
   delay,
   touched: () => scene.grip.used && scene.now?.contact === 1,
   stopped: () => stoppedAt !== null,
-  rings: () => $("words").textContent.includes("rings"),
+  rings: () => rings,
   calm: () => {
     // Back below the edge, for good: the switch goes back, too.
     $("beyond").checked = false;

@@ -26,6 +26,8 @@ export function plan({ laws, named = Object.keys(laws), active }, edges, rang = 
   return { law: a, stiffness, edge, beside, hardness: times * stiffness, besideEdge: edges[beside], times, scaled: laws[beside].stiffness === undefined };
 }
 
+function figures({ frequency, force }) { return `at ${fixed(frequency, 0)} Hz, up to ${fixed(force, 1)} N`; }
+
 // Target of a hand that presses into a surface [m], a time after its begin [s]; null when it is done.
 export function pressed(time, { at, side }) {
   return time >= PRESS ? null : at + side * (OUTSIDE - Math.min(1, time / EASE) * (OUTSIDE + DEPTH));
@@ -90,7 +92,7 @@ export class Sing {
     await ask({ op: "law", field: "stiffness", value: stiffness, beyond: true, law });
     await this.compare(facts);
     this.beyond.dispatchEvent(new Event("change"));
-    this.facts = { ...facts, edges, rang: [], delay: later, asked: performance.now(), begun: Infinity, sang: "", seen: false };
+    this.facts = { ...facts, edges, rang: [], delay: later, asked: performance.now(), begun: Infinity, sang: null, seen: false };
     this.show(null);
   }
 
@@ -144,12 +146,12 @@ export class Sing {
     this.told.hidden = facts === null;
     if (!facts) return;
     const times = facts.times === 1 ? "as stiff" : `${["", "", "twice", "three times"][facts.times]} as stiff`;
-    const late = `The answer comes ${fixed(facts.delay, 1)} ticks late.`, sang = facts.sang.replace("It rings", "sings");
+    const late = `The answer comes ${fixed(facts.delay, 1)} ticks late.`, sang = facts.sang && figures(facts.sang);
     const past = performance.now() - facts.begun, over = past > 1e3 * PRESS && this.pressing === null;
-    const does = facts.stopped && sang ? `${sang.replace("sings", "sang")}, until the driver stopped it` : sings?.a ? sang
-      : sang && over ? sang.replace("sings", "sang") : facts.begun === Infinity ? "waits" : "is pressed";
+    const does = facts.stopped && sang ? `sang ${sang}, until the driver stopped it` : sings?.a ? `sings ${sang}`
+      : sang && over ? `sang ${sang}` : facts.begun === Infinity ? "waits" : "is pressed";
     const other = !this.page.compared() ? "is coming" : past < 1e3 * SETTLED ? "is pressed by the same hand"
-      : sings?.b ? sings.b.replace("It rings", "rings") : over ? "rested" : "rests";
+      : sings?.b ? `rings ${figures(sings.b)}` : over ? "rested" : "rests";
     this.say(`${late} A, ${facts.law} at ${figure(facts.stiffness)} N/m (edge ${rough(facts.edge)}), ${does}. B, ${facts.beside} at ${figure(facts.hardness)} N/m (edge ${rough(facts.besideEdge)}), ${times}, ${other}.`);
   }
 }

@@ -73,13 +73,14 @@ const status = () => {
   const state = { safety, force: s.force, asked: force, age: 0, contact, normal: e.met.subarray(3, 6), distance: e.met[6], law: name };
   const active = safety === "active" || safety === "ramp";
   // What settles is no wall that is too hard: where the map says stable, it does not ring.
-  const ringing = session.rests ? "" : ringWords(rings());
-  const [level, words] = explained(state, active ? "" : why, ringing);
+  const ring = session.rests ? null : rings();
+  const [level, words] = explained(state, active ? "" : why, ringWords(ring));
   say("status", {
     level, words, safety, stop: safety === "stopped" ? stop : null, tick: s.seq, t: s.seq * PERIOD,
     rate_hz: 1 / PERIOD, missed: 0, missed_lately: 0, overruns: 0, delay_ticks: session.delay + DATA.image.next_tick,
-    // What both laws do, where they are compared.
-    sings: session.beside ? { a: ringWords(rings()), b: ringWords(besideRinging.ring()) } : null,
+    rings: ring,
+    // The same of both laws, where they are compared.
+    sings: session.beside ? { a: rings(), b: besideRinging.ring() } : null,
     response_us: {}, law: name, revision, ended: failure,
     nodes: Object.fromEntries(Object.values(DATA.nodes).map((node) => [node, { state: "running", silent_s: 0 }])),
   });

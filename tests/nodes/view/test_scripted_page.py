@@ -278,6 +278,22 @@ def test_the_map_is_of_the_law_that_renders(page: Page, script: Script) -> None:
 
 @pytest.mark.process
 @pytest.mark.smoke
+def test_the_tour_goes_by_what_rings_and_not_by_a_name(
+    page: Page, script: Script
+) -> None:
+    """A law of that name pushed back, and the tour had heard it ring."""
+    words = "0.5 N: springs pushes back."
+    rings = "haptic.tour.page.rings()"
+    script.say("status", **{**script.status, "words": words, "rings": None})
+    wait_for(lambda: "springs" in shown(page, "#words"), "the sentence")
+    assert page.evaluate(rings) is False
+    ring = {"frequency": 22.0, "force": 3.1}
+    script.say("status", **{**script.status, "rings": ring})
+    wait_for(lambda: page.evaluate(rings), "it rings")
+
+
+@pytest.mark.process
+@pytest.mark.smoke
 def test_a_screen_reader_has_names_for_all_and_hears_a_sentence_once(
     page: Page, script: Script
 ) -> None:
