@@ -123,14 +123,16 @@ def lid(rim: Coordinates) -> Ids:
     cost = np.zeros((count, count))
     middle = np.zeros((count, count), dtype=np.int64)
     for far in range(2, count):
-        i = np.arange(count - far)
-        k = i + far
-        between = i[:, None] + np.arange(1, far)
-        across = np.cross(rim[between] - rim[i, None], (rim[k] - rim[i])[:, None])
-        total = cost[i[:, None], between] + cost[between, k[:, None]]
+        begin = np.arange(count - far)
+        end = begin + far
+        between = begin[:, None] + np.arange(1, far)
+        spoke = (rim[end] - rim[begin])[:, None]
+        across = np.cross(rim[between] - rim[begin, None], spoke)
+        total = cost[begin[:, None], between] + cost[between, end[:, None]]
         total += 0.5 * np.linalg.norm(across, axis=2)
         best = total.argmin(axis=1)
-        cost[i, k], middle[i, k] = total[i, best], between[i, best]
+        cost[begin, end] = total[begin, best]
+        middle[begin, end] = between[begin, best]
     triangles = []
     waiting = [(0, count - 1)]
     while waiting:
