@@ -86,8 +86,12 @@ def _close(found: MeshReport, out: Path) -> tuple[list[Hole], Counts, str]:
     """
     from nodes.environment.shapes.mesh_edges import rims
     from nodes.environment.shapes.mesh_holes import holes
-    from nodes.environment.shapes.mesh_repair import NARROW, SLIVER, repair
-    from nodes.environment.shapes.mesh_report import refusal_of, write_mesh
+    from nodes.environment.shapes.mesh_repair import JOINS, NARROW, SLIVER, repair
+    from nodes.environment.shapes.mesh_report import (
+        refusal_of,
+        single_precision_error,
+        write_mesh,
+    )
 
     closed = repair(
         found.read.corners,
@@ -96,6 +100,14 @@ def _close(found: MeshReport, out: Path) -> tuple[list[Hole], Counts, str]:
         widest=MOST_EDGES,
         part=MOST_WIDTH,
     )
+    moved = (
+        single_precision_error(closed.points) if out.suffix.lower() == ".stl" else 0.0
+    )
+    if moved > JOINS[-1] * max(found.size):
+        raise UsageError(
+            f"--close {out}: single precision, as STL has, moves corners by up to {moved:.2g}"
+            " units, because the mesh is far from the origin; name it .obj"
+        )
     write_mesh(out, closed.points, closed.ids)
     left = holes(closed.points, closed.ids, rims(closed.partner))
     return left, closed.counts, refusal_of(closed, found.scale)

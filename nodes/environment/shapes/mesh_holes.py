@@ -123,15 +123,16 @@ def lid(rim: Coordinates) -> Ids:
     cost = np.zeros((count, count))
     middle = np.zeros((count, count), dtype=np.int64)
     for far in range(2, count):
-        for i in range(count - far):
-            k = i + far
-            between = np.arange(i + 1, k)
-            area = 0.5 * np.linalg.norm(
-                np.cross(rim[between] - rim[i], rim[k] - rim[i]).reshape(-1, 3), axis=1
-            )
-            total = cost[i, between] + cost[between, k] + area
-            best = int(total.argmin())
-            cost[i, k], middle[i, k] = total[best], between[best]
+        begin = np.arange(count - far)
+        end = begin + far
+        between = begin[:, None] + np.arange(1, far)
+        spoke = (rim[end] - rim[begin])[:, None]
+        across = np.cross(rim[between] - rim[begin, None], spoke)
+        total = cost[begin[:, None], between] + cost[between, end[:, None]]
+        total += 0.5 * np.linalg.norm(across, axis=2)
+        best = total.argmin(axis=1)
+        cost[begin, end] = total[begin, best]
+        middle[begin, end] = between[begin, best]
     triangles = []
     waiting = [(0, count - 1)]
     while waiting:

@@ -138,6 +138,11 @@ def _refusals(corners: Coordinates) -> tuple[str, str]:
     return refusal_of(found, 1.0), ""
 
 
+def single_precision_error(points: Coordinates) -> float:
+    """Return the largest distance along an axis by which single precision moves corners."""
+    return float(np.abs(points.astype(np.float32) - points).max())
+
+
 def write_mesh(path: Path, points: Coordinates, ids: Ids) -> None:
     """Write triangles as OBJ, or as binary STL, which has single precision only."""
     if path.suffix.lower() == ".obj":

@@ -135,3 +135,17 @@ def test_a_wrong_command_is_refused(
     monkeypatch.chdir(tmp_path)
     assert main(["mesh", *words]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_single_precision_far_from_the_origin_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Its step there is 2^-24 of the coordinate; corners within 1e-6 of the width are joined."""
+    ball = np.delete(icosphere(2, 0.05), 7, axis=0)
+    for far, fits in ((0.5, True), (5.0, False)):
+        path = write(tmp_path / f"at_{far}.obj", ball + far)
+        out = tmp_path / f"at_{far}.stl"
+        code = main(["mesh", str(path), "--close", str(out)])
+        assert ((code == 0), out.exists()) == (fits, fits)
+        assert ("name it .obj" in capsys.readouterr().err) is not fits
+        described(capsys, str(path), "--close", str(out.with_suffix(".OBJ")))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -117,3 +119,21 @@ def test_what_is_closed_is_closed_when_it_is_read_again() -> None:
         assert found.is_solid
         assert again.is_solid
         enclosed(again, BALL, 0.05)
+
+
+def test_a_long_crack_costs_a_step_for_each_edge() -> None:
+    """Not one for each pair of its corners: cracks are closed at each start, unasked."""
+
+    def calls(count: int) -> int:
+        angle = 2.0 * np.pi * np.arange(count) / count
+        rim = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+        events: list[str] = []
+        before = sys.getprofile()
+        sys.setprofile(lambda _frame, event, _what: events.append(event))
+        try:
+            lid(rim)
+        finally:
+            sys.setprofile(before)
+        return events.count("c_call")
+
+    assert calls(80) < 2.5 * calls(40)
