@@ -23,6 +23,7 @@ from nodes.base.log_line import VARIABLE, LogLine, read_lines
 from nodes.base.stderr_queue import MAX_TEXT, StderrQueue
 from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
 from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
 from sim.api.python_words import launch_environment, speaking_python
 from sim.api.run_summary import RunSummary, summary_of, warnings_in
 from tests.support import ROOT
@@ -36,7 +37,7 @@ STOP = {
     "tick": 432.0,
     "before": "active",
     "after": "stopped",
-    "reason": "call run.rearm()",
+    "reason": "run haptic node rearm",
 }
 START = {
     "tick": 0.0,
@@ -302,5 +303,14 @@ def test_an_unstable_run_is_told_as_one() -> None:
         assert "generates energy" in summary.stopped_why
         assert "then call run.rearm(), or launch again" in summary.stopped_why
         stop = next(one for one in summary.warnings if one.kind == "stopped")
+        assert "then call run.rearm(), or launch again" in stop.reason
+        # A recording speaks to readers of every interface, as one of the command line does.
+        assert summary.recording is not None
+        (kept,) = (
+            event
+            for event in Recording(summary.recording).messages("/driver/event")
+            if event.kind == "stopped"
+        )
+        assert "then run haptic node rearm, or launch again" in kept.reason
         assert stop.data["tick"] == summary.stopped_at_tick
         assert str(stop) in {str(one.message) for one in told}
