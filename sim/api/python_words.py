@@ -21,7 +21,7 @@ def launch_environment() -> dict[str, str]:
 
 
 def in_python(text: str) -> str:
-    """Return a driver's sentence, which recordings keep in the command line's words, for Python."""
+    """Return a sentence of a driver, which words it for the command line, for Python."""
     return text.replace(COMMAND_LINE.rearm, PYTHON.rearm)
 
 

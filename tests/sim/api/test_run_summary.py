@@ -8,6 +8,7 @@ import pickle
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,13 +22,15 @@ from messages.errors import AT_MOST, FORCE, HapticError, Remedy
 from nodes.base.events import Clock, Events
 from nodes.base.log_line import VARIABLE, LogLine, read_lines
 from nodes.base.stderr_queue import MAX_TEXT, StderrQueue
+from nodes.launcher.runs import RunError
 from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
 from nodes.parameters.store import ParameterError
 from nodes.recording.reader import Recording
 from sim.api.python_words import launch_environment, speaking_python
 from sim.api.run_summary import RunSummary, summary_of, warnings_in
+from sim.measure.haptic_commands import MeasurementError, run_beside
 from tests.support import ROOT
-from tests.support.launching import private_runtime_dir
+from tests.support.launching import private_runtime_dir, wait_for
 from tests.support.sources import nodes_of
 
 # A busy machine adds a warning of its own.
@@ -280,6 +283,35 @@ def test_errors_of_a_launch_file_are_worded_for_python() -> None:
         haptic.play("floor_drop", stifness=3)
     with pytest.raises(ParameterError, match=r"given as stiffness=-1\)"):
         haptic.play("floor_drop", stiffness=-1)
+
+
+@pytest.mark.process
+def test_errors_of_other_commands_are_worded_for_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path))
+    tmp_path.chmod(0o700)
+    told = r'nothing is running; start something with: haptic\.launch\("floor_drop"\)$'
+    with pytest.raises(RunError, match=f"^{told}"):
+        haptic.connect()
+    with pytest.raises(MeasurementError, match=f"exit code 2: {told}"):
+        run_beside("bag", "record", "--duration", "1")
+
+
+@pytest.mark.process
+def test_a_warning_that_is_an_error_does_not_replace_what_ended_the_block(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with private_runtime_dir() as folder, warnings.catch_warnings():
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(folder))
+        warnings.simplefilter("ignore")
+        run = haptic.launch("wall_press", stiffness=9000, pace="lockstep")
+        warnings.simplefilter("error", haptic.LaunchWarning)
+        with pytest.raises(KeyboardInterrupt), run:  # noqa: PT012 - the launch must end first
+            wait_for(lambda: not run.running, "the end of the launch")
+            raise KeyboardInterrupt
+        assert "stopped" in {one.kind for one in run.summary.warnings}
 
 
 @pytest.mark.process
