@@ -86,7 +86,7 @@ class Run(Live):
                 else contextlib.nullcontext()
             )
             with lost:
-                self.stop()
+                self._end()
 
     def __repr__(self) -> str:
         state = "running" if self.running else "ended"
@@ -245,7 +245,7 @@ class Run(Live):
         except KeyboardInterrupt:
             # Nor does a warning that is an error replace the interrupt.
             with contextlib.suppress(LaunchWarning):
-                self.stop()
+                self._end()
             raise
         self._warn()
         return self.summary
@@ -284,10 +284,14 @@ class Run(Live):
 
     def stop(self) -> None:
         """Stop the launch as Ctrl-C does: ramp the force to zero first, finish the recordings."""
+        self._end()
+
+    def _end(self) -> None:
+        """Stop the launch, with warnings at the line that called the caller."""
         if self._started is not None:
             self._ended_here = self._ended_here or not self._started.ended
             self._started.interrupt()
-            self._warn()
+            self._warn(4)
             return
         try:
             haptic(Path.cwd(), "stop", self.info.run)

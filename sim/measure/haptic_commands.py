@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import HapticError
+from nodes.base.log_line import COMMAND, read_lines
 from nodes.base.log_line import VARIABLE as LINES
-from nodes.base.log_line import read_lines
 from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON
 from nodes.parameters.interface_words import VARIABLE
@@ -123,7 +123,9 @@ def run_beside(*words: str) -> None:
         end(process)
         raise
     if process.returncode:
-        said = "\n".join(line.text for line in read_lines(printed))
+        lines = read_lines(printed)
+        own = [line for line in lines if line.node == COMMAND]
+        said = "\n".join(line.text for line in own or lines)
         raise MeasurementError(
             f"{' '.join(words[:2])} ended with exit code {process.returncode}: {said}"
         )

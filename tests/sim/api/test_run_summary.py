@@ -312,6 +312,13 @@ def test_a_warning_that_is_an_error_does_not_replace_what_ended_the_block(
             wait_for(lambda: not run.running, "the end of the launch")
             raise KeyboardInterrupt
         assert "stopped" in {one.kind for one in run.summary.warnings}
+        # The end of a block warns at the block, as a call does at its line.
+        warnings.simplefilter("always")
+        for ends in (run.stop, lambda: run.__exit__(None, None, None)):
+            run._warned = 0
+            with warnings.catch_warnings(record=True) as told:
+                ends()
+            assert {one.filename for one in told} == {__file__}
 
 
 @pytest.mark.process
