@@ -181,6 +181,14 @@ def test_a_line_without_numbers_is_written_as_data(
     ]
 
 
+@pytest.mark.parametrize("node", ["driver", "haptic"])
+def test_a_line_on_a_terminal_has_no_escape_sequence_of_others(node: str) -> None:
+    """A mark, which any page sends, stands on the terminal of who launched."""
+    line = LogLine("\x1b[2Jhi\a\u202eth\ngir", node, "mark")
+    prefix = "haptic: " if node == "haptic" else "[driver] mark: "
+    assert str(line) == f"{prefix}\ufffd[2Jhi\ufffd\ufffdth\ngir"
+
+
 def test_a_name_that_is_no_unicode_is_written() -> None:
     (line,) = read_lines(LogLine(os.fsdecode(b"no \xff.yaml"), "haptic").as_json())
     assert line.text == "no ?.yaml"
