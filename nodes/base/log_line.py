@@ -13,6 +13,7 @@ from typing import Final
 import msgspec
 
 from messages.errors import Remedy
+from nodes.base.printable import printable
 from nodes.base.stderr_queue import MAX_TEXT
 
 VARIABLE: Final = "HAPTIC_LOG"
@@ -50,11 +51,14 @@ class LogLine(msgspec.Struct, frozen=True, omit_defaults=True):
     remedies: tuple[Remedy, ...] = ()
 
     def __str__(self) -> str:
-        """Return the line as text mode has it."""
+        """Return the line as text mode has it; others may have sent what it quotes."""
+        if not self.node:
+            return self.text
+        text = printable(self.text)
         if self.node == COMMAND:
-            return f"{COMMAND}: {self.text}"
+            return f"{COMMAND}: {text}"
         kind = f"{self.kind}: " if self.kind else ""
-        return f"[{self.node}] {kind}{self.text}" if self.node else self.text
+        return f"[{self.node}] {kind}{text}"
 
     def as_json(self) -> str:
         """Return the line as data, without its end; cut a text too long for the queue."""

@@ -15,7 +15,7 @@ from messages.event_kinds import EventKind
 from messages.types import DeviceState, Event, Force, Proxy, Vector
 from nodes.driver import notes
 from nodes.driver.state import FAULT, NOTE, SAFETY, DriverState
-from nodes.parameters.interface_words import interface
+from nodes.parameters.interface_words import COMMAND_LINE
 
 # time without a state after which a driver counts as silent [s]
 SILENT_AFTER: Final = 0.5
@@ -27,7 +27,7 @@ class StateWords(NamedTuple):
     """Action of the driver in one state of its safety."""
 
     text: str
-    remedy: str  # for the user, in words of the interface; empty if none is needed
+    remedy: str  # for the user, with `{rearm}` as a word; empty if none is needed
 
 
 STATES: Final[Mapping[str, StateWords]] = {
@@ -63,7 +63,7 @@ class Note(NamedTuple):
     fields: tuple[str, ...]
     text: str  # sentence, filled by name
     short: str = ""  # short form for the page, if different
-    remedy: str = ""  # what to do about it, in words of the interface; empty if nothing
+    remedy: str = ""  # what to do about it, with `{rearm}` as a word; empty if nothing
 
 
 NOTES: Final[Mapping[int, Note]] = {
@@ -167,8 +167,11 @@ def _filled(text: str, data: Mapping[str, float]) -> str:
 
 
 def _worded(remedy: str) -> str:
-    """Return a remedy in the words of the reader's interface."""
-    return remedy.format(rearm=interface.get().rearm)
+    """Return a remedy in the command line's words, whatever started the launch.
+
+    Recordings keep it, and every interface reads them; Python words it anew.
+    """
+    return remedy.format(rearm=COMMAND_LINE.rearm)
 
 
 def take_notes(s: DriverState) -> list[Noted]:

@@ -8,7 +8,7 @@ from typing import Any
 from nodes.base.node import Node
 from nodes.driver.safety import rearm
 from nodes.driver.state import DriverState
-from nodes.parameters.interface_words import interface
+from nodes.parameters.interface_words import COMMAND_LINE
 from nodes.parameters.store import ParameterError
 
 LONGEST_PAUSE = 60.0  # longest pause of a loop in lockstep per request [s]
@@ -33,7 +33,7 @@ class DriverOperations:
         if not (self._virtual or beside):
             raise ParameterError(
                 "the driver of a real device has stopped an unstable loop; choose a "
-                f"softer law, stand beside the device, then {interface.get().rearm}",
+                f"softer law, stand beside the device, then {COMMAND_LINE.rearm}",
                 path=name,
             )
 

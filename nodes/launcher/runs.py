@@ -346,7 +346,8 @@ def find_run(name: str | None = None) -> RunInfo:
         return fits[0]
     if not live:
         raise RunError(
-            "nothing is running; start something with: haptic launch floor_drop"
+            "nothing is running; start something with:"
+            f" {interface.get().start('floor_drop')}"
         )
     if not fits:
         raise RunError(f"no run is named {name!r}; running: {', '.join(live)}")

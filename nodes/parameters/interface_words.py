@@ -24,6 +24,7 @@ class InterfaceWords(NamedTuple):
     out_dir: str  # option for the folder of recordings
     rearm: str  # enable a stopped driver
     run: Callable[[str], str]  # choose a run, or one of its chains
+    start: Callable[[str], str]  # start a launch by scenario
     study: Callable[[str], str]  # a study by name
     tick: Callable[[str], str]  # choose compiled or interpreted ticks
 
@@ -35,6 +36,7 @@ COMMAND_LINE: Final = InterfaceWords(
     out_dir="--out-dir",
     rearm="run haptic node rearm",
     run=lambda name: f"--run {name}",
+    start=lambda scenario: f"haptic launch {scenario}",
     study=lambda name: f"haptic study {name}",
     tick=lambda how: f"--tick {how}",
 )
@@ -45,6 +47,7 @@ PYTHON: Final = InterfaceWords(
     out_dir="out_dir=",
     rearm="call run.rearm()",
     run=lambda name: f'haptic.connect("{name}")',
+    start=lambda scenario: f'haptic.launch("{scenario}")',
     study=lambda name: f'haptic.study("{name}")',
     tick=lambda how: f'tick="{how}"',
 )

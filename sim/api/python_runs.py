@@ -18,7 +18,7 @@ from sim.api.live_data import Live
 from sim.api.progress import progress
 from sim.api.python_words import speaking_python
 from sim.api.recordings import Recorded, read
-from sim.api.run_summary import RunSummary, summary_of, warnings_in
+from sim.api.run_summary import LaunchWarning, RunSummary, summary_of, warnings_in
 from sim.measure.haptic_commands import MeasurementError, haptic, run_beside
 from sim.measure.interrupts import deferred
 from sim.measure.started_launch import StartedLaunch
@@ -79,7 +79,14 @@ class Run(Live):
     ) -> None:
         """Stop the launch if this program started it; otherwise leave it running."""
         if self._started is not None:
-            self.stop()
+            # A warning that is an error does not replace what ended the block.
+            lost = (
+                contextlib.suppress(LaunchWarning)
+                if value
+                else contextlib.nullcontext()
+            )
+            with lost:
+                self._end()
 
     def __repr__(self) -> str:
         state = "running" if self.running else "ended"
@@ -236,7 +243,9 @@ class Run(Live):
                             step(int(self.ask(driver, "status", timeout=1.0)["ticks"]))
                     started.wait(0.1)
         except KeyboardInterrupt:
-            self.stop()
+            # Nor does a warning that is an error replace the interrupt.
+            with contextlib.suppress(LaunchWarning):
+                self._end()
             raise
         self._warn()
         return self.summary
@@ -275,10 +284,14 @@ class Run(Live):
 
     def stop(self) -> None:
         """Stop the launch as Ctrl-C does: ramp the force to zero first, finish the recordings."""
+        self._end()
+
+    def _end(self) -> None:
+        """Stop the launch, with warnings at the line that called the caller."""
         if self._started is not None:
             self._ended_here = self._ended_here or not self._started.ended
             self._started.interrupt()
-            self._warn()
+            self._warn(4)
             return
         try:
             haptic(Path.cwd(), "stop", self.info.run)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 
 from messages.errors import FORCE, HapticError, Remedy
-from nodes.parameters.interface_words import PYTHON, VARIABLE, interface
+from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, VARIABLE, interface
 
 _BY_FORCE = Remedy(
     FORCE,
@@ -18,6 +18,11 @@ _BY_FORCE = Remedy(
 def launch_environment() -> dict[str, str]:
     """Return the environment of a launch that words its errors for Python."""
     return {**os.environ, VARIABLE: "python"}
+
+
+def in_python(text: str) -> str:
+    """Return a sentence of a driver, which words it for the command line, for Python."""
+    return text.replace(COMMAND_LINE.rearm, PYTHON.rearm)
 
 
 @contextlib.contextmanager

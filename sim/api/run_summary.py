@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from messages.event_kinds import SERIOUS
 from nodes.base.log_line import LAUNCH, WARNS, LogLine
+from sim.api.python_words import in_python
 from sim.api.recordings import read
 from sim.studies.notebook_results import Result, bars
 
@@ -34,6 +37,7 @@ class LaunchWarning(UserWarning):
     """
 
     def __init__(self, line: LogLine) -> None:
+        line = msgspec.structs.replace(line, text=in_python(line.text))
         super().__init__(str(line))
         self.node, self.kind, self.reason = line.node, line.kind, line.text
         self.data = dict(line.data)
@@ -134,7 +138,7 @@ def summary_of(
         **{key: printed[key] for key in same},
         exit_reason=exit_reason,
         stopped_at_tick=at,
-        stopped_why=why,
+        stopped_why=in_python(why),
         refused=_counts(chains, "refused"),
         limited=_counts(chains, "limited"),
         failures=tuple(printed["failures"]),

@@ -13,8 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from messages.errors import HapticError
+from nodes.base.log_line import COMMAND, read_lines
+from nodes.base.log_line import VARIABLE as LINES
 from nodes.base.realtime import die_with_parent
 from nodes.launcher.child import PYTHON
+from nodes.parameters.interface_words import VARIABLE
 
 HAPTIC = (
     *PYTHON,
@@ -103,9 +106,16 @@ def start_command(*words: str, **options: Any) -> subprocess.Popen[Any]:
 
 
 def run_beside(*words: str) -> None:
-    """Run a command to its end; an interrupt ends it as Ctrl-C does, output complete."""
+    """Run a command to its end; its errors are in Python's words.
+
+    An interrupt ends it as Ctrl-C does, output complete.
+    """
     process = start_command(
-        *words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        *words,
+        env={**os.environ, VARIABLE: "python", LINES: "json"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         printed = process.communicate()[1]
@@ -113,8 +123,11 @@ def run_beside(*words: str) -> None:
         end(process)
         raise
     if process.returncode:
+        lines = read_lines(printed)
+        own = [line for line in lines if line.node == COMMAND]
+        said = "\n".join(line.text for line in own or lines)
         raise MeasurementError(
-            f"{' '.join(words[:2])} ended with exit code {process.returncode}: {printed.strip()}"
+            f"{' '.join(words[:2])} ended with exit code {process.returncode}: {said}"
         )
 
 

@@ -8,6 +8,7 @@ import pickle
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,12 +22,15 @@ from messages.errors import AT_MOST, FORCE, HapticError, Remedy
 from nodes.base.events import Clock, Events
 from nodes.base.log_line import VARIABLE, LogLine, read_lines
 from nodes.base.stderr_queue import MAX_TEXT, StderrQueue
+from nodes.launcher.runs import RunError
 from nodes.parameters.interface_words import COMMAND_LINE, PYTHON, interface
 from nodes.parameters.store import ParameterError
+from nodes.recording.reader import Recording
 from sim.api.python_words import launch_environment, speaking_python
 from sim.api.run_summary import RunSummary, summary_of, warnings_in
+from sim.measure.haptic_commands import MeasurementError, run_beside
 from tests.support import ROOT
-from tests.support.launching import private_runtime_dir
+from tests.support.launching import private_runtime_dir, wait_for
 from tests.support.sources import nodes_of
 
 # A busy machine adds a warning of its own.
@@ -36,7 +40,7 @@ STOP = {
     "tick": 432.0,
     "before": "active",
     "after": "stopped",
-    "reason": "call run.rearm()",
+    "reason": "run haptic node rearm",
 }
 START = {
     "tick": 0.0,
@@ -177,6 +181,14 @@ def test_a_line_without_numbers_is_written_as_data(
     ]
 
 
+@pytest.mark.parametrize("node", ["driver", "haptic"])
+def test_a_line_on_a_terminal_has_no_escape_sequence_of_others(node: str) -> None:
+    """A mark, which any page sends, stands on the terminal of who launched."""
+    line = LogLine("\x1b[2Jhi\a\u202eth\ngir", node, "mark")
+    prefix = "haptic: " if node == "haptic" else "[driver] mark: "
+    assert str(line) == f"{prefix}\ufffd[2Jhi\ufffd\ufffdth\ngir"
+
+
 def test_a_name_that_is_no_unicode_is_written() -> None:
     (line,) = read_lines(LogLine(os.fsdecode(b"no \xff.yaml"), "haptic").as_json())
     assert line.text == "no ?.yaml"
@@ -282,6 +294,42 @@ def test_errors_of_a_launch_file_are_worded_for_python() -> None:
 
 
 @pytest.mark.process
+def test_errors_of_other_commands_are_worded_for_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(tmp_path))
+    tmp_path.chmod(0o700)
+    told = r'nothing is running; start something with: haptic\.launch\("floor_drop"\)$'
+    with pytest.raises(RunError, match=f"^{told}"):
+        haptic.connect()
+    with pytest.raises(MeasurementError, match=f"exit code 2: {told}"):
+        run_beside("bag", "record", "--duration", "1")
+
+
+@pytest.mark.process
+def test_a_warning_that_is_an_error_does_not_replace_what_ended_the_block(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with private_runtime_dir() as folder, warnings.catch_warnings():
+        monkeypatch.setenv("HAPTIC_RUNTIME_DIR", str(folder))
+        warnings.simplefilter("ignore")
+        run = haptic.launch("wall_press", stiffness=9000, pace="lockstep")
+        warnings.simplefilter("error", haptic.LaunchWarning)
+        with pytest.raises(KeyboardInterrupt), run:  # noqa: PT012 - the launch must end first
+            wait_for(lambda: not run.running, "the end of the launch")
+            raise KeyboardInterrupt
+        assert "stopped" in {one.kind for one in run.summary.warnings}
+        # The end of a block warns at the block, as a call does at its line.
+        warnings.simplefilter("always")
+        for ends in (run.stop, lambda: run.__exit__(None, None, None)):
+            run._warned = 0
+            with warnings.catch_warnings(record=True) as told:
+                ends()
+            assert {one.filename for one in told} == {__file__}
+
+
+@pytest.mark.process
 def test_an_unstable_run_is_told_as_one() -> None:
     # 9000 N/m on 0.145 kg in a hand of 300 N/m: above the limit that the warning itself names,
     # which tests of the judgement check against closed forms.
@@ -302,5 +350,14 @@ def test_an_unstable_run_is_told_as_one() -> None:
         assert "generates energy" in summary.stopped_why
         assert "then call run.rearm(), or launch again" in summary.stopped_why
         stop = next(one for one in summary.warnings if one.kind == "stopped")
+        assert "then call run.rearm(), or launch again" in stop.reason
+        # A recording speaks to readers of every interface, as one of the command line does.
+        assert summary.recording is not None
+        (kept,) = (
+            event
+            for event in Recording(summary.recording).messages("/driver/event")
+            if event.kind == "stopped"
+        )
+        assert "then run haptic node rearm, or launch again" in kept.reason
         assert stop.data["tick"] == summary.stopped_at_tick
         assert str(stop) in {str(one.message) for one in told}
