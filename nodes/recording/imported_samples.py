@@ -293,6 +293,8 @@ def _remedy(values: Array, most: float) -> str:
     import numpy as np
 
     missing = int(np.isnan(values).sum())
+    if missing == len(values):
+        return f" choose others with {words.get().columns({'position': 'NAME'})}"
     if missing > most:
         return (
             " are its columns of different rates? Import one of them alone, or remove"

@@ -270,6 +270,11 @@ BEYOND = lines(TIME * 1e3, POSITION, FORCE)
             {},
             r"line 3, column 'x': no number \(30 .* columns of different rates\? Import",
         ),
+        (
+            RIG.replace("F", "y").replace("\n", ",\n").replace("y,", "y,z"),
+            {},
+            r"'z': no number \(60 .*of 60\); choose others with --columns position=NAME",
+        ),
         (RIG + "1,2\n", {}, f"line {TICKS + 2} has 2 fields, the first line 3"),
         (
             lines(TIME, POSITION, FORCE, delimiter=";", comma=True),
