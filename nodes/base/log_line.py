@@ -6,6 +6,7 @@ other origin, such as a traceback or the output of a library, stay as they are.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from typing import Final
@@ -77,7 +78,7 @@ def _encodable(line: LogLine) -> LogLine:
     return msgspec.structs.replace(
         line,
         text=_valid(line.text),
-        data=dict(line.data),
+        data={k: float(v) for k, v in line.data.items() if math.isfinite(v)},
         remedies=tuple(
             msgspec.structs.replace(one, text=_valid(one.text)) for one in line.remedies
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import os
 import pickle
 import re
@@ -14,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import haptic
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -187,6 +189,17 @@ def test_a_line_on_a_terminal_has_no_escape_sequence_of_others(node: str) -> Non
     line = LogLine("\x1b[2Jhi\a\u202eth\ngir", node, "mark")
     prefix = "haptic: " if node == "haptic" else "[driver] mark: "
     assert str(line) == f"{prefix}\ufffd[2Jhi\ufffd\ufffdth\ngir"
+
+
+def test_numbers_of_any_type_are_data() -> None:
+    """A node of another package logs what it computes; JSON has no NaN."""
+    numbers: dict[str, Any] = {
+        "count": np.int64(3),
+        "force": np.float32(0.5),
+        "none": math.nan,
+    }
+    (line,) = read_lines(LogLine("t", "acme", "acme.odd", numbers).as_json())
+    assert (line.kind, line.data) == ("acme.odd", {"count": 3.0, "force": 0.5})
 
 
 def test_a_name_that_is_no_unicode_is_written() -> None:
