@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import types
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +156,8 @@ def test_code_of_functions_is_replaced_where_they_stand(
     wanted: dict[str, Any] = {}
     exec(compile(RULES, file, "exec", dont_inherit=True), here)  # noqa: S102
     exec(compile(changed, "other", "exec", dont_inherit=True), wanted)  # noqa: S102
+    # A weak proxy of what is gone, as others leave, is no function.
+    gone = weakref.proxy(types.SimpleNamespace())
     assert replace(pairs, file)
     assert (here["outer"](7), here["KEPT"](7)) == (
         wanted["outer"](7),
@@ -161,6 +165,7 @@ def test_code_of_functions_is_replaced_where_they_stand(
     )
     assert here["MADE"] == 8  # computed before
     assert not replace(pairs, file)
+    del gone
 
 
 @pytest.mark.parametrize("row", EQUIVALENT, ids=lambda row: f"{row.file}: {row.line}")

@@ -83,7 +83,8 @@ def _alone(code: types.CodeType) -> types.CodeType:
 def replace(pairs: Pairs, file: str) -> bool:
     """Replace the code of a file's functions that exist; return whether any did."""
     found = False
-    functions = [one for one in gc.get_objects() if isinstance(one, types.FunctionType)]
+    # By type(): isinstance asks a weak proxy, whose object may be gone.
+    functions = [one for one in gc.get_objects() if type(one) is types.FunctionType]
     for function in functions:
         if function.__code__.co_filename == file:
             for old, new in pairs:
