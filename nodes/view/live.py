@@ -362,7 +362,10 @@ class LiveRun:
 
 def _figures(ring: Ring | None) -> dict[str, float] | None:
     """Return frequency [Hz] and force [N] of ringing by name; None if there is none."""
-    return None if ring is None else ring._asdict()
+    if ring is None:
+        return None
+    # Plain floats: B's are of an array.
+    return {name: float(value) for name, value in ring._asdict().items()}
 
 
 def _receipt_facts(receipt: Receipt) -> dict[str, Any]:

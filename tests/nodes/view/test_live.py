@@ -17,6 +17,7 @@ from nodes.launcher.run_end import write_end
 from nodes.launcher.runs import RunInfo
 from nodes.view.comparison import FREE, Changed, Comparison
 from nodes.view.live import Facts, LiveRun
+from nodes.view.ringing import ring_of
 from sim.drill.drill import scene as drill_scene
 from sim.drill.last_line import ORDER
 from sim.play.hops import setup_of
@@ -129,6 +130,18 @@ def test_of_several_axes_a_loop_rings_along_any_of_them(tmp_path: Path) -> None:
         found = run.rings()
         assert (found is not None) == rings, (axes, along)
         assert found is None or 36.0 < found.frequency < 44.0
+
+
+def test_how_a_simulated_b_rings_can_be_sent(tmp_path: Path) -> None:
+    """Its figures were numbers of numpy, at which the view ended."""
+    run = LiveRun(facts(tmp_path, "x"))
+    turns = 2.0 * math.pi * 24.0 * 0.002 * np.arange(600)
+    ring = ring_of(1e-3 * np.sin(turns), -4.0 * np.sin(turns - 0.5), 0.002, 0.0)
+    assert ring is not None
+    run.sings = lambda: {"a": None, "b": ring}
+    run.tick(1.0)
+    (status,) = map(json.loads, run.board.since(0, 0)[0])
+    assert status["sings"]["b"]["frequency"] == pytest.approx(24.0, rel=0.05)
 
 
 def test_b_is_played_with_its_law_as_it_is_by_now() -> None:
