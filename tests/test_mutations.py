@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import types
 import weakref
 from pathlib import Path
 from typing import Any
@@ -157,7 +156,7 @@ def test_code_of_functions_is_replaced_where_they_stand(
     exec(compile(RULES, file, "exec", dont_inherit=True), here)  # noqa: S102
     exec(compile(changed, "other", "exec", dont_inherit=True), wanted)  # noqa: S102
     # A weak proxy of what is gone, as others leave, is no function.
-    gone = weakref.proxy(types.SimpleNamespace())
+    gone = weakref.proxy(set())
     assert replace(pairs, file)
     assert (here["outer"](7), here["KEPT"](7)) == (
         wanted["outer"](7),

@@ -27,7 +27,6 @@ from nodes.recording.accounts import overruns
 from nodes.recording.reader import Recording
 from nodes.view.live import Facts, LiveRun
 from sim.cli.answers import add_answer, idle, report
-from sim.lab.bench.page_pictures import take
 from sim.measure.haptic_commands import HAPTIC
 from sim.measure.measured_launch import Running, machine, responses_in
 from sim.measure.stopwatch import Progress
@@ -304,6 +303,9 @@ def browsing(options: Sequence[str] = OPTIONS) -> Iterator[Any]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the benchmark."""
     if arguments.pictures is not None:
+        # Its player's rules, and numba with them, would count in the memory of the view.
+        from sim.lab.bench.page_pictures import take
+
         unused = ("rounds", "seconds", "rate", "picture", "minutes")
         idle(arguments, "--pictures measures nothing", *unused)
         drawn = [option for option in OPTIONS if option != "--disable-gpu"]
