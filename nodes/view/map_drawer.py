@@ -1,13 +1,14 @@
 """Map and edges of a running launch, computed on a thread when something changed.
 
-First the plane of the active law and the edges of all laws (0.1 s); the limits for moving worlds
-(0.4 s) follow point by point while the page rests, so that neither a page's first picture nor an
-answer to it waits for them.
+First the plane of the active law and the edges of all laws (0.3 s), not while a page waits for its
+first picture or an answer; the limits for moving worlds (0.4 s) follow point by point while the
+page rests.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +27,8 @@ MAP_PERIOD = 0.25  # shortest time between two maps [s]
 DELAY_PERIOD = 10.0
 # Changes of the delay below this do not redraw the map [ticks], and as a part of the delay.
 STEADY, STEADY_SHARE = 0.02, 0.05
+# Time between two looks whether pages still wait [s].
+LOOK = 0.02
 _NO_MORE: Final[dict[str, Any]] = {}  # after the last step of a map
 
 
@@ -46,7 +49,12 @@ class _Inputs(NamedTuple):
         """Whether another map shows the same, but for an unsteady delay."""
         if other is None or not self.differs_in_delay_only(other):
             return False
-        return abs(self.delay - other.delay) <= STEADY + STEADY_SHARE * other.delay
+        return _is_near(self.delay, other.delay)
+
+
+def _is_near(delay: float, other: float) -> bool:
+    """Whether a delay differs from another no more than an unsteady one does [ticks]."""
+    return abs(delay - other) <= STEADY + STEADY_SHARE * other
 
 
 class MapDrawer:
@@ -71,6 +79,8 @@ class MapDrawer:
         inertia: Callable[[], Awaitable[Mapping[str, Any] | None]],
         put: Callable[[str, dict[str, Any]], None],
     ) -> None:
+        # Whether pages wait for something: what is heavy waits for them.
+        self.waits: Callable[[], bool] = lambda: False
         self._driver, self._period = driver, period
         self._inertia, self._put = inertia, put
         self._thread = ThreadPoolExecutor(1, "map")
@@ -82,6 +92,7 @@ class MapDrawer:
         self._begun_at = 0.0
         self._patience = MAP_PERIOD  # until the next map of another delay [s]
         self._edges: dict[str, float | None] = {}  # by description and device
+        self._edges_delay = math.nan  # delay of the loop for which they are [ticks]
         self._job: asyncio.Task[None] | None = None
 
     def says_stable(self, laws: Mapping[str, Any], delay: float) -> bool:
@@ -104,6 +115,8 @@ class MapDrawer:
         wanted = _inputs(laws, delay)
         now = time.monotonic()
         if wanted is None or (self._job is not None and not self._job.done()):
+            return
+        if self.waits():
             return
         if self._drawn is not None and not is_seen:
             return
@@ -164,6 +177,8 @@ class MapDrawer:
     async def _on_thread(
         self, work: Callable[..., Any], *words: Any, **more: Any
     ) -> Any:
+        while self.waits():
+            await asyncio.sleep(LOOK)
         job = partial(work, *words, **more)
         return await asyncio.get_running_loop().run_in_executor(self._thread, job)
 
@@ -180,7 +195,10 @@ class MapDrawer:
             return {"edges": {}, "rest": rest}
         before = self._edges
         self._edges = {}
-        devices = plant.over_workspace(self._period, wanted.delay)
+        # What the map does not show of a delay that trembles moves no edge either.
+        if not _is_near(wanted.delay, self._edges_delay):
+            self._edges_delay = wanted.delay
+        devices = plant.over_workspace(self._period, self._edges_delay)
         edges = {}
         for name, described in wanted.laws.items():
             # The nominal stiffness is what the edge is sought in.

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any, Final
 
 from messages.types import DeviceState
@@ -20,6 +20,8 @@ REST_AFTER = 1.0  # [s]
 STILL_PERIOD: Final = 0.2  # time between two frames while nothing moves [s]
 # Time after the last request of a page, or its hand's last movement, after which it rests [s].
 RESTED: Final = 1.0
+# Time after an answer in which the page shows what it did [s].
+SHOWN: Final = 0.2
 _NEAR, _WEAK = 1e-5, 5e-3  # differences that a page does not show [m], [N]
 
 
@@ -57,7 +59,8 @@ class Attention:
     """What pages ask for now: heavy work that they do not wait for comes after it."""
 
     def __init__(self) -> None:
-        self._busy_at = -math.inf
+        self._busy_at = self._answered_at = -math.inf
+        self._pending = 0  # requests without an answer
         self._asked = asyncio.Event()
         self._read = asyncio.Event()
         self._wakes = Wakes()
@@ -72,6 +75,22 @@ class Attention:
     def rests(self) -> bool:
         """Whether no page asked for anything in the last `RESTED` seconds."""
         return time.monotonic() - self._busy_at > RESTED
+
+    @property
+    def answers(self) -> bool:
+        """Whether a request has no answer yet, or had it in the last `SHOWN` seconds."""
+        return self._pending > 0 or time.monotonic() - self._answered_at < SHOWN
+
+    @contextlib.contextmanager
+    def request(self) -> Iterator[None]:
+        """Note a request for the time until it has its answer."""
+        self.note()
+        self._pending += 1
+        try:
+            yield
+        finally:
+            self._pending -= 1
+            self._answered_at = time.monotonic()
 
     async def pause(self, state: DeviceState | None) -> None:
         """Pause until messages are to be read; a page that asks ends a long pause."""
@@ -160,11 +179,12 @@ class RunPage:
 
     async def ask(self, request: dict[str, Any]) -> Any:
         """Execute a request of the page."""
-        self._attention.note()
         if request.get("op") == "seen":
+            self._attention.note()
             self._see(request.get("on") is not False)
             return {}
-        return await self._command(request)
+        with self._attention.request():
+            return await self._command(request)
 
     def _see(self, on: bool) -> None:
         if not on:

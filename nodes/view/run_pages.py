@@ -81,6 +81,7 @@ class RunPages:
             self._inertia,
             self.live.board.put,
         )
+        self._maps.waits = lambda: self.server.draws_first or self._attention.answers
         self._is_exact = self._commander.is_virtual and all(
             one.kind != "world" for one in run.nodes.values()
         )
@@ -289,11 +290,9 @@ class RunPages:
         if live.changed:
             self._start("laws", self._read_laws)
         delay = live.steady_delay.median(live.delay)
-        if not self.server.draws_first:
-            is_seen = bool(self._attention.viewers)
-            self._maps.step(
-                self._laws, delay, is_seen, is_seen and self._attention.rests
-            )
+        is_seen = bool(self._attention.viewers)
+        rests = is_seen and self._attention.rests
+        self._maps.step(self._laws, delay, is_seen, rests)
         # A virtual device is exactly the declared one; a real loop may ring all the same.
         live.rests = self._is_exact and self._maps.says_stable(self._laws, delay)
 

@@ -37,8 +37,8 @@ MAX_REQUEST = 1 << 18  # limit of a request: a law of thousands of taps fits [by
 MAX_PAGES = 16  # limit of open pages
 MAX_WAITING = 8  # limit of pending requests per page
 # Longest time that a first picture has for itself, from the start of the server or the request of
-# a page [s].
-PICTURE_FIRST = 0.5
+# a page [s]; the page tells when it is drawn.
+PICTURE_FIRST = 1.0
 _HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
@@ -228,7 +228,10 @@ class PageServer:
                     refused = _moved(shown.page, request.get("target"))
                     if refused:
                         await _answer(connection, request, error=refused)
-                elif len(waiting) >= MAX_WAITING:
+                elif request.get("op") == "drawn":
+                    self._first_until = 0.0
+                elif len(waiting) >= MAX_WAITING and request.get("op") != "seen":
+                    # A page that is seen again would stay without news.
                     await _answer(
                         connection,
                         request,
@@ -255,8 +258,6 @@ class PageServer:
             while True:
                 for item in shown.page.news():
                     await connection.send(item)
-                    if isinstance(item, bytes):
-                        self._first_until = 0.0
                 await shown.page.due()
 
 

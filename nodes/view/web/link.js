@@ -58,6 +58,9 @@ export class Link {
     });
   }
 
+  // Tell that the first picture is drawn, for which the server puts off heavy work.
+  drawn() { if (this.open) this.socket.send(JSON.stringify({ op: "drawn" })); }
+
   // Send bytes, once less than `most` of those before are waiting.
   async bytes(buffer, most) {
     while (this.open && this.socket.bufferedAmount > most) await new Promise((settle) => setTimeout(settle, 10));

@@ -95,6 +95,7 @@ const link = new Link({
     log.clear();
     plots.marks.length = 0;
     hello = found;
+    told = false;
     offer(laws.state !== null);
     status.begun();
     // The old ring gets no more data; the state is sent again.
@@ -456,7 +457,7 @@ addEventListener("keydown", (event) => {
 // Draw at the screen's rate while something is dragged or in slow motion, else at half of it; pause
 // without data.
 const LIVELY = 500, HALF = 30;
-let drawn = 0, plotted = 0, read = 0, touched = 0, changedAt = 0;
+let drawn = 0, plotted = 0, read = 0, touched = 0, changedAt = 0, told = false;
 // What rests is drawn once it has left the strip, and looked at ten times a second.
 const RESTING = 4500, GLANCE = 100;
 for (const event of ["pointerdown", "pointermove", "wheel", "keydown", "click", "input", "change", "resize"]) {
@@ -489,6 +490,10 @@ function draw(time) {
     plotted = time;
   }
   // In slow motion the figures follow the picture.
+  if (!told && store?.head > 0 && document.querySelector("#laws input")) {
+    told = true;
+    if (hello.hides) link.drawn();
+  }
   if (time - read > (past ? HALF : 120)) { if ($("space").hidden) scene.read(); else space.read($("reading")); read = time; }
 }
 requestAnimationFrame(draw);

@@ -13,6 +13,7 @@ from websockets.asyncio.client import connect
 from nodes.launcher import launch_file
 from nodes.launcher.runs import RunInfo
 from nodes.view import map_drawer
+from nodes.view.law_edges import edges_of_laws
 from nodes.view.map_drawer import DELAY_PERIOD, MapDrawer
 from nodes.view.run_page import RESTED, Attention
 from nodes.view.run_pages import RunPages
@@ -127,6 +128,54 @@ def test_a_trembling_delay_draws_a_map_seldom_and_a_law_at_once(
     drawn.drawer.close()
 
 
+def test_nothing_is_computed_while_a_page_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A switch of the law took 0.3 to 1.5 s beside maps and edges, 0.1 s without."""
+    drawn, waits = Drawn(monkeypatch), [True]
+    drawn.drawer.waits = lambda: waits[0]
+
+    async def play() -> None:
+        drawn.step(rests=False)
+        assert drawn.drawer._job is None
+        waits[0] = False
+        drawn.step(rests=False)
+        # Another request comes before its first piece.
+        waits[0] = True
+        for _ in range(3):
+            await asyncio.sleep(map_drawer.LOOK)
+        assert drawn.put == []
+        waits[0] = False
+        await drawn.job()
+        assert drawn.put == ["edges", "map"]
+
+    complete(play())
+    drawn.drawer.close()
+
+
+def test_edges_are_kept_while_a_delay_trembles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All laws' edges were sought anew with each map, at a delay that no map shows."""
+    drawn = Drawn(monkeypatch)
+    sought: list[str] = []
+
+    def counted(laws: dict[str, Any], devices: Any) -> Any:
+        sought.extend(laws)
+        return edges_of_laws(laws, devices)
+
+    monkeypatch.setattr(map_drawer, "edges_of_laws", counted)
+
+    async def play() -> None:
+        # One twentieth and 0.02 ticks more are the same delay; a law's own K moves no edge.
+        for delay, stiffness in ((1.0, 900.0), (1.0699, 800.0), (1.0701, 700.0)):
+            drawn.step(rests=False, delay=delay, stiffness=stiffness)
+            await drawn.job()
+
+    complete(play())
+    drawn.drawer.close()
+    assert sought == ["pd", "pd"]
+    assert drawn.put == ["edges", "map"] * 3
+
+
 def test_a_page_rests_once_it_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [50.0]
     monkeypatch.setattr("nodes.view.run_page.time.monotonic", lambda: now[0])
@@ -178,12 +227,17 @@ def test_a_first_picture_is_sent_before_heavy_work(
         async with connect(url) as socket:
             while not isinstance(await socket.recv(), kind):
                 pass
+            # It still has to be drawn, with the processor that a map would take.
+            assert server.draws_first
+            await socket.send('{"op": "drawn"}')
+            # The answer to a request behind it.
+            await socket.send('{"op": "seen", "id": 1}')
+            while '"answer"' not in str(await socket.recv()):
+                pass
 
     async def play() -> None:
         assert not server.draws_first
         await server.start()
-        assert server.draws_first
-        await receive(str)
         assert server.draws_first
         page.allowed = True
         await receive(bytes)
@@ -227,15 +281,22 @@ def test_pages_start_no_map_before_the_first_picture(
             del laws, delay
             stepped.append((is_seen, rests))
 
-        pages._maps.step = step  # type: ignore[method-assign]
+        waits = pages._maps.waits
         await pages.server.start()
         pages._refresh()
-        assert stepped == []
+        assert waits()
+        assert pages._maps._job is None
+        pages._maps.step = step  # type: ignore[method-assign]
         pages.server._open_page = lambda: page
         page.allowed = True
         async with connect(pages.server.url.replace("http:", "ws:") + "live") as socket:
             while not isinstance(await socket.recv(), bytes):
                 pass
+            assert waits()
+            await socket.send('{"op": "drawn"}')
+            while pages.server.draws_first:
+                await asyncio.sleep(SEND_PERIOD)
+            assert not waits()
             pages._refresh()
         assert stepped == [(False, False)]
         # A page that somebody sees, and that asks for nothing any more.
@@ -244,6 +305,12 @@ def test_pages_start_no_map_before_the_first_picture(
         pages._attention.note()
         pages._refresh()
         assert stepped[1:] == [(True, True), (True, False)]
+        # A request has the processor for itself, and what the page shows of its answer.
+        with pages._attention.request():
+            assert waits()
+        assert waits()
+        monkeypatch.setattr("nodes.view.run_page.SHOWN", 0.0)
+        assert not waits()
         await pages.run(lambda: True, lambda: None)
 
     complete(play())
