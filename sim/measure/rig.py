@@ -21,7 +21,7 @@ from messages.topics import DEVICE_STATE
 from messages.transport.sockets import Subscription
 from messages.types import DeviceState
 from nodes.base.processor_wait import ProcessorWait, state_of
-from sim.measure.haptic_commands import HAPTIC, wait_for, within
+from sim.measure.haptic_commands import DEADLINE, HAPTIC, wait_for, within
 from sim.measure.measured_launch import Running, left_behind, processes_of
 
 START = 30.0  # time limit from the first tick to the first messages [s]
@@ -146,12 +146,18 @@ class Rig(Running):
         waits: dict[int, ProcessorWait] = {}
         begun = time.monotonic()
         waited = 0.0
-        while time.monotonic() - begun < END + waited:
+        while time.monotonic() - begun < self._patience(waited):
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.5)
                 return
             for pid in (self.process.pid, *processes_of(self.runtime_dir)):
                 waited = max(waited, waits.setdefault(pid, ProcessorWait()).update(pid))
+
+    def _patience(self, waited: float) -> float:
+        """Return how long the launcher may take to end [s]."""
+        # Its main thread has ended; the others do so once they have a processor.
+        is_ending = state_of(Path(f"/proc/{self.process.pid}")) == "Z"
+        return DEADLINE if is_ending else END + waited
 
     def _whereabouts(self) -> str:
         """Return where a launcher hangs: its threads' kernel waits and Python stack."""
