@@ -146,7 +146,9 @@ class Rig(Running):
         waits: dict[int, ProcessorWait] = {}
         begun = time.monotonic()
         waited = 0.0
-        while time.monotonic() - begun < self._patience(waited):
+        while self.process.poll() is None and time.monotonic() - begun < self._patience(
+            waited
+        ):
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.5)
                 return
