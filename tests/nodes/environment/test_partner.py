@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from messages.topics import DEVICE_STATE, PROXY
@@ -99,6 +99,17 @@ Steps = st.lists(
 
 
 @given(steps=Steps, lost=st.integers(0, 80))
+@example(
+    steps=[
+        ("hear", 0.0, 0.0),
+        ("lose", 0.0, 0.0),
+        ("lose", 1.0, 0.0),
+        ("restart", 0.0, 0.0),
+        ("late", 0.0, 0.0),
+        ("hear", 1.0, 0.0),
+    ],
+    lost=24,
+)
 def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
     steps: list[tuple[str, float, float]], lost: int
 ) -> None:
@@ -117,14 +128,16 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
                 theirs + 0.002 * a + (math.copysign(1.0, a) if what == "jump" else 0.0),
             )
             known = partner.state
-            counted = False
+            counted, sent = False, seq
             if what in ("hear", "jump", "restart"):
                 counted = partner.hear(state(seq, theirs))
             elif what == "late":
-                (
-                    partner.hear(state(max(seq - 3, 0), theirs))
-                    if last is not None and last[0] >= max(seq - 3, 0)
-                    else None
+                # After silence it counts: nothing tells it from a restarted partner's.
+                sent = max(seq - 3, 0)
+                counted = (
+                    last is not None
+                    and last[0] >= sent
+                    and partner.hear(state(sent, theirs))
                 )
             elif what == "fault":
                 assert not partner.hear(state(seq, 5.0, safety="fault"))
@@ -133,9 +146,9 @@ def test_what_is_presented_moves_no_faster_than_partner_device_and_alignment(
             if counted:
                 if known == HEARD and last is not None:
                     moved = abs(theirs - last[1])
-                    if moved > LIMITS.fastest * T * max(seq - last[0], 1):
+                    if moved > LIMITS.fastest * T * max(sent - last[0], 1):
                         moved = 0.0  # a jump: none of it may show
-                last = (seq, theirs)
+                last = (sent, theirs)
             # Sums of some hundred steps of up to 1 m: epsilon times that.
             assert (
                 abs(where - before) <= moved + abs(stepped) + LIMITS.align * T + 1e-12
