@@ -389,10 +389,12 @@ def test_the_record_of_all_that(held: Running, tmp_path: Path) -> None:
         if event.kind == "fallback"
     ]
     assert len(fallbacks) == len(told) == 4, (fallbacks, told)
-    reasons = ("raised ZeroDivisionError", "not finite", "slept: took", "computed for")
+    # On a busy machine the call that sleeps may compute for longer than its budget, too.
+    slept = ("slept: took", "computed for")
+    reasons = (("raised ZeroDivisionError",), ("not finite",), slept, slept[1:])
     for receipt, event, reason in zip(fallbacks, told, reasons, strict=True):
         assert isinstance(event, Event)
-        assert reason in receipt.reason
+        assert any(one in receipt.reason for one in reason)
         assert receipt.reason in event.reason
         assert f"at tick {receipt.seq}" in event.reason
         force = forces[receipt.seq]
