@@ -250,6 +250,8 @@ def measure(name: str, folder: Path = MEASURED) -> MeasuredOutput:
             env={**os.environ, "NO_COLOR": "1", "PYTHONPATH": str(ROOT)},
         )
     if done.returncode != 0:
+        # What it found may not come again.
+        print(done.stdout, file=sys.stderr)
         raise ResultsError(
             f"{name}: {line} ended with exit code {done.returncode}; not recorded"
         )

@@ -92,19 +92,16 @@ def test_a_measured_section_replaces_what_was_measured_before(
 @pytest.mark.skipif(
     not (ROOT / ".git").exists(), reason="names its commit: needs a checkout"
 )
-def test_a_command_that_fails_leaves_its_section(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_command_that_fails_leaves_its_section_and_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # No gain: exit code 2.
-    monkeypatch.setitem(
-        SECTIONS,
-        "loop",
-        ResultSection("The loop", "?", "haptic study kmax --law pd", 0.1),
-    )
+    fails = """python -c 'print("one of two failed"); raise SystemExit(2)'"""
+    monkeypatch.setitem(SECTIONS, "loop", ResultSection("The loop", "?", fails, 0.1))
     (tmp_path / "loop.md").write_text("an earlier figure\n", encoding="utf-8")
     with pytest.raises(ResultsError, match="exit code 2; not recorded"):
         measure("loop", tmp_path)
     assert recorded("loop", tmp_path) == "an earlier figure\n"
+    assert "one of two failed" in capsys.readouterr().err
 
 
 def test_an_unknown_section_is_named(capsys: pytest.CaptureFixture[str]) -> None:
