@@ -85,6 +85,27 @@ class Remedy(msgspec.Struct, frozen=True):
     text: Text
     values: Annotated[dict[Name, Real], msgspec.Meta(max_length=_MOST_VALUES)] = {}
 
+    @classmethod
+    def end(cls, kind: str, path: str, value: float) -> Self:
+        """Return the last value of a parameter that would be accepted.
+
+        Parameters
+        ----------
+        kind : str
+            `AT_MOST` or `AT_LEAST`.
+        path : str
+            Path of the parameter.
+        value : float
+            The value [SI units].
+
+        Returns
+        -------
+        Remedy
+            With a text in words of both.
+        """
+        text = f"the {SIDES[kind]} {path} that is accepted is {value:.9g}"
+        return cls(kind, text, {path: value})
+
 
 class HapticError(Exception):
     """Base of every exception that this project raises on purpose; its text has the remedies.

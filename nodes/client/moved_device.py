@@ -50,15 +50,10 @@ def _of_driver(
     """
     if one.kind not in SIDES or not one.values.keys() <= named.keys():
         return one
-    values = {
-        f"{driver}.{named[path]}": max(
-            0.0, round(value - added.get(named[path], 0.0), 9)
-        )
-        for path, value in one.values.items()
-    }
-    ((path, value),) = values.items()
-    text = f"the {SIDES[one.kind]} {path} that is accepted is {value:.9g}"
-    return Remedy(one.kind, text, values)
+    ((path, value),) = one.values.items()
+    name = named[path]
+    own = max(0.0, round(value - added.get(name, 0.0), 9))
+    return Remedy.end(one.kind, f"{driver}.{name}", own)
 
 
 def set_moved(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
 
-from messages.errors import AT_LEAST, AT_MOST, OTHER, SIDES, TOGETHER, Remedy
+from messages.errors import AT_LEAST, AT_MOST, OTHER, TOGETHER, Remedy
 from nodes.coupling.field_judgement import FeltLaw, largest_share
 from nodes.coupling.force_fields import ForceField
 from nodes.coupling.law_book import LawBook
@@ -71,11 +71,7 @@ class _Way:
         if self.accepts({path: rounded}):
             value = rounded
         kind = AT_MOST if rises else AT_LEAST
-        return Remedy(
-            kind,
-            f"the {SIDES[kind]} {self.where}.{path} that is accepted is {value:.9g}",
-            {f"{self.where}.{path}": value},
-        )
+        return Remedy.end(kind, f"{self.where}.{path}", value)
 
 
 class Remedies:

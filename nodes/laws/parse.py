@@ -187,8 +187,6 @@ def _stiff_enough(law: Law, h1: float, period: float, path: str) -> list[Remedy]
             raised = _realised(replace(law, stiffness=value), period, path)
         except ParameterError:
             continue
-        if not _pushes(raised):
-            continue
-        text = f"the smallest {path}.stiffness that is accepted is {value:.9g}"
-        return [Remedy(AT_LEAST, text, {f"{path}.stiffness": value})]
+        if _pushes(raised):
+            return [Remedy.end(AT_LEAST, f"{path}.stiffness", value)]
     return []

@@ -70,6 +70,8 @@ class MapDrawer:
         Masses that the device reports for its poses, or None.
     put : callable
         Publishes a document by name.
+    waits : callable
+        Returns whether pages wait for something: what is heavy waits for them.
     """
 
     def __init__(
@@ -78,11 +80,10 @@ class MapDrawer:
         period: float,
         inertia: Callable[[], Awaitable[Mapping[str, Any] | None]],
         put: Callable[[str, dict[str, Any]], None],
+        waits: Callable[[], bool],
     ) -> None:
-        # Whether pages wait for something: what is heavy waits for them.
-        self.waits: Callable[[], bool] = lambda: False
         self._driver, self._period = driver, period
-        self._inertia, self._put = inertia, put
+        self._inertia, self._put, self._waits = inertia, put, waits
         self._thread = ThreadPoolExecutor(1, "map")
         self._drawn: _Inputs | None = None  # what the present map shows
         self._map: dict[str, Any] = {}
@@ -116,7 +117,7 @@ class MapDrawer:
         now = time.monotonic()
         if wanted is None or (self._job is not None and not self._job.done()):
             return
-        if self.waits():
+        if self._waits():
             return
         if self._drawn is not None and not is_seen:
             return
@@ -177,7 +178,7 @@ class MapDrawer:
     async def _on_thread(
         self, work: Callable[..., Any], *words: Any, **more: Any
     ) -> Any:
-        while self.waits():
+        while self._waits():
             await asyncio.sleep(LOOK)
         job = partial(work, *words, **more)
         return await asyncio.get_running_loop().run_in_executor(self._thread, job)

@@ -75,13 +75,14 @@ class RunPages:
         self.listeners: list[Callable[[str, Message], None]] = [self._comparison.take]
         # A thread for requests, so that none blocks the pages.
         self._asking = ThreadPoolExecutor(1, "ask")
+        self._attention = Attention()
         self._maps = MapDrawer(
             run.nodes[self._commander.driver].parameters,
             facts.period,
             self._inertia,
             self.live.board.put,
+            lambda: self.server.draws_first or self._attention.answers,
         )
-        self._maps.waits = lambda: self.server.draws_first or self._attention.answers
         self._is_exact = self._commander.is_virtual and all(
             one.kind != "world" for one in run.nodes.values()
         )
@@ -90,7 +91,6 @@ class RunPages:
         self._shown = ShownSurface(run)
         self._jobs: set[asyncio.Task[None]] = set()
         self._busy: set[str] = set()
-        self._attention = Attention()
         feed = self.live.feed
         document = {
             "series": feed.names,

@@ -21,6 +21,7 @@ from nodes.view.server import SEND_PERIOD, PageServer
 from nodes.view.stability_map import ANY_DELAYS, ANY_NEAR, map_in_steps
 from sim.play.hops import setup_of
 from tests.support.coroutines import complete
+from tests.support.idle_page import IdlePage
 
 T = 0.002
 PD = {"kind": "pd", "stiffness": 1000.0, "damping": 3.0}
@@ -47,7 +48,8 @@ class Drawn:
 
         monkeypatch.setattr(map_drawer, "map_in_steps", counted)
         monkeypatch.setattr(map_drawer, "MAP_PERIOD", 0.0)
-        self.drawer = MapDrawer({}, T, inertia, self.publish)
+        self.waits = False
+        self.drawer = MapDrawer({}, T, inertia, self.publish, lambda: self.waits)
 
     def publish(self, kind: str, content: dict[str, Any]) -> None:
         """Note a document."""
@@ -132,20 +134,20 @@ def test_nothing_is_computed_while_a_page_waits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A switch of the law took 0.3 to 1.5 s beside maps and edges, 0.1 s without."""
-    drawn, waits = Drawn(monkeypatch), [True]
-    drawn.drawer.waits = lambda: waits[0]
+    drawn = Drawn(monkeypatch)
+    drawn.waits = True
 
     async def play() -> None:
         drawn.step(rests=False)
         assert drawn.drawer._job is None
-        waits[0] = False
+        drawn.waits = False
         drawn.step(rests=False)
         # Another request comes before its first piece.
-        waits[0] = True
+        drawn.waits = True
         for _ in range(3):
             await asyncio.sleep(map_drawer.LOOK)
         assert drawn.put == []
-        waits[0] = False
+        drawn.waits = False
         await drawn.job()
         assert drawn.put == ["edges", "map"]
 
@@ -188,7 +190,7 @@ def test_a_page_rests_once_it_asks_for_nothing(monkeypatch: pytest.MonkeyPatch) 
     assert attention.rests
 
 
-class OnePicture:
+class OnePicture(IdlePage):
     """A page whose first frame comes when it is allowed to."""
 
     def __init__(self) -> None:
@@ -197,22 +199,6 @@ class OnePicture:
     def news(self) -> list[str | bytes]:
         """Return a document, or a frame."""
         return [b"frame"] if self.allowed else ["hello"]
-
-    async def due(self) -> None:
-        """Wait for nothing but the next look."""
-        await asyncio.sleep(SEND_PERIOD)
-
-    def hand(self, target: list[float] | None) -> str:
-        """Accept any target."""
-        del target
-        return ""
-
-    async def ask(self, request: dict[str, Any]) -> Any:
-        """Return the request."""
-        return request
-
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 def test_a_first_picture_is_sent_before_heavy_work(
@@ -281,7 +267,7 @@ def test_pages_start_no_map_before_the_first_picture(
             del laws, delay
             stepped.append((is_seen, rests))
 
-        waits = pages._maps.waits
+        waits = pages._maps._waits
         await pages.server.start()
         pages._refresh()
         assert waits()

@@ -15,8 +15,9 @@ from messages.types import DeviceState, Force, Proxy
 from nodes.laws.law_fields import all_law_fields
 from nodes.view.feed import Feed
 from nodes.view.live import Facts, LiveRun
-from nodes.view.server import SEND_PERIOD, PageServer
+from nodes.view.server import PageServer
 from tests.support.browser import OpenPage, needs_browser, shown
+from tests.support.idle_page import IdlePage
 from tests.support.launching import wait_for
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ PROXY: dict[str, Any] = {
 }
 
 
-class ScriptedPage:
+class ScriptedPage(IdlePage):
     """One open page."""
 
     def __init__(self, outbox: list[str | bytes] | list[str]) -> None:
@@ -135,23 +136,6 @@ class ScriptedPage:
         """Return everything not sent yet."""
         found, self.outbox = self.outbox, []
         return found
-
-    async def due(self) -> None:
-        """Wait for nothing but the next look."""
-        await asyncio.sleep(SEND_PERIOD)
-
-    def hand(self, target: list[float] | None) -> str:
-        """Grant the hand."""
-        del target
-        return ""
-
-    async def ask(self, request: dict[str, Any]) -> Any:
-        """Do nothing."""
-        del request
-        return {}
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 @contextlib.contextmanager
